@@ -11,6 +11,8 @@ from cells import NOISE_M, NOISE_RAD, Recorded, record, ur10
 
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.checkup import Checked
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.shapes import Shape
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -131,8 +133,26 @@ def test_a_zero_about_the_base_axis_may_as_well_be_the_base(cell: tuple[Recorded
     assert found.status == "changed"  # the repaired poses are the same
 
 
-def test_a_gear_is_named_and_stations_along_it_are_asked_for(cell: tuple[Recorded, Calibration]) -> None:
-    found, q, _ = checked(cell, lambda q, world: world(q + np.outer(5e-4 * np.sin(101 * q[:, 3]), np.eye(6)[3])))
+def test_a_gear_is_named_and_its_wave_found(cell: tuple[Recorded, Calibration]) -> None:
+    def seen(q: Array, world: Poses) -> Array:
+        return world(q + np.outer(1e-3 * np.sin(101 * q[:, 3] + 0.4), np.eye(6)[3]))
+
+    found, _, _ = checked(cell, seen)
+    assert names(found) == {("gear", "wrist_1_joint")}
+    assert found.repaired is not None
+    (wave,) = found.repaired.calibrated.effects
+    assert wave.shape.settings["cycles"] == pytest.approx(101.0, abs=0.3)
+    q = np.random.default_rng(78).uniform(-2.5, 2.5, (100, 6))
+    truth = seen(q, cell[0].world.tool_in_tracker)
+    assert rms(found.repaired.predict(q), truth) < 0.5 * rms(cell[1].predict(q), truth)
+
+
+def test_a_curve_without_a_form_asks_for_stations_along_it(cell: tuple[Recorded, Calibration]) -> None:
+    wander = np.random.default_rng(5)  # another error at every posture
+
+    found, q, _ = checked(
+        cell, lambda q, world: world(q + np.outer(8e-4 * wander.standard_normal(len(q)), np.eye(6)[3]))
+    )
     assert names(found) == {("gear", "wrist_1_joint")}
     assert found.advice.action == "add_stations"
     assert found.repaired is None
@@ -230,3 +250,17 @@ def test_a_repaired_calibration_is_read_back_and_checks_clean(cell: tuple[Record
     assert again.uncertainty is not None
     assert cell[1].uncertainty is not None
     assert again.uncertainty.covariance.trace() > cell[1].uncertainty.covariance.trace()
+
+
+def test_stations_where_a_learned_curve_was_not_seen_are_left_out(cell: tuple[Recorded, Calibration]) -> None:
+    shape = Shape("spline", {"low": -1.0, "high": 1.0, "count": 7.0})
+    curve = Effect("unknown", "elbow_joint", "axis", "position:elbow_joint", shape, np.zeros(7), np.full(7, 1e-5))
+    seen = np.array(cell[1].seen)
+    seen[:, 2] = -1.0, 1.0
+    narrow = replace(
+        cell[1], calibrated=cell[1].calibrated.with_effects((curve,)), seen=seen, uncertainty=None, rivals=((),)
+    )
+    found, q, _ = checked((cell[0], narrow), lambda q, world: world(q), count=30)
+    assert found.stations == int((np.abs(q[:, 2]) < 1.05).sum()) < 30
+    assert any("learned curves have not been seen" in note for note in found.notes)
+    assert any("keeps no covariance" in note for note in found.notes)

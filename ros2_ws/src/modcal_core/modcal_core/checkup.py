@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.fallback import BLEND, curved_joints
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.store import Calibration
@@ -21,6 +22,7 @@ from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.notes import unseen_note
 from modcal_core.report.report import Report
 from modcal_core.verdict.not_applied import applicable
 
@@ -95,7 +97,8 @@ def checkup(
     applied = applicable(calibration, samples)
     begin = frozen(calibration, applied.model, samples, pattern)
     samples, convention = recognised(begin.model, samples, calibration.noise)
-    part = calibration.with_scatter(_thinned(samples))
+    inside = _where_curves_are_known(calibration, samples)
+    part = calibration.with_scatter(_thinned(inside))
     found = search(begin.model, part, begin.known)
     fixed = None if found.more else repaired(calibration, found, begin.index)
     everywhere = [same_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
@@ -115,7 +118,7 @@ def checkup(
         before=_size(errors(begin.model, found.samples)),
         after=_size(errors(found.state.model, found.samples)),
         expected=_expected(found),
-        stations=samples.stations,
+        stations=part.stations,
         aside=tuple(int(part.station[i]) + 1 for i in found.aside),
         noticed=noticed(found.start, CheckState(begin.model, found.samples, begin.known)),
         advice=advise(found, calibration, begin, everywhere),
@@ -123,7 +126,7 @@ def checkup(
         report=report,
         joints=samples.names,
         convention=convention,
-        notes=(*_notes(begin, samples, part, found), *applied.notes),
+        notes=(*_notes(begin, samples, inside, part, found), *unseen_note(found.samples, calibration), *applied.notes),
         station_errors=(
             errors(begin.model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
@@ -148,6 +151,19 @@ def _thinned(samples: Samples) -> Samples:
         return samples
     kept = stations[np.linspace(0, len(stations) - 1, MOST).astype(int)]
     return samples.select(np.flatnonzero(np.isin(samples.station, kept)))
+
+
+def _where_curves_are_known(calibration: Calibration, samples: Samples) -> Samples:
+    """The samples whose joints with a learned curve are where that was seen; all, where too few are left.
+
+    Beyond that the curve is another one, or none, and what it leaves is no change.
+    """
+    free = tuple(effect for effect in calibration.calibrated.effects if effect.shape.is_free)
+    curved = curved_joints(free, calibration.nominal.chain.names)
+    low, high = calibration.seen
+    beyond = ((samples.q < low - BLEND) | (samples.q > high + BLEND)) & curved
+    left = samples.select(np.flatnonzero(~beyond.any(axis=1)))
+    return left if left.stations >= LEAST else samples
 
 
 def _status(found: FoundChanges, everywhere: list[bool]) -> Status:
@@ -211,12 +227,17 @@ def _each_by_the_others(report: Report, found: FoundChanges, begin: FrozenCalibr
     return replace(report, errors={**report.errors, "final": Errors(position, rotation)})
 
 
-def _notes(begin: FrozenCalibration, samples: Samples, part: Samples, found: FoundChanges) -> tuple[str, ...]:
+def _notes(
+    begin: FrozenCalibration, samples: Samples, inside: Samples, part: Samples, found: FoundChanges
+) -> tuple[str, ...]:
     out = []
     if not begin.kept:
         out.append("The calibration keeps no covariance: what it does not know of itself was not counted.")
-    if part.stations < samples.stations:
-        out.append(f"{part.stations} of {samples.stations} stations, evenly along the recording, were looked at.")
+    if inside.stations < samples.stations:
+        gone = samples.stations - inside.stations
+        out.append(f"{gone} of {samples.stations} stations were left out: learned curves have not been seen there.")
+    if part.stations < inside.stations:
+        out.append(f"{part.stations} of {inside.stations} stations, evenly along the recording, were looked at.")
     if found.aside:
         out.append("A reading that no change explains was set aside as wrong.")
     return tuple(out)

@@ -235,7 +235,7 @@ def put_in(hypothesis: CellChange, model: Model, step: Array) -> Model:
         if effect.key == hypothesis.effect.key and effect.shape == hypothesis.effect.shape:
             effects[i] = effect.with_values(np.r_[effect.amplitudes + step, effect.values[len(step) :]], effect.std)
             return model.with_effects(tuple(effects))
-    return model.with_effects((*effects, hypothesis.effect.with_values(step, np.zeros(len(step)))))
+    return model.with_effects((*effects, hypothesis.effect.started(step)))
 
 
 def composed(hypothesis: CellChange, total: Array, step: Array) -> Array:

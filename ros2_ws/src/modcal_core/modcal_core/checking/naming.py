@@ -74,11 +74,23 @@ def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
         return (_size("scale", values[0], std[0], 1e6, "ppm"),)
     if h.kind == LOAD:
         return (_size("compliance", values[0], std[0], 1e6, "urad/(N m)"),)
+    if len(values) == 4:  # a wave, and one of twice its cycles
+        return tuple(
+            _size(
+                name, float(np.hypot(*values[part])), _along(values[part], change.covariance[part, part]), 1e3, "mrad"
+            )
+            for name, part in (("amplitude", slice(2)), ("amplitude_2", slice(2, 4)))
+        )
     if len(values) == 2:  # a wave
         size = float(np.hypot(*values))
-        along = values / max(size, 1e-300)
-        return (_size("amplitude", size, float(np.sqrt(along @ change.covariance @ along)), 1e3, "mrad"),)
+        return (_size("amplitude", size, _along(values, change.covariance), 1e3, "mrad"),)
     return (_size("ratio", values[0], std[0], 1e6, "ppm"),)
+
+
+def _along(values: Array, covariance: Array) -> float:
+    """Standard deviation of the length of two values."""
+    way = values / max(float(np.hypot(*values)), 1e-300)
+    return float(np.sqrt(max(float(way @ covariance @ way), 0.0)))
 
 
 def _size(name: str, value: float, std: float, factor: float, unit: str) -> SizeFound:
@@ -138,7 +150,7 @@ def _sentence(
     else:
         assert h.effect is not None
         cycles = h.effect.shape.settings["cycles"]
-        out = f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.0f} a turn, {rms}."
+        out = f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.4g} a turn, {rms}."
     if not same_as:
         return out
     others = " or ".join(same_as)

@@ -38,6 +38,7 @@ from modcal_core.checking.hypotheses import (
     put_in,
 )
 from modcal_core.checking.noise import FrozenKnowledge, NullModel, null, parameter_rows
+from modcal_core.checking.waves import wave_of
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -135,12 +136,28 @@ def _search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChan
                 picked = pair[0]
                 state, fits, now, rest = _taken(model, samples, known, picked, asked)
                 log_e = [log_e[0], max(pair[1] - alone, 0.0), rest]
+    for i, one in enumerate(picked):
+        if one.candidate.free:
+            others = [p for j, p in enumerate(picked) if j != i]
+            beside = _after(model, samples, known, others)[0]
+            curve = one.candidate.hypothesis.curve
+            wave = wave_of(curve, beside.model, beside.view, beside.drivers, ChangeJudge(beside.null))
+            if wave is not None and wave.log_factor > one.log_factor:
+                picked[i] = wave
+                state, fits, now, log_e[-1] = _taken(model, samples, known, picked, asked)
     changes = []
     for i, one in enumerate(picked):
         others = [p for j, p in enumerate(picked) if j != i]
         beside = _after(model, samples, known, others)[0]
         judge = ChangeJudge(beside.null)
         every, prior = _judge_all(judge, beside, [h for h in asked if h.key not in _keys(others)], bent=True)
+        if not any(h is one.candidate.hypothesis for h in asked):  # a wave that was found by scanning
+            own = [
+                p
+                for j, p in zip(every, prior, strict=True)
+                if j.candidate.hypothesis.key == one.candidate.hypothesis.key
+            ]
+            every, prior = [*every, one], np.r_[prior, max(own)]
         changes.append(_named(one, every, prior))
     changes, sizes = _with_sizes(changes, fits, state, begin.null)
     return FoundChanges(state.model, tuple(changes), tuple(log_e), (), samples, start, now, state, sizes)

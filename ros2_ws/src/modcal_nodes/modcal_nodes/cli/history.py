@@ -106,9 +106,9 @@ def _kept(part: Path, folder: Path) -> _Kept:
     check, report = _json(part / "check.json"), _json(part / "report.json")
     calibration = Calibration.load(part) if (part / "calibration.yaml").is_file() else None
     trace = (report or {}).get("trace") or {}
-    date = (check or {}).get("date") or trace.get("date")
-    if date is None and (dated := _DATED.search(part.name)) is not None:
-        date = dated[1]
+    # what a person wrote on the folder counts before the clock of a recording, which may be none
+    dated = _DATED.match(part.name)
+    date = dated[1] if dated is not None else (check or {}).get("date") or trace.get("date")
     said = str((check or report or {}).get("verdict") or "")
     name = part.relative_to(folder).as_posix()
     entry = HistoryEntry(name, "check" if check else "calibration", date, _seconds(date, part), said)

@@ -50,6 +50,12 @@ def whole(joint: str, most: int) -> Iterator[Effect]:
         yield _wave(joint, "turn", float(cycles))
 
 
+def wave(joint: str, cycles: float, double: bool = False) -> Effect:
+    """A wave of this joint without a size, its cycles to be fitted. double: with one of twice as many cycles."""
+    effect = _wave(joint, "double" if double else "sine", cycles)
+    return effect.started(np.zeros(effect.shape.size))
+
+
 def cycle_grid(joint_range: float) -> Array:
     """Cycles a turn, close enough that none is missed over this range [rad]."""
     step = float(np.clip(_OF_A_PERIOD * 2.0 * np.pi / joint_range, _FINEST, _COARSEST))
