@@ -77,11 +77,11 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
         drive = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         # the calibrator's subscription, and our own
         wait(lambda: node.count_subscribers("joint_states") >= 2 and "recording into" in recorder.output, 60.0)
-        # the others are there before the cell speaks, so both hear all of it
+        # the others are there and known to the cell before it speaks, so both hear all of it
         cell = Process(
             "simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED,
-            start_delay_s=3.0 * FACTOR, publish_clock="true", clock_rate_hz=50.0, time_factor=FACTOR,
-            joint_rate_hz=50.0, tracker_rate_hz=25.0,
+            start_delay_s=1.0 * FACTOR, least_subscribers=2, publish_clock="true", clock_rate_hz=50.0,
+            time_factor=FACTOR, joint_rate_hz=50.0, tracker_rate_hz=25.0,
         )  # fmt: skip
         with running(cell):
             wait(lambda: states and drive.get_subscription_count() == 1, 60.0)

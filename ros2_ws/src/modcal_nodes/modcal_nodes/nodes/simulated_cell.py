@@ -61,6 +61,7 @@ class SimulatedCell(GuardedNode):
             raise BadTable("publish_clock with use_sim_time", "the cell would wait for itself", "leave one of them out")
         self._time = CellTime(self, chosen["start_delay_s"], simulated, chosen["clock_start_s"], factor)
         self._begun, self._done, self._factor = False, -chosen["start_delay_s"], factor
+        self._least = chosen["least_subscribers"]
         fast, slow = chosen["joint_rate_hz"], chosen["tracker_rate_hz"]
         self._joint_grid, self._tracker_grid = Grid(fast), Grid(slow, TRACKER_PHASE * slow / fast)
         self._clock_grid, self._temperature_grid = Grid(chosen["clock_rate_hz"]), Grid(1.0)
@@ -91,7 +92,7 @@ class SimulatedCell(GuardedNode):
     def _send_due(self) -> None:
         """Send what a busy machine held up as well, late and with the stamps that it should have had."""
         if not self._begun:
-            self._begun = self._time.begin()
+            self._begun = self._heard() and self._time.begin()
             if not self._begun:
                 return
         now = self._time.now()
@@ -114,6 +115,10 @@ class SimulatedCell(GuardedNode):
         for t in self._temperature_grid.take(until):
             self._send_temperature(t)
         self._done = until
+
+    def _heard(self) -> bool:
+        """Whether as many listen as it is to wait for."""
+        return all(topic.get_subscription_count() >= self._least for topic in (self._joints, self._tracker))
 
     def _jump(self, now: float) -> None:
         """Go on at another time, the arm as it is; postures of its own begin again when time moves backwards."""
