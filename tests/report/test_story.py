@@ -120,4 +120,4 @@ def test_the_story_of_a_planted_cause() -> None:
     assert gear.shown
     assert "; without it the error would be" in gear.sentence
     assert "it moves the tool by" in gear.sentence
-    assert "below 1/200" in gear.chance
+    assert gear.chance.startswith("below 1/40 by sampling; extrapolated 1e-")  # so clear that few trials were enough
