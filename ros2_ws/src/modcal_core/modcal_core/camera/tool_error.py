@@ -25,7 +25,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
-_INSIDE_INTERVAL = 0.95
+_INSIDE_INTERVAL = 0.95  # of the draws, as an interval of 95 % says
 _PLACES = 51  # at which an interval is tried, a thousandth apart
 _DRAWS = 2000  # for the ends of a 95 % interval to within a few per cent of themselves
 _POSTURES = 150  # which give the RMS over a range of joints to a few per cent
