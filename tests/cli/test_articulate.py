@@ -12,8 +12,9 @@ from articulation.objects import Seen, ideal, noisy
 from cli.recordings import URDF
 
 from modcal_core.articulation.urdf import frames, read
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
+from modcal_core.robots.inverse import inverse
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording
@@ -83,6 +84,46 @@ def test_an_arm_that_turns_about_its_first_joint(tmp_path: Path) -> None:
     assert data["kind"] == "revolute"
     assert data["frame"] == chain.base
     assert data["joint"]["radius"] == pytest.approx(np.hypot(tip[0], tip[1]), abs=1e-3)
+
+
+@pytest.mark.slow
+def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
+    """An arm that holds a door by its encoders, and a camera that stands elsewhere and sees the hand, in one bag."""
+    text, rng = URDF.read_text(), np.random.default_rng(8)
+    chain = read_chain(text)
+    q = np.array([0.0, -1.2, 1.9, -0.7, -1.57, 0.0])
+    first = forward(chain, q[None])[0]
+    axis, hinge = np.array([0.0, 0.0, 1.0]), first[:3, 3] + [0.05, 0.34, 0.0]
+    twist = np.concatenate([np.cross(hinge, axis), axis])
+    held = se3.exp(np.linspace(0.0, -0.9, 60)[:, None] * twist) @ first
+    path = []
+    for T in held:
+        q = inverse(chain, T, q, restarts=0)
+        path.append(q)
+    camera = se3.transform(so3.exp([0.4, -1.1, 2.0]), np.array([0.3, 1.2, 0.8]))  # the base in the camera
+    seen = camera @ held
+    seen[:, :3, 3] += rng.normal(0.0, 3e-4, (60, 3))
+    t, none = 1.7e9 + 0.05 * np.arange(60), np.full((60, chain.n), np.nan)
+    joints = (JointTrack(chain.names, t, np.array(path), none, none, t),)
+    readings = (ReadingTrack("pose", "camera", t, se3.to_pose(seen), t),)
+    write_recording(Recording(joints=joints, readings=readings, robot_description=text), tmp_path / "bag")
+    found = {}
+    for name, more in (("camera", []), ("arm", ["--topic", "joint_states"])):
+        assert run(["articulate", str(tmp_path / "bag"), "--out", str(tmp_path / name), *more]) == 0
+        found[name] = told(tmp_path / name)
+    arm, cam = found["arm"], found["camera"]
+    assert (arm["frame"], cam["frame"]) == (chain.base, "camera")
+    assert arm["kind"] == cam["kind"] == "revolute"
+    assert arm["enough"]
+    assert cam["enough"]
+    assert arm["joint"]["radius"] == pytest.approx(float(np.hypot(0.05, 0.34)), abs=1e-4)
+    assert cam["joint"]["radius"] == pytest.approx(arm["joint"]["radius"], abs=2e-3)
+    along = camera[:3, :3] @ np.array(arm["joint"]["axis"])
+    assert abs(along @ np.array(cam["joint"]["axis"])) == pytest.approx(1.0, abs=1e-4)
+    apart = camera[:3, :3] @ np.array(arm["joint"]["point"]) + camera[:3, 3] - np.array(cam["joint"]["point"])
+    assert np.linalg.norm(apart - along * (along @ apart)) < 3e-3
+    turned = [abs(one["configuration"]["upper"] - one["configuration"]["lower"]) for one in (arm, cam)]
+    assert turned == pytest.approx([0.9, 0.9], abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -176,12 +176,12 @@ class Tracker:
         assert self._positions is not None
         assert self._held is not None
         alone = self._positions.update(p, None, stamp, pulled)
-        if not alone.trusted or alone.model is None or not alone.model.turns or self._two.found or self._none:
+        if not alone.trusted or alone.model is None or not alone.model.turns or self._two.found:
             return state
         turned = _between(p, self._held, p, R)[1]
         if turned > _KEEPS * abs(alone.configuration):
             return state
-        return replace(alone, event=state.event or alone.event, samples=state.samples, follows=False)
+        return replace(alone, samples=state.samples, follows=False)
 
     def _least(self) -> int:
         """How many thoughts a pose has that pays for none: one, which two trackers have by turns."""
@@ -262,8 +262,10 @@ class Tracker:
         """Begin anew from here: what came before was another object, another grasp, or no joint."""
         samples, stamp, oriented, latest = self._samples, self._stamp, self._oriented, list(self._recent)
         two = self._two  # the whole path counts there: two joints, one after the other, are no joint
+        alone, held = self._positions, self._held  # which goes on: it may be the rotations that left the path
         self.reset(self._changes + 1)
         self._samples, self._stamp, self._oriented, self._two = samples, stamp, oriented, two
+        self._positions, self._held = alone, held
         self._recent.extend(latest)
         self._first, self._nodes = latest[0][0], Nodes(bool(oriented), self.settings.nodes)
 
