@@ -59,7 +59,7 @@ def wave_of(joint: int, model: Model, view: RowView, drivers: Drivers, judge: Ch
         sure = float(scipy.special.logsumexp(logs[peak])) - total > np.log(_SURE)
         evidence = total - np.log(len(cycles))
         if best is None or evidence > best[0]:
-            at = _refined(lambda c, double=double: float(factors(np.array([c]), double)[0]), float(cycles[top]), step)  # type: ignore[misc]
+            at = _refined(lambda c, double=double: float(factors(np.array([c]), double)[0]), float(cycles[top]), step)
             best = (evidence, at if sure else np.nan, double)
     assert best is not None
     if np.isnan(best[1]):
