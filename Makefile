@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo test suite quick fuzz mutants lint ruff mypy format bench undeclared imports verdict camera constants closed-loop \
+.PHONY: help setup setup-test build demo week test suite quick fuzz mutants lint ruff mypy format bench undeclared imports verdict camera checks constants closed-loop \
 	soak chaos kills live long-bag doors hard-doors articulation control-tick synthesis modular planning measure limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
@@ -36,6 +36,9 @@ build: setup  ## build the workspace with colcon
 
 demo: build  ## calibrate from an embedded recording; ends with before/after and where the report is
 	@bash examples/demo.sh
+
+week: build  ## a week in the life of a simulated cell: measure, check, a bumped tool, repair; some minutes
+	@bash examples/week.sh
 
 # Files run side by side, each whole on one worker, so that what a file sets up once is set up once.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
@@ -79,6 +82,9 @@ imports: setup-test build  ## exports of trackers and motion capture: is the rig
 
 verdict: setup-test build  ## faults nobody planned for, and good arms: is the verdict right? BENCH_ARGS="--only tool --jobs 2"
 	@$(PY) bench/verdict/run.py $(BENCH_ARGS)
+
+checks: setup-test build  ## is what changed named by ten stations? BENCH_ARGS="--cells 3 --setups points"
+	@$(PY) bench/check/run.py $(BENCH_ARGS)
 
 camera: setup-test build  ## arms calibrated by a camera: true errors, intervals, advice; BENCH_ARGS="--cells 10 --rendered"
 	@$(PY) bench/camera/run.py $(BENCH_ARGS)

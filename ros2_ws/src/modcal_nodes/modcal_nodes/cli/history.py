@@ -87,7 +87,7 @@ def _histories(shelf: str, kept: list[_Kept]) -> Iterator[History]:
             notes.append(f"{undated} without a date are in no trend: begin their names with the day (2026-03-01).")
         if len(robots) > 1 and (loose := sum(not k.robot for k in kept)):
             notes.append(f"{loose} checks without a change may be of any of {len(robots)} robots: they are left out.")
-        name = next(k.name for k in mine if k.robot)
+        name = next((k.name for k in mine if k.robot and k.name != robot), robot)
         called = name if shelf == "." else f"{name} in {shelf}"
         yield History(called, tuple(k.entry for k in mine), series_of(dated), tuple(notes))
 

@@ -1,0 +1,112 @@
+"""``modcal check``: its files, exit codes and refusals, by bags and by a folder of calibrate."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cells import NOISE_M, record
+from cli.recordings import START, recorded, stations
+
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.recording_write import write_recording
+from modcal_nodes.cli.main import run
+
+pytestmark = pytest.mark.slow
+BUMP = se3.exp([4e-4, -3e-4, 3e-4, 0.0, 0.0, 0.0])
+
+
+def later(folder: Path, change: Array, count: int = 10, twist: float = 0.0, scale: float = 1.0) -> Path:
+    """A bag of a few stations of the cell of seed 1, a day later. twist: of the fourth joint, another at every one."""
+    world = record(1, 1).world
+    rng = np.random.default_rng(8)
+    q = rng.uniform(-2.5, 2.5, (count, 6))
+    T = world.tool_in_tracker(q + np.outer(twist * rng.standard_normal(count), np.eye(6)[3])) @ change
+    T[:, :3, 3] = scale * (T[:, :3, 3] + NOISE_M * rng.standard_normal((count, 3)))
+    t = START + 86400.0 + 2.0 * np.arange(count)
+    write_recording(recorded(t, q, t, se3.to_pose(T)), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a calibration."""
+    here = tmp_path_factory.mktemp("check")
+    write_recording(stations(80), here / "bag")
+    assert run(["calibrate", str(here / "bag"), "--geometry-only", "--out", str(here / "a")]) == 0
+    return here / "a"
+
+
+def test_a_bumped_tool_is_named_repaired_and_certified(calibration: Path, tmp_path: Path) -> None:
+    bag, out = later(tmp_path / "bag", BUMP), tmp_path / "out"
+    options = ["--tolerance-mm", "1", "--certificate", "--serial", "SN-1"]
+    assert run(["check", str(calibration), str(bag), *options, "--out", str(out)]) == 0
+    data = json.loads((out / "check.json").read_text())
+    assert [c["kind"] for c in data["changes"]] == ["tool"]
+    assert data["changes"][0]["moved_mm"]["rms"] == pytest.approx(0.583, rel=0.1)
+    assert data["action"] == "use_repaired"
+    assert data["tolerance"]["result"] == "PASS"
+    assert data["date"].startswith("20")
+    assert {
+        "check.html",
+        "report.json",
+        "calibration.yaml",
+        "calibrated.urdf",
+        "kinematics.yaml",
+        "certificate.pdf",
+    } <= {p.name for p in out.iterdir()}
+    page = (out / "check.html").read_text()
+    assert "The tool has moved" in page
+    assert "<title>a, checked by bag</title>" in page
+    # a tool that moved leaves the arm as it was
+    chains = [read_chain((folder / "calibrated.urdf").read_text(), None, "tool0") for folder in (calibration, out)]
+    assert np.abs(chains[0].origins - chains[1].origins).max() < 1e-12
+    # the repaired folder can be checked like any other
+    assert run(["check", str(out), str(bag), "--out", str(tmp_path / "again"), "--tolerance-mm", "0.001"]) == 3
+    assert json.loads((tmp_path / "again" / "check.json").read_text())["status"] == "unchanged"
+
+
+def test_nothing_changed_writes_no_model(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = later(tmp_path / "bag", np.eye(4))
+    assert run(["check", str(calibration / "calibration.yaml"), str(bag), "--out", str(tmp_path / "out")]) == 0
+    assert "Nothing has changed, by 10 stations." in capsys.readouterr().out
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"check.html", "check.json", "report.html", "report.json"}
+
+
+def test_stations_to_add_are_a_table(calibration: Path, tmp_path: Path) -> None:
+    bag = later(tmp_path / "bag", np.eye(4), twist=1.5e-3)
+    assert run(["check", str(calibration), str(bag), "--out", str(tmp_path / "out")]) == 0
+    data = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert [(c["kind"], c["place"]) for c in data["changes"]] == [("gear", "wrist_1_joint")]
+    rows = list(csv.reader((tmp_path / "out" / "stations.csv").read_text().splitlines()))
+    assert tuple(rows[0]) == tuple(data["stations_to_add"][0])
+    assert len(rows) == len(data["stations_to_add"]) + 1
+    assert not (tmp_path / "out" / "calibration.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--certificate"], "--certificate: has no tolerance"),
+        (["--tolerance-mm", "0"], "0.0 is not in the range"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_nothing_written(
+    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+) -> None:
+    bag = later(tmp_path / "bag", BUMP)
+    assert run(["check", str(calibration), str(bag), *options, "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_another_unit_is_refused(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = later(tmp_path / "bag", np.eye(4), scale=1e-3)
+    assert run(["check", str(calibration), str(bag), "--out", str(tmp_path / "out")]) == 2
+    assert "millimetres" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
