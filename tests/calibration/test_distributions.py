@@ -15,6 +15,10 @@ def test_tails_are_those_of_scipy_stats(rng: np.random.Generator) -> None:
         for m in (1, 3, 40):
             assert distributions.beyond_chi2(z + 4.0, m) == pytest.approx(stats.chi2.sf(z + 4.0, m), rel=1e-12)
             assert distributions.median_chi2(m) == pytest.approx(stats.chi2.ppf(0.5, m), rel=1e-12)
+            for share in (0.05, 0.9, 0.999):
+                assert distributions.quantile_chi2(share, m) == pytest.approx(stats.chi2.ppf(share, m), rel=1e-12)
+                tiny = 1e-9 * share
+                assert distributions.exceeded_chi2(tiny, m) == pytest.approx(stats.chi2.isf(tiny, m), rel=1e-12)
     x = np.geomspace(1e-3, 1e4, 50)
     ours = distributions.log10_beyond_f(x, 3, 200)
     theirs = stats.f.logsf(x, 3, 200) / np.log(10.0)

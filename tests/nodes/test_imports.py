@@ -17,7 +17,8 @@ COMPUTING = {"scipy.linalg", "scipy.special", "scipy.optimize"}
     [
         ("corrector", DRAWING | COMPUTING | {"mujoco", "mcap"}),
         ("simulated_cell", DRAWING | COMPUTING | {"ssl", "mcap"}),
-        ("calibrator", DRAWING | {"mujoco", "mcap"}),
+        ("calibrator", DRAWING | {"mujoco", "mcap", "scipy.stats"}),
+        ("station_runner", DRAWING | {"scipy.stats"}),
     ],
 )
 def test_a_node_imports_what_it_needs(node: str, unwanted: set[str]) -> None:

@@ -33,6 +33,16 @@ def median_chi2(freedom: int) -> float:
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, 0.5))
 
 
+def quantile_chi2(share: float, freedom: int) -> float:
+    """What the sum of so many squared standard normal numbers stays below with this chance."""
+    return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, share))
+
+
+def exceeded_chi2(chance: float, freedom: int) -> float:
+    """What the sum of so many squared standard normal numbers exceeds with this chance, which may be tiny."""
+    return float(scipy.special.chdtri(freedom, chance))
+
+
 def log10_beyond_f(x: Array, m: int, freedom: int) -> Array:
     """log10 of the chance that a ratio of mean squares, over m and over freedom numbers, is greater than x."""
     with np.errstate(divide="ignore"):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
 
+from modcal_core.calibration.distributions import exceeded_chi2, median_chi2
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
@@ -59,5 +59,5 @@ def distances_of_views(fit: CameraFit) -> Array:
 def strangers(fit: CameraFit) -> np.ndarray:
     """Images (N,) whose pose of the target is nowhere near the arm's, the others' scatter being the scale."""
     square = distances_of_views(fit)
-    scale = max(float(np.median(square)) / chi2.median(POSE), 0.1)
-    return np.asarray(square > scale * chi2.isf(_VIEW_CHANCE, POSE))
+    scale = max(float(np.median(square)) / median_chi2(POSE), 0.1)
+    return np.asarray(square > scale * exceeded_chi2(_VIEW_CHANCE, POSE))

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
+from modcal_core.calibration.distributions import beyond_chi2
 from modcal_core.camera.at_tool import flange_motions
 from modcal_core.camera.corners import BOW, READOUT, SCALE
 from modcal_core.camera.equations import SolvedEquations
@@ -102,7 +102,7 @@ def _against(fit: CameraFit, rows: np.ndarray, stated: Array, arm: float | None)
     sizes = likeliest(fit.equations, fit.sizes, arm, at_stated)
     solved = fit.equations.solve(sizes)
     gain = at_stated(solved) + usual(sizes) - free
-    return gain, float(chi2.sf(_square(*after(solved)), len(rows)))
+    return gain, beyond_chi2(_square(*after(solved)), len(rows))
 
 
 def _square(mean: Array, cov: Array) -> float:

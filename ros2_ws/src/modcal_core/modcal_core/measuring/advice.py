@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
 
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.distributions import quantile_chi2
 from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER
 from modcal_core.calibration.model import place_model
 from modcal_core.calibration.parameters import View
@@ -184,7 +184,7 @@ class Advisor:
 
     def _expected(self, refitted: Refit, model: float) -> float:
         """RMS error of a reading [m] at a new station, with caution; model: what the fit's own values leave [m]."""
-        careful = refitted.freedom / float(chi2.ppf(_CAUTION, refitted.freedom))
+        careful = refitted.freedom / quantile_chi2(_CAUTION, refitted.freedom)
         return float(np.sqrt(careful * refitted.spread**2 + model**2))
 
     def _look(self, session: Session, refitted: Refit, left: Array) -> Proof | None:
