@@ -16,6 +16,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
+from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.kinematics import forward
@@ -93,7 +94,9 @@ def joined(*parts: Samples) -> tuple[Samples, tuple[float, ...]]:
     """Recordings one after the other, and the stamps between them."""
     until, samples = [], parts[0]
     for part in parts[1:]:
-        later = replace(part, stamps=part.stamps - part.stamps.min() + samples.stamps.max() + 60.0)
+        late = float(samples.stamps.max() - part.stamps.min()) + 60.0
+        told = tuple(replace(track, stamps=track.stamps + late) for track in part.signals)
+        later = replace(part, stamps=part.stamps + late, signals=told)
         until.append(float(samples.stamps.max()) + 30.0)
         samples = samples.followed_by(later)
     return samples, tuple(until)
@@ -166,10 +169,29 @@ def test_without_masses_recordings_share_a_compliance_per_kg(rng: np.random.Gene
     assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
 
 
-def recorded_at_tip(rng: np.random.Generator, count: int, kg: float) -> Samples:
-    """An arm that weighs nothing itself."""
+def recorded_at_tip(rng: np.random.Generator, count: int, kg: float, own: bool = False) -> Samples:
+    """A load at the tip, of an arm that weighs nothing itself, or what it weighs."""
     q = rng.uniform(-1.6, 1.6, (count, 6))
-    pulled = torques(q, DOWN, kg, np.zeros(3)) - torques(q, DOWN, 0.0, np.zeros(3))
+    pulled = torques(q, DOWN, kg, np.zeros(3)) - (not own) * torques(q, DOWN, 0.0, np.zeros(3))
     T = BASE @ forward(CHAIN, q + COMPLIANCE * pulled) @ TOOL
     T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
     return samples_of(CHAIN, q, T)
+
+
+@pytest.mark.slow
+def test_a_topic_that_says_what_is_carried_is_the_load(rng: np.random.Generator) -> None:
+    """Nothing is found in its place, so that another recording is predicted by its own topic."""
+    masses = (0.0, 6.0)
+    parts = [_telling(recorded_at_tip(rng, 60, kg, own=True), kg) for kg in masses]
+    samples, until = joined(*parts)
+    done = calibrated(samples, Cell(between=until))
+    assert done.report.loads is None
+    other = _telling(recorded_at_tip(rng, 40, 3.0, own=True), 3.0)
+    miss = done.calibration.predict(other)[:, :3, 3] - other.reading
+    assert 1e3 * float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) < 1.4 * np.sqrt(3.0) * 0.02
+
+
+def _telling(samples: Samples, kg: float) -> Samples:
+    """The samples with a topic of what is carried."""
+    told = SignalTrack("signal:/payload_kg", samples.stamps, np.full((len(samples), 1), kg), "/payload_kg")
+    return replace(samples, signals=(told,))

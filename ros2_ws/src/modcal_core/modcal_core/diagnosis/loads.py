@@ -27,6 +27,7 @@ from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN
 from modcal_core.diagnosis.search import Diagnosis
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, Term, motion, prior_stds
+from modcal_core.effects.families.compliance import KILOGRAMS
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import is_serial_arm
@@ -95,7 +96,8 @@ def weighed(
         return search(geometric), None
     at = _Weighing(geometric, train, explain, search, cell.distances)
     best: Diagnosis | None = None
-    stated = {True: cell.gravity is not None, False: bool(cell.payloads)}
+    told = any(track.name.endswith(KILOGRAMS) for track in train.signals)  # a topic says what is carried
+    stated = {True: cell.gravity is not None, False: bool(cell.payloads) or told}
     kept = LoadHypothesis(arm, until=cell.between)
     for tilts in (True, False):
         if stated[tilts]:
