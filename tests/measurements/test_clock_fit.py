@@ -12,6 +12,7 @@ import pytest
 
 from modcal_core.geometry import se3
 from modcal_core.measurements.alignment import align, clock_offset
+from modcal_core.measurements.clock_fit import fit_offset
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
@@ -36,6 +37,23 @@ def cell(chain: Chain, seed: int, late: float = 0.0, count: int = 20, noise: flo
     return Recording(
         (JointTrack(chain.names, t, q, unknown, unknown, t),), (ReadingTrack("point", "tracker", s + late, points, s),)
     )
+
+
+@pytest.mark.parametrize("start", [-0.08, 0.0, 0.12])
+def test_of_a_slow_motion_the_fit_leaves_a_start_that_is_off(start: float) -> None:
+    """Its correlation is flat, and highest where the tip's speed, not the point's, agrees with what was seen."""
+    chain = read_chain((ROBOTS / "panda.urdf").read_text())
+    rng = np.random.default_rng(0)
+    speed, phase = rng.uniform(0.25, 0.5, chain.n), rng.uniform(0.0, 6.0, chain.n)
+    step = 0.02
+    grid = np.arange(0.0, 60.0, step)
+    T = forward(chain, 0.6 * np.sin(grid[:, None] * speed + phase))
+    turning = np.gradient(T[:, :3, :3], step, axis=0)
+    velocity = np.gradient(T[:, :3, 3], step, axis=0)
+    seen = np.linalg.norm(velocity + turning @ np.array(TOOL), axis=1)
+    fit = fit_offset(lambda late: np.interp(grid + late, grid, seen), velocity, turning, start, step)
+    assert abs(fit.offset) < 1e-3
+    assert fit.std < 1e-3
 
 
 @pytest.mark.slow

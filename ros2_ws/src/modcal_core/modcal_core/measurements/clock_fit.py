@@ -23,6 +23,8 @@ _SLOW = 0.02  # m/s; at rest the speed says nothing of the delay
 _NORMAL = 1.4826  # median of absolute values to standard deviation of a normal error
 _FARTHEST = 1.0  # m, standard deviation of the point before it is fitted: tools are no longer
 _MOST_STEPS = 2.5  # grid steps that the fit may move from its start, which the correlation has told to one
+_SLOWLY = 15.0  # grid steps, of slow motions, whose correlation is flat, where the speeds then agree much better ...
+_BETTER = 0.5  # ... so many times as far apart: a start that is right leaves nothing like that to be gained
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ def fit_offset(seen: Callable[[float], Array], velocity: Array, turning: Array, 
     velocity: of the tip (G, 3) [m/s]. turning: derivative of its rotation (G, 3, 3) [1/s]. step: of the grid [s]. Where
     the fit leaves the start behind, the start comes back, half a grid step uncertain.
     """
-    point, offset = np.zeros(3), start
+    point, offset, scales = np.zeros(3), start, []
     for _ in range(_ROUNDS):
         moved_by = velocity + turning @ point
         moved = np.linalg.norm(moved_by, axis=1)
@@ -52,6 +54,7 @@ def fit_offset(seen: Callable[[float], Array], velocity: Array, turning: Array, 
         if not (known & (moved > _SLOW)).any():
             return _as_started(start, velocity, step)
         scale = _NORMAL * float(np.median(np.abs(error[known & (moved > _SLOW)])))
+        scales.append(scale)
         known[known] = np.abs(error[known]) <= max(_OUTLIER * scale, _SLOW)
         by_point = np.einsum("ni,nij->nj", moved_by[known], turning[known]) / np.maximum(moved[known], 1e-9)[:, None]
         rows, left = np.column_stack([by_point, -slope[known]]), error[known]
@@ -61,10 +64,12 @@ def fit_offset(seen: Callable[[float], Array], velocity: Array, turning: Array, 
             return _as_started(start, velocity, step)
         change = np.linalg.solve(normal, rows.T @ left - prior * np.append(point, 0.0))
         point, offset = point + change[:3], offset + float(change[3])
-        if abs(offset - start) > _MOST_STEPS * step:
+        if abs(offset - start) > _SLOWLY * step:
             return _as_started(start, velocity, step)
         if abs(change[3]) < _SETTLED:
             break
+    if abs(offset - start) > _MOST_STEPS * step and not scales[-1] < _BETTER * scales[0]:
+        return _as_started(start, velocity, step)
     stretch = np.flatnonzero(known) // round(_STRETCH / step)
     scores = np.zeros((int(stretch[-1]) + 1, 4))
     np.add.at(scores, stretch, rows * left[:, None])
