@@ -31,6 +31,7 @@ import kinematics  # noqa: E402
 import report  # noqa: E402
 import search  # noqa: E402
 import startup  # noqa: E402
+import whole  # noqa: E402
 from timing import Row, machine_scale  # noqa: E402
 
 import bags  # noqa: E402
@@ -51,6 +52,7 @@ def main() -> None:
         "bags": bags.rows,
         "synthesis": search.rows,
         "start": startup.rows,
+        "whole": lambda: whole.rows(scale),
     }
     parser.add_argument("--only", choices=list(groups), action="append", help="Only this group; may be repeated.")
     chosen = parser.parse_args()

@@ -90,7 +90,7 @@ CALIBRATION = _all(
     ("noise.standard_score", "mean of the cube root forgotten", "(np.cbrt(square / dimensions) - (1.0 - c))",
      "(np.cbrt(square / dimensions) - 1.0)"),
     ("normal_equations._add", "half of a block is not mirrored", "if other is not group:", "if False:"),
-    ("normal_equations.normal_equations", "last sample of a block left out",
+    ("normal_equations.blocks", "last sample of a block left out",
      "np.arange(first, min(first + BLOCK, N))", "np.arange(first, min(first + BLOCK - 1, N))"),
     ("split._deal", "shares go by a block's end", "np.cumsum(sizes) - 0.5 * sizes", "np.cumsum(sizes) - 0.0 * sizes"),
     ("split.split", "sets in the order of the recording", "rng.permutation(blocks[-1] + 1)", "np.arange(blocks[-1] + 1)"),

@@ -149,10 +149,14 @@ def moved(bare: Model, samples: Samples, effects: tuple[Effect, ...]) -> Array:
     return bare.with_effects(effects).predict_samples(samples)[:, :3, 3] - bare.predict_samples(samples)[:, :3, 3]
 
 
-@pytest.mark.parametrize("block", [2000, 30])
-def test_normal_equations_are_those_of_the_whole_jacobian(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many samples are taken at once."""
+@pytest.mark.parametrize(("block", "thinned"), [(2000, 100_000), (30, 100_000), (2000, 1)])
+def test_normal_equations_are_those_of_the_whole_jacobian(
+    block: int, thinned: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many samples are taken at once, and with curves as sparse arrays."""
     monkeypatch.setattr("modcal_core.calibration.normal_equations.BLOCK", block)
+    monkeypatch.setattr("modcal_core.calibration.normal_equations._LEAST_THINNED", thinned)
+    monkeypatch.setattr("modcal_core.calibration.normal_equations._FULL", 0.3 if thinned > 1 else 1.0)
     samples = recorded(100)
     model = cell(samples, tuple(started(name) for name in ("gear", "curve", "bearing", "bump", "latency", "sensor")))
     parameters = choose_parameters(model, views_of(samples)).parameters

@@ -30,6 +30,17 @@ def test_glitches_do_not_move_the_clock(late: float, rng: np.random.Generator) -
     assert found.offset == pytest.approx(late, abs=0.004)
 
 
+def test_joint_states_that_are_noted_twice_do_not_matter() -> None:
+    """The median time between messages is zero then."""
+    recording = streams(20, late=0.12)
+    track, chain = recording.joints[0], ur10()
+    q = track.position[:, [track.names.index(name) for name in chain.names]]
+    twice = np.repeat(track.stamps, 2), np.repeat(q, 2, axis=0)
+    found = clock_offset(recording.readings[0], *twice, lambda p: forward(chain, p))
+    assert found is not None
+    assert found.offset == pytest.approx(0.12, abs=0.004)
+
+
 @pytest.mark.parametrize("seconds", [1.5, 3.0, 4.9])
 def test_a_recording_shorter_than_the_lags_looked_for(seconds: float) -> None:
     """As a calibrator that was just started holds one; it may know no offset, but it says no wrong one."""
