@@ -80,7 +80,7 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
         # the others are there and known to the cell before it speaks, so both hear all of it
         cell = Process(
             "simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED,
-            start_delay_s=1.0 * FACTOR, least_subscribers=2, publish_clock="true", clock_rate_hz=50.0,
+            start_delay_s=1.0 * FACTOR, min_subscribers=2, publish_clock="true", clock_rate_hz=50.0,
             time_factor=FACTOR, joint_rate_hz=50.0, tracker_rate_hz=25.0,
         )  # fmt: skip
         with running(cell):

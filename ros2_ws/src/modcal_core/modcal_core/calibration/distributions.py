@@ -33,7 +33,7 @@ def median_chi2(freedom: int) -> float:
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, 0.5))
 
 
-def quantile_chi2(share: float, freedom: int) -> float:
+def quantile_chi2(share: float, freedom: float) -> float:
     """What the sum of so many squared standard normal numbers stays below with this chance."""
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, share))
 

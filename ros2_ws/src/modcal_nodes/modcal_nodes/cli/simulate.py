@@ -27,7 +27,7 @@ _OF_THE_NODE = (
     "delta",
     "obey_limits",
     "start_delay_s",
-    "least_subscribers",
+    "min_subscribers",
     "repeat",
     "publish_clock",
     "clock_rate_hz",

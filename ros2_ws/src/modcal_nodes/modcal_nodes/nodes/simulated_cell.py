@@ -61,7 +61,7 @@ class SimulatedCell(GuardedNode):
             raise BadTable("publish_clock with use_sim_time", "the cell would wait for itself", "leave one of them out")
         self._time = CellTime(self, chosen["start_delay_s"], simulated, chosen["clock_start_s"], factor)
         self._begun, self._done, self._factor = False, -chosen["start_delay_s"], factor
-        self._least = chosen["least_subscribers"]
+        self._least = chosen["min_subscribers"]
         fast, slow = chosen["joint_rate_hz"], chosen["tracker_rate_hz"]
         self._joint_grid, self._tracker_grid = Grid(fast), Grid(slow, TRACKER_PHASE * slow / fast)
         self._clock_grid, self._temperature_grid = Grid(chosen["clock_rate_hz"]), Grid(1.0)

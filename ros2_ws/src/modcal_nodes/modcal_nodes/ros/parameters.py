@@ -140,7 +140,7 @@ SIMULATED_CELL = {
     "tracker_rate_hz": Parameter(50.0, "Rate of tracker readings [Hz].", 1.0, 2000.0),
     "publish_effort": Parameter(False, "Whether joint states contain the holding torques as effort."),
     "start_delay_s": Parameter(0.0, "Delay before the first message, for discovery of subscribers [s].", 0.0, 60.0),
-    "least_subscribers": Parameter(0, "Subscribers of joint states and of readings to wait for before it.", 0, 100),
+    "min_subscribers": Parameter(0, "Subscribers of joint states and of readings to wait for before it.", 0, 100),
     "stations": Parameter(0, "Random postures to visit without commands; 0: wait for joint_trajectory.", 0, 100_000),
     "returns": Parameter(RETURNS, "Number of these visited twice, so that the noise floor is known; 0: none.", 0, 1000),
     "dwell_s": Parameter(0.8, "Standstill at each random posture [s].", 0.0, 60.0),
