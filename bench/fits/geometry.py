@@ -110,7 +110,7 @@ def _together(kind: str, rows: list[dict[str, Any]]) -> str:
     return (
         f"| `{kind}` | {len(rows)} | {np.median(over):.2f} | {over.max():.2f} | {np.mean(over <= MOST):.0%} "
         f"| {values} / {readings} | {np.sqrt(1.0 + values / (3.0 * readings)):.2f} "
-        f"| {np.median(truth):.2f} | {truth.max():.2f} | {begun.max():.3f} |"
+        f"| {np.nanmedian(truth):.2f} | {np.nanmax(truth):.2f} | {np.nanmax(begun):.3f} |"
     )
 
 
