@@ -16,7 +16,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.articulation.furniture import RADIUS
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.misfit import NONE, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
@@ -90,8 +89,7 @@ _SPARSE = 0.6  # of the distance ahead, from one pose to the next: fewer than tw
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
 _RECOVERY = 2  # rounds of evaluation that a model gets to follow a handle that has left its path
-_KEEPS = 0.8  # of what the positions' hinge turns by, or a usual one would; a hand that is held turns by all of it
-_USUAL = math.exp(RADIUS[0])  # m, of hinges
+_KEEPS = 0.5  # of what the positions' hinge turns by may a hand turn that keeps its orientation
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
@@ -178,10 +176,10 @@ class Tracker:
         assert self._positions is not None
         assert self._held is not None
         alone = self._positions.update(p, None, stamp, pulled)
-        if not alone.trusted or alone.model is None or self._two.found:
+        if not alone.trusted or alone.model is None or not alone.model.turns or self._two.found:
             return state
-        would = abs(alone.configuration) * (1.0 if alone.model.turns else 1.0 / _USUAL)
-        if _between(p, self._held, p, R)[1] > _KEEPS * would:
+        turned = _between(p, self._held, p, R)[1]
+        if turned > _KEEPS * abs(alone.configuration):
             return state
         return replace(alone, samples=state.samples, follows=False)
 
