@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from cells import ur10
+from deltas import record_delta
 from verdict.visits import visited
 
 from modcal_core.calibration.store import Calibration
@@ -68,3 +69,15 @@ def test_geometry_alone_names_what_it_did_not_look_for() -> None:
     assert report.status == "open"
     assert report.left is not None
     assert report.left.effect.place == "shoulder_lift_joint"
+
+
+@pytest.mark.slow
+def test_a_delta_whose_drive_was_adjusted_is_open_for_a_constant_error() -> None:
+    told = record_delta(1, 70)
+    known = calibrate(told.samples, told.nominal, np.random.default_rng(0), look_for_effects=False).calibration
+    q = told.samples.q.copy()
+    q[:, 1] += 1e-3
+    report = evaluate(known, replace(told.samples, q=q), np.random.default_rng(0))
+    assert report.status == "open"
+    assert report.left is not None
+    assert report.left.effect.public_driver == "constant"

@@ -7,15 +7,13 @@ found already that something is left. It is named only where it explains a good 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.diagnosis.choice import EffectChoice, choose
-from modcal_core.diagnosis.evidence import Evidence, Scanner
+from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.effects.families import unknown
 from modcal_core.effects.registry import candidates
 from modcal_core.measurements.samples import Samples
@@ -40,10 +38,11 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
     beyond = evidence.explained - np.array([e.shape.size for e in evidence.effects]) / evidence.freedom
     if not len(beyond) or beyond.max() < _WORTH_NAMING:
         return None
-    plain = [i for i, e in enumerate(evidence.effects) if e.public_driver == "constant"]
-    if plain and max(beyond[plain]) > _NEARLY * beyond.max():
-        evidence = _only(evidence, plain)
-    choice = choose(evidence, scanner, fit, set())
+    plain = np.array([e.public_driver == "constant" for e in evidence.effects])
+    others: set[tuple[str, str, str, str]] = set()
+    if plain.any() and beyond[plain].max() > _NEARLY * beyond.max():
+        others = {effect.key for effect, is_plain in zip(evidence.effects, plain, strict=True) if not is_plain}
+    choice = choose(evidence, scanner, fit, others)
     return None if choice is None or choice.share < _WORTH_NAMING else choice
 
 
@@ -51,14 +50,3 @@ def frozen(model: Model, noise: NoiseModel) -> Fit:
     """A model as a fit that nothing was fitted in, its effects as they are."""
     none, square = np.empty(0), np.empty((0, 0))
     return Fit(model, model, (), none, square, noise, none, square, 0)
-
-
-def _only(evidence: Evidence, rows: list[int]) -> Evidence:
-    effects = tuple(evidence.effects[i] for i in rows)
-    return replace(
-        evidence,
-        effects=effects,
-        explained=evidence.explained[rows],
-        score=evidence.score[rows],
-        complexity=evidence.complexity[rows],
-    )
