@@ -82,7 +82,7 @@ def test_forces_that_come_late_do_not_make_it_swing() -> None:
     done = pull(Toy(door(), delay=20, locked=True), Operation(PANDA, TASK, LIMITS))
     assert done.stop is not None
     assert "does not move" in done.stop.why
-    assert done.forces.max() <= 35.0
+    assert done.forces.max() <= GovernorSettings().stop[0]
 
 
 def test_what_is_locked_is_left_alone() -> None:
@@ -145,14 +145,14 @@ def test_a_force_beyond_the_limit_is_let_go_and_not_left_standing() -> None:
     done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, limits(force=20.0)))
     assert done.stop is not None
     assert "20 N is the limit" in done.stop.why
-    assert 20.0 < done.forces.max() < 23.0
+    assert 20.0 < done.forces.max() < 1.2 * 20.0
     assert done.forces[-1] < 1.0
     assert_smooth(done)
 
 
 def test_the_expected_mode_lets_go_as_well() -> None:
     """There it is the stack that would go on pulling, at where it was told to be."""
-    soft = Toy(door(), locked=True, stiffness=np.array([400.0] * 3 + [30.0] * 3))
+    soft = Toy(door(), locked=True, stiffness=np.array([1000.0] * 3 + [30.0] * 3))  # as the stack is told to be
     done = pull(soft, Operation(PANDA, replace(TASK, mode="expected"), limits(displacement=0.15)))
     assert done.stop is not None
     assert "does not move" in done.stop.why
@@ -319,7 +319,7 @@ def test_the_tool_is_not_weighed_while_it_moves() -> None:
 
 def test_force_slows_the_pace_down_and_stops_it() -> None:
     pace = SpeedGovernor(GovernorSettings())
-    free, half, full = (np.array([f, 0, 0, 0, 0, 0.0]) for f in (10.0, 25.0, 36.0))
+    free, half, full = (np.array([f, 0, 0, 0, 0, 0.0]) for f in (20.0, 38.75, 48.0))
     for _ in range(1000):
         pace.step(0.06, free, PERIOD)
     assert pace.speed == pytest.approx(0.06)
