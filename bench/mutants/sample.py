@@ -126,13 +126,13 @@ CALIBRATION = _all(
 
 DIAGNOSIS = _all(
     "diagnosis",
-    ("evidence.Space.of", "what is fitted stays in the residual",
+    ("space.Space.of", "what is fitted stays in the residual",
      """residual - Q @ np.einsum("cNp,cN->p", Q, residual)""", "residual"),
     ("evidence.Scanner.__init__", "samples of a station get signs of their own",
      "independent_unit(drivers.samples)", "np.arange(len(drivers.samples))"),
-    ("evidence._against_noise", "chance not counted among the trials",
+    ("chance.against_noise", "chance not counted among the trials",
      "max(p_value, 1e-300) if best[0] > noise.max() else rank", "max(p_value, 1e-300)"),
-    ("evidence._score_table", "size of a candidate forgotten", "ratio = grid / m /", "ratio = grid /"),
+    ("chance.score_table", "size of a candidate forgotten", "ratio = grid / m /", "ratio = grid /"),
     ("choice.choose", "no ties: rivals are not named", "(score >= score[top] - tie)", "(score >= score[top])"),
     ("payload.is_weight", "weights below nothing", "0.0 < float(amplitudes[1]", "-1e9 < float(amplitudes[1]"),
     ("search._Search.add", "effects stay that predict nothing",

@@ -83,10 +83,13 @@ def test_flawed_tracks_are_told_rightly_or_not_at_all() -> None:
 
 @pytest.mark.slow
 def test_real_furniture(furniture: dict[str, tuple[Kind, Track]]) -> None:
-    """Of 43 tracks of points two may be wrong (one is a bad pull), of poses none; none is said with certainty to be wrong."""
-    told = {name: (kind, choose(track)) for name, (kind, track) in furniture.items()}
+    """Of every other track of points one may be wrong, of poses none; none is said with certainty to be wrong.
+
+    All of them: `make articulation`.
+    """
+    told = {name: (kind, choose(track)) for name, (kind, track) in list(furniture.items())[::2]}
     wrong = [name for name, (kind, choice) in told.items() if choice.kind != kind]
-    assert len([name for name in wrong if not name.startswith("pose")]) <= 2, wrong
+    assert len([name for name in wrong if not name.startswith("pose")]) <= 1, wrong
     assert not [name for name in wrong if name.startswith("pose")]
     assert not [name for name in wrong if told[name][1].enough]
     assert not [name for name, (_, choice) in told.items() if choice.kind == "screw"]

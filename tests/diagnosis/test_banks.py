@@ -9,7 +9,8 @@ from cells import record, ur10
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.banks import NumberBank, Spectra, StepBank, WaveBank
-from modcal_core.diagnosis.evidence import FIRST_FLIPS, FLIPS, Scanner
+from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS
+from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.diagnosis.spectra import Spectrum
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.registry import candidates

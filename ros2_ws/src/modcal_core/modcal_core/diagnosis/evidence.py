@@ -17,43 +17,33 @@ residual and with the projector once, and the thousands of candidates that share
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
-from modcal_core.calibration.distributions import beyond_gumbel, gumbel_of, log10_beyond_f
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.linearise import RowView, linearise
-from modcal_core.calibration.noise import Groups
 from modcal_core.calibration.runs import independent_unit
 from modcal_core.diagnosis.banks import (
     Bank,
     Key,
     NumberBank,
-    Spectra,
     SpectraOfDrivers,
     StepBank,
     WaveBank,
     gathered,
     wave_step,
 )
+from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS, against_noise, is_clear, score_table
+from modcal_core.diagnosis.space import Space, SignTrials
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index
 from modcal_core.effects.registry import complexity
 from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
 
-FIRST_FLIPS = 39  # trials after which a clear answer is given: their law's location is known to a sixth of its scale
-FLIPS = 199  # trials; with the recording itself 200: ranks are steps of half a per cent, beyond them the law speaks
-_AS_GOOD = 4  # of the first trials that do as well as the recording: it is noise
-_CLEAR = 2e-5  # a hundredth of the chance below which the search believes an effect
 _LEAST_FREEDOM = 20  # rows beyond what is fitted
 _AT_ONCE = 256  # candidates; what they explain in all trials then stays near the processor
-_FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
 _ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
 _LEAST_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
 
@@ -158,10 +148,10 @@ class Scanner:
         asked = [bank for bank in self.banks if most is None or self._plainest(bank) <= most]
         weighed = [self._weighed(tuple(alike), space) for _, alike in groupby(asked, lambda bank: len(bank.keys))]
         size = np.concatenate([part.sizes for part in weighed])
-        tables = {int(m): _score_table(int(m), space.freedom) for m in np.unique(size)}
+        tables = {int(m): score_table(int(m), space.freedom) for m in np.unique(size)}
         trials = space.trials(signs[: 1 + FIRST_FLIPS][:, self.unit])
         squares, best = self._explained(weighed, space, trials, tables)
-        if len(signs) > len(best) and not _is_clear(best):
+        if len(signs) > len(best) and not is_clear(best):
             more = space.trials(signs[len(best) :][:, self.unit])
             best = np.concatenate([best, self._explained(weighed, space, more, tables)[1]])
         if most is not None:
@@ -172,7 +162,7 @@ class Scanner:
         for m, table in tables.items():
             if table is not None:
                 score[size == m] = np.interp(share[size == m], *table)
-        p_value, inflation = _against_noise(best, len(self.effects))
+        p_value, inflation = against_noise(best, len(self.effects))
         flipped = len(best) - 1
         return Evidence(self.effects, share, score, p_value, inflation, space.freedom, flipped, self.complexity)
 
@@ -226,7 +216,7 @@ class Scanner:
         return _Weighed(banks, *_inverse(np.concatenate(grams), np.concatenate(squares)))
 
     def _explained(
-        self, weighed: Sequence[_Weighed], space: Space, trials: _Trials, tables: _Tables
+        self, weighed: Sequence[_Weighed], space: Space, trials: SignTrials, tables: _Tables
     ) -> tuple[Array, Array]:
         """The squares of the first trial that each candidate explains (C,), and the best score in each, (trials,)."""
         squares = []
@@ -245,7 +235,7 @@ class Scanner:
         scores = [np.interp(so_far / trials.total, *tables[m]) for m, so_far in most.items()]  # type: ignore[misc]
         return np.concatenate(squares), np.max(scores, axis=0, initial=0.0)
 
-    def _in_portions(self, banks: Sequence[Bank], space: Space, trials: _Trials) -> Iterator[Array]:
+    def _in_portions(self, banks: Sequence[Bank], space: Space, trials: SignTrials) -> Iterator[Array]:
         """Products of all candidates of these banks with the trials (C, m, trials), some hundred at once."""
         waiting: list[Array] = []
         for bank in banks:
@@ -257,7 +247,7 @@ class Scanner:
         if waiting:
             yield np.concatenate(waiting)
 
-    def _products(self, bank: Bank, space: Space, trials: _Trials, rows: slice = slice(None)) -> Array:
+    def _products(self, bank: Bank, space: Space, trials: SignTrials, rows: slice = slice(None)) -> Array:
         """Products with the trials (C, m, trials) of some of its candidates, the fitted projected out."""
         for key in bank.keys:
             if key not in trials.known:
@@ -346,157 +336,3 @@ def _alike(effects: Sequence[Effect]) -> list[list[Effect]]:
         key = (effect.place, effect.direction, effect.driver, kind) if repeats or begins else i
         lists.setdefault(key, []).append(effect)
     return list(lists.values())
-
-
-@dataclass(frozen=True)
-class _Trials:
-    """The residual with the signs of each trial, what is fitted projected out, (rows, N, trials).
-
-    total: squares left, (trials,). known: contractions with columns, (N, trials). spectra: of those.
-    """
-
-    left: Array
-    total: Array
-    known: dict[Key, Array] = field(default_factory=dict)
-    spectra: Spectra = field(default_factory=Spectra)
-
-    def seen_by(self, column: Array) -> Array:
-        """Contraction, sample by sample, of a column (6, N) with the trials, (N, trials)."""
-        return np.asarray(np.einsum("cN,cNt->Nt", column[: len(self.left)], self.left))
-
-
-@dataclass(frozen=True)
-class Space:
-    """Weighted residual and columns, sample by sample: (6, N), rows 3 … 5 zero where there is no orientation.
-
-    Q: orthonormal columns of all that is fitted, (6, N, P). Parameters are held by their priors, as extra rows that ask
-    each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
-    rows: those that may not be zero.
-    """
-
-    view: RowView
-    weight: Array
-    residual: Array
-    Q: Array
-    freedom: int
-    rows: int = 6
-    columns: dict[Key, Array] = field(default_factory=dict)
-    against: dict[Key, Array] = field(default_factory=dict)
-    spectra: Spectra = field(default_factory=Spectra)
-
-    @classmethod
-    def of(cls, fit: Fit, drivers: Drivers) -> Space:
-        """Those of a fit at these drivers' samples."""
-        samples = drivers.samples
-        weight = sample_weights(fit, samples)
-        values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
-        now = linearise(fit.model, fit.parameters, values, samples, drivers=drivers)
-        view = RowView.of(fit.model, samples, drivers)
-        held = np.zeros(len(now.J))  # of a frozen model without effects nothing is fitted
-        held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
-        N, P = len(samples), len(now.J)
-        rows = 6 if len(view.pose) else 3  # of points alone the other three are zero
-        J = np.zeros((P, rows, N))
-        J[:, :3] = now.J[:, : 3 * N].reshape(P, 3, N)
-        if rows > 3:
-            J[:, 3:, view.pose] = now.J[:, 3 * N :].reshape(P, 3, len(view.pose))
-        J *= weight[:rows]
-        Q = np.zeros((6, N, P))
-        Q[:rows] = _orthonormal(J.reshape(P, rows * N), held).reshape(P, rows, N).transpose(1, 2, 0)
-        residual = _drawn_in(_by_sample(now.residual, view) * weight)
-        # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
-        # join the noise and hide how uneven that is.
-        residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
-        free = round(Groups.of(samples, bool(fit.model.instruments)).rows) - round(float(np.sum(Q[:rows] ** 2)))
-        return cls(view, weight, residual, Q, free, rows)
-
-    def column(self, place: int, direction: int) -> Array:
-        """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
-        return _by_sample(self.view.unit_column(place, direction), self.view) * self.weight
-
-    def trials(self, signs: Array) -> _Trials:
-        """The residual under signs (trials, N)."""
-        Q, residual = self.Q[: self.rows], self.residual[: self.rows]
-        seen = signs @ np.einsum("cNp,cN->Np", Q, residual)
-        left = residual[:, :, None] * signs.T
-        left -= Q @ seen.T
-        return _Trials(left, np.sum(residual**2) - np.sum(seen**2, axis=1))
-
-
-def sample_weights(fit: Fit, samples: Samples) -> Array:
-    """Inverse standard deviations of the readings, (6, N)."""
-    position = np.sqrt(fit.noise.of(samples) ** 2 + np.nan_to_num(samples.sigma_position) ** 2)
-    rotation = np.sqrt(fit.noise.rotation**2 + np.nan_to_num(samples.sigma_rotation) ** 2)
-    return np.concatenate([np.tile(1.0 / position, (3, 1)), np.tile(1.0 / rotation, (3, 1))])
-
-
-def _orthonormal(J: Array, held: Array) -> Array:
-    """Orthonormal rows of J (P, m) with the columns diag(held) beside it, those columns left out again, (P, m)."""
-    size = np.maximum(np.sqrt(np.einsum("ij,ij->i", J, J) + held**2), 1e-300)
-    J, held = J / size[:, None], held / size
-    L = np.linalg.cholesky(J @ J.T + np.diag(held**2 + 1e-12))
-    return np.asarray(solve_triangular(L, J, lower=True, check_finite=False))
-
-
-def _drawn_in(residual: Array) -> Array:
-    """The residual (6, N) with samples beyond several times the usual size brought in to there."""
-    size = np.linalg.norm(residual, axis=0)
-    limit = _FARTHEST * float(np.median(size))
-    return residual * np.minimum(1.0, limit / np.maximum(size, 1e-300))
-
-
-def _by_sample(row: Array, view: RowView) -> Array:
-    """A row of a linearisation, (3 N + 3 M,), as (6, N)."""
-    N = view.position.shape[1]
-    out = np.zeros((6, N))
-    out[:3] = row[: 3 * N].reshape(3, N)
-    out[3:, view.pose] = row[3 * N :].reshape(3, -1)
-    return out
-
-
-def _is_clear(best: Array) -> bool:
-    """Whether the first trials tell already what all would: an effect beyond doubt, or noise.
-
-    Of n trials a Gumbel law's location is known to 1.05 and its scale to 0.78 over √n of its scale (Johnson, Kotz,
-    Balakrishnan, ch. 22). With both three standard deviations on the wrong side the chance must still be a hundredth of
-    what counts as significant. Noise it is where so many trials do as well that of an effect worth a further look one
-    in 10⁵ recordings would have them (a chance of 0.002: 4 of 39 or more, 1.3e-6).
-    """
-    noise = best[1:]
-    if (noise >= best[0]).sum() >= _AS_GOOD:
-        return True
-    location, scale = gumbel_of(noise)
-    wide = 3.0 / np.sqrt(len(noise))
-    return bool(beyond_gumbel(float(best[0]), location + 1.05 * wide * scale, scale * (1.0 + 0.78 * wide)) < _CLEAR)
-
-
-@lru_cache(maxsize=256)
-def _score_table(m: int, freedom: int) -> tuple[Array, Array] | None:
-    """Shares, and −log10 of the chance that white noise gives a candidate of m new directions one as large.
-
-    None where there is nothing to explain, or nothing left to compare with.
-    """
-    if not 0 < m < freedom - 1:
-        return None
-    grid = np.concatenate([np.linspace(0.0, 0.9, 400), 1.0 - np.geomspace(0.1, 1e-9, 300)])
-    ratio = grid / m / ((1.0 - grid) / (freedom - m))
-    table = -log10_beyond_f(ratio, m, freedom - m)
-    # far out the tail underflows; there it is a power of what is left
-    bad = ~np.isfinite(table)
-    if bad.any():
-        last = int(np.argmax(bad)) - 1
-        table[bad] = table[last] + 0.5 * (freedom - m) * np.log10((1.0 - grid[last]) / (1.0 - grid[bad]))
-    return grid, table
-
-
-def _against_noise(best: Array, candidates: int) -> tuple[float, float]:
-    """(p value of the first best score among the others, how much larger those are than of white noise)."""
-    if len(best) < 2:
-        return 1.0, 1.0
-    noise = best[1:]
-    location, scale = gumbel_of(noise)
-    p_value = beyond_gumbel(float(best[0]), location, scale)
-    rank = float((noise >= best[0]).sum() + 1) / (len(noise) + 1)
-    # within the trials their own count is the better witness; beyond them the law has to do
-    p_value = max(p_value, 1e-300) if best[0] > noise.max() else rank
-    return p_value, max(1.0, float(np.median(noise)) / max(np.log10(candidates) - 0.5, 1.0))

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize, nnls
 
-from modcal_core.diagnosis.evidence import Space
+from modcal_core.diagnosis.space import Space
 from modcal_core.effects.carried import Carried
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import place_index

@@ -21,10 +21,10 @@ from modcal_core.calibration.identify import FITTED, Fit, identify, row_weights
 from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import errors, squared_residuals
-from modcal_core.diagnosis.evidence import Space
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis, Suspicion
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN
 from modcal_core.diagnosis.search import Diagnosis
+from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, Term, motion, prior_stds
 from modcal_core.effects.families.compliance import KILOGRAMS

@@ -18,8 +18,9 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.diagnosis.chance import FLIPS
 from modcal_core.diagnosis.choice import EffectChoice, choose
-from modcal_core.diagnosis.evidence import FLIPS, Evidence, Scanner
+from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN, joint_size, needless
