@@ -35,7 +35,7 @@ from modcal_core.diagnosis.banks import (
     wave_step,
 )
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS, against_noise, is_clear, score_table
-from modcal_core.diagnosis.space import Space, SignTrials
+from modcal_core.diagnosis.space import SignTrials, Space
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index
 from modcal_core.effects.registry import complexity
