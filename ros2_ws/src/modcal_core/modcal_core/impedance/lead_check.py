@@ -4,7 +4,7 @@ A servo pulls with its stiffness times the way by which its setpoint leads the t
 not connected to what is held, hides that: the setpoint runs on, the hand does not, and what is felt stays small. So the
 tool is compared with where its setpoint was a servo's lag ago, and with what the felt force takes on the softest stack
 that is asked for. What is left, times the stiffness by which the servos hold the tool, is force that nobody feels. That
-stiffness depends on the posture, and is largest along an outstretched arm; what the object and the fingers give way by
+stiffness depends on the posture, and is largest along an outstretched arm; what the object and the fingers yield by
 does not make it less, as the tool is measured. So the stiffest that an arm may be is what counts, and the lead may be
 some tenths of a millimetre. A sensor that says the same to the last digit while the arm is
 moved may be stuck, or coarse: what it says explains nothing.

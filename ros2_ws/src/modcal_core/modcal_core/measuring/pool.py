@@ -18,7 +18,7 @@ from modcal_core.planning.spheres import Spheres, clearance, visible
 from modcal_core.robots.mechanism import Mechanism
 
 _AHEAD = 400  # postures that stand for where accuracy counts, for time
-_PASSES = 2  # of the exchange that chooses the first stations; later ones mend what it missed
+_PASSES = 2  # of the exchange that chooses the first stations; later ones take what it missed
 _MOVED = (0.3, 0.1)  # rad or m by which a chosen posture is moved in search of a better one
 _TRIED = 24  # postures around it, each time
 
