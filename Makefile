@@ -43,11 +43,11 @@ week: build  ## a week in the life of a simulated cell: measure, check, a bumped
 # Files run side by side, each whole on one worker, so that what a file sets up once is set up once.
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder
 
-# mypy runs beside pytest: it would keep one core busy and the others idle for half a minute.
-test: setup-test build ruff  ## ruff, mypy and pytest; PYTEST_ARGS="tests/structure -x" narrows
+# mypy runs beside the build and the first tests: it would keep one core busy and the others idle for half a minute.
+test: setup-test  ## ruff, mypy and pytest; PYTEST_ARGS="tests/structure -x" narrows
 	@$(MAKE) --jobs 2 mypy suite
 
-suite:
+suite: build ruff
 	@$(PY) -m pytest $(PARALLEL) $(PYTEST_ARGS)
 
 quick: setup-test build  ## what one runs between two edits: no nodes, no real recordings, nothing slow; a minute
