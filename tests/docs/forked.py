@@ -14,6 +14,7 @@ import sys
 
 def serve(path: str) -> None:
     """Fork a child for each call, one after the other, and answer with its exit code; end with who began it."""
+    import gc
     from importlib import import_module
 
     from modcal_nodes.cli.main import VERBS, run
@@ -22,6 +23,7 @@ def serve(path: str) -> None:
         import_module(f"modcal_nodes.cli.{module}")
     for late in ("modcal_core.report.html", "matplotlib.figure", "matplotlib.backends.backend_svg", "jinja2", "mujoco"):
         import_module(late)
+    gc.freeze()
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(f"{path}.new")
         server.listen()
