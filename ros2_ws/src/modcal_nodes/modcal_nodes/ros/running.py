@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import time
 from collections.abc import Callable
@@ -50,6 +51,8 @@ def run(make: Callable[[], Node], rest: float = 0.0) -> None:
         executor = RestingExecutor(node, rest)
         executor.add_node(node)
         stopping.wake(executor.wake)
+        gc.collect()
+        gc.freeze()  # looking through all modules for garbage would hold up messages for some 45 ms each time
         while rclpy.ok() and not stopping.asked:
             spin_once(executor, node)
     except (KeyboardInterrupt, ExternalShutdownException):
