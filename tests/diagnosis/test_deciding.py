@@ -179,3 +179,27 @@ def test_effort_at_new_postures_is_not_known() -> None:
     unweighed = tied(RIPPLE, BY_EFFORT, weighed=False)
     assert "is not known" in undecided_by_posture(unweighed, 0, 0)
     assert undecided_by_posture(tied(RIPPLE, PAYLOAD), 0, 0) == ""
+
+
+CARRIED = joint_effect(
+    "compliance",
+    "load:elbow_joint,payload:elbow_joint,signal:/payload_kg",
+    [5e-6],
+    Shape("carried"),
+)
+
+
+@pytest.mark.parametrize(("effect", "rival"), [(SPRING, CARRIED), (CARRIED, SPRING), (CARRIED, RIPPLE)])
+def test_a_payload_that_a_topic_tells_is_decided_by_other_payloads(
+    effect: Effect, rival: Effect, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """No posture carries another mass: the sentence names the recorded number, and no stations are written."""
+    calibration = tied(effect, rival)
+    assert undecided_by_posture(calibration, 0, 0) == "record stations with other values of the signal"
+    (tmp_path / "calibration.yaml").write_text(to_yaml(to_data(calibration)))
+    assert run(["plan", "--decide", str(tmp_path), "--out", str(tmp_path / "plan")]) == 0
+    said = " ".join(capfd.readouterr().out.split())
+    assert "/payload_kg" in said
+    assert "postures cannot decide this: record stations with other values of the signal" in said
+    assert "same motion" not in said
+    assert not (tmp_path / "plan").exists()

@@ -19,6 +19,7 @@ from modcal_core.geometry.twists import error_transform, local_twists
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
 
+CONTRADICTED = 4.0  # combined standard deviations, from which readings contradict a distance
 _TOUCHING = 1e-9  # m; ends that lie in one point have no direction
 _NEAR = 0.5  # s between a stamp that is stated and the station that it means
 

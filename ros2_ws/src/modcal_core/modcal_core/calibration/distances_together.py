@@ -10,9 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance, distance_rows
+from modcal_core.calibration.distances import CONTRADICTED, AnyDistance, distance_rows
 from modcal_core.calibration.identify import Fit, identify
-from modcal_core.calibration.known_distances import CONTRADICTED
 from modcal_core.calibration.scale import scale_without_distances
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.errors import NotEnoughData

@@ -38,7 +38,7 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.kinds.rows import dimensions
 from modcal_core.measurements.samples import Samples
 
-MAX_ITERATIONS = 60  # a fit that needs more says that it did not converge
+MAX_ITERATIONS = 150  # a fit that needs more says that it did not converge
 CONVERGED = 1e-5  # standard deviations: the last step of a fit, far below anything a report shows
 FITTED = 1e-2  # the same for models with effects, some of which have many values
 # Where no value [m, rad] changes by more, and steps become shorter, the curvature is left as it is, which changes with
@@ -47,6 +47,8 @@ _NEAR = 1e-4
 _SHRINKING = 0.3
 _SURE = 0.1  # of the tolerance; what is expected to be left
 _LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
+_DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
+_FLAT, _SHOWN = 30, 1.0  # iterations that together gain less of the cost than readings can show
 _ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses is of the order of its square
 _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
@@ -182,6 +184,9 @@ def _minimum(
     values = np.concatenate([begin, *(e.values for e in fitted)])
     equations = system_of(start, parameters, samples, around)
     damping, length, near = 0.0, np.inf, False  # length: of the last step, in standard deviations
+    least = _DAMPING  # from which a step is damped that leads uphill
+    gained: list[float] = []
+    flat = False
     at = equations.residuals(values)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
@@ -217,21 +222,26 @@ def _minimum(
                 after += distance_cost(start, parameters, trial, distances)
             if after <= before * (1.0 + 1e-6) + 1e-12 or damping > 1e6:
                 break
-            if damping == 0.0 and share > _LEAST_SHARE:  # bent, along a direction that is hardly seen
+            if damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING:  # bent, along a direction that is hardly seen
                 share *= 0.5
             else:
-                damping, share = max(10.0 * damping, 1e-4), 1.0
+                damping, share = max(10.0 * damping, least), 1.0
+        if damping > 0.0:  # in a long and bent valley a tenth of what was enough is enough again
+            least = max(0.1 * damping, _LEAST_DAMPING)
         looked = new is not at
+        gained.append(before - after if looked else 0.0)
         values, at = values + step, new
-        if ended or begun:
+        flat = len(gained) >= 2 * _FLAT and sum(gained[-_FLAT:]) < _SHOWN
+        if ended or begun or flat:
             break
         near = equations.quick_gradient and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
         near = near and damping == 0.0 and length <= _SHRINKING * last
         damping = 0.0 if damping < 1e-3 else damping / 10.0
     if looked and not rough:  # else these are of the same residuals
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
-    # robust weights may go to and fro for ever, by which no value moves that anything depends on
-    return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or length <= FITTED)
+    # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be so
+    # long that where in it the values are is nothing that the readings show
+    return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or flat or length <= FITTED)
 
 
 def priors(effects: Sequence[Effect], parameters: Sequence[ModelParameter], around: Drivers) -> tuple[Array, Array]:

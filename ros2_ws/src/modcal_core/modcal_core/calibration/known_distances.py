@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance, Distance, distance_rows
+from modcal_core.calibration.distances import CONTRADICTED, AnyDistance, Distance, distance_rows
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.scale import ScaleEstimate, scale_without_distances
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.measurements.samples import Samples
 
-CONTRADICTED = 4.0  # combined standard deviations
 _ROUNDING = 1e-9  # share of a stated distance's variance; where less is left, nothing but the statement tells it
 
 

@@ -163,6 +163,7 @@ def _searched(
         else:  # also more of the same, which is not worth having: another may be
             refused.add(choice.effect.key)
             left, missed = left or choice, missed + 1
+    search.make_plainer()
     search.settle()
     final = search.fit
     if final.model.effects:
@@ -248,8 +249,7 @@ class _Search:
 
     def _take_out(self) -> None:
         """Drop effects that are nothing beside the others."""
-        while self._made_plainer():
-            pass
+        self.make_plainer()
         while True:
             size = [
                 float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300)))
@@ -274,6 +274,11 @@ class _Search:
             for i in small:
                 size[i] = max(size[i], joint_size(effects, i, known))
         return size
+
+    def make_plainer(self) -> None:
+        """Put a family's plainer effect in the place of each that is not needed in full."""
+        while self._made_plainer():
+            pass
 
     def _made_plainer(self) -> bool:
         """Whether an effect was found not to be needed in full, and its family's plainer one put in its place."""
