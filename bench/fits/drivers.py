@@ -178,6 +178,8 @@ def _carrying(rng: np.random.Generator, every: int, told: bool) -> Planted:
     t = 4.0 * np.arange(len(q))
     for level in levels:
         rows = np.flatnonzero(carried == level)
+        if not len(rows):  # of a few changes some levels are never drawn
+            continue
 
         def bend(arm, stations, deviation, kg=level):  # type: ignore[no-untyped-def]
             elastic(arm, stations, deviation)
