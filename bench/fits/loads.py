@@ -19,7 +19,10 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "verdict"))
+sys.path.append(str(Path(__file__).resolve().parent))
+from from_truth import HEADS, BesideTruth, beside_truth, together
 from scipy.spatial.transform import Rotation
+from without_noise import WorksWithoutNoise, exact_samples
 from workcell import BEGIN, Bend, Session, Works  # which puts bench/undeclared on the path
 
 from arm import DESCRIBED, FOLDER, TILT_X, TILT_Y, TURN  # isort: skip
@@ -46,7 +49,8 @@ class Planted:
     """One or several recordings, what the best model leaves of them [mm, RMS], and what must be among the effects.
 
     named: (families, places) that one of the effects must be of, or nothing. never: families that must not be there.
-    down: unit vector (3,) in which weight pulls in the base. carried: payloads [kg], one a recording.
+    down: unit vector (3,) in which weight pulls in the base. carried: payloads [kg], one a recording. exact: the
+    recordings without noise.
     """
 
     robot: str
@@ -57,7 +61,7 @@ class Planted:
     cell: Cell = field(default_factory=Cell)
     down: Array | None = None
     carried: tuple[float, ...] = ()
-    upright: bool = True
+    exact: tuple[Session, ...] = ()
 
 
 Maker = Callable[[np.random.Generator], Planted]
@@ -105,46 +109,62 @@ def floor_of(sessions: list[Session]) -> float:
 
 def wall(rng: np.random.Generator) -> Planted:
     """An arm on a wall, a slope or a ceiling, of which nobody said so; some of its joints are elastic."""
-    works = Works(ROBOTS[rng.integers(3)], rng)
+    works = WorksWithoutNoise(ROBOTS[rng.integers(3)], rng)
     down = tilted(rng, np.radians(10.0), np.pi)
     pulled(works, down)
     session = works.clean(140, sagging(works, rng.random(works.arm.n) < 0.8, 4e-4))
-    return Planted(works.robot, (session.recording(),), session.floor_mm, (SPRINGS, session.names), down=down)
+    return Planted(
+        works.robot,
+        (session.recording(),),
+        session.floor_mm,
+        (SPRINGS, session.names),
+        down=down,
+        exact=tuple(works.exact),
+    )
 
 
 def wall_stiff(rng: np.random.Generator) -> Planted:
     """The same, stiff: nothing shows which way weight pulls, and nothing may be said of it."""
-    works = Works(ROBOTS[rng.integers(3)], rng)
+    works = WorksWithoutNoise(ROBOTS[rng.integers(3)], rng)
     pulled(works, tilted(rng, np.radians(10.0), np.pi))
     session = works.clean(140)
-    return Planted(works.robot, (session.recording(),), session.floor_mm, None, ("*",))
+    return Planted(works.robot, (session.recording(),), session.floor_mm, None, ("*",), exact=tuple(works.exact))
 
 
 def upright(rng: np.random.Generator) -> Planted:
     """An arm on the floor with elastic joints and encoders off their centres: weight pulls straight down."""
-    works = Works(ROBOTS[rng.integers(3)], rng)
+    works = WorksWithoutNoise(ROBOTS[rng.integers(3)], rng)
     i, size, phase = works.any_joint(1, 4), rng.uniform(2e-4, 4e-4), rng.uniform(0.0, 2.0 * np.pi)
     session = works.clean(
         140,
         sagging(works, rng.random(works.arm.n) < 0.8, 3e-4),
         works.joint(i, lambda stations: size * np.sin(stations.q[:, i] + phase)),
     )
-    return Planted(works.robot, (session.recording(),), session.floor_mm, (SPRINGS, session.names))
+    return Planted(
+        works.robot, (session.recording(),), session.floor_mm, (SPRINGS, session.names), exact=tuple(works.exact)
+    )
 
 
 def eccentric(rng: np.random.Generator) -> Planted:
     """A stiff arm on the floor, two encoders off their centres: the error of a joint, not a load of another way."""
-    works = Works(ROBOTS[rng.integers(3)], rng)
+    works = WorksWithoutNoise(ROBOTS[rng.integers(3)], rng)
     off = []
     for i in rng.choice(np.arange(1, 5), 2, replace=False):
         size, phase = rng.uniform(2e-4, 4e-4), rng.uniform(0.0, 2.0 * np.pi)
         off.append(works.joint(int(i), lambda s, i=i, size=size, phase=phase: size * np.sin(s.q[:, i] + phase)))
     session = works.clean(140, *off)
-    return Planted(works.robot, (session.recording(),), session.floor_mm, (("gear_harmonic",), session.names), SPRINGS)
+    return Planted(
+        works.robot,
+        (session.recording(),),
+        session.floor_mm,
+        (("gear_harmonic",), session.names),
+        SPRINGS,
+        exact=tuple(works.exact),
+    )
 
 
-def _loads(rng: np.random.Generator) -> tuple[Works, tuple[float, ...], list[Session]]:
-    works = Works(ROBOTS[rng.integers(3)], rng)
+def _loads(rng: np.random.Generator) -> tuple[WorksWithoutNoise, tuple[float, ...], list[Session]]:
+    works = WorksWithoutNoise(ROBOTS[rng.integers(3)], rng)
     low, high = CARRIED[works.robot]
     masses = tuple(float(m) for m in (0.0, *rng.uniform(low + 0.2 * (high - low), high, 2)))
     masses = tuple(masses[i] for i in rng.permutation(3))
@@ -165,7 +185,9 @@ def payloads_unknown(rng: np.random.Generator) -> Planted:
     """Three recordings, each with another payload that nobody stated; elastic joints."""
     works, masses, sessions = _loads(rng)
     recordings = tuple(s.recording() for s in sessions)
-    return Planted(works.robot, recordings, floor_of(sessions), (SPRINGS, works.names), carried=masses)
+    return Planted(
+        works.robot, recordings, floor_of(sessions), (SPRINGS, works.names), carried=masses, exact=tuple(works.exact)
+    )
 
 
 def payloads_topic(rng: np.random.Generator) -> Planted:
@@ -175,25 +197,27 @@ def payloads_topic(rng: np.random.Generator) -> Planted:
     for mass, session in zip(masses, sessions, strict=True):
         told = SignalTrack("signal:/payload_kg", BEGIN + session.t, np.full((len(session), 1), mass), "/payload_kg")
         recordings.append(replace(session, signals=(told,)).recording())
-    return Planted(works.robot, tuple(recordings), floor_of(sessions), (SPRINGS, works.names))
+    return Planted(works.robot, tuple(recordings), floor_of(sessions), (SPRINGS, works.names), exact=tuple(works.exact))
 
 
 def payload_unknown(rng: np.random.Generator) -> Planted:
     """One recording with a payload that nobody stated; elastic joints."""
-    works = Works(ROBOTS[rng.integers(3)], rng)
+    works = WorksWithoutNoise(ROBOTS[rng.integers(3)], rng)
     low, high = CARRIED[works.robot]
     mass = float(rng.uniform(low + 0.4 * (high - low), high))
     session = works.clean(160, sagging(works, np.ones(works.arm.n, bool), 3e-4, mass))
     recording = session.recording()
-    return Planted(works.robot, (recording,), session.floor_mm, (SPRINGS, session.names), carried=(mass,))
+    return Planted(
+        works.robot, (recording,), session.floor_mm, (SPRINGS, session.names), carried=(mass,), exact=tuple(works.exact)
+    )
 
 
 def clean_recordings(rng: np.random.Generator) -> Planted:
     """Three recordings of a stiff arm with three payloads: nothing is wrong."""
-    works = Works(ROBOTS[rng.integers(3)], rng)
+    works = WorksWithoutNoise(ROBOTS[rng.integers(3)], rng)
     sessions = several(works, (0.0, 1.0, 2.0), 60, lambda _: sagging(works, np.zeros(works.arm.n, bool), 3e-4))
     recordings = tuple(s.recording() for s in sessions)
-    return Planted(works.robot, recordings, floor_of(sessions), None, ("*",))
+    return Planted(works.robot, recordings, floor_of(sessions), None, ("*",), exact=tuple(works.exact))
 
 
 def _inertial(mass: float, xyz: str) -> str:
@@ -228,7 +252,7 @@ _before("torso", "torso", "revolute", "0 0 0.8", "0 1 0", (-0.6, 0.6), 12.0)
 
 def column(rng: np.random.Generator) -> Planted:
     """A lifting column that tilts under the moment of the arm that it carries."""
-    works = Works("lifted", rng)
+    works = WorksWithoutNoise("lifted", rng)
     sample = works.arm.coordinates(rng.uniform(*works.arm.range, (60, works.arm.n)))
     moment = works.arm.holding(sample)[:, 0, TILT_X : TILT_Y + 1]
     stiffness = float(np.sqrt(np.mean(np.sum(moment**2, axis=1)))) / rng.uniform(2e-4, 6e-4)
@@ -237,7 +261,9 @@ def column(rng: np.random.Generator) -> Planted:
         deviation.linear[0, TILT_X : TILT_Y + 1] = stiffness  # type: ignore[attr-defined]
 
     session = works.clean(140, bend)
-    return Planted("lifted", (session.recording(),), session.floor_mm, (SPRINGS, ("lift", "lift_link")))
+    return Planted(
+        "lifted", (session.recording(),), session.floor_mm, (SPRINGS, ("lift", "lift_link")), exact=tuple(works.exact)
+    )
 
 
 OTHER = (("right_1", "0 1 0", (0.05, -0.3, 0.3), 6.0), ("right_2", "1 0 0", (0.0, 0.0, 0.4), 7.0))
@@ -245,7 +271,7 @@ OTHER = (("right_1", "0 1 0", (0.05, -0.3, 0.3), 6.0), ("right_2", "1 0 0", (0.0
 
 def other_arm(rng: np.random.Generator) -> Planted:
     """An elastic torso that carries another arm as well, whose joints are recorded beside the measured arm's."""
-    works = Works("torso", rng)
+    works = WorksWithoutNoise("torso", rng)
     turns = rng.uniform(-1.5, 1.5, (140, 2))
     sample = works.arm.coordinates(rng.uniform(*works.arm.range, (60, works.arm.n)))
     stiffness = float(np.sqrt(np.mean(works.arm.holding(sample)[:, 0, TURN] ** 2))) / rng.uniform(4e-4, 9e-4)
@@ -269,7 +295,9 @@ def other_arm(rng: np.random.Generator) -> Planted:
     urdf = session.urdf.replace("</robot>", "\n".join(parts) + "\n</robot>")
     more = {name: turns[:, i] for i, (name, *_) in enumerate(OTHER)}
     recording = replace(session, urdf=urdf, more=more).recording()
-    return Planted("torso", (recording,), session.floor_mm, (SPRINGS, ("torso", "torso_link")))
+    return Planted(
+        "torso", (recording,), session.floor_mm, (SPRINGS, ("torso", "torso_link")), exact=tuple(works.exact)
+    )
 
 
 def other_torque(torso: Array, turns: Array) -> Array:
@@ -298,9 +326,11 @@ class Outcome:
     """What a fit left, in units of the floor, whether the cause was named, and nothing that is not there.
 
     gravity_deg, kg: how far gravity's direction and the payloads are from the truth, NaN where nothing is said.
+    beside: what is left over what the truth leaves of the same stations, and over the same fit begun at the truth.
     """
 
     ratio: float
+    beside: BesideTruth
     named: bool
     clean: bool
     gravity_deg: float
@@ -323,7 +353,9 @@ def judged(row: str, seed: int) -> Outcome:
         samples = samples.followed_by(later)
     if "between" in Cell.__dataclass_fields__:
         cell = replace(cell, between=tuple(cuts))
-    report = calibrate(samples, chain, np.random.default_rng(0), cell, inertias=read_inertias(urdf, chain)).report
+    done = calibrate(samples, chain, np.random.default_rng(0), cell, inertias=read_inertias(urdf, chain))
+    report, spent = done.report, time.process_time() - began
+    beside = beside_truth(done, exact_samples(report.samples, list(planted.exact)), cell)
     size = report.size_mm("final")
     assert size is not None
     assert report.judged is not None
@@ -340,9 +372,9 @@ def judged(row: str, seed: int) -> Outcome:
     line = (
         f"{row} {seed} {planted.robot}: {size.rms:.4f} mm, {ratio:.2f} x the floor, "
         f"{'named' if named else 'NOT NAMED'}{'' if clean else ', NOT THERE'}, {report.judged.status}, "
-        f"{time.process_time() - began:.0f} s: {told}{said}"
+        f"{spent:.0f} s; {beside.words}: {told}{said}"
     )
-    return Outcome(ratio, named, clean, gravity, kg, line)
+    return Outcome(ratio, beside, named, clean, gravity, kg, line)
 
 
 def compared(report: Report, planted: Planted) -> tuple[float, float, str]:
@@ -383,10 +415,10 @@ def main() -> None:
         inside = np.mean(ratios <= 1.1)
         table.append(
             f"| {row} | {len(outcomes)} | {np.median(ratios):.2f} | {ratios.max():.2f} | {inside:.0%} | "
-            f"{shares[0]:.0f} % | {shares[1]:.0f} % | {off[0]} | {off[1]} |"
+            f"{shares[0]:.0f} % | {shares[1]:.0f} % | {off[0]} | {off[1]} | {together([o.beside for o in outcomes])} |"
         )
-    print("| row | seeds | median | worst | within 1.1 | cause named | nothing else of its kind | ° | kg |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    print(f"| row | seeds | median | worst | within 1.1 | cause named | nothing else of its kind | ° | kg | {HEADS} |")
+    print("| --- " * (9 + HEADS.count("|") + 1) + "|")
     print("\n".join(table))
 
 

@@ -30,6 +30,7 @@ GRAVITY = 9.80665
 BASE, TOOL = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]), se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
 WALL = np.array([np.sin(1.2), 0.1, -np.cos(1.2)]) / np.linalg.norm([np.sin(1.2), 0.1, -np.cos(1.2)])
 DOWN = np.array([0.0, 0.0, -1.0])
+CENTRE = np.array([0.0, 0.02, 0.06])  # m; of what is carried, in the flange
 
 
 def torques(q: Array, down: Array, carried: float, centre: Array) -> Array:
@@ -51,7 +52,7 @@ def recorded(
     rng: np.random.Generator, count: int, down: Array = DOWN, carried: float = 0.0, compliance: Array = COMPLIANCE
 ) -> Samples:
     q = rng.uniform(-1.6, 1.6, (count, 6))
-    bent = q + compliance * torques(q, down, carried, np.array([0.0, 0.02, 0.06]))
+    bent = q + compliance * torques(q, down, carried, CENTRE)
     T = BASE @ forward(CHAIN, bent) @ TOOL
     T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
     return samples_of(CHAIN, q, T)
@@ -112,7 +113,7 @@ def test_each_recording_has_its_payload_and_a_joint_one_compliance(rng: np.rando
     assert [p.mass for p in loads.payloads] == pytest.approx([0.0, 6.0, 3.0], abs=0.15)
     for found, kg in zip(loads.payloads, (0.0, 6.0, 3.0), strict=True):
         assert abs(found.mass - kg) < 4.0 * found.mass_std
-    assert loads.payloads[1].place == pytest.approx([0.0, 0.02, 0.06], abs=0.02)
+    assert loads.payloads[1].place == pytest.approx(CENTRE, abs=0.02)
     sizes = {e.place: e.parameters for e in done.report.effects if e.family == "compliance"}
     for joint in ("shoulder_lift_joint", "elbow_joint", "wrist_1_joint"):
         expected = COMPLIANCE[CHAIN.names.index(joint)]
@@ -189,6 +190,31 @@ def test_a_topic_that_says_what_is_carried_is_the_load(rng: np.random.Generator)
     other = _telling(recorded_at_tip(rng, 40, 3.0, own=True), 3.0)
     miss = done.calibration.predict(other)[:, :3, 3] - other.reading
     assert 1e3 * float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) < 1.4 * np.sqrt(3.0) * 0.02
+
+
+@pytest.mark.slow
+def test_what_a_topic_says_is_carried_has_one_centre_for_all_joints(rng: np.random.Generator) -> None:
+    samples, until = joined(*(_telling(recorded(rng, 55, carried=kg), kg) for kg in (0.0, 6.0)))
+    done = calibrated(samples, Cell(between=until))
+    loads = done.report.loads
+    assert loads is not None
+    assert not loads.payloads
+    assert loads.centre is not None
+    assert loads.centre_std is not None
+    assert (np.abs(loads.centre - CENTRE) < 4.0 * loads.centre_std).all()
+    assert loads.centre == pytest.approx(CENTRE, abs=0.02)
+    sizes = {e.place: e.parameters for e in done.report.effects}
+    assert len(sizes) == len(done.report.effects)  # each joint once
+    for joint in ("shoulder_lift_joint", "elbow_joint", "wrist_1_joint"):
+        assert sizes[joint]["compliance"][0] == pytest.approx(COMPLIANCE[CHAIN.names.index(joint)], rel=0.05)
+    assert any("The payload that the recording states has its centre at" in note for note in done.report.notes)
+    said = to_json_data(done.report)["loads"]
+    assert said["stated_payload_centre_m"] == pytest.approx(loads.centre)
+    kept = from_data(to_data(done.calibration))
+    other = _telling(recorded(rng, 40, carried=3.0), 3.0)
+    np.testing.assert_allclose(kept.predict(other), done.calibration.predict(other), atol=1e-12)
+    miss = kept.predict(other)[:, :3, 3] - other.reading
+    assert 1e3 * float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) < 1.25 * np.sqrt(3.0) * 0.02
 
 
 def _telling(samples: Samples, kg: float) -> Samples:

@@ -19,6 +19,7 @@ from modcal_core.calibration.predict import predict
 from modcal_core.calibration.store_parts import (
     arm_to_data,
     carried_from_data,
+    centre_from_data,
     effect_from_data,
     effect_to_data,
     floats,
@@ -236,7 +237,13 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     require(data, SCHEMA, source, "remove it, or calibrate again")
     try:
         nominal, calibrated = model_from_data(data["nominal"]), model_from_data(data["calibrated"])
-        arm = NominalArm(nominal.chain, inertias_from_data(data.get("arm")), earlier=carried_from_data(data.get("arm")))
+        carried = data.get("arm")
+        arm = NominalArm(
+            nominal.chain,
+            inertias_from_data(carried),
+            earlier=carried_from_data(carried),
+            centre=centre_from_data(carried),
+        )
         effects = tuple(effect_from_data(e) for e in data["effects"])
         nominal, calibrated = replace(nominal, arm=arm), replace(calibrated, arm=arm, effects=effects)
         geometric = replace(model_from_data(data["geometric"]), arm=arm)

@@ -132,6 +132,7 @@ def arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
         "down": floats(arm.inertias.down),
         **({"branches": [_hanging_to_data(b) for b in arm.inertias.branches]} if arm.inertias.branches else {}),
         **({} if arm.earlier is None else {"earlier": _carried_to_data(arm.earlier)}),
+        **({} if arm.centre is None else {"centre": floats(arm.centre)}),
     }
 
 
@@ -154,6 +155,17 @@ def carried_from_data(data: Any) -> Carried | None:
     if list(until) != sorted(until) or not (np.isfinite(mass).all() and np.isfinite(moment).all()):
         raise ValueError("what was carried earlier is not in order of time, or not finite")
     return Carried(until, mass, moment)
+
+
+def centre_from_data(data: Any) -> np.ndarray | None:
+    """Where a payload that a recorded number states has its centre (3,) [m], or None."""
+    kept = (data or {}).get("centre")
+    if kept is None:
+        return None
+    centre = np.array(kept, dtype=float).reshape(3)
+    if not np.isfinite(centre).all():
+        raise ValueError("the centre of the payload is not finite")
+    return centre
 
 
 def _hanging_to_data(body: Hanging) -> dict[str, Any]:

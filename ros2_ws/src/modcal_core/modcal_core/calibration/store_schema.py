@@ -41,7 +41,7 @@ SCHEMA: Schema = _keys(
         parameters=_list_of(_keys("name", "place", "direction", "frame", "prior", "instrument", "unit")),
     ),
     arm=_keys(
-        "mass", "com", "down",
+        "mass", "com", "down", "centre",
         earlier=_keys("until", "mass", "moment"),
         branches=_list_of(
             _keys("carrier", "mass", "com", steps=_list_of(_keys("origin", "axis", "turns", "joint", "motion")))

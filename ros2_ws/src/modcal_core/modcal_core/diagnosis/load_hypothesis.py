@@ -53,13 +53,15 @@ class LoadHypothesis:
     arm: as it is known. tilts: whether weight pulls another way, by two turns [rad] across the known one. until: stamps
     [s] between recordings. carries: whether the tip carries more than is known, in each recording something else: mass
     [kg] and mass times place in the tip [kg m], four numbers each; of an arm without masses only how much more than in
-    the last, one for each other recording.
+    the last, one for each other recording. places: whether what a recorded number says is carried has its centre beside
+    the tip, by three numbers [m]; of an arm with masses, and without ``carries``.
     """
 
     arm: NominalArm
     tilts: bool = False
     until: tuple[float, ...] = ()
     carries: bool = False
+    places: bool = False
 
     @property
     def recordings(self) -> int:
@@ -70,7 +72,7 @@ class LoadHypothesis:
     def size(self) -> int:
         """Number of numbers."""
         each = 4 * self.recordings if self.arm.weighed else len(self.until)
-        return 2 * self.tilts + each * self.carries
+        return 2 * self.tilts + each * self.carries + 3 * self.places
 
     @property
     def down(self) -> Array:
@@ -89,7 +91,7 @@ class LoadHypothesis:
         """How large each number may be before the data must say more, (k,)."""
         each = [USUAL_KG, *[USUAL_KG * USUAL_PLACE] * 3] if self.arm.weighed else [USUAL_KG]
         count = self.recordings if self.arm.weighed else len(self.until)
-        return np.array([np.pi] * (2 * self.tilts) + each * (count * self.carries))
+        return np.array([np.pi] * (2 * self.tilts) + each * (count * self.carries) + [USUAL_PLACE] * (3 * self.places))
 
     @property
     def steps(self) -> Array:
@@ -101,6 +103,8 @@ class LoadHypothesis:
         inertias = self.arm.inertias or weightless(self.arm.chain.n)
         if self.tilts:
             inertias = inertias.pulled(so3.exp(x[:2] @ self.across) @ self.down)
+        if self.places:
+            return replace(self.arm, inertias=inertias, centre=x[2 * self.tilts :])
         if not self.carries:
             return replace(self.arm, inertias=inertias)
         if not self.arm.weighed:

@@ -40,6 +40,7 @@ _SURE = 5.0  # standard deviations from which another way of weight or a mass is
 _LEAST_TURN = np.radians(2.0)  # a floor is as level as that
 _MOST_STD = np.radians(5.0)  # of the way of weight; known worse it is not known
 _MOST_KG = 100.0  # above what all but the largest arms carry
+_MOST_BESIDE = 1.0  # m; no hand holds what it carries farther from the tip
 _NEARLY = 1.02  # of the squares on *explain*: one payload for all joints may leave so much more than one for each
 _ROUNDS = 6  # iterations
 _SETTLED = 0.05  # standard deviations
@@ -64,6 +65,7 @@ class Loads:
     down_std: of either turn across it [rad]. turned: from what was known [rad]. payloads: one a recording; empty where
     none was found. relative: masses are in units of what was carried in the end, as nothing has a known mass. unknown:
     the stations show that weight pulls another way, but not which. arm: with all of that. before: as it was known.
+    centre, centre_std: of what a recorded number says is carried, in the tip link (3,) [m]; None where it is not found.
     """
 
     arm: NominalArm
@@ -74,6 +76,8 @@ class Loads:
     payloads: tuple[FoundPayload, ...] = ()
     relative: bool = False
     unknown: bool = False
+    centre: Array | None = None
+    centre_std: Array | None = None
 
 
 Search = Callable[[Fit], Diagnosis]
@@ -99,6 +103,7 @@ def weighed(
     told = any(track.name.endswith(KILOGRAMS) for track in train.signals)  # a topic says what is carried
     stated = {True: cell.gravity is not None, False: bool(cell.payloads) or told}
     kept = LoadHypothesis(arm, until=cell.between)
+    placed = told and not cell.payloads and arm.weighed
     for tilts in (True, False):
         if stated[tilts]:
             continue
@@ -112,6 +117,11 @@ def weighed(
         if (tried := at.tried(asked, suspicion.x, best)) is not None:
             best = tried
             kept = replace(kept, tilts=kept.tilts or tilts, carries=not tilts)
+    if placed:
+        best = best or search(geometric)
+        asked = replace(kept, arm=_arm_of(best), tilts=False, places=True)
+        if (tried := at.placed(asked, best)) is not None:
+            best, kept = tried, replace(kept, places=True)
     nothing = Loads(arm, arm, unknown=True) if at.undetermined else None
     if best is None or not kept.size:
         return best or search(geometric), nothing
@@ -166,9 +176,24 @@ class _Weighing:
         if best is None:
             return new
         before, after = self.missed(best, best), self.missed(new, best)
-        plainer = asked.carries and _count(new) + asked.size <= _count(best) and after < _NEARLY * before
+        plainer = (
+            (asked.carries or asked.places) and _count(new) + asked.size <= _count(best) and after < _NEARLY * before
+        )
         least = _WORTH if asked.tilts else LEAST_GAIN
         return new if after < (1.0 - least) * before or plainer else None
+
+    def placed(self, asked: LoadHypothesis, best: Diagnosis) -> Diagnosis | None:
+        """The diagnosis with one centre of what is carried in place of what each joint would have of it, else None."""
+        effects = tuple(e for e in best.fit.model.effects if e.shape.kind != "products")
+        if not any(e.shape.kind == "carried" for e in effects):
+            return None
+        # with the centre at the tip whole recordings may be far off: they must count, or nothing shows where it is
+        alone = identify(
+            best.fit.start.with_effects(effects), self.train, best.fit.parameters, self.distances,
+            tolerance=FITTED, begin=best.fit.values, reject=False,
+        )  # fmt: skip
+        fitted = self.fitted(alone, asked, np.zeros(asked.size))
+        return self.tried(asked, fitted.x, best) if fitted.sure(asked) else None
 
     @cached_property
     def seen(self) -> tuple[Space, Drivers]:
@@ -231,6 +256,9 @@ class _Fitted:
                 return False
             if asked.arm.weighed and mass.max() <= 0.0:  # nothing hangs upwards
                 return False
+        if asked.places:
+            beside, std = self.x[-3:], self.std[-3:]
+            return bool((np.abs(beside) > _SURE * std).any() and np.linalg.norm(beside) < _MOST_BESIDE)
         return True
 
     def _masses(self, asked: LoadHypothesis) -> tuple[Array, Array]:
@@ -249,6 +277,8 @@ class _Fitted:
         if asked.carries:
             begins = [float(samples.stamps.min()), *asked.until]
             out = replace(out, payloads=tuple(self._payload(asked, g, since) for g, since in enumerate(begins)))
+        if asked.places:
+            out = replace(out, centre=self.x[-3:], centre_std=self.std[-3:])
         return out
 
     def _payload(self, asked: LoadHypothesis, g: int, since: float) -> FoundPayload:
@@ -280,6 +310,9 @@ def _numbers(asked: LoadHypothesis, arm: NominalArm) -> Array:
         size = float(np.linalg.norm(axis))
         angle = float(np.arctan2(size, asked.down @ arm.inertias.down))
         x[:2] = asked.across @ axis * (angle / size) if size > 0.0 else [angle, 0.0]
+    if asked.places:
+        assert arm.centre is not None
+        x[-3:] = arm.centre
     if asked.carries and not known.weighed:
         assert arm.earlier is not None
         x[2 * asked.tilts :] = arm.earlier.mass

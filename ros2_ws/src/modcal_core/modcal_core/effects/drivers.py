@@ -41,13 +41,15 @@ _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise
 class NominalArm:
     """The nominal arm that loads are computed from. inertias: None where the description states no mass. limits: where
     time, temperatures and signals stop, of a frozen model; None while it is fitted. earlier: what it carried before
-    what its inertias contain; None where that did not change.
+    what its inertias contain; None where that did not change. centre: of the mass that a recorded number says is
+    carried, in the tip link (3,) [m]; None: at its origin.
     """
 
     chain: Mechanism
     inertias: Inertias | None = None
     limits: DriverLimits | None = None
     earlier: Carried | None = None
+    centre: Array | None = None
 
     @property
     def weighed(self) -> bool:
@@ -156,8 +158,10 @@ class Drivers:
 
     @cached_property
     def payload(self) -> Array:
-        """Weight of 1 kg at the tip, (n, 6, N)."""
+        """Weight of 1 kg at the tip, or at the centre of what is carried where that is known, (n, 6, N)."""
         unit = payload_wrench(self.arm.chain, self.samples.q, self._down)
+        if self.arm.centre is not None:
+            unit = unit + np.einsum("d,djcN->jcN", self.arm.centre, self.offset)
         return unit if self.arm.earlier is None or self.arm.weighed else unit + self._differing
 
     @property

@@ -49,6 +49,10 @@ def load_notes(loads: Loads | None) -> tuple[str, ...]:
         said = ", ".join(f"{p.mass:.2f} ± {_NORMAL * p.mass_std:.2g} kg" for p in loads.payloads)
         where = "" if len(loads.payloads) == 1 else " in the recordings, one after the other"
         out.append(f"The tip carries {said}{where} beyond what the robot description states.")
+    if loads.centre is not None and loads.centre_std is not None:
+        each = zip("xyz", 1e3 * loads.centre, 1e3 * _NORMAL * loads.centre_std, strict=True)
+        said = ", ".join(f"{axis} {at:+.0f} ± {wide:.2g} mm" for axis, at, wide in each)
+        out.append(f"The payload that the recording states has its centre at {said} in the tip link.")
     return tuple(out)
 
 
@@ -108,6 +112,8 @@ def loads_to_json(loads: Loads | None) -> dict[str, Any] | None:
         },
         "gravity_unknown": loads.unknown,
         "relative": loads.relative,
+        "stated_payload_centre_m": None if loads.centre is None else [float(x) for x in loads.centre],
+        "stated_payload_centre_std_m": None if loads.centre_std is None else [float(x) for x in loads.centre_std],
         "payloads": [
             {
                 "since": p.since,
