@@ -274,12 +274,17 @@ def test_squares_of_another_size_are_named(stated: PrintedTarget) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_a_sheet_that_a_bad_arm_hides_is_not_trusted(on_tip: bool) -> None:
-    """Rulers read 2 % short, an arm 4 mm off a body: images do not decide, so the interval has both, and says so."""
+    """Rulers read 2 % short, an arm 4 mm off a body: images do not decide, so the interval has both, and what would
+    tell is said.
+    """
     s = scene(33, on_tip, count=20, length_std=4e-3, angle_std=5e-3, board=MEASURED, printed=1.02 * BOARD.points)
     r = solved(s)
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
-    assert r.decision.word == DO_NOT_APPLY
+    assert r.decision.word == CANNOT_TELL
+    assert "measure the sheet again" in r.decision.because[0]
     assert true_error(s, r.fit, q) < r.in_view.interval[2]
+    assert r.rests_on is not None
+    assert true_error(s, r.fit, q) < r.rests_on.if_wrong_m
     assert any("look much alike" in said or "The sheet is +" in said for said in r.decision.because)
     clean = solved(
         replace(s, views=views(np.random.default_rng(0), se3.inverse(s.T) if on_tip else s.T, board=s.board))

@@ -20,7 +20,7 @@ from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_nodes.vision.detect import detect
-from modcal_nodes.vision.images import read_camera_info, read_images, require_size
+from modcal_nodes.vision.images import SCALED, read_camera_info, read_images, require_size
 from modcal_nodes.vision.sheet import draw_sheet, rectangles
 
 SMALL = Lens(np.array([520.0, 522.0, 322.0, 238.0, -0.1, 0.05, 5e-4, -3e-4, 0.0]), (640, 480))
@@ -176,10 +176,11 @@ def test_folder_names_what_it_leaves_out(tmp_path: Path) -> None:
     (where / "13.png").write_bytes(b"")
     joints.write_text(joints.read_text() + "12.png,0,0\n")
     found = read_images(where, joints, ("a", "b"), BOARD)
-    assert [v.name for v in found.views] == ["1.png", "10.png"]
-    assert found.q == pytest.approx(np.array([[0.1, 0.2]] * 2))
+    assert [v.name for v in found.views] == ["1.png", "2.png", "10.png"]
+    assert np.abs(found.views[1].pixels - found.views[0].pixels).max() < 0.02  # of 16 bits: read, and said
+    assert found.notes == (SCALED,)
+    assert found.q == pytest.approx(np.array([[0.1, 0.2]] * 3))
     said = {
-        "2.png": "16 bits",
         "3.png": "Bayer",
         "11.png": "1280 × 960",
         "12.png": "cannot be read",

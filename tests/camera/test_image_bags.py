@@ -28,6 +28,7 @@ from modcal_msgs_py.types import message_class
 from modcal_nodes.cli.main import run
 from modcal_nodes.vision.bag import JointLog, chosen_stamps
 from modcal_nodes.vision.grey import grey_of
+from modcal_nodes.vision.images import SCALED
 
 START = 1_700_000_000.0
 STAY, GO = 1.0, 1.0  # s, at a posture and to the next
@@ -223,7 +224,7 @@ def test_encodings() -> None:
     assert padded is not None
     assert padded.shape == (12, 16)
     refused = {
-        "mono16": image_of(np.zeros((4, 4), np.uint16), "mono16"),
+        "rgb16": image_of(np.zeros((4, 4, 3), np.uint16), "rgb16"),
         "which is not read": image_of(flat, "jpeg2000"),
         "fewer bytes": replace(image_of(flat, "mono8"), height=40),
         "Bayer": image_of(mosaic(np.dstack([flat, flat // 2, flat // 3]), "rggb"), "mono8"),
@@ -235,6 +236,23 @@ def test_encodings() -> None:
         assert grey is None
         assert words in why
         assert ": " in why
+
+
+def test_images_of_sixteen_bits_are_scaled_and_it_is_said() -> None:
+    """Twelve bits of sixteen, a stuck pixel among them, in either order of bytes, and as a png."""
+    grey = np.clip(np.random.default_rng(0).normal(120.0, 30.0, (60, 80)), 0, 255).astype(np.uint8)
+    deep = 100 + 9 * grey.astype(np.uint16)
+    deep[3, 4] = 65535
+    for image in (
+        image_of(deep, "mono16"),
+        replace(image_of(deep.byteswap(), "16UC1"), bigendian=True),
+        replace(image_of(cv2.imencode(".png", deep)[1].reshape(1, -1), "png"), compressed=True),
+    ):
+        read, said = grey_of(image)
+        assert read is not None
+        assert said == SCALED
+        assert np.corrcoef(np.delete(read.ravel(), 244), np.delete(grey.ravel(), 244))[0, 1] > 0.999
+        assert read.std() > grey.std()
 
 
 def test_which_topic() -> None:

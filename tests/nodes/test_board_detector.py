@@ -122,7 +122,7 @@ def test_images_to_corners_pose_and_words(rig: Rig, picture: np.ndarray) -> None
     assert 1e-5 < np.sqrt(cov[2, 2]) < 1e-3
     # what cannot be used is said in words
     rig.until(last(rig, "mirrored"), rig.images, lambda: rig.image(np.ascontiguousarray(picture[:, ::-1])))
-    rig.until(last(rig, "mono16"), rig.images, lambda: rig.image(picture.astype(np.uint16), "mono16"))
+    rig.until(last(rig, "32FC1"), rig.images, lambda: rig.image(picture.astype(np.float32), "32FC1"))
     rig.wait(lambda: level(rig, status) == DiagnosticStatus.WARN, 60.0)
 
 

@@ -22,6 +22,7 @@ from modcal_msgs_py.bag_open import bag_file, message_unpacked, unpacked
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMAGES = (IMAGE, COMPRESSED)
+TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"  # no part of ROS's messages: read by the definition in the bag
 _MOST_BYTES = 1 << 28  # of one image
 _LARGEST = 1 << 15  # px a side
 
@@ -48,9 +49,19 @@ def image_topics(listed: tuple[Listed, ...]) -> tuple[Listed, ...]:
     return tuple(one for one in listed if one.type_name in IMAGES and one.count and "depth" not in one.topic.lower())
 
 
-def chosen_topic(listed: tuple[Listed, ...], asked: str | None, source: str) -> Listed:
-    """The topic with the images to use. Raises BadRecording where there is none, or several and none was asked for."""
+def tag_topics(listed: tuple[Listed, ...]) -> tuple[Listed, ...]:
+    """The topics with corners of AprilTags that a detector found, among those of a recording."""
+    return tuple(one for one in listed if one.type_name == TAGS and one.count)
+
+
+def chosen_topic(listed: tuple[Listed, ...], asked: str | None, source: str, tags: bool = False) -> Listed:
+    """The topic with the images to use. Raises BadRecording where there is none, or several and none was asked for.
+
+    tags: detections of AprilTags serve too, where there are no images or they are asked for.
+    """
     found = image_topics(listed)
+    others = tag_topics(listed) if tags else ()
+    found = found + others if asked is not None else found or others
     if asked is not None:
         for one in found:
             if one.topic.strip("/") == asked.strip("/"):
@@ -76,6 +87,18 @@ def info_topic(listed: tuple[Listed, ...], topic: str) -> str | None:
     """The topic of camera_info that goes with a topic of images: the one beside it."""
     beside = topic.removesuffix("/compressed").rpartition("/")[0] + "/camera_info"
     return next((one.topic for one in listed if one.type_name == CAMERA_INFO and one.topic == beside), None)
+
+
+def size_of(path: Path, listed: tuple[Listed, ...], topic: str) -> tuple[int, int] | None:
+    """Width and height [px] of the images that detections of this topic are of: by the camera_info beside it, or the
+    only one there is; None where nothing says so.
+    """
+    infos = [one.topic for one in listed if one.type_name == CAMERA_INFO]
+    name = info_topic(listed, topic) or (infos[0] if len(infos) == 1 else None)
+    for _, message in read_messages(path, name) if name is not None else ():
+        size = int(message.width), int(message.height)
+        return size if all(0 < side <= _LARGEST for side in size) else None
+    return None
 
 
 def stamps_of(path: Path, topic: str) -> NDArray[np.float64]:
@@ -121,9 +144,14 @@ def _stamp(seconds: int, nanoseconds: int, received: float) -> float:
     return float(seconds) + 1e-9 * float(nanoseconds) if seconds or nanoseconds else received
 
 
+def stamp_of(message: Any, received: float) -> float:
+    """Of a message's header [s]; when it was received, where nobody set it."""
+    return _stamp(int(message.header.stamp.sec), int(message.header.stamp.nanosec), received)
+
+
 def raw_image(message: Any, received: float = 0.0) -> RawImage | None:
     """The image in a message, None where it cannot be one. received: when [s], for headers without a stamp."""
-    stamp = _stamp(int(message.header.stamp.sec), int(message.header.stamp.nanosec), received)
+    stamp = stamp_of(message, received)
     data = message.data if isinstance(message.data, np.ndarray) else np.frombuffer(bytes(message.data), np.uint8)
     data = np.asarray(data, dtype=np.uint8)
     frame = str(message.header.frame_id)

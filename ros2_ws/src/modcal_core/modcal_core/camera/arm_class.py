@@ -16,11 +16,11 @@ def arm_size(poses: ArmPoses, error_m: float, q: Array) -> float:
     _, motions = poses.at_postures(q).tool_motions(poses.start)
     J = motions[:, :3].reshape(-1, motions.shape[2])
     arm = poses.of_arm
-    if not arm.any():
+    if poses.faults is None:
         return 1.0
     basis, singular, _ = np.linalg.svd(J[:, ~arm], full_matrices=False)
     basis = basis[:, singular > 1e-9 * singular[0]]
-    faults = J[:, arm] * poses.prior_std[arm]
+    faults = J[:, arm] @ np.linalg.cholesky(poses.faults.covariance())
     rest = faults - basis @ (basis.T @ faults)
     rms = float(np.sqrt((rest**2).sum() / len(q)))
     return error_m / max(rms, 1e-12)

@@ -17,6 +17,8 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.structure import choose_parameters
 from modcal_core.camera.beside import BesideRows, ReadingsBeside
+from modcal_core.camera.faults import ArmFaults, arm_faults
+from modcal_core.camera.further import FurtherCamera
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, prior_stds
@@ -36,8 +38,10 @@ class ArmPoses:
     change besides the effects. q: (N, n).
 
     velocity: of the joints [rad/s, m/s], (N, n), zeros where it stood. camera_on_tip: else the target is. moments: what
-    else is known of the arm at the images. beside: readings of other instruments. Values are those of the parameters,
-    behind them those of the effects and of what the other instruments have of their own, P in all.
+    else is known of the arm at the images. beside: readings of other instruments. further: cameras besides this one.
+    faults: expected of those parameters that are the arm's, None where there are none.
+    Values are those of the parameters, behind them those of the effects, of what the other instruments have of their
+    own, and of what further cameras have, P in all.
     """
 
     model: Model
@@ -47,6 +51,8 @@ class ArmPoses:
     camera_on_tip: bool
     moments: ImageMoments = NOTHING_KNOWN
     beside: ReadingsBeside | None = None
+    further: tuple[FurtherCamera, ...] = ()
+    faults: ArmFaults | None = None
 
     def select(self, rows: np.ndarray) -> ArmPoses:
         """The same arm at some of the images."""
@@ -64,12 +70,17 @@ class ArmPoses:
     def names(self) -> tuple[str, ...]:
         """Names of the P values."""
         effects = [f"{e.label}/{i}" for e in self.model.effects for i in range(len(e.values))]
-        return (*(p.name for p in self.parameters), *effects, *(self.beside.names if self.beside else ()))
+        others = self.beside.names if self.beside else ()
+        return (*(p.name for p in self.parameters), *effects, *others, *(n for c in self.further for n in c.names))
 
     @property
     def count(self) -> int:
         """P."""
-        return self.of_model + (len(self.beside.own) if self.beside else 0)
+        return self.of_model + self._of_beside + sum(len(c.own) for c in self.further)
+
+    @property
+    def _of_beside(self) -> int:
+        return len(self.beside.own) if self.beside else 0
 
     @property
     def of_model(self) -> int:
@@ -79,8 +90,9 @@ class ArmPoses:
     @property
     def start(self) -> Array:
         """The values to begin with, (P,): no deviation, effects as they are in the model."""
-        own = np.zeros(self.count - self.of_model)
-        return np.concatenate([np.zeros(len(self.parameters)), *(e.values for e in self.model.effects), own])
+        effects = [e.values for e in self.model.effects]
+        further = [c.start for c in self.further]
+        return np.concatenate([np.zeros(len(self.parameters)), *effects, np.zeros(self._of_beside), *further])
 
     @property
     def expected(self) -> Array:
@@ -89,15 +101,16 @@ class ArmPoses:
         for effect in self.model.effects:
             linear = len(effect.amplitudes)
             out.append(np.r_[np.zeros(linear), effect.values[linear:]])
-        return np.concatenate([*out, np.zeros(self.count - self.of_model)])
+        return np.concatenate([*out, np.zeros(self._of_beside), *(c.expected for c in self.further)])
 
     @property
     def prior_std(self) -> Array:
-        """How far from there, (P,) [m, rad]: of base and tool nothing is known."""
+        """How far from there, (P,) [m, rad]: of base and tool nothing is known; of the arm, ``faults`` says more."""
         own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
         effects = [prior_stds(e, self.drivers()) for e in self.model.effects]
         others = self.beside.prior_std if self.beside else np.empty(0)
-        return np.concatenate([np.array(own, dtype=float), *effects, others])
+        further = [np.diag(c.information) ** -0.5 for c in self.further]  # what goes together is in fit.equations_at
+        return np.concatenate([np.array(own, dtype=float), *effects, others, *further])
 
     @property
     def of_arm(self) -> np.ndarray:
@@ -121,7 +134,7 @@ class ArmPoses:
         if self.beside is None:
             return None
         arm = np.flatnonzero([p.of_arm for p in self.parameters])
-        columns = np.r_[arm, np.arange(len(self.parameters), self.count)]
+        columns = np.r_[arm, np.arange(len(self.parameters), self.of_model + self._of_beside)]
         among = [self.parameters[i] for i in arm]
         return self.beside.rows(among, values[columns], self.model.effects, columns, count)
 
@@ -195,4 +208,7 @@ def arm_poses(
     placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
     arm = () if hand_eye_only else choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
     parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
-    return ArmPoses(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip, moments)
+    faults = arm_faults(model, [p for p in parameters if p.of_arm], views, fixed) if arm else None
+    return ArmPoses(
+        *(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip, moments), faults=faults
+    )

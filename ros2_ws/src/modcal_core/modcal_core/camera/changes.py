@@ -86,6 +86,7 @@ def _with_move(eq: Equations, added: Array) -> Equations:
         information=information,
         free=np.insert(eq.free, [K] * 6, True),
         beside=others,
+        others=tuple(replace(o, columns=np.where(o.columns >= K, o.columns + 6, o.columns)) for o in eq.others),
     )
 
 

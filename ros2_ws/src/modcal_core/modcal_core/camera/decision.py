@@ -32,11 +32,13 @@ def decide(
     problems: tuple[str, ...],
     stated_m: float | None = None,
     doubtful: tuple[str, ...] = (),
+    size: str = "",
 ) -> Decision:
     """The decision over the postures that were asked for.
 
     metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
-    RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences.
+    RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences. size: what to
+    do about the sheet's size, where it is what keeps the arm from being clearly better; nothing where it is not.
     """
     worse = error.chance_worse
     middle, _, high = error.interval
@@ -52,6 +54,8 @@ def decide(
         f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
     )
     if worse > _WORSE or high >= least:
+        if size:
+            return Decision(CANNOT_TELL, (f"{compared}. {size}", *doubtful), worse)
         stated = "" if stated_m is None else f", and {1e3 * stated_m:.2f} mm is stated of it"
         return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *doubtful), worse)
     return Decision(APPLY, (f"{compared}.", *doubtful), worse)

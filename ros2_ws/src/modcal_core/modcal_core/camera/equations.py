@@ -20,6 +20,7 @@ import scipy.linalg
 
 from modcal_core.camera.beside import BesideRows
 from modcal_core.camera.corners import POSE
+from modcal_core.camera.faults import ArmFaults
 from modcal_core.geometry.so3 import Array
 
 
@@ -27,7 +28,7 @@ from modcal_core.geometry.so3 import Array
 class Sizes:
     """noise: of corners, in units of what detection states. joint: what joints repeat to [rad, m]. shift: of the tool
     besides [m]. arm: faults of the arm, in units of its prior. other: what readings of other instruments scatter beyond
-    what they state [m].
+    what they state [m]. lengths: faults of its lengths against those of its angles, in units of what is usual.
     """
 
     noise: float
@@ -35,24 +36,48 @@ class Sizes:
     shift: float
     arm: float
     other: float = 1e-4
+    lengths: float = 1.0
 
     @property
     def logs(self) -> Array:
-        """Their logarithms, (5,)."""
+        """Their logarithms, (6,)."""
         return np.log(np.array(astuple(self)))
 
     @classmethod
     def of_logs(cls, logs: Array) -> Sizes:
-        """The sizes with these logarithms (5,)."""
+        """The sizes with these logarithms (6,)."""
         return cls(*(float(x) for x in np.exp(logs)))
+
+
+@dataclass(frozen=True)
+class OtherBlock:
+    """Images of a further camera. equations: theirs, in an order of their own, whose priors do not count. columns: where
+    each of their parameters stands among those of all, −1 for one that is not fitted.
+    """
+
+    equations: Equations
+    columns: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """H, b: of images alone, their own twists integrated out, without a prior. cost, spread, S, E: as elsewhere."""
+
+    H: Array
+    b: Array
+    cost: float
+    spread: float
+    S: Array
+    E: Array
 
 
 @dataclass(frozen=True)
 class Equations:
     """At one state: grams (N, 22, 22) at noise 1; moved (N, 6, K): twists by the K parameters of arm and clock; joints
     (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. arm: which of the K are faults of the arm.
-    offset (K + 15,): the state less the prior's mean. information: of the prior with arm faults of size 1, (K + 15,
-    K + 15). free: (K + 15,) bool. corners: number of corners in use. beside: rows of other instruments.
+    offset (K + 15,): the state less the prior's mean. information: of the prior but for the arm's faults, (K + 15,
+    K + 15). free: (K + 15,) bool. corners: number of corners in use. beside: rows of other instruments. others: images
+    of further cameras. faults: of those of the K that are the arm's.
     """
 
     grams: Array
@@ -65,6 +90,8 @@ class Equations:
     free: np.ndarray
     corners: int
     beside: BesideRows | None = None
+    others: tuple[OtherBlock, ...] = ()
+    faults: ArmFaults | None = None
 
     def covariance_of_views(self, sizes: Sizes) -> Array:
         """Q of each image's own twist, (N, 6, 6)."""
@@ -73,12 +100,14 @@ class Equations:
 
     def prior(self, sizes: Sizes) -> Array:
         """Information of the prior, (K + 15, K + 15)."""
-        scale = np.ones(len(self.information))
-        scale[: len(self.arm)][self.arm] = 1.0 / sizes.arm
-        return self.information * np.outer(scale, scale)
+        out = self.information.copy()
+        if self.faults is not None:
+            arm = np.flatnonzero(self.arm)
+            out[np.ix_(arm, arm)] = self.faults.information(sizes.arm, sizes.lengths)
+        return out
 
-    def solve(self, sizes: Sizes) -> SolvedEquations:
-        """The normal equations with these sizes."""
+    def _reduced(self, sizes: Sizes) -> _Reduced:
+        """What the images say with these sizes."""
         K = self.moved.shape[2]
         G = self.grams / sizes.noise**2
         Q = self.covariance_of_views(sizes)
@@ -97,21 +126,45 @@ class Equations:
         H[K:, K:] = E[:, POSE:-1, POSE:-1].sum(0)
         b[:K] = A.T @ E[:, :POSE, -1].reshape(-1)
         b[K:] = E[:, POSE:-1, -1].sum(0)
-        extra = spread_beside = 0.0
+        spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(np.linalg.slogdet(inner)[1].sum())
+        return _Reduced(H, b, float(E[:, -1, -1].sum()), spread, S, E)
+
+    def of_others(self, sizes: Sizes) -> tuple[Array, Array, float, float]:
+        """(H (K + 15, K + 15), b (K + 15,), cost, spread) of further cameras and other instruments."""
+        size = len(self.offset)
+        K = self.moved.shape[2]
+        H, b, cost, spread = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
+        for block in self.others:
+            there = block.equations._reduced(sizes)
+            keep = np.flatnonzero(block.columns >= 0)
+            at = block.columns[keep]
+            H[np.ix_(at, at)] += there.H[np.ix_(keep, keep)]
+            b[at] += there.b[keep]
+            cost, spread = cost + there.cost, spread + there.spread
         if self.beside is not None:
             variance = self.beside.variance(sizes.other)
             weighted = self.beside.J / variance[:, None]
             H[:K, :K] += self.beside.J.T @ weighted
             b[:K] += weighted.T @ self.beside.residual
-            extra = float((self.beside.residual**2 / variance).sum())
-            spread_beside = float(self.beside.share @ np.log(variance))
+            cost += float((self.beside.residual**2 / variance).sum())
+            spread += float(self.beside.share @ np.log(variance))
+        return H, b, cost, spread
+
+    def solve(self, sizes: Sizes) -> SolvedEquations:
+        """The normal equations with these sizes."""
+        own = self._reduced(sizes)
+        H, b, cost, spread = own.H, own.b, own.cost, own.spread
+        if self.others or self.beside is not None:
+            more = self.of_others(sizes)
+            H, b, cost, spread = H + more[0], b + more[1], cost + more[2], spread + more[3]
         prior = self.prior(sizes)
         use = np.flatnonzero(self.free)
         P = prior[np.ix_(use, use)]
         pull = prior[use] @ self.offset
-        cost = float(E[:, -1, -1].sum() + self.offset @ prior @ self.offset) + extra
-        spread = spread_beside + 2.0 * self.corners * np.log(sizes.noise**2) + float(np.linalg.slogdet(inner)[1].sum())
-        return SolvedEquations(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, spread, S, E)
+        cost += float(self.offset @ prior @ self.offset)
+        return SolvedEquations(
+            *(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, spread, own.S, own.E)
+        )
 
 
 @dataclass(frozen=True)

@@ -89,9 +89,8 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     place = np.searchsorted(solved.use, K)
     which = solved.use[place:] - K
     held[place:, place:] += common[np.ix_(which, which)]
-    if eq.beside is not None:  # what other instruments say stands beside the prior too
-        others = eq.beside.J / np.sqrt(eq.beside.variance(fit.sizes.other))[:, None]
-        held[:place, :place] += (others.T @ others)[np.ix_(solved.use[:place], solved.use[:place])]
+    if eq.beside is not None or eq.others:  # what others say stands beside the prior too
+        held += eq.of_others(fit.sizes)[0][np.ix_(solved.use, solved.use)]
     rows = J.transpose(1, 0, 2).reshape(POSE * N, -1)
     Q = _orthonormal(rows, held).reshape(POSE, N, -1)
     residual = np.asarray(beside[:, :, -1].T)

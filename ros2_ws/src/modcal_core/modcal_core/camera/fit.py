@@ -8,7 +8,8 @@ import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import COMMON, READOUT, CornerTable, corner_rows, grams, residuals
-from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
+from modcal_core.camera.equations import Equations, OtherBlock, Sizes, SolvedEquations
+from modcal_core.camera.further import FurtherCamera, places_of
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.priors import CLOCK_S, CommonPrior
@@ -150,6 +151,10 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
     information = np.zeros((P + 1 + COMMON, P + 1 + COMMON))
     information[:P, :P] = np.diag(poses.prior_std**-2)
+    places = places_of(poses.further, P)
+    for camera, first in zip(poses.further, places, strict=True):
+        own = slice(first, first + len(camera.own))
+        information[own, own] = camera.information
     information[P, P] = CLOCK_S**-2
     information[P + 1 :, P + 1 :] = prior.information
     common_free = prior.free.copy()
@@ -165,7 +170,16 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
         np.r_[np.ones(P, bool), clocked, common_free],
         int((table.weight > 0.0).sum()),
         poses.rows_beside(state.values, P + 1),
+        tuple(_block(camera, poses, state, first) for camera, first in zip(poses.further, places, strict=True)),
+        poses.faults,
     )
+
+
+def _block(camera: FurtherCamera, poses: ArmPoses, state: CameraState, first: int) -> OtherBlock:
+    """The images of a further camera, whose own values begin at ``first``."""
+    there = camera.state(poses, state, state.values[first : first + len(camera.own)])
+    own = camera.poses.with_effects(poses.model.effects)
+    return OtherBlock(equations_at(camera.table, own, camera.prior, there), camera.columns(poses, first))
 
 
 def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
@@ -178,6 +192,14 @@ def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Ar
     return residuals(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
 
 
+def _possible(poses: ArmPoses, state: CameraState) -> bool:
+    """Whether all lenses have a focal length."""
+    every = [state]
+    for camera, first in zip(poses.further, places_of(poses.further, len(state.values)), strict=True):
+        every.append(camera.state(poses, state, state.values[first : first + len(camera.own)]))
+    return all(bool((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all()) for s in every)
+
+
 def _descend(
     table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState, sizes: Sizes
 ) -> tuple[CameraState, Equations, bool]:
@@ -188,7 +210,7 @@ def _descend(
     for _ in range(_STEPS):
         new_state = state.moved(solved.step(damping))
         new: SolvedEquations | None = None
-        if (new_state.lens.values[:2] > 0.0).all() and np.isfinite(new_state.common).all():
+        if _possible(poses, new_state):
             there = equations_at(table, poses, prior, new_state)
             new = there.solve(sizes)
         if new is not None and new.cost <= solved.cost + _MET:

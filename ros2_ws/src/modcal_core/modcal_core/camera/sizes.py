@@ -16,10 +16,12 @@ START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
 # size that the data say nothing of where arms and cameras have it.
 _USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
-_FACTOR = np.log(np.full(5, 10.0))
-_LEAST, _MOST = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7]), np.log([50.0, 0.03, 0.03, 5.0, 0.03])
-_ARM, _OTHER = 3, 4
-_EVALUATIONS = 300
+# Lengths and angles of an arm are as faulty as each other, in units of 10 mm and 20 mrad, to a factor of two: from
+# industrial arms (0.3 mm, 0.5 mrad) to printed ones (1 mm, 5 mrad).
+_FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0])
+_LEAST, _MOST = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1]), np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0])
+_ARM, _OTHER, _LENGTHS = 3, 4, 5
+_EVALUATIONS = 400
 _MET = 0.02  # of −2 log likelihood, which moves by 1 at a standard deviation
 
 
@@ -42,7 +44,7 @@ def likeliest(
     begin = start if arm is None else replace(start, arm=arm)
     unknown = [0, 1, 2]
     if arm is None and equations.arm.any():
-        unknown.append(_ARM)
+        unknown += [_ARM, _LENGTHS]
     if equations.beside is not None:
         unknown.append(_OTHER)
 

@@ -19,9 +19,9 @@ from modcal_core.camera.beside import LEAST, ReadingsBeside
 from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
-from modcal_core.camera.contradicted import contradictions, doubts, in_doubt, is_stated
+from modcal_core.camera.contradicted import SIZE, Doubt, contradictions, doubts, in_doubt, is_stated
 from modcal_core.camera.corners import READOUT, SHAPE, CornerTable
-from modcal_core.camera.decision import Decision, decide
+from modcal_core.camera.decision import APPLY, Decision, decide
 from modcal_core.camera.findings import CameraFinding, findings
 from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
@@ -32,9 +32,15 @@ from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FREE, CommonPrior, common_prior
 from modcal_core.camera.target import PrintedTarget
-from modcal_core.camera.tool_error import ToolError, postures_anywhere, postures_in_view, tool_error
+from modcal_core.camera.tool_error import (
+    ToolError,
+    parameter_draws,
+    postures_anywhere,
+    postures_in_view,
+    tool_error,
+)
 from modcal_core.camera.views import BoardView
-from modcal_core.camera.weakness import rests_on, shares, weak_directions
+from modcal_core.camera.weakness import RestsOn, rests_on, shares, weak_directions
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -48,6 +54,7 @@ _APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no 
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
 _CLEANED = 3  # times that other instruments' readings are looked through for those far off
 _UNSTEADY = 2e-3  # rad (or m) a joint that an image differs from the fit: ten times what gears and springs do
+_MOSTLY = 0.5  # of the mean square error at the tool
 _SCALE_SIGMAS = 4.0  # by how many standard deviations the sheet's size may differ from what is stated of it
 
 
@@ -59,7 +66,8 @@ class CameraSolution:
     joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: see weakness.
     held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. findings: what target and
     camera are not as stated. causes: effects beyond geometry.
-    left: what is significant and could not be turned into one.
+    left: what is significant and could not be turned into one. notes: what was done to the images, in sentences.
+    rests_on: what the sheet's stated size is worth, where the images do not show it.
     """
 
     fit: CameraFit
@@ -81,6 +89,8 @@ class CameraSolution:
     findings: tuple[CameraFinding, ...] = ()
     causes: tuple[CameraCause, ...] = ()
     left: EffectChoice | None = None
+    notes: tuple[str, ...] = ()
+    rests_on: RestsOn | None = None
 
     @property
     def model(self) -> Model:
@@ -166,7 +176,7 @@ def solve_camera(
         table, arm = table.select(~strange), arm.select(~strange)
         fit = fit_camera(table, arm, lens_fit.lens, prior, fit.sizes, arm=size_of_arm)
     fit, arm = _without_far(fit, arm, lens_fit.lens, prior, size_of_arm)
-    still = replace(arm, parameters=arm_poses(*start, hand_eye_only=True).parameters)
+    still = replace(arm, parameters=arm_poses(*start, hand_eye_only=True).parameters, further=(), faults=None)
     nominal = fit_camera(table, still, lens_fit.lens, prior)
 
     geometric = fit
@@ -181,15 +191,20 @@ def solve_camera(
     near, _ = postures_in_view(fit, rng)
     used_lens = lens or lens_fit.lens
     doubted = doubts(fit, used_lens, is_stated(lens, stated), size_of_arm)
-    in_view = tool_error(fit, nominal, near, rng, doubted)
-    anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), rng, doubted, both_ends=True)
+    draws = parameter_draws(fit, rng, doubted)
+    in_view = tool_error(fit, nominal, near, draws)
+    anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), draws, both_ends=True)
     corners_out = 1.0 - float(table.weight.mean())
     metric = _metric(target, arm_m, beside)
     other_length = arm_m is not None or (beside is not None and beside.metric)
     wrong = contradictions(fit, doubted, used_lens, target.scale, size_of_arm)
     problems = _problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
-    doubtful = in_doubt(fit, doubted, target.scale) or rests_on(fit, doubted, near)
-    decision = decide(in_view, bool(metric), problems, arm_m, doubtful)
+    shared = shares(fit, near)
+    rests = rests_on(fit, doubted, near, in_view)
+    doubtful = in_doubt(fit, doubted, target.scale)
+    doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0]),)
+    size_open = _size_open(target, doubted, in_view, shared, arm_m)
+    decision = decide(in_view, bool(metric), problems, arm_m, doubtful, size_open)
     return CameraSolution(
         *(
             fit,
@@ -206,13 +221,39 @@ def solve_camera(
             moved,
         ),
         weak_directions(fit, mounting),
-        shares(fit, near),
+        shared,
         _held_out(fit, nominal, size_of_arm),
         metric,
         findings(fit, target.scale, other_length, near, size_of_arm),
         causes,
         left,
+        rests_on=rests,
     )
+
+
+def _size_open(
+    target: PrintedTarget,
+    doubted: Sequence[Doubt],
+    error: ToolError,
+    shared: dict[str, tuple[float, float]],
+    arm_m: float | None,
+) -> str:
+    """What to do about the sheet's size where it is what keeps the arm from being clearly better, else nothing."""
+    if target.scale.measured:
+        likeliest_doubt = max(doubted, key=lambda d: d.chance).what == SIZE
+        if likeliest_doubt and decide(error.as_stated, True, (), arm_m).word == APPLY:
+            return (
+                "If the sheet has the size that is stated, it is clearly better; these images leave that open: measure "
+                "the sheet again, or add a length of another kind, such as a few tracker points."
+            )
+        return ""
+    whole, known = shared.get("print scale", (0.0, 0.0))
+    if known < _MOSTLY * whole:
+        return (
+            f"Most of that is the sheet's size, which nobody has measured: measure its rulers (modcal target "
+            f"--measured); with it, {1e3 * known**0.5:.2f} mm are left."
+        )
+    return ""
 
 
 def _nearest(fit: CameraFit) -> Model:

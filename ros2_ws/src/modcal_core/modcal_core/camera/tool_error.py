@@ -4,8 +4,10 @@ What counts is where the model has a point of the tool in the frame of the other
 where the camera is carried, in the camera's where the target is. Errors over M postures are drawn from the fit's
 covariance; each draw has one RMS, and the interval is that of the draws. Of the nominal arm, camera and target placed
 by the same images, the same draws say what it is off by, so that the two can be compared draw by draw. What each image
-has of its own, joints that do not repeat and whatever no parameter describes, is part of both. A statement in doubt has
-draws of its own, which count by its chance; one that is not has none, and the interval holds if it is right.
+has of its own, joints that do not repeat and whatever no parameter describes, is part of both.
+
+Every statement that may be wrong has draws of its own, which count by its chance: in the interval where it is in doubt,
+else the interval holds if it is right; in the chance of an arm made worse always, for that may be one in two hundred.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 
 @dataclass(frozen=True)
 class ToolError:
-    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each, sum 1, (D,).
+    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each in the intervals,
+    sum 1, (D,). whole: the same with every statement that may be wrong. of: which statement is wrong in each, an index
+    into ``wrong``, −1 for none, (D,). wrong: what these are.
 
     both_ends: whether the intervals leave out the same on either side.
     """
@@ -44,6 +48,9 @@ class ToolError:
     calibrated: Array
     nominal: Array
     weight: Array
+    whole: Array
+    of: np.ndarray
+    wrong: tuple[str, ...]
     both_ends: bool = False
 
     @property
@@ -61,11 +68,35 @@ class ToolError:
 
     @property
     def chance_worse(self) -> float:
-        """Chance that the calibrated arm is no better than the nominal one."""
-        return float(self.weight @ (self.calibrated >= self.nominal))
+        """Chance that the calibrated arm is no better than the nominal one, every statement wrong by its chance."""
+        return float(self.whole @ (self.calibrated >= self.nominal))
+
+    @property
+    def chance_worse_as_stated(self) -> float:
+        """The same if all that was stated is right."""
+        right = self.of < 0
+        return float((self.calibrated >= self.nominal)[right].mean())
+
+    def if_wrong(self, what: str) -> tuple[float, float, float]:
+        """(median, lower, upper end of the 95 % interval) of the calibrated arm's error if this statement is wrong [m].
+
+        It is NaN where nothing was stated of it.
+        """
+        if what not in self.wrong:
+            return float("nan"), float("nan"), float("nan")
+        rows = self.of == self.wrong.index(what)
+        return _interval(self.calibrated[rows], np.full(int(rows.sum()), 1.0 / rows.sum()), shortest=False)
+
+    @property
+    def as_stated(self) -> ToolError:
+        """What it is if all that was stated is right."""
+        right = self.of < 0
+        even = np.full(int(right.sum()), 1.0 / right.sum())
+        return ToolError(self.calibrated[right], self.nominal[right], even, even, self.of[right], (), self.both_ends)
 
 
 def _interval(values: Array, weight: Array, shortest: bool) -> tuple[float, float, float]:
+    values, weight = values[weight > 0.0], weight[weight > 0.0]
     order = np.argsort(values)
     ordered = values[order]
     below = (np.cumsum(weight[order]) - 0.5 * weight[order]) / weight.sum()
@@ -76,40 +107,68 @@ def _interval(values: Array, weight: Array, shortest: bool) -> tuple[float, floa
     return float(np.interp(0.5, below, ordered)), float(low[best]), float(high[best])
 
 
+@dataclass(frozen=True)
+class ParameterDraws:
+    """D draws of what the arm's parameters are off by. values: (D, P). weight, whole, of, wrong: as of a ToolError.
+    in_doubt: whether some statement is.
+    """
+
+    values: Array
+    weight: Array
+    whole: Array
+    of: np.ndarray
+    wrong: tuple[str, ...]
+    in_doubt: bool
+
+
+def parameter_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[Doubt] = ()) -> ParameterDraws:
+    """Draws by a fit, and by each of the statements being wrong."""
+    P = fit.poses.count
+    parts = [_draws(fit, fit.equations, fit.sizes, P, rng)]
+    parts += [_draws(fit, d.equations, d.sizes, P, rng) for d in doubted]
+    chance = np.array([1.0 - sum(d.chance for d in doubted), *(d.chance for d in doubted)])
+    shown = np.where(np.r_[True, [d.chance > IN_DOUBT for d in doubted]], chance, 0.0)
+    counts = [len(part) for part in parts]
+
+    def spread(chances: Array) -> Array:
+        return np.repeat(chances / chances.sum() / counts, counts)
+
+    return ParameterDraws(
+        np.concatenate(parts),
+        spread(shown),
+        spread(chance),
+        np.repeat(np.arange(len(parts)) - 1, counts),
+        tuple(d.what for d in doubted),
+        bool((shown[1:] > 0.0).any()),
+    )
+
+
 def tool_error(
-    fit: CameraFit,
-    nominal: CameraFit,
-    q: Array,
-    rng: np.random.Generator,
-    doubted: Sequence[Doubt] = (),
-    both_ends: bool = False,
+    fit: CameraFit, nominal: CameraFit, q: Array, draws: ParameterDraws, both_ends: bool = False
 ) -> ToolError:
     """The errors over postures q (M, n).
 
-    nominal: of the same images, the arm held nominal. doubted: statements that may be wrong; where one is in doubt, the
-    intervals leave out the same on either side, for the shortest might leave out that very doubt. both_ends: they do so
-    in any case, which suits postures that no image is near.
+    nominal: of the same images, the arm held nominal. draws: of the fit; where a statement is in doubt, the intervals
+    leave out the same on either side, for the shortest might leave out that very doubt. both_ends: they do so in any
+    case, which suits postures that no image is near.
     """
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
     point = flange_in_tool(fit)
     J = at_flange(T, point, motions)
-    P = J.shape[2]
-    doubted = [d for d in doubted if d.chance > IN_DOUBT]
-    parts = [(1.0 - sum(d.chance for d in doubted), _draws(fit, fit.equations, fit.sizes, P, rng))]
-    parts += [(d.chance, _draws(fit, d.equations, d.sizes, P, rng)) for d in doubted]
-    draws = np.concatenate([drawn for _, drawn in parts])
-    weight = np.concatenate([np.full(len(drawn), chance / len(drawn)) for chance, drawn in parts])
-    error = np.einsum("mip,dp->dmi", J, draws)
+    # the mean square over postures is a form of second order in the parameters, however many postures there are
     drawn, _ = nominal.poses.at_postures(q).tool_motions(nominal.state.values)
-    apart = (se3.apply(drawn, point) - se3.apply(T, point))[None] - error
+    apart = (se3.apply(drawn, point) - se3.apply(T, point)).reshape(-1)
+    rows = J.reshape(len(apart), -1)
+    gram, cross, square = rows.T @ rows, rows.T @ apart, float(apart @ apart)
     throw = at_flange(T, point, at.joint_motions(fit.state.values, T))
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
-
-    def rms(e: Array) -> Array:
-        return np.asarray(np.sqrt((e**2).sum(axis=2).mean(axis=1) + scatter))
-
-    return ToolError(rms(error), rms(apart), weight / weight.sum(), both_ends or bool(doubted))
+    own = ((draws.values @ gram) * draws.values).sum(axis=1)
+    calibrated = np.sqrt(np.maximum(own, 0.0) / len(q) + scatter)
+    against = np.sqrt(np.maximum(own - 2.0 * draws.values @ cross + square, 0.0) / len(q) + scatter)
+    return ToolError(
+        calibrated, against, draws.weight, draws.whole, draws.of, draws.wrong, both_ends or draws.in_doubt
+    )
 
 
 def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:
@@ -120,7 +179,11 @@ def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.ra
     """
     sizes = [best]
     if fit.poses.of_arm.any() and not fit.arm_stated:
-        sizes = [replace(best, arm=float(best.arm * factor)) for factor in np.exp(np.linspace(-2.5, 2.5, 11))]
+        sizes = [
+            replace(best, arm=float(best.arm * arm), lengths=float(best.lengths * lengths))
+            for arm in np.exp(np.linspace(-2.5, 2.5, 11))
+            for lengths in np.exp(np.linspace(-0.8, 0.8, 3))
+        ]
     solved = [equations.solve(size) for size in sizes]
     misfit = np.array([s.misfit() + usual(size) for s, size in zip(solved, sizes, strict=True)])
     share = np.exp(-0.5 * (misfit - misfit.min()))

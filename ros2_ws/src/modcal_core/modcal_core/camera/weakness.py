@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from modcal_core.camera.corners import READOUT, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.mounting import Mounting
+from modcal_core.camera.tool_error import ToolError
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
@@ -63,13 +65,34 @@ def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
     return tuple(out)
 
 
-def rests_on(fit: CameraFit, doubted: Sequence[Doubt], q: Array) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class RestsOn:
+    """What the sheet's stated size is worth. images_std: to what the images by themselves show it, relative. per_unit_m:
+    RMS by which the tool is off per unit that it is wrong. if_wrong_m: upper end of the 95 % interval of the calibrated
+    arm's error, were it wrong by what the images allow.
+    """
+
+    images_std: float
+    per_unit_m: float
+    if_wrong_m: float
+
+    def sentence(self, nominal_m: float) -> str:
+        """For a person. nominal_m: error of the nominal arm."""
+        return (
+            f"All of this rests on the sheet's stated size, which these images by themselves show to "
+            f"{100.0 * self.images_std:.1f} % only: each per cent that it is off puts the tool {10.0 * self.per_unit_m:.1f} "
+            f"mm off. Were it wrong, the calibrated arm could be up to {1e3 * self.if_wrong_m:.0f} mm off (95 %), the "
+            f"nominal arm is {1e3 * nominal_m:.0f} mm: measure a square once more."
+        )
+
+
+def rests_on(fit: CameraFit, doubted: Sequence[Doubt], q: Array, error: ToolError) -> RestsOn | None:
     """The sheet's stated size, where the images by themselves hardly show it, and what it is worth at the tool over
-    postures q (M, n), as a sentence.
+    postures q (M, n); None where they show it as well. error: over these postures.
     """
     doubt = next((d for d in doubted if d.what == SIZE), None)
     if doubt is None:
-        return ()
+        return None
     P = fit.poses.count
     x = P + 1 + LENS
     C = doubt.equations.solve(doubt.sizes).covariance()
@@ -77,14 +100,10 @@ def rests_on(fit: CameraFit, doubted: Sequence[Doubt], q: Array) -> tuple[str, .
     free = float(np.sqrt(both @ C[x : x + 2, x : x + 2] @ both))
     held = float(np.sqrt(both @ fit.covariance[x : x + 2, x : x + 2] @ both))
     if free < _RESTS * held:
-        return ()
+        return None
     per_unit = C[:P, x : x + 2] @ both / free**2
     moved = flange_motions(fit, q) @ per_unit
-    worth = 0.01 * float(np.sqrt((moved**2).sum() / len(q)))
-    return (
-        f"All of this rests on the sheet's stated size, which these images by themselves show to {100.0 * free:.1f} % "
-        f"only: each per cent that it is off puts the tool {1e3 * worth:.1f} mm off.",
-    )
+    return RestsOn(free, float(np.sqrt((moved**2).sum() / len(q))), error.if_wrong(SIZE)[2])
 
 
 def tilt_and_distance(seen: Array, centre: Array) -> tuple[Array, Array]:

@@ -144,6 +144,7 @@ def camera_report(
             "because": list(decision.because),
             "chance_worse": decision.chance_worse,
             "metric": list(solution.metric),
+            "rests_on_size": _rests_on(solution),
             "mounting": "tip" if fit.poses.camera_on_tip else "world",
             "rival_mounting": float(solution.mounting.rival),
             "target": solution.target.label,
@@ -186,6 +187,7 @@ def camera_report(
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
     out = [f"{sentence}." for _, sentence in _named(solution)] + [found.sentence for found in solution.findings]
+    out += solution.notes
     if solution.left is not None:
         said = solution.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
@@ -320,6 +322,17 @@ def _moved(solution: CameraSolution) -> dict[str, Any]:
         "before_image": solution.fit.table.names[moved.at],
         "shift_mm": 1e3 * moved.shift_m,
         "turn_deg": float(np.degrees(moved.turn_rad)),
+    }
+
+
+def _rests_on(solution: CameraSolution) -> dict[str, float] | None:
+    rests = solution.rests_on
+    if rests is None:
+        return None
+    return {
+        "images_percent": 100.0 * rests.images_std,
+        "mm_per_percent": 10.0 * rests.per_unit_m,
+        "if_wrong_high95_mm": 1e3 * rests.if_wrong_m,
     }
 
 

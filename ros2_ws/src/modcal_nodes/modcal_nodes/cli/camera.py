@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -221,7 +222,7 @@ def _solved(
         look_for_effects=not options["geometry_only"],
         fisheye=camera["fisheye"],
     )
-    return robot, found, solution
+    return robot, found, replace(solution, notes=found.notes)
 
 
 def _read(
@@ -249,7 +250,8 @@ def _read(
         assert recording is not None
         urdf = None if options["urdf"] is None else camera_urdf(options["urdf"])
         robot = described(recording, None, urdf, options["base"], options["tip"])
-        found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch)
+        size = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"]).size
+        found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch, size)
     if bag is None or recording is None or not (told := [r for r in recording.readings if not r.by_type]):
         return robot, found, None
     watch("reading other instruments")

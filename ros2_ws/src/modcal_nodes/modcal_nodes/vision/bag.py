@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,17 +24,21 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.recording import Listed, Recording
 from modcal_msgs_py.images import (
+    TAGS,
     RawImage,
     chosen_topic,
     info_topic,
     lens_data,
     raw_image,
     read_messages,
+    size_of,
+    stamp_of,
     stamps_of,
 )
-from modcal_nodes.vision.detect import detect
+from modcal_nodes.vision.detect import Detection, detect
 from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import ImageFolder, lens_from_data
+from modcal_nodes.vision.tags import require_tags, tag_view
 
 _MOST = 200  # images that are looked at
 _STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre
@@ -40,6 +46,10 @@ _SETTLED = 0.15  # s after a stop before images of it are used
 _BEFORE = 0.05  # s on either side of an image, over which speeds are taken
 _GAP = 0.2  # s between joint states around an image, beyond which they do not say where the arm was
 _LEAST_STOPS = 4  # below, the arm is taken for one that moves
+TAGS_SAID = (
+    "Corners are those of a detector of AprilTags; the lens was found from them, for its images may have been rectified."
+)
+_Look = Callable[[str], tuple[Detection, tuple[int, int], str]]  # by name: (what was found, size of the image, a note)
 
 
 def read_bag_images(
@@ -49,44 +59,51 @@ def read_bag_images(
     target: PrintedTarget,
     asked: str | None = None,
     progress: Callable[[str, float | None], None] = lambda stage, share: None,
+    size: tuple[int, int] | None = None,
 ) -> ImageFolder:
     """The target in images of a bag, and where the arm's joints were. recording: the same bag's joint states.
 
-    names: of the robot's joints. asked: the topic with the images. Raises ModcalError where nothing can be used.
+    names: of the robot's joints. asked: the topic with the images, or with detections of AprilTags. size: of the images
+    that detections are of, where camera_info does not say [px]. Raises ModcalError where nothing can be used.
     """
-    topic = chosen_topic(recording.listed, asked, recording.source)
+    topic = chosen_topic(recording.listed, asked, recording.source, tags=True)
+    source = f"{recording.source}: {topic.topic}"
+    of_tags = topic.type_name == TAGS
+    if of_tags:
+        require_tags(target)
+        size = size or size_of(bag, recording.listed, topic.topic)
+        if size is None:
+            raise BadRecording(source, "does not say how large the images are", "record camera_info, or give --camera-info")
     log = JointLog.of(recording, names)
     stamps = stamps_of(bag, topic.topic)
     wanted, moving = chosen_stamps(stamps, log)
     if not len(wanted):
         said = f"none of {len(stamps)} images has joint states around it"
-        raise BadRecording(f"{recording.source}: {topic.topic}", said, "record both on one clock")
+        raise BadRecording(source, said, "record both on one clock")
     views: list[BoardView] = []
     sizes: list[tuple[int, int]] = []
     left_out: dict[str, str] = {}
+    notes: dict[str, None] = {}
     keep = set(wanted.tolist())
     done = 0
-    for image in _images(bag, topic):
-        if image.stamp not in keep:
+    looked_at = _tags(bag, topic, target, size or (0, 0)) if of_tags else _boards(bag, topic, target)
+    for stamp, look in looked_at:
+        if stamp not in keep:
             continue
-        keep.discard(image.stamp)
+        keep.discard(stamp)
         done += 1
         progress("finding the target", done / len(wanted))
-        name = f"{image.stamp:.6f}"
-        grey, why = grey_of(image)
-        if grey is None:
-            left_out[name] = why
-            continue
-        found = detect(grey, target, name)
+        name = f"{stamp:.6f}"
+        found, own_size, note = look(name)
         if found.view is None:
             left_out[name] = f"{found.reason}: {found.remedy}"
             continue
-        views.append(replace(found.view, stamp=image.stamp))
-        sizes.append((grey.shape[1], grey.shape[0]))
+        notes |= dict.fromkeys([note] if note else ())
+        views.append(replace(found.view, stamp=stamp))
+        sizes.append(own_size)
     if not views:
         name, why = next(iter(left_out.items()))
         reason, _, remedy = why.partition(": ")
-        source = f"{recording.source}: {topic.topic}"
         raise NotEnoughData(source, f"none of {len(wanted)} images can be used; the one at {name} s {reason}", remedy)
     size = Counter(sizes).most_common(1)[0][0]
     for view, own in zip(views, sizes, strict=True):
@@ -97,8 +114,9 @@ def read_bag_images(
     q, velocity = log.at(at)
     moments = ImageMoments(at, log.approach(at), log.effort(at), recording.signals)
     velocity = velocity if moving else np.zeros_like(q)
-    lens, lens_of = _lens(bag, recording, topic)
-    return ImageFolder(tuple(views), q, velocity, size, left_out, lens, lens_of, moments)
+    # what finds tags mostly looks at images that are rectified already, of which camera_info says something else
+    lens, lens_of = (None, "") if of_tags else _lens(bag, recording, topic)
+    return ImageFolder(tuple(views), q, velocity, size, left_out, lens, lens_of, moments, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -177,11 +195,30 @@ def _evenly(rows: np.ndarray) -> np.ndarray:
     return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
 
 
-def _images(bag: Path, topic: Listed) -> Iterator[RawImage]:
+def _boards(bag: Path, topic: Listed, target: PrintedTarget) -> Iterator[tuple[float, _Look]]:
+    """(stamp, what looks for the target) of each image."""
+
+    def look(image: RawImage, name: str) -> tuple[Detection, tuple[int, int], str]:
+        grey, said = grey_of(image)
+        if grey is None:
+            reason, _, remedy = said.partition(": ")
+            return Detection(None, reason, remedy), (0, 0), ""
+        return detect(grey, target, name), (grey.shape[1], grey.shape[0]), said
+
     for received, message in read_messages(bag, topic.topic):
         image = raw_image(message, received)
         if image is not None:
-            yield image
+            yield image.stamp, partial(look, image)
+
+
+def _tags(bag: Path, topic: Listed, target: PrintedTarget, size: tuple[int, int]) -> Iterator[tuple[float, _Look]]:
+    """(stamp, what takes the target's corners) of each message of detections."""
+
+    def look(message: Any, name: str) -> tuple[Detection, tuple[int, int], str]:
+        return tag_view(message, target, name), size, TAGS_SAID
+
+    for received, message in read_messages(bag, topic.topic):
+        yield stamp_of(message, received), partial(look, message)
 
 
 def _lens(bag: Path, recording: Recording, topic: Listed) -> tuple[Lens | None, str]:

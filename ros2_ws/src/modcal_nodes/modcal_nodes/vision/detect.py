@@ -48,17 +48,23 @@ def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
         return Detection(None, said, "bring more of the target into view")
     if target.kind == CHESSBOARD and (strange := _no_such_board(grey, target, ids, pixels)) is not None:
         return strange
-    miss = _misfit(target, ids, pixels)
-    extent = float(np.ptp(pixels, axis=0).max())
-    if miss > max(_FITS_PX, _FITS_SHARE * extent):
-        said = f"shows corners that lie {miss:.0f} px off a flat {target.label}"
-        remedy = "check the target file, show one board only, and keep it flat"
-        return Detection(None, said, remedy)
+    if (bent := off_flat(target, ids, pixels)) is not None:
+        return bent
     width = edge_width(grey, pixels, half)
     if width > BLURRED_PX:
         return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
     cov = corner_covariance(grey, pixels, half, grey_noise(grey))
     return Detection(BoardView(name, ids, pixels, cov, width))
+
+
+def off_flat(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
+    """Why corners (m,) at pixels (m, 2) are not those of a flat target of this form, None where they may be."""
+    miss = _misfit(target, ids, pixels)
+    extent = float(np.ptp(pixels, axis=0).max())
+    if miss <= max(_FITS_PX, _FITS_SHARE * extent):
+        return None
+    said = f"shows corners that lie {miss:.0f} px off a flat {target.label}"
+    return Detection(None, said, "check the target file, show one board only, and keep it flat")
 
 
 def _found(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int]:
@@ -95,18 +101,26 @@ def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array
         return None  # a number that stands twice is of two boards
     order = good[np.argsort(number[good])]
     quads = np.stack([np.asarray(corners[i], dtype=float).reshape(4, 2) for i in order])
-    numbers = number[order]
-    if target.kind != TAG:
-        # a marker's own upper left corner is a convention of its maker: a grid shows which it is
-        turns = [np.roll(quads, k, axis=1) for k in range(4)]
-        if target.kind == APRIL_GRID:
-            turns = [np.roll(quads[:, ::-1], k, axis=1) for k in range(4)]
-        every = (4 * numbers[:, None] + np.arange(4)).ravel()
-        quads = min(turns, key=lambda q: _misfit(target, every, q.reshape(-1, 2))) if len(quads) > 1 else turns[0]
-    every = (4 * numbers[:, None] + np.arange(4)).ravel()
+    every, pixels = in_order(target, number[order], quads[:, ::-1] if target.kind == APRIL_GRID else quads)
     side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
     half = int(np.clip(0.1 * side, _LEAST_WINDOW, _MOST_WINDOW))
-    return every, quads.reshape(-1, 2), half
+    return every, pixels, half
+
+
+def in_order(
+    target: PrintedTarget, numbers: np.ndarray, quads: Array, either_way: bool = False
+) -> tuple[np.ndarray, Array]:
+    """(ids (4 m,), pixels (4 m, 2)) of the corners of markers with these numbers (m,), as their finder has them
+    (m, 4, 2): counter-clockwise of an AprilGrid, clockwise of others, from whichever corner.
+
+    A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also which way round.
+    """
+    ids = (4 * numbers[:, None] + np.arange(4)).ravel()
+    if target.kind == TAG or len(quads) == 1:
+        return ids, quads.reshape(-1, 2)
+    turns = [np.roll(q, k, axis=1) for q in ((quads, quads[:, ::-1]) if either_way else (quads,)) for k in range(4)]
+    best = min(turns, key=lambda q: _misfit(target, ids, q.reshape(-1, 2)))
+    return ids, best.reshape(-1, 2)
 
 
 def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> tuple[np.ndarray, Array, int]:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from modcal_msgs_py.images import RawImage
-from modcal_nodes.vision.images import is_mosaic
+from modcal_nodes.vision.images import grey_of_file, in_eight_bits, is_mosaic
 
 _COLOURS = {
     "rgb8": cv2.COLOR_RGB2GRAY,
@@ -29,15 +29,16 @@ _YUV = {
     "yuyv": cv2.COLOR_YUV2GRAY_YUY2,
 }
 _GREY = ("mono8", "8UC1")
+_DEEP = ("mono16", "16UC1")  # grey of 16 bits; a depth image is one too, and shows no target
 
 
 def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
-    """(grey image (h, w) of 8 bits, "") or (None, why not and what to do)."""
+    """(grey image (h, w) of 8 bits, what was done to it, or nothing) or (None, why not and what to do)."""
     if image.compressed:
         return _unpacked(image)
     encoding = image.encoding
-    if "16" in encoding or "32" in encoding:
-        return None, f"is of encoding {encoding}, 8 bits a channel are read: publish mono8 or rgb8"
+    if encoding not in _DEEP and ("16" in encoding or "32" in encoding):
+        return None, f"is of encoding {encoding}, of which none but mono16 is read: publish mono8 or rgb8"
     channels = _channels(encoding)
     if not channels:
         return None, f"is of encoding {encoding[:30]}, which is not read: publish mono8 or rgb8"
@@ -45,6 +46,11 @@ def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
         return None, "has fewer bytes than its size says: record it again"
     rows = image.data[: image.step * image.height].reshape(image.height, image.step)
     pixels = np.ascontiguousarray(rows[:, : image.width * channels])
+    if encoding in _DEEP:
+        deep = pixels.view(">u2" if image.bigendian else "<u2")
+        if is_mosaic(deep):
+            return None, "is a raw Bayer mosaic sent as grey: debayer it, or publish its encoding"
+        return in_eight_bits(deep.astype(np.uint16))
     if channels > 1:
         pixels = pixels.reshape(image.height, image.width, channels)
     if encoding in _GREY:
@@ -59,7 +65,7 @@ def _channels(encoding: str) -> int:
     """Bytes a pixel, 0 for an encoding that is not read."""
     if encoding in _GREY or encoding in _BAYER:
         return 1
-    if encoding in _YUV:
+    if encoding in _YUV or encoding in _DEEP:
         return 2
     if encoding in _COLOURS:
         return 4 if "a8" in encoding or encoding == "8UC4" else 3
@@ -75,11 +81,4 @@ def _unpacked(image: RawImage) -> tuple[np.ndarray | None, str]:
         found = None
     if found is None:
         return None, "cannot be unpacked: record it again"
-    if found.dtype != np.uint8:
-        return None, f"has {8 * found.dtype.itemsize} bits a channel: publish 8 bits"
-    if found.ndim == 3:
-        code = cv2.COLOR_BGRA2GRAY if found.shape[2] == 4 else cv2.COLOR_BGR2GRAY
-        return np.asarray(cv2.cvtColor(found, code)) if found.shape[2] >= 3 else found[:, :, 0], ""
-    if is_mosaic(found):
-        return None, "is a raw Bayer mosaic: debayer it first"
-    return found, ""
+    return grey_of_file(found, "publish 8 bits")

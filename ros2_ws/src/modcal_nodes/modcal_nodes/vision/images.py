@@ -21,6 +21,7 @@ from modcal_core.files import read_yaml
 from modcal_core.geometry.so3 import Array
 from modcal_nodes.vision.detect import detect
 
+SCALED = "Images of 16 bits a channel were scaled to 8, each from its own black to its own white."
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 _MOST_BYTES = 1 << 28  # of one image, before it is read
 _MOST_IMAGES = 5000
@@ -29,13 +30,17 @@ _MOSAIC = 0.04  # relative difference between the four phases of a Bayer pattern
 _DEGREES = 4.0 * np.pi  # rad; no joint turns farther, and degrees do
 _NANOSECONDS = 1e14  # stamps beyond it are nanoseconds
 _GAP_S = 0.2  # between joint states around an image, beyond which they do not say where the arm was
+# Of the pixels of an image of more than 8 bits, black and white of which are spread over 8: pixels that are stuck or
+# blinded are fewer, and no target fills less of an image that shows it.
+_DARK, _BRIGHT = 0.1, 99.9
 
 
 @dataclass(frozen=True)
 class ImageFolder:
     """views: of the target, in the order of the images' names. q, velocity: of the joints at each, (N, n). size: of the
     images [px]. left_out: images by reason, each with its remedy. lens, lens_of: what was recorded with them says of
-    the lens, None where nothing does, and where. moments: what effects may depend on.
+    the lens, None where nothing does, and where. moments: what effects may depend on. notes: what was done to images,
+    in sentences.
     """
 
     views: tuple[BoardView, ...]
@@ -46,6 +51,7 @@ class ImageFolder:
     lens: Lens | None = None
     lens_of: str = ""
     moments: ImageMoments = NOTHING_KNOWN
+    notes: tuple[str, ...] = ()
 
 
 def read_images(
@@ -70,6 +76,7 @@ def read_images(
     views: list[BoardView] = []
     at: list[tuple[Array, Array]] = []
     sizes: list[tuple[int, int]] = []
+    notes: dict[str, None] = {}
     for i, file in enumerate(files):
         progress("finding the target", i / len(files))
         if (place := rows.at(file)) is None:
@@ -79,6 +86,7 @@ def read_images(
         if grey is None:
             left_out[file.name] = why
             continue
+        notes |= dict.fromkeys([why] if why else ())
         found = detect(grey, target, file.name)
         if found.view is None:
             left_out[file.name] = f"{found.reason}: {found.remedy}"
@@ -101,6 +109,7 @@ def read_images(
         np.stack([at[i][1] for i in keep]),
         size,
         left_out,
+        notes=tuple(notes),
     )
 
 
@@ -142,7 +151,7 @@ def _order(file: Path) -> tuple[float, str]:
 
 
 def _read_grey(file: Path) -> tuple[np.ndarray | None, str]:
-    """(grey image of 8 bits, "") or (None, why not and what to do)."""
+    """(grey image of 8 bits, what was done to it, or nothing) or (None, why not and what to do)."""
     if file.stat().st_size > _MOST_BYTES:
         return None, f"has more than {_MOST_BYTES >> 20} MiB: give a smaller image"
     try:
@@ -151,18 +160,37 @@ def _read_grey(file: Path) -> tuple[np.ndarray | None, str]:
         image = None
     if image is None:
         return None, "cannot be read as an image: save it again"
-    if image.dtype != np.uint8:
-        return None, f"has {8 * image.dtype.itemsize} bits a channel: convert it to 8 bits"
+    return grey_of_file(image, "convert it to 8 bits")
+
+
+def grey_of_file(image: np.ndarray, remedy: str) -> tuple[np.ndarray | None, str]:
+    """(grey image of 8 bits, what was done to it, or nothing) or (None, why not) of an image as OpenCV unpacks it.
+
+    remedy: for one whose numbers are not read.
+    """
+    if image.dtype not in (np.uint8, np.uint16):
+        return None, f"has {8 * image.dtype.itemsize} bits a channel: {remedy}"
     if image.ndim == 3:
         code = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
-        return np.asarray(cv2.cvtColor(image, code)) if image.shape[2] >= 3 else image[:, :, 0], ""
-    if is_mosaic(image):
+        image = np.asarray(cv2.cvtColor(image, code)) if image.shape[2] >= 3 else image[:, :, 0]
+    elif is_mosaic(image):
         return None, "is a raw Bayer mosaic: convert it to grey or colour (debayer) first"
-    return image, ""
+    return in_eight_bits(image)
+
+
+def in_eight_bits(grey: np.ndarray) -> tuple[np.ndarray, str]:
+    """(grey image (h, w) of 8 bits, what was done to it): one of 16 bits, of which cameras fill 10, 12 or all, is
+    spread from its own black to its own white.
+    """
+    if grey.dtype == np.uint8:
+        return grey, ""
+    dark, bright = np.percentile(grey, [_DARK, _BRIGHT])
+    spread = (grey - dark) * (255.0 / max(float(bright - dark), 1.0))
+    return np.clip(np.rint(spread), 0.0, 255.0).astype(np.uint8), SCALED
 
 
 def is_mosaic(grey: np.ndarray) -> bool:
-    """Whether the four phases of pixels differ, as they do behind a colour filter."""
+    """Whether the four phases of pixels (h, w) differ, as they do behind a colour filter."""
     h, w = (s - s % 2 for s in grey.shape)
     if not h or not w:
         return False
