@@ -159,6 +159,8 @@ def measure_command(
     )  # fmt: skip
     arm = _read(robot, base, tip)
     site = Site() if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
+    if site.carried and folder is None:
+        raise BadTable(str(site_file), "has a camera on the tool", "measure by hand, or with station_runner")
     cell = read_cell(cell_file, fixed)
     with output.working() as watch:
         measurer: Measurer | None = None
@@ -177,7 +179,7 @@ def measure_command(
             pool = of_robot(arm.mechanism, site, reading, rng)
         place = Folder(folder or out or Path(f"{robot.stem}_measured"), arm)
         began = time.time() if measurer is None else None
-        kept = place.begin(StoredSession(Session(arm.names, reading), goal, seed, began))
+        kept = place.begin(StoredSession(Session(arm.names, reading, carried=site.carried), goal, seed, began))
         advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=batch, effects=not geometry_only)
         if measurer is None:
             advice = _by_hand(place, kept, advisor, watch)
