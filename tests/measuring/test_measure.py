@@ -16,6 +16,7 @@ from nodes.processes import ROOT
 from modcal_core.calibration.score import errors
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
+from modcal_core.geometry import se3
 from modcal_core.measuring.advice import Advice, Advisor
 from modcal_core.measuring.choose import fit_stations, return_stations
 from modcal_core.measuring.goal import Goal
@@ -23,7 +24,8 @@ from modcal_core.measuring.outlook import chance_seen, outlook
 from modcal_core.measuring.pool import of_robot
 from modcal_core.measuring.record import from_data, to_data, to_table, with_table
 from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station
-from modcal_core.planning.site import Site
+from modcal_core.planning.site import Site, site_from_data
+from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
@@ -174,6 +176,33 @@ def test_a_place_that_was_not_seen_is_less_likely_to_be_seen_next_to_it() -> Non
     chance = chance_seen(p, z, p[:1], z[:1], np.array([False]))
     assert chance[0] < 0.5 < chance[1] < chance[2]
     assert chance[2] == pytest.approx(0.95, abs=0.01)
+
+
+def test_a_camera_on_the_tool_is_offered_what_shows_its_target_and_read_the_other_way_round() -> None:
+    """Every posture offered has the whole board in view; poses of the board in the camera are those of the camera."""
+    view = {"on_tool": True, "position_m": [0, 0, 0.05], "axis": [0, 0, 1], "half_angle_deg": 25, "range_m": [0.3, 0.9]}
+    board = {"position_m": [0.7, 0.1, 0.0], "axis": [0, 0, 1], "half_angle_deg": 50, "radius_m": 0.1}
+    site = site_from_data({"tracker": view, "target": board}, "s")
+    pool = of_robot(CHAIN, site, "pose", np.random.default_rng(0), 100)
+    T = forward(CHAIN, pool.q)
+    T_camera = T @ se3.transform(p=[0, 0, 0.05])
+    way = np.array([0.7, 0.1, 0.0]) - T_camera[:, :3, 3]
+    away = np.linalg.norm(way, axis=1)
+    ray = way / away[:, None]
+    aside = np.degrees(np.arccos(np.sum(ray * T_camera[:, :3, 2], axis=1)) + np.arcsin(0.1 / away))
+    assert (aside <= 25.0 + 1e-6).all()
+    assert (np.degrees(np.arccos(-ray[:, 2])) <= 50.0 + 1e-6).all()  # tilt
+    assert away.min() >= 0.3
+    assert away.max() <= 0.9
+    seen = se3.inverse(T_camera) @ se3.transform(p=[0.7, 0.1, 0.0])
+    stations = [Station(pool.q[i]).measured(se3.to_pose(seen[i]), stamp=float(i)) for i in range(4)]
+    session = Session(CHAIN.names, "pose", tuple(stations), carried=True)
+    samples = session.samples([0, 1, 2, 3])
+    board_camera = se3.transform(p=[-0.7, -0.1, 0.0]) @ T_camera[:4]
+    assert np.allclose(samples.reading, board_camera[:, :3, 3], atol=1e-9)
+    assert np.allclose(samples.R, board_camera[:, :3, :3], atol=1e-9)
+    kept, *_ = from_data(parse_yaml(to_yaml(to_data(session, Goal(1e-4), 0, "x", None)), "s"), "s")
+    assert kept.carried
 
 
 def test_returns_come_from_another_side(whole: Whole) -> None:

@@ -114,6 +114,46 @@ def test_what_the_tracker_sees(tracker: dict[str, Any], angle: float, seen: bool
     assert visible(spheres_of(one_joint(), here), here, np.array([[angle]]))[0] == seen
 
 
+CAMERA = {"on_tool": True, "position_m": [0.1, 0, 0], "axis": [1, 0, 0], "half_angle_deg": 20, "range_m": [0.5, 1.5]}
+BOARD = {"position_m": [2.0, 0, 0], "axis": [-1, 0, 0], "half_angle_deg": 50, "radius_m": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("camera", "board", "angle", "seen"),
+    [
+        ({}, {}, 0.0, True),
+        ({}, {}, 0.05, True),  # 6.4 degrees aside, beside 12.8 of the board itself
+        ({}, {"radius_m": 0.0}, 0.1, True),
+        ({}, {}, 0.1, False),  # its edge is outside the image
+        ({}, {"position_m": [2.7, 0, 0]}, 0.0, False),  # too far
+        ({}, {"position_m": [1.5, 0, 0]}, 0.0, False),  # too near
+        ({}, {"axis": [0, 1, 0]}, 0.0, False),  # seen from the edge
+        ({}, {"axis": [-0.6, 0.8, 0]}, 0.0, False),  # tilted by 53 degrees
+        ({}, {"axis": [-0.7, 0.7, 0]}, 0.0, True),  # by 45
+        ({}, {"axis": [1, 0, 0]}, 0.0, False),  # its back
+        ({"axis": [0, 0, 1]}, {}, 0.0, False),  # looks up
+    ],
+)
+def test_what_a_camera_on_the_tool_sees_of_a_board(
+    camera: dict[str, Any], board: dict[str, Any], angle: float, seen: bool
+) -> None:
+    here = site(tracker={**CAMERA, **camera}, target={**BOARD, **board}, arm={"link_radius_m": 0.02})
+    assert visible(spheres_of(one_joint(), here), here, np.array([[angle]]))[0] == seen
+
+
+def test_a_board_that_fills_the_view_is_not_seen_from_within_itself() -> None:
+    here = site(tracker={"position_m": [1.1, 0, 0]}, target={"position_m": [0, 0, 0], "radius_m": 0.2})
+    assert not visible(spheres_of(one_joint(), here), here, np.zeros((1, 1)))[0]
+
+
+def test_a_camera_on_the_tool_reads_poses() -> None:
+    here = site(tracker=CAMERA, target=BOARD)
+    with pytest.raises(BadTable, match="does not come from a camera on the tool"):
+        survey(one_joint(), here, np.random.default_rng(0), "point")
+    with pytest.raises(BadTable, match="on_tool"):
+        site(tracker={**CAMERA, "on_tool": "yes"})
+
+
 def test_what_stands_in_between_hides_the_target() -> None:
     chain = one_joint()
     behind = {"tracker": {"position_m": [-3, 0, 0]}, "target": {"position_m": [0.0, 0.0, 0.0]}}

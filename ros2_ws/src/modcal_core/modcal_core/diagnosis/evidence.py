@@ -42,7 +42,7 @@ from modcal_core.effects.registry import complexity
 from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
 
-_LEAST_FREEDOM = 20  # rows beyond what is fitted
+LEAST_FREEDOM = 20  # rows beyond what is fitted
 _AT_ONCE = 256  # candidates; what they explain in all trials then stays near the processor
 _ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
 _LEAST_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
@@ -170,9 +170,9 @@ class Scanner:
         """The least complexity among the candidates of a bank."""
         return self._least[id(bank)]
 
-    def enough(self, fit: Fit) -> bool:
+    def enough(self, fit: Fit, least: int = LEAST_FREEDOM) -> bool:
         """Whether the samples leave rows enough beyond what is fitted to say anything."""
-        return self.space_of(fit).freedom >= _LEAST_FREEDOM
+        return self.space_of(fit).freedom >= least
 
     def amplitudes(self, fit: Fit, effect: Effect) -> Array:
         """The amplitudes with which an effect explains most of this fit's residual, (m,)."""

@@ -20,7 +20,7 @@ from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.chance import FLIPS
 from modcal_core.diagnosis.choice import EffectChoice, choose
-from modcal_core.diagnosis.evidence import Evidence, Scanner
+from modcal_core.diagnosis.evidence import LEAST_FREEDOM, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN, joint_size, needless
@@ -94,15 +94,17 @@ def diagnose(
     progress: Callable[[str], None] = lambda _: None,
     suspects: Callable[[Drivers], Iterable[Effect]] = lambda _: (),
     known: Sequence[Cause] = (),
+    least_freedom: int = LEAST_FREEDOM,
 ) -> Diagnosis:
     """The effects that the fit to *train* lacks, judged on *explain*.
 
     suspects: what to look for besides the candidates. known: causes of the effects that the fit has already; they stay.
+    least_freedom: rows beyond what is fitted, with fewer of which nothing is looked for.
 
     Where the fit rejects more than single wrong readings make up, what it rejects may be the effect that is looked for.
     Then nothing is rejected while searching, if what is found that way leaves less to be rejected.
     """
-    rest = train, explain, rng, distances, progress, suspects, known
+    rest = train, explain, rng, distances, progress, suspects, known, least_freedom
     many = _rejected(fit)
     if many > _MOST_SINGLE and not known:
         whole = identify(fit.start, train, fit.parameters, distances, begin=fit.values, reject=False)
@@ -126,6 +128,7 @@ def _searched(
     progress: Callable[[str], None],
     suspects: Callable[[Drivers], Iterable[Effect]],
     known: Sequence[Cause],
+    least_freedom: int,
     reject: bool = True,
 ) -> Diagnosis:
     """See :func:`diagnose`. reject: leave out what lies far outside while searching."""
@@ -148,7 +151,7 @@ def _searched(
     scans: list[Evidence] = []
     flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
     missed = 0
-    while scanner.enough(search.fit) and len(search.causes) < MOST_EFFECTS and missed <= _MOST_REFUSED:
+    while scanner.enough(search.fit, least_freedom) and len(search.causes) < MOST_EFFECTS and missed <= _MOST_REFUSED:
         evidence = scanner.evidence(search.fit, rng, flips)
         scans = [*scans[:1], evidence]
         if evidence.p_value > SIGNIFICANT:

@@ -36,7 +36,7 @@ from modcal_core.measuring.choose import (
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import Outlook, outlook
 from modcal_core.measuring.pool import Pool
-from modcal_core.measuring.proof import Proof, axes_of, share
+from modcal_core.measuring.proof import MIN_STATIONS, Proof, axes_of, share
 from modcal_core.measuring.refit import Refit, refit
 from modcal_core.measuring.session import DECIDE, PROOF, RETURN, Look, Session, Station
 from modcal_core.robots.mechanism import Mechanism
@@ -45,11 +45,13 @@ from modcal_core.verdict.floor import Floor, floors
 
 Ending = Literal["proven", "budget", "no_station_helps"]
 
-BATCH = 4  # stations between two fits: fewer cost time, more are chosen by an older model
+BATCH = 2  # stations between two fits: fewer cost time, more are chosen by an older model
 _GROWING = 6  # a batch is at least one in so many of the stations so far: a fit hardly changes by fewer
 _AHEAD = 6  # batches that are looked ahead
 _CAUTION = 0.3  # chance that the true noise is larger than what is taken for it
-_SETTLED = 1.04  # error now over the error that all stations of the budget would leave: no more is worth having
+# Error of readings now over that which all stations of the budget would leave: no more is worth having. The tool's own
+# error, without the instrument's, falls by up to twice as much
+_SETTLED = 1.025
 _UNEXPLAINED = 1.5  # mean square left over that of the floor, from which something is to be found still
 _SEARCHED = 4.0  # times the first stations, from which it may be said that a search has stalled
 _BROUGHT = 0.9  # of what the model from half of the stations leaves; more is left where the other half brought little
@@ -247,7 +249,7 @@ class Advisor:
                 session = replace(session, looks=(*session.looks, Look(len(session.fitted), now, axes)))
                 if proof.holds(goal):
                     return self.advise(session)
-            count = int(np.clip(np.ceil(prove), 1, size))
+            count = max(int(np.clip(np.ceil(prove), 1, size)), MIN_STATIONS - len(left))  # it never ends before these
             status = replace(status, needed=int(np.ceil(prove)))
             stations = proof_stations(self.pool, session, count)
             return self._asked(session, stations, "random stations for the proof", status, refitted)
@@ -363,12 +365,14 @@ class Advisor:
         reached = self._said(status.expected)
         if floor is None:
             cause = "what is left does not get smaller with more stations; no posture was visited twice to tell why"
-        elif refitted.spread**2 > _UNEXPLAINED * 1e-6 * floor.square:
+        elif refitted.spread**2 > _UNEXPLAINED * 1e-6 * floor.interval[1]:
             left = f"{1e3 * refitted.spread:.3f} mm is left, {floor.rms:.3f} mm of it does not repeat"
             cause = f"{left}; the rest has no known cause"
         else:
             many = f"{floor.returns} returns" if floor.returns else "what was stated"
-            cause = f"{floor.rms:.3f} mm is what this arm repeats and this instrument reads, by {many}"
+            low, high = np.sqrt(floor.interval)
+            sized = f"{floor.rms:.3f} mm ({low:.3f} to {high:.3f})" if floor.returns else f"{floor.rms:.3f} mm"
+            cause = f"{sized} is what this arm repeats and this instrument reads, by {many}"
         if self.goal.accuracy is None:
             return End("no_station_helps", f"No further station helps: {reached}; {cause}.")
         goal = f"{1e3 * self.goal.accuracy:g} mm"

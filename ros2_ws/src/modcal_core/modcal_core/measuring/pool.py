@@ -60,7 +60,7 @@ def of_robot(chain: Mechanism, site: Site, kind: str, rng: np.random.Generator, 
     mixed = there.q[rng.permutation(len(there.q))]
     drawn = mixed[half:]
     if site.box is not None:
-        at = there.model.predict(drawn)[:, :3, 3] + (0.0 if site.tracker is None else site.tracker.position)
+        at = there.model.predict(drawn)[:, :3, 3] + site.still
         drawn = drawn[((at >= site.box[0]) & (at <= site.box[1])).all(axis=1)]
         if not len(drawn):
             raise NotPlannable("workspace box", "no allowed posture holds the target in it", "correct box_m")

@@ -43,6 +43,7 @@ _SCHEMA = {
         "robot": {"type": "string"},
         "joints": {"type": "array", "items": {"type": "string"}, "minItems": 1},
         "reading": {"enum": [POINT, POSE]},
+        "on_tool": {"type": "boolean"},
         "seed": {"type": "integer", "minimum": 0},
         "began": {"type": ["number", "null"]},
         "goal": {"type": "object"},
@@ -93,6 +94,7 @@ def to_data(session: Session, goal: Goal, seed: int, robot: str, began: float | 
         "robot": robot,
         "joints": list(session.names),
         "reading": session.kind,
+        **({"on_tool": True} if session.carried else {}),
         "seed": seed,
         "began": began,
         "goal": asdict(goal),
@@ -149,7 +151,7 @@ def from_data(data: Any, source: str) -> tuple[Session, Goal, int, str, float | 
             )
         )
     looks = tuple(Look(**look) for look in data["looks"])
-    session = Session(names, data["reading"], tuple(stations), looks)
+    session = Session(names, data["reading"], tuple(stations), looks, data.get("on_tool", False))
     return session, Goal(**data["goal"]), data["seed"], data["robot"], data.get("began")
 
 

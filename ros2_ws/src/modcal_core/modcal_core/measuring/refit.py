@@ -27,7 +27,8 @@ from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.sanity import sane_inertias
 
-_EXPLAIN = (2, 5, 8)  # of ten stations these judge effects and the others fit: nearly as in calibration/split.py
+_EXPLAIN = (3, 8)  # of ten stations these judge effects, the others fit: as in calibration/split.py without its test
+_LEAST_FREEDOM = 10  # rows beyond what is fitted, from which effects are looked for: a wrong one costs stations only
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,7 @@ def refit(
             np.random.default_rng(seed),
             cell.distances,
             known=causes_of_moves(geometric, samples),
+            least_freedom=_LEAST_FREEDOM,
         )
         final = replace(found.fit, model=sharpened(found.fit.model, samples))
         left = None if found.left is None else found.left.effect.label

@@ -62,13 +62,15 @@ class Look:
 @dataclass(frozen=True)
 class Session:
     """names: of the joints, in the order of all postures. stations: in the order in which they were asked for.
-    looks: one for each model that a proof was begun of.
+    looks: one for each model that a proof was begun of. carried: the instrument is on the tool, and reads poses of a
+    target that stands still.
     """
 
     names: tuple[str, ...]
     kind: str = POINT
     stations: tuple[Station, ...] = ()
     looks: tuple[Look, ...] = field(default=())
+    carried: bool = False
 
     @property
     def pending(self) -> tuple[int, ...]:
@@ -95,8 +97,15 @@ class Session:
         return replace(self, stations=tuple(every))
 
     def samples(self, rows: list[int]) -> Samples:
-        """The measured stations with these numbers, as samples, in the order in which they were measured."""
-        return samples_of([self.stations[i] for i in rows], self.names, self.kind, rows, self._approach(rows))
+        """The measured stations with these numbers, as samples, in the order in which they were measured.
+
+        Also of an instrument on the tool they say where the tool is in a frame that stands still.
+        """
+        samples = samples_of([self.stations[i] for i in rows], self.names, self.kind, rows, self._approach(rows))
+        if not self.carried:
+            return samples
+        R = samples.R.transpose(0, 2, 1)
+        return replace(samples, R=R, reading=-np.einsum("nij,nj->ni", R, samples.reading))
 
     def _approach(self, rows: list[int]) -> Array:
         """The way each joint came to these stations: as known, else as it comes from the one measured before."""

@@ -14,13 +14,15 @@ from modcal_core.calibration.structure import choose_parameters, joint_ranges
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POSE
 from modcal_core.planning.accuracy import Accuracy, Workspace
 from modcal_core.planning.closed_chain import one_frame_model
 from modcal_core.planning.designs import sobol_postures
 from modcal_core.planning.rows import StationRows, position_rows, station_rows
 from modcal_core.planning.site import Site
 from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.planning.views import view_postures
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 CANDIDATES = 1500  # random postures that stations are chosen from, for time
 _WORKSPACE = 400  # postures that stand for the workspace
@@ -29,6 +31,7 @@ _OFF_LIMITS = 0.02  # rad or m that is kept from the joints' limits
 _PROBED = 2048  # postures by which it is seen where a joint's turn had better end
 _CUT = 0.15  # rad, about that end
 _DRAWN = 40  # times as many postures are drawn as are wanted, before it is said that hardly any is allowed
+_AIMED = 2  # times as many lines of sight are tried as postures are wanted, where hardly any random posture is seen
 _RANDOM = 20  # random sets that a plan is compared with
 
 
@@ -80,10 +83,11 @@ def survey(
     """
     spheres = spheres_of(with_limits(chain, site), site)
     chain = one_turn(spheres, site, rng)
+    if site.carried and reading != POSE:
+        raise BadTable(f"reading '{reading}'", "does not come from a camera on the tool", f"choose {POSE}")
     T = np.eye(4)
-    if site.tracker is not None:
-        T[:3, 3] = -site.tracker.position  # how the tracker is turned does not matter
-    model = one_frame_model(chain, T, se3.transform(p=site.target.position))
+    T[:3, 3] = -site.still  # how what stands there is turned does not matter
+    model = one_frame_model(chain, T, se3.transform(p=site.moving))
     parameters = choose_parameters(model, (View(reading, 0),), fixed).parameters
     drawn = sobol_postures(chain, min(_DRAWN * candidates, 1 << 16), rng)
     free, seen, tried = [], [], 0
@@ -94,8 +98,11 @@ def survey(
         tried += len(block)
         if sum(map(len, seen)) >= candidates and sum(map(len, free)) >= _WORKSPACE:
             break
+    shares = (sum(map(len, free)) / tried, sum(map(len, seen)) / max(sum(map(len, free)), 1))
+    if sum(map(len, seen)) < candidates and site.tracker is not None and is_serial_arm(chain):
+        aimed = view_postures(chain, site, _AIMED * candidates, rng)
+        seen.append(aimed[(clearance(spheres, site, aimed) >= 0.0) & visible(spheres, site, aimed)])
     all_free, q = np.concatenate(free), np.concatenate(seen)[:candidates]
-    shares = (len(all_free) / tried, sum(map(len, seen)) / max(len(all_free), 1))
     if len(q) < 2:
         what = "touches nothing" if not len(all_free) else "is seen by the tracker"
         raise NotPlannable(

@@ -1,7 +1,8 @@
 """Where an arm is measured: what the tracker sees, what the arm must not touch, and how well things are read.
 
 Positions and axes of the tracker, and what to keep out of, are given in the arm's base link; those of the target in its
-tip. Links are named by the joint that moves them, the first one ``base``.
+tip. A camera on the tool is the other way round: it is given in the tip, the target that it looks at in the base link.
+Links are named by the joint that moves them, the first one ``base``.
 """
 
 from __future__ import annotations
@@ -27,27 +28,29 @@ class Cone:
     axis: Array
     half_angle: float
 
-    def contains(self, directions: Array) -> np.ndarray:
-        """True for unit directions (N, 3) within the cone, (N,)."""
-        return np.asarray(directions @ self.axis >= np.cos(self.half_angle))
-
 
 @dataclass(frozen=True)
 class SiteTracker:
-    """position: (3,) [m]. view: its field of view; None where it turns every way. nearest, farthest: range [m]."""
+    """position: (3,) [m]. view: its field of view; None where it turns every way. nearest, farthest: range [m].
+    carried: it is a camera on the tool, and looks at a target that stands still.
+    """
 
     position: Array
     view: Cone | None = None
     nearest: float = 0.0
     farthest: float = np.inf
+    carried: bool = False
 
 
 @dataclass(frozen=True)
 class SiteTarget:
-    """What the tracker sees. position: (3,) in the tip [m]. facing: from where it is seen; None: from everywhere."""
+    """What the tracker sees. position: (3,) in the tip [m]. facing: from where it is seen; None: from everywhere.
+    radius: [m] about it, all of which must be in view.
+    """
 
     position: Array = field(default_factory=lambda: np.array([0.05, 0.0, 0.1]))
     facing: Cone | None = None
+    radius: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,11 +101,28 @@ class Site:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     box: Array | None = None
 
+    @property
+    def carried(self) -> bool:
+        """Whether the instrument is on the tool."""
+        return self.tracker is not None and self.tracker.carried
+
+    @property
+    def still(self) -> Array:
+        """The one of instrument and target that stands still, in the base link (3,) [m]; zeros where nobody knows."""
+        if self.tracker is None:
+            return np.zeros(3)
+        return self.target.position if self.tracker.carried else self.tracker.position
+
+    @property
+    def moving(self) -> Array:
+        """The one of instrument and target that the arm moves, in the tip (3,) [m]."""
+        return self.tracker.position if self.tracker is not None and self.tracker.carried else self.target.position
+
 
 _TOP = {"modcal_site", "tracker", "target", "noise", "arm", "surroundings", "limits", "workspace"}
 _KEYS = {
-    "tracker": {"position_m", "axis", "half_angle_deg", "range_m"},
-    "target": {"position_m", "axis", "half_angle_deg"},
+    "tracker": {"position_m", "axis", "half_angle_deg", "range_m", "on_tool"},
+    "target": {"position_m", "axis", "half_angle_deg", "radius_m"},
     "noise": {"position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_m"},
     "arm": {"spheres", "link_radius_m", "margin_m"},
     "surroundings": {"floor_m", "spheres", "boxes"},
@@ -125,6 +145,7 @@ def site_from_data(data: Any, source: str) -> Site:
         target=SiteTarget(
             _point(part["target"], "position_m", f"{source}, target", SiteTarget().position),
             _cone(part["target"], f"{source}, target"),
+            _size(part["target"], "radius_m", f"{source}, target", 0.0),
         ),
         noise=Noise(
             *(
@@ -188,7 +209,10 @@ def _cone(data: Mapping[str, Any], what: str) -> Cone | None:
 
 def _tracker(data: Mapping[str, Any], what: str) -> SiteTracker:
     near, far = _pair(data["range_m"], f"{what}: range_m") if "range_m" in data else (0.0, np.inf)
-    return SiteTracker(_point(data, "position_m", what), _cone(data, what), near, far)
+    carried = data.get("on_tool", False)
+    if not isinstance(carried, bool):
+        raise BadTable(f"{what}: on_tool", f"is {carried!r}", "give true or false")
+    return SiteTracker(_point(data, "position_m", what), _cone(data, what), near, far, carried)
 
 
 def _pair(values: Any, what: str) -> tuple[float, float]:

@@ -51,7 +51,7 @@ def spheres_of(chain: Mechanism, site: Site) -> Spheres:
     """The spheres of an arm at a site. Raises BadTable for a sphere on a link that is not there."""
     if not is_serial_arm(chain):
         return _of_closed(chain, site)
-    lines = _lines(chain, site.target.position)
+    lines = _lines(chain, site.moving)
     start = np.r_[0.0, np.cumsum([np.linalg.norm(b - a) for a, b in lines])]
     if site.spheres:
         link, centre = _given(chain, site.spheres)
@@ -78,7 +78,7 @@ def _of_closed(chain: Mechanism, site: Site) -> Spheres:
 
 
 def _lines(chain: Chain, target: Array) -> list[tuple[Array, Array]]:
-    """The two ends of every link, joint to joint, in the frame it carries; the last one ends at the target."""
+    """The two ends of every link, joint to joint, in the frame it carries; the last one ends at target or camera."""
     M = chain.along_z
     out = [(-M[0, :3, :3].T @ M[0, :3, 3], np.zeros(3))]
     for k in range(1, chain.n + 1):
@@ -148,22 +148,34 @@ def _clearance(spheres: Spheres, site: Site, q: Array) -> Array:
 
 def visible(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
     """True for postures q (N, n) in which the tracker sees the target, (N,): range, both cones, nothing in between."""
-    tracker = site.tracker
+    tracker, target = site.tracker, site.target
     if tracker is None:
         return np.ones(len(q), dtype=bool)
     f = _frames(spheres.chain, q)
-    p = f.p[-1].T + np.einsum("dcn,d->nc", f.axes[-1], site.target.position)
-    way = p - tracker.position
+    turned = f.axes[-1]
+
+    def moved(v: Array) -> Array:
+        return np.asarray(np.einsum("dcn,d->nc", turned, v))
+
+    def still(v: Array) -> Array:
+        return np.tile(v, (len(q), 1))
+
+    of_eye, of_target = (moved, still) if tracker.carried else (still, moved)
+    tip, zero = f.p[-1].T, np.zeros(3)
+    eye = of_eye(tracker.position) + (tip if tracker.carried else zero)
+    p = of_target(target.position) + (zero if tracker.carried else tip)
+    way = p - eye
     distance = np.linalg.norm(way, axis=1)
     ray = way / np.maximum(distance, 1e-9)[:, None]
-    seen = (distance >= tracker.nearest) & (distance <= tracker.farthest)
+    seen = (distance >= tracker.nearest) & (distance <= tracker.farthest) & (distance > target.radius)
     if tracker.view is not None:
-        seen &= tracker.view.contains(ray)
-    if site.target.facing is not None:
-        outward = np.einsum("dcn,d->nc", f.axes[-1], site.target.facing.axis)
-        seen &= np.sum(outward * -ray, axis=1) >= np.cos(site.target.facing.half_angle)
+        aside = np.arccos(np.clip(np.sum(of_eye(tracker.view.axis) * ray, axis=1), -1.0, 1.0))
+        wide = np.arcsin(np.minimum(target.radius / np.maximum(distance, 1e-9), 1.0))
+        seen &= aside + wide <= tracker.view.half_angle
+    if target.facing is not None:
+        seen &= np.sum(of_target(target.facing.axis) * -ray, axis=1) >= np.cos(target.facing.half_angle)
     rows = np.flatnonzero(seen)
-    seen[rows] &= ~_hidden(spheres, site, tracker.position, f, p, rows)
+    seen[rows] &= ~_hidden(spheres, site, eye[rows], f, p, rows)
     return seen
 
 
@@ -173,17 +185,17 @@ def _frames(chain: Mechanism, q: Array) -> Frames:
 
 
 def _hidden(spheres: Spheres, site: Site, eye: Array, f: Frames, p: Array, rows: np.ndarray) -> np.ndarray:
-    """True where a sphere stands between eye and target, (len(rows),); those next to the target do not count."""
+    """True where a sphere stands between eye (m, 3) and target, (m,); those next to the tool do not count."""
     at = spheres.at(Frames(f.axes[..., rows], f.p[..., rows]))
     end = float(spheres.along.max(initial=0.0))
     blocking = end - spheres.along > _NEIGHBOURS * spheres.radius
     centres = [*at[blocking], *(np.repeat(b.centre[:, None], len(rows), axis=1) for b in site.obstacles)]
     radii = [*spheres.radius[blocking], *(b.radius for b in site.obstacles)]
-    way = p[rows].T - eye[:, None]
+    way = p[rows].T - eye.T
     square = np.maximum(np.sum(way**2, axis=0), 1e-12)
     out = np.zeros(len(rows), dtype=bool)
     for centre, radius in zip(centres, radii, strict=True):
-        to = centre - eye[:, None]
+        to = centre - eye.T
         share = np.clip(np.sum(to * way, axis=0) / square, 0.0, 1.0)
         out |= np.linalg.norm(to - share * way, axis=0) < radius
     return out

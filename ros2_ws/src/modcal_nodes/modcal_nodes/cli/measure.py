@@ -35,6 +35,7 @@ from modcal_nodes.measuring.folder import NEXT, Folder, StoredSession, outcome_d
 from modcal_nodes.measuring.measurers import CellInProcess, Measurer, Replay, one_a_station
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 
+_BY_HAND = 4  # stations at once, since whoever fills in a table gives the command again for each lot
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 
 
@@ -110,7 +111,10 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @click.option("--ties", is_flag=True, help="Separate explanations that stay open, by up to 12 more stations.")
 @click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects.")
 @click.option(
-    "--batch", type=click.IntRange(1, 100), default=BATCH, show_default=True, help="Stations between two fits."
+    "--batch",
+    type=click.IntRange(1, 100),
+    default=None,
+    help=f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of what is drawn at random.")
 @click.option(
@@ -140,7 +144,7 @@ def measure_command(
     fixed: tuple[str, ...],
     ties: bool,
     geometry_only: bool,
-    batch: int,
+    batch: int | None,
     seed: int,
     out: Path | None,
     output: Output,
@@ -159,6 +163,8 @@ def measure_command(
     )  # fmt: skip
     arm = _read(robot, base, tip)
     site = Site() if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
+    if site.carried and folder is None:
+        raise BadTable(str(site_file), "has a camera on the tool", "measure by hand, or with station_runner")
     cell = read_cell(cell_file, fixed)
     with output.working() as watch:
         measurer: Measurer | None = None
@@ -177,8 +183,9 @@ def measure_command(
             pool = of_robot(arm.mechanism, site, reading, rng)
         place = Folder(folder or out or Path(f"{robot.stem}_measured"), arm)
         began = time.time() if measurer is None else None
-        kept = place.begin(StoredSession(Session(arm.names, reading), goal, seed, began))
-        advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=batch, effects=not geometry_only)
+        kept = place.begin(StoredSession(Session(arm.names, reading, carried=site.carried), goal, seed, began))
+        lot = batch or (BATCH if measurer is not None else _BY_HAND)
+        advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=lot, effects=not geometry_only)
         if measurer is None:
             advice = _by_hand(place, kept, advisor, watch)
         else:

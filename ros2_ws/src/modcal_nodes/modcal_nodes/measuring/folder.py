@@ -70,7 +70,7 @@ class Folder:
         there = self.load()
         asked, kept = asdict(wanted.goal), asdict(there.goal)
         other = [name for name in asked if asked[name] != kept[name]]
-        if wanted.session.kind != there.session.kind:
+        if (wanted.session.kind, wanted.session.carried) != (there.session.kind, there.session.carried):
             other.append("reading")
         if wanted.seed != there.seed:
             other.append("seed")

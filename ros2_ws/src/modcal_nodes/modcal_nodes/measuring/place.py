@@ -75,7 +75,9 @@ class Place:
             raise BadTable("out", "names no folder", "set it: the session is kept there")
         self.folder = Folder(Path(chosen["out"]), self.robot)
         self.kept = self.folder.begin(
-            StoredSession(Session(self.robot.names, kind), self.goal, chosen["seed"], time.time())
+            StoredSession(
+                Session(self.robot.names, kind, carried=self.site.carried), self.goal, chosen["seed"], time.time()
+            )
         )
         self._advisor = Advisor(
             self.robot.mechanism, self.pool, self.goal, chosen["seed"], None, self.robot.inertias,

@@ -1,0 +1,277 @@
+"""From the robot's description to the last station: choose, show the dry run, go, note, and choose again.
+
+Nothing moves before a dry run was accepted. What takes long is done elsewhere (:mod:`modcal_nodes.measuring.worker`);
+each period looks at what came of it, and at the arm. Any refusal holds the arm.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import JointState
+
+from modcal_core.errors import BadCommand, ModcalError
+from modcal_core.geometry.so3 import Array
+from modcal_core.measuring.advice import Advice
+from modcal_core.measuring.motion import TimedMotion
+from modcal_core.measuring.session import SKIPPED, UNSEEN
+from modcal_nodes.measuring.joint_reports import JointReports, required
+from modcal_nodes.measuring.place import Place, StationWay
+from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, JointReport, Rules, Runner
+from modcal_nodes.measuring.worker import Worker
+from modcal_nodes.ros.health import ERROR, OK, WARN
+
+_STOPPING = 0.2  # s that a controller is given to stop in
+_AGAIN = 2.0  # s until what was refused is tried again
+_BLIND = 20  # stations in a row that the instrument does not see, after which it is asked to be looked at
+
+
+class StationSequence:
+    """chosen: the parameters of ``station_runner``, as they are now. send: gives a motion to the controller. tell: says
+    something, with its level. clock: seconds in which joint states are stamped.
+    """
+
+    def __init__(
+        self,
+        chosen: Mapping[str, Any],
+        send: Callable[[TimedMotion], None],
+        tell: Callable[[bytes, str], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._chosen, self._send, self._tell, self._clock = chosen, send, tell, clock
+        self._worker = Worker("thinking")
+        self._place: Place | None = None
+        self._joints: JointReports | None = None
+        self._runner: Runner | None = None
+        self._advice: Advice | None = None
+        self._summary, self._shown = "", False
+        self._active = self._running = self._begun = False
+        self._blind, self._again = 0, -np.inf
+
+    # what it is asked
+
+    def activate(self) -> None:
+        """From here on the arm may be moved, once a dry run was accepted."""
+        self._active = True
+
+    def rest(self, why: str) -> None:
+        """Hold the arm; a new dry run has to be accepted before it moves again."""
+        self.halt(why)
+        self._active = self._shown = False
+        self._summary = ""
+
+    def close(self) -> None:
+        """Begin nothing more."""
+        self._worker.close()
+
+    def show(self, said: str) -> tuple[bool, str]:
+        """(whether there is a dry run, what the arm would do first); start() after this accepts it."""
+        self._shown = self._shown or bool(self._summary)
+        return bool(self._summary), self._summary or f"there is no dry run yet: {said}"
+
+    def start(self, said: str) -> None:
+        """Begin, or go on after a hold. Raises ModcalError where it may not."""
+        if not self._active:
+            raise BadCommand("start", "the node is not active", "configure and activate it first")
+        if self._runner is None or not self._summary:
+            raise BadCommand("start", f"there is no dry run yet: {said}", "wait for it, and look at ~/dry_run")
+        if not (self._shown or self._chosen["yes"]):
+            raise BadCommand("start", "nobody has looked at the dry run", "call ~/dry_run first, or set yes")
+        if self._running:
+            raise BadCommand("start", "it is measuring already", "call ~/stop first")
+        required(self._joints, self._stale)
+        self._runner.release()
+        self._running, self._begun, self._blind = True, True, 0
+        self._tell(OK, "measuring")
+
+    def stop(self) -> bool:
+        """Hold the arm where it is, at once; returns whether anything moved."""
+        moved = self._runner is not None and self._runner.busy
+        self._begun = True  # also what was accepted in advance waits for start() from here on
+        self.halt("stopped as asked")
+        return moved
+
+    def halt(self, why: str) -> None:
+        """Hold whatever moves, and begin nothing more."""
+        self._running = False
+        if self._runner is not None and self._runner.busy:
+            q = None if self._joints is None else self._joints.position
+            self._send_hold(self._runner.hold(q, why, time.monotonic()))
+            self._tell(WARN, f"held: {why}")
+
+    # what it hears
+
+    def describe(self, urdf: str) -> None:
+        """The robot's description. Raises BadCommand for another one while it measures."""
+        if self._place is not None or self._worker.busy:
+            if self._place is not None and urdf != self._place.robot.description:
+                raise BadCommand("robot_description", "changes while it measures", "start the node again for another")
+            return
+        chosen = dict(self._chosen)
+        self._tell(OK, "looking at what the arm can reach")
+        self._worker.begin(lambda: Place(urdf, chosen), self._placed)
+
+    def _placed(self, place: Place) -> None:
+        self._place = place
+        self._joints = JointReports(place.robot.names, place.lower, place.upper, self._clock)
+        self._runner = Runner(place.lower, place.upper, self._rules())
+        done = len(place.session.rows())
+        before = f"{done} stations measured before; " if done else ""
+        self._tell(OK, f"{before}waiting for joint states")
+
+    def take_joints(self, message: JointState) -> None:
+        """A joint state."""
+        if self._joints is not None:
+            self._joints.receive(message, self._stale)
+
+    def take_reading(self, reading: Array, stamp: float) -> None:
+        """A reading of the instrument (3,) or (7,), and its stamp [s]. Raises BadCommand for one that is not finite."""
+        if self._runner is None:
+            return
+        if not np.isfinite(reading).all():
+            raise BadCommand("tracker reading", "is not finite", "send numbers, or nothing where nothing is seen")
+        self._runner.take_reading(reading, stamp, time.monotonic())
+
+    # what it does
+
+    def look(self) -> None:
+        """One look at everything, every period."""
+        if self._runner is not None:
+            self._look_at_arm(self._runner)
+        try:
+            if self._worker.busy:
+                self._worker.finish()
+            elif time.monotonic() >= self._again:
+                self._next()
+        except ModcalError as error:  # it is said, and tried again a little later
+            self._again = time.monotonic() + _AGAIN
+            self.halt(str(error))
+            self._tell(ERROR, str(error))
+
+    def _look_at_arm(self, runner: Runner) -> None:
+        runner.rules = self._rules()
+        answer = runner.tick(time.monotonic(), self._now())
+        if isinstance(answer, Hold) or runner.phase == HELD:
+            if self._running:
+                self._running = False
+                self._send_hold(answer if isinstance(answer, Hold) else None)
+                self._tell(ERROR, f"held: {runner.why}; clear the cause, then call ~/start")
+        elif isinstance(answer, Done):
+            self._noted(answer)
+
+    def _next(self) -> None:
+        """What to think about, or where to go, now that nothing is being thought about."""
+        place, runner = self._place, self._runner
+        if place is None or runner is None or runner.busy:
+            return
+        here = self._now()
+        if here is None:
+            return
+        if self._advice is None or (not place.session.pending and self._advice.outcome is None):
+            if self._advice is None or self._running:
+                self._tell(OK, "fitting and choosing")
+                self._worker.begin(place.advise, self._advised)
+            return
+        if self._advice.outcome is not None:
+            return
+        speed = self._chosen["speed_rad_s"]
+        if not self._summary:
+            self._worker.begin(lambda: place.dry_run(here.q, speed), self._dry)
+            return
+        if self._chosen["yes"] and self._active and not self._begun:
+            self.start("")
+        if self._running and runner.phase == IDLE:
+            number = place.session.pending[0]
+            self._worker.begin(lambda: place.way(number, here.q, speed), self._go)
+
+    def _advised(self, advice: Advice) -> None:
+        self._advice = advice
+        if advice.outcome is not None:
+            self._running = False
+            self._tell(OK, advice.outcome.sentence)
+            assert self._place is not None
+            place = self._place
+            self._worker.begin(lambda: place.finish(advice), lambda _: None)
+        else:
+            self._tell(OK, f"{advice.why}: {len(advice.session.pending)} stations")
+
+    def _dry(self, summary: str) -> None:
+        self._summary = summary
+        self._tell(OK, f"dry run: {summary}")
+
+    def _go(self, way: StationWay) -> None:
+        """Begin the motion to a station, if it may still be begun."""
+        place, runner = self._place, self._runner
+        assert place is not None
+        assert runner is not None
+        station = place.session.stations[way.number]
+        if way.motion is None:
+            self._tell(WARN, f"station {way.number + 1} is skipped: no free way to it was found")
+            place.note(way.number, replace(station, state=SKIPPED))
+            return
+        here = self._now()
+        if not self._running or runner.phase != IDLE or here is None:
+            return
+        if np.abs(here.q - way.motion.q[0]).max() > self._chosen["tolerance_rad"]:
+            return  # somebody else moved the arm: another way is looked for
+        self._send(runner.begin(way.number, station, way.motion, time.monotonic()).motion)
+        self._tell(OK, f"going to station {way.number + 1} ({station.role})")
+
+    def _noted(self, done: Done) -> None:
+        assert self._place is not None
+        self._place.note(done.number, done.station)
+        unseen = done.station.state == UNSEEN
+        self._blind = self._blind + 1 if unseen else 0
+        if unseen:
+            self._tell(WARN, f"station {done.number + 1} was not seen by the instrument: it is passed over")
+        if self._blind >= _BLIND:
+            self._running = False
+            self._tell(
+                ERROR, f"the instrument saw nothing at {_BLIND} stations in a row: look at it, then call ~/start"
+            )
+
+    def _send_hold(self, hold: Hold | None) -> None:
+        """A trajectory of one point, where the arm is."""
+        if hold is None or self._place is None:
+            return
+        still = np.zeros_like(hold.q)
+        self._send(TimedMotion(np.array([0.0, _STOPPING]), np.array([hold.q, hold.q]), np.array([still, still])))
+
+    # what it knows
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the joints, in the order of all postures; empty while the description is not known."""
+        return () if self._place is None else tuple(self._place.robot.names)
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """Where the measurement stands, for the diagnostics."""
+        facts: dict[str, object] = {"phase": self._runner.phase if self._runner is not None else ""}
+        if self._advice is not None:
+            status = self._advice.status
+            facts |= {
+                "stations measured": len(self._place.session.rows()) if self._place is not None else 0,
+                "expected mm": "" if status.expected is None else f"{1e3 * status.expected:.4f}",
+                "proven mm": "" if status.bound is None else f"{1e3 * status.bound:.4f}",
+                "stations needed": "" if status.needed is None else status.needed,
+                "ending": "" if self._advice.outcome is None else self._advice.outcome.ending,
+            }
+        return facts
+
+    def _rules(self) -> Rules:
+        c = self._chosen
+        return Rules(
+            c["timeout_s"], c["tracking_rad"], c["tolerance_rad"], c["settle_s"], c["patience_s"], int(c["readings"])
+        )
+
+    @property
+    def _stale(self) -> float:
+        return max(float(self._chosen["timeout_s"]), 1.0)
+
+    def _now(self) -> JointReport | None:
+        return None if self._joints is None else self._joints.now()
