@@ -17,7 +17,8 @@ from modcal_core.checking.naming import named
 from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, Status
 from modcal_core.checking.recognise import recognised
 from modcal_core.checking.repair import repaired
-from modcal_core.checking.search import CheckState, FoundChanges, search
+from modcal_core.checking.search import FoundChanges, search
+from modcal_core.checking.state import CheckState
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array

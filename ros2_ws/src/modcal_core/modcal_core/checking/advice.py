@@ -13,7 +13,9 @@ from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO
 from modcal_core.checking.known import FrozenCalibration
 from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.outcome import Noticed, Recommendation
-from modcal_core.checking.search import FALSE_ALARM, CheckState, FittedChange, FoundChanges
+from modcal_core.checking.rivals import FittedChange
+from modcal_core.checking.search import FALSE_ALARM, FoundChanges
+from modcal_core.checking.state import CheckState
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 

@@ -17,7 +17,7 @@ from modcal_core.checking.hypotheses import (
     CellChange,
 )
 from modcal_core.checking.outcome import NamedChange, SizeFound
-from modcal_core.checking.search import FittedChange
+from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry.so3 import Array
 
 _95 = 1.959964  # standard deviations

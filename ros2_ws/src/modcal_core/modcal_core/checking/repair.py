@@ -18,7 +18,8 @@ from modcal_core.calibration.structure import exact_samples, joint_ranges
 from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.checking.hypotheses import BASE, FRAME, NOISE, TOOL, CellChange, GeometryMotion, put_in
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.checking.search import CheckState, FoundChanges
+from modcal_core.checking.search import FoundChanges
+from modcal_core.checking.state import CheckState
 from modcal_core.geometry.so3 import Array
 
 _POSTURES = 40  # at which a change is written as deviations of the calibration's own parameters

@@ -24,7 +24,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.consistency import placed_by_most
+from modcal_core.plausibility.consensus import placed_by_most
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,

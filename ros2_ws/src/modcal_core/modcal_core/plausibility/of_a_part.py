@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.calibration.runs import consecutive
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.agreement import Disagreement, limits
-from modcal_core.plausibility.consistency import placed_by_most
+from modcal_core.plausibility.consensus import placed_by_most
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.most_seen import most_seen

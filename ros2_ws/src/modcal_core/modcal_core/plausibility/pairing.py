@@ -19,7 +19,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.agreement import Disagreement, limits
-from modcal_core.plausibility.consistency import placed_by_most
+from modcal_core.plausibility.consensus import placed_by_most
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm

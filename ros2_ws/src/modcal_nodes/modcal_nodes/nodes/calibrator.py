@@ -9,14 +9,12 @@ from pathlib import Path
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.task import Future
-from sensor_msgs.msg import JointState, PointCloud2, Temperature
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRobot, ModcalError
 from modcal_core.files import write_folder
 from modcal_core.measurements.dropped import Dropped
-from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.change_hypothesis import ChangeHypothesis
 from modcal_core.online.estimator import RandomWalk
@@ -28,29 +26,30 @@ from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.by_camera import ByCamera
-from modcal_nodes.calibrating.check import LiveCheck, live_check
+from modcal_nodes.calibrating.check_service import CheckService
 from modcal_nodes.calibrating.commands import CommandSubscription
 from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
-from modcal_nodes.calibrating.intake import READING_MESSAGES, Intake
+from modcal_nodes.calibrating.intake import Intake
+from modcal_nodes.calibrating.listening import listen
 from modcal_nodes.calibrating.needs import lacking, policy, require_policy
 from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.standing import Standing, standing_of_json
-from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
+from modcal_nodes.calibrating.state_folder import StateFolder
 from modcal_nodes.calibrating.worker import Solved, SolveWorker, condense, solve
 from modcal_nodes.io.inputs import read_cell, read_delta
 from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, Health, Status
 from modcal_nodes.ros.parameters import CALIBRATOR
-from modcal_nodes.ros.running import LATCHED, SENSOR, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status, tracker_status
+from modcal_nodes.ros.running import run
+from modcal_nodes.ros.subscriptions import subscription_status, tracker_status
 from modcal_nodes.ros.tf_broadcaster import Broadcaster
 from modcal_nodes.ros.tf_frames import static_frames
 
 _POLL = 0.1  # s
 _REST = 0.01  # s
-_SOLVE, _CHECK = "solve", "check"
+_SOLVE = "solve"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 
@@ -67,11 +66,8 @@ class Calibrator(GuardedNode):
         require_policy(chosen)
         follow(self, CALIBRATOR, chosen, require_policy, self._take_parameters)
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
-        self._folder = Path(chosen["state"]) if chosen["state"] else None
-        self._lock = StateLock(self._folder) if self._folder else None
-        if self._lock is not None and self._lock.warning:
-            self.get_logger().warning(self._lock.warning)
-        state = read_state(self._folder) if self._folder else State()
+        self._folder = StateFolder(chosen["state"], self.get_logger())
+        state = self._folder.read()
         self._buffer = Buffer(chosen["buffer_s"])
         self._buffer.samples = state.samples
         self._restored = state if state.calibration else None
@@ -95,12 +91,14 @@ class Calibrator(GuardedNode):
         if corners is not None:
             self._camera = ByCamera(corners, chosen, self._outputs, self.get_logger(), self._camera_trusted)
         self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, corners)
-        self._inputs = self._listen(chosen["silence_timeout_s"])
+        described = bool(self._arm.description or self._arm.delta)
+        patience = chosen["silence_timeout_s"]
+        self._inputs = listen(self, self._intake, self._describe, patience, described, corners is not None)
         self._commands = CommandSubscription(self, self._intake.command)
         self._health = Health(self, self._statuses)
         self._worker = SolveWorker(self.get_logger().error)
+        self._check = CheckService(self, self._worker, self._outputs.check)
         self._waiting: Future | None = None
-        self._checking: Future | None = None
         self._solve_next = False
         # a group of its own: while a solve is awaited, its group takes no other callback
         self.create_service(Trigger, "~/solve", self._on_solve, callback_group=ReentrantCallbackGroup())
@@ -119,22 +117,6 @@ class Calibrator(GuardedNode):
 
     # hearing
 
-    def _listen(self, patience: float) -> list[MonitoredSubscription]:
-        hear = partial(MonitoredSubscription, self, patience=patience, single=True)
-        inputs = [hear(JointState, "joint_states", self._intake.joint_state, SENSOR, needed=True)]
-        for kind in kinds().values():
-            take = partial(self._intake.reading, kind.topic, kind.name)
-            inputs.append(hear(READING_MESSAGES[kind.message], kind.topic, take, SENSOR, single=False))
-        inputs.append(
-            hear(Temperature, "temperature", partial(self._intake.remember, "temperature"), SENSOR, single=False)
-        )
-        if self._camera is not None:
-            inputs.append(hear(PointCloud2, "corners", self._intake.corners, SENSOR))
-        description = hear(
-            String, "robot_description", self._describe, LATCHED, needed=not (self._arm.description or self._arm.delta)
-        )
-        return [*inputs, description]
-
     def _describe(self, message: String) -> None:
         self._arm.describe(message.data)
         self._recognise()
@@ -150,11 +132,12 @@ class Calibrator(GuardedNode):
             restored.calibration.require_robot(self._arm.chain)
         except BadRobot as error:
             # neither used nor overwritten
-            self._trouble, self._folder, self._buffer.samples = f"{self._folder}: {error}", None, None
+            self._trouble, self._buffer.samples = f"{self._folder.path}: {error}", None
+            self._folder.leave_alone()
             self.get_logger().error(self._trouble)
             return
         if restored.calibration.uncertainty is None:
-            self._trouble = f"{self._folder}: written by an older version, without its uncertainty: solve again"
+            self._trouble = f"{self._folder.path}: written by an older version, without its uncertainty: solve again"
             return
         self._supervisor.trust(restored.calibration)
         self._expect_frames()
@@ -227,7 +210,7 @@ class Calibrator(GuardedNode):
             self._chosen["effects"],
         )
         done, fail = partial(self._solved, self._buffer.forgotten), partial(self._answer, False)
-        page = bool(self._chosen["out"] or self._folder)  # without a folder nobody would ever see it
+        page = bool(self._chosen["out"] or self._folder.path)  # without a folder nobody would ever see it
         self._worker.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
 
@@ -236,31 +219,18 @@ class Calibrator(GuardedNode):
         trusted, chain = self._supervisor.trusted, self._arm.chain
         refusal = "no model is trusted yet: solve and accept one, or set the parameter state" if trusted is None else ""
         refusal = refusal or ("" if chain is not None else self._lacks())
-        if refusal or self._worker.doing or self._checking is not None:
-            response.success, response.message = (
-                False,
-                refusal or f"busy with {self._worker.doing or _CHECK}: ask again",
-            )
+        if refusal or self._check.busy:
+            response.success, response.message = False, refusal or f"busy with {self._check.busy}: ask again"
             return response
-        self._checking = Future(executor=self.executor)
-        work = self._buffer.collected(), chain, trusted, self._chosen["clock_limit_s"], self._chosen["check_stations"]
-        fail = partial(self._checked, False)
-        self._worker.give(_CHECK, live_check, *work, self._supervisor.changed, finish=self._found, fail=fail)
-        response.success, response.message = await self._checking
+        response.success, response.message = await self._check.answered(
+            self._buffer.collected(),
+            chain,
+            trusted,
+            self._chosen["clock_limit_s"],
+            self._chosen["check_stations"],
+            self._supervisor.changed,
+        )
         return response
-
-    def _found(self, check: LiveCheck) -> None:
-        self._outputs.check(check.data)
-        if check.changed:
-            self.get_logger().warning(f"check: {check.sentence}")
-        else:
-            self.get_logger().info(f"check: {check.sentence}")
-        self._checked(True, check.sentence)
-
-    def _checked(self, success: bool, message: str) -> None:
-        if self._checking is not None:
-            waiting, self._checking = self._checking, None
-            waiting.set_result((success, message))
 
     def _answer_camera(self, success: bool, message: str) -> None:
         self._verdict = message
@@ -299,7 +269,7 @@ class Calibrator(GuardedNode):
     def _condensed(self, pieces: int, then: int, made: tuple[Samples, Dropped]) -> None:
         if then == self._buffer.forgotten:  # else they are no longer wanted
             self._buffer.condensed(pieces, *made)
-            self._save_samples()
+            self._folder.save_samples(self._buffer.samples)
 
     def _solved(self, then: int, solved: Solved) -> None:
         """Publish what a solve has found; trust it, if the policy says so."""
@@ -352,31 +322,18 @@ class Calibrator(GuardedNode):
         self._outputs.model(solved.files)
         self._broadcast()
         self._outputs.no_change()
-        if self._folder:
-            write_state(self._folder, State(solved.calibration, solved.files))
+        self._folder.keep(solved.calibration, solved.files)
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, "no folder: set the parameter state"
-        if self._folder:
-            trusted = self._supervisor.trusted
-            try:
-                write_state(self._folder, State(trusted, self._files if trusted else None, self._buffer.samples))
-                response.success, response.message = True, f"saved in {self._folder}"
-            except OSError as error:
-                response.message = f"{self._folder}: {error.strerror}: make room, or check its permissions"
+        response.success, response.message = self._folder.save(
+            self._supervisor.trusted, self._files, self._buffer.samples
+        )
         return response
-
-    def _save_samples(self) -> None:
-        if self._folder and self._buffer.samples is not None:
-            try:
-                write_state(self._folder, State(samples=self._buffer.samples))
-            except OSError as error:
-                self.get_logger().error(f"{self._folder}: {error.strerror}: stations are not saved")
 
     def close(self) -> None:
         """Keep the stations heard so far, and end the worker."""
         self._worker.close()
-        if self._folder and self._arm.chain is not None:
+        if self._folder.path and self._arm.chain is not None:
             try:
                 heard = self._buffer.collected()
                 if heard.recordings:
@@ -384,9 +341,8 @@ class Calibrator(GuardedNode):
                     self._buffer.samples, _ = condense(heard, self._arm.chain, limit, most)
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
-            self._save_samples()
-        if self._lock is not None:
-            self._lock.release()
+            self._folder.save_samples(self._buffer.samples)
+        self._folder.release()
 
     # telling
 
