@@ -19,7 +19,8 @@ class Case:
     ``{out0}`` the first result; the last report is judged. fault: whether something is wrong. must_name: patterns
     (regular expressions, case ignored) of which the grounds have to hold one; empty where any word that it is open will
     do. floor: whether the recording that is judged tells its floor. shown: whether its data show the fault; if not, it
-    is enough not to be calm; ``"if left"``: where more than 1.5 times the floor is left. files: others, by name.
+    is enough not to be calm; ``"if left"``: where more than 1.5 times the floor is left; ``"if missed"``: the same, and
+    nothing was planted, so that with less left it may be open for whatever else the arm has. files: others, by name.
     tables: sessions that are no bags but files, to be imported. floor_mm: of what is judged, where that is no session.
     """
 

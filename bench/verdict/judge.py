@@ -100,9 +100,13 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome
             return replace(made, outcome=AT_FLOOR if known else BESIDE)
         return replace(made, outcome=CANNOT_TELL)
     named = _names(case, text)
+    much = not left <= LEFT
+    # where nothing was planted and what can be reached is reached, there is nothing to name: what else is found in a real
+    # recording (an error of a joint that is left) may well make it open
+    if case.shown == "if missed" and not much and status != "at_floor":
+        return replace(made, outcome=HARMLESS)
     if status == "open":
         return replace(made, outcome=NAMED if named else UNNAMED)
-    much = not left <= LEFT
     if case.shown == "if left" and not much:
         return replace(made, outcome=HARMLESS)
     calm = status == "at_floor" or bool(CALM.search(str(report.get("verdict", ""))))

@@ -171,4 +171,4 @@ def sockets_half_a_millimetre_wrong(w: Works, rng: np.random.Generator) -> Case:
 @real
 def sockets_with_their_distance(w: Works, rng: np.random.Generator) -> Case:
     """Sockets in more than three placements, as they are: 0.28 to 0.31 mm can be reached."""
-    return _sockets("panda_3", None, ("distance", "apart"), "if left")
+    return _sockets("panda_3", None, ("distance", "apart"), "if missed")

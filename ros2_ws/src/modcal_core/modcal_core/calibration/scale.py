@@ -12,8 +12,9 @@ shorter.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy
@@ -30,8 +31,12 @@ from modcal_core.robots.mechanism import is_serial_arm, tool_frames
 
 _STEP = 0.02  # of all distances; of the order in which an arm's drawing tells its scale
 _FARTHEST = 0.1  # of all distances, in one round: beyond, a parabola through the three is no guide
-_ROUNDS = 5  # iterations; where the distances are right the first one is the last
-_SETTLED = 0.5  # standard deviations of the scale
+_TRIED = np.geomspace(0.8, 1.25, 23).tolist()  # factors that are begun from, as far apart as steps are
+_ROUNDS = 8  # iterations; where the distances are right the first ones are the last
+_SETTLED = 0.1  # standard deviations of the scale, and as a share of that deviation
+_GOOD = 1e-3  # m; of the order in which arms are off as they leave their maker
+_ALONG = 0.5  # cosine with the first joint's axis, from which a length is rather the base's place along it
+_ANYWHERE = 1.0  # m; farther than any fit has a base
 _LEAST_SHOWN = 4.0  # lengths of the arm that the readings tell, from which it is judged how far they are off
 _LEAST_OFF = 2e-4  # m; what drawings allow of lengths as an arm's links have (ISO 2768, medium: 0.2 to 0.5 mm)
 
@@ -52,44 +57,80 @@ def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyD
     fixed = all(samples.is_same_point(f) for f in range(len(samples.frames)))
     if not fixed or not distances or not is_serial_arm(fit.model.chain):
         return None
-    about, middle, shown = 1.0, fit, 0.0
+    cost_of = partial(_cost_of, samples=samples, distances=distances)
+    shown = _shown(fit)
+    told = shown >= _LEAST_SHOWN
+    try:
+        # from a good arm on: with lengths that are expected far off, wrong distances could be those of a bad one
+        fit = _expecting(fit, _GOOD) if told else fit
+        about = min(_TRIED, key=partial(cost_of, fit)) if told else 1.0
+        for _ in range(_ROUNDS):
+            found = _settled(partial(cost_of, fit), about)
+            if found is None or not told:
+                break
+            middle = _held(fit, samples, distances, found[0])
+            shown, before = _shown(middle), about
+            fit, about = _expecting(fit, _off(middle, shown)), found[0]
+            if abs(about - before) < _SETTLED * found[1]:
+                break
+    except NotEnoughData:
+        return None
+    if found is None:
+        return None
+    return ScaleEstimate(found[0] - 1.0, found[0] * found[1] * (_tail(shown) if told else 1.0))
+
+
+def _settled(cost: Callable[[float], float], about: float) -> tuple[float, float] | None:
+    """The factor that costs least, near another, and its deviation as a share of it; None where there is none."""
     for _ in range(_ROUNDS):
-        try:
-            fit, shown = _as_far_off(fit, middle)
-            middle = _held(fit, samples, distances, about)
-            shorter, longer = (_held(fit, samples, distances, about * (1.0 + step)) for step in (-_STEP, _STEP))
-        except NotEnoughData:
-            return None
-        low, cost, high = (_cost(each, fit.weights, samples) for each in (shorter, middle, longer))
-        bent = high + low - 2.0 * cost
+        low, here, high = (cost(about * (1.0 + step)) for step in (-_STEP, 0.0, _STEP))
+        bent = high + low - 2.0 * here
         if bent <= 0.0:
             return None
         step, std = 0.5 * _STEP * (low - high) / bent, _STEP * float(np.sqrt(2.0 / bent))
         about *= 1.0 + float(np.clip(step, -_FARTHEST, _FARTHEST))
         if abs(step) < _SETTLED * std:
             break
-        middle = _held(fit, samples, distances, about)
-    return ScaleEstimate(about - 1.0, about * std * (_tail(shown) if shown else 1.0))
+    return about, std
 
 
-def _as_far_off(fit: Fit, at: Fit) -> tuple[Fit, float]:
-    """The fit with the arm's lengths expected as far from the drawing as those of another fit are, and how many lengths
-    the readings tell of that one; as it is, and 0, where they tell few.
+def _cost_of(fit: Fit, factor: float, samples: Samples, distances: Sequence[AnyDistance]) -> float:
+    """What speaks against a fit with all known distances times a factor."""
+    return _cost(_held(fit, samples, distances, factor), fit.weights, samples)
 
-    The expected deviation is that under which the readings are likeliest (MacKay 1992): the squares of the values over
-    how many of them are told by the readings, and not by what was expected.
+
+def _lengths(fit: Fit) -> np.ndarray:
+    """Which parameters are lengths of the arm, and not the base's place along the first joint's axis, (P,)."""
+    chain = fit.model.serial
+    axis = chain.joint_basis[1].T @ chain.origins[1, :3, :3].T @ chain.axes[0] if chain.n > 1 else np.zeros(3)
+    of_base = [p.place == 1 and not p.turns and abs(float(axis[p.direction])) > _ALONG for p in fit.parameters]
+    own = [p.of_arm and not p.turns and bool(np.isfinite(p.prior_std)) for p in fit.parameters]
+    return np.array(own) & ~np.array(of_base)
+
+
+def _shown(fit: Fit) -> float:
+    """How many of the arm's lengths the readings tell, and not what was expected of them."""
+    own = _lengths(fit)
+    expected = np.array([p.prior_std for p in fit.parameters])[own]
+    return float(np.sum(1.0 - np.minimum(fit.std[own] / expected, 1.0) ** 2))
+
+
+def _off(fit: Fit, shown: float) -> float:
+    """How far [m] the arm's lengths are from the drawing: the deviation under which the readings are likeliest.
+
+    The squares of the values over how many of them the readings tell (MacKay 1992).
     """
-    own = np.array([p.of_arm and not p.turns and np.isfinite(p.prior_std) for p in at.parameters])
-    expected = np.array([p.prior_std for p in at.parameters])[own]
-    shown = float(np.sum(1.0 - np.minimum(at.std[own] / expected, 1.0) ** 2))
-    if shown < _LEAST_SHOWN:
-        return fit, 0.0
-    off = np.maximum(expected * np.sqrt(np.sum((at.values[own] / expected) ** 2) / shown), _LEAST_OFF)
-    each = iter(off.tolist())
-    parameters = tuple(
-        replace(p, prior_std=next(each)) if mine else p for p, mine in zip(fit.parameters, own.tolist(), strict=True)
-    )
-    return replace(fit, parameters=parameters), shown
+    return max(float(np.sqrt(np.sum(fit.values[_lengths(fit)] ** 2) / max(shown, 1.0))), _LEAST_OFF)
+
+
+def _expecting(fit: Fit, off: float) -> Fit:
+    """The fit with the arm's lengths expected to be so far from the drawing [m], and where its base is not at all."""
+    own = _lengths(fit).tolist()
+    parameters = [
+        replace(p, prior_std=off if mine else _ANYWHERE) if p.of_arm and not p.turns else p
+        for p, mine in zip(fit.parameters, own, strict=True)
+    ]
+    return replace(fit, parameters=tuple(parameters))
 
 
 def _tail(shown: float) -> float:

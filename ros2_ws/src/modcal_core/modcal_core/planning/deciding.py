@@ -127,7 +127,10 @@ def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> s
     if kinds & {"time", "temperature"}:
         return "repeat some stations cold and warm, and some time later"
     if "signal" in kinds:
-        return "record stations with other values of the signal"
+        of = dict.fromkeys(
+            part.partition(":")[2] for e in both for part in e.driver.split(",") if part.startswith("signal:")
+        )
+        return f"record stations with other values of {' and '.join(of)}"
     if "following" in kinds:
         return "record stations at which the joint is farther from its command"
     return "record stations in motion, fast and slow" if "velocity" in kinds else ""
