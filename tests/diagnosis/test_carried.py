@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 from cells import record, samples_of, ur10
 
+from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.effects.families.compliance import carrying
+from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
@@ -63,3 +67,30 @@ def test_the_weight_of_a_mass_beside_the_tip_is_that_of_virtual_work() -> None:
         step = 1e-6 * (np.arange(6) == j)
         rise = (height(q + step) - height(q - step)) / 2e-6
         assert np.abs(torque[j] + 9.80665 * rise).max() < 1e-7
+
+
+def test_a_stated_payload_is_weighed_at_its_centre() -> None:
+    chain, samples = ur10(), loaded("/payload_kg")
+    beside = np.array([0.03, -0.05, 0.12])
+    at_tip, at_centre = (Drivers(samples, NominalArm(chain, centre=c)) for c in (None, beside))
+    more = np.einsum("d,djn->jn", beside, offset_wrench(chain, samples.q)[:, :, 5])
+    assert np.abs(more).max() > 0.1
+    for j, name in enumerate(chain.names):
+        difference = at_centre.values(f"payload:{name}") - at_tip.values(f"payload:{name}")
+        np.testing.assert_allclose(difference, more[j], atol=1e-12)
+
+
+def test_joints_that_carry_have_one_compliance_each() -> None:
+    signal, beside = "signal:/payload_kg", "offset_x:{0},offset_y:{0},offset_z:{0},"
+
+    def spring(joint: str, kind: str, loads: str, values: list[float]) -> Effect:
+        return Effect("compliance", joint, AXIS, loads.format(joint) + signal, Shape(kind)).started(np.array(values))
+
+    both = "load:{0},payload:{0},"
+    found = (
+        spring("elbow_joint", "carried", both, [9e-6]),
+        spring("elbow_joint", "products", beside, [1e-7, 2e-7, 6e-7]),
+        spring("wrist_1_joint", "product", "payload:{0},", [3e-5]),
+        spring("wrist_1_joint", "products", beside, [0.0, 0.0, 1e-6]),
+    )
+    assert carrying(found) == (found[0], spring("wrist_1_joint", "carried", both, [3e-5]))

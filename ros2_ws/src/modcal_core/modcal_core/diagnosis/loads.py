@@ -27,7 +27,7 @@ from modcal_core.diagnosis.search import Diagnosis
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, Term, motion, prior_stds
-from modcal_core.effects.families.compliance import KILOGRAMS
+from modcal_core.effects.families.compliance import KILOGRAMS, carrying
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import is_serial_arm
@@ -184,7 +184,7 @@ class _Weighing:
 
     def placed(self, asked: LoadHypothesis, best: Diagnosis) -> Diagnosis | None:
         """The diagnosis with one centre of what is carried in place of what each joint would have of it, else None."""
-        effects = tuple(e for e in best.fit.model.effects if e.shape.kind != "products")
+        effects = carrying(best.fit.model.effects)
         if not any(e.shape.kind == "carried" for e in effects):
             return None
         # with the centre at the tip whole recordings may be far off: they must count, or nothing shows where it is

@@ -7,7 +7,7 @@ A recorded number may say how much is carried (``/payload_kg``): then the load a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -48,6 +48,22 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
 def of_joint(joint: str, compliance: float) -> Effect:
     """A linear spring [rad/(N m), m/N] about one joint's axis, loaded by gravity."""
     return Effect(NAME, joint, AXIS, f"load:{joint}", Shape("linear")).started(np.array([compliance]))
+
+
+def carrying(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The effects, with one compliance for own weight and stated payload at each joint that deflects under the latter.
+
+    What a joint would have of the payload's centre for itself is left out.
+    """
+    out, done = [], {e.place for e in effects if e.shape.kind == "carried"}
+    for effect in effects:
+        if effect.shape.kind == "product" and effect.driver.startswith("payload:") and effect.place not in done:
+            done.add(effect.place)
+            whole = Effect(NAME, effect.place, AXIS, f"load:{effect.place},{effect.driver}", Shape("carried"))
+            out.append(whole.started(effect.amplitudes))
+        elif effect.shape.kind not in ("product", "products"):
+            out.append(effect)
+    return tuple(out)
 
 
 def sizes(effect: Effect, chain: Mechanism) -> Sizes:
