@@ -109,7 +109,7 @@ def noticed(judge: ChangeJudge, state: CheckState) -> tuple[Noticed, ...]:
         if h.kind in (NOISE, GEAR) or not h.sizes or h.kind not in (BASE, FRAME, TOOL, ZERO, "tracker_scale"):
             continue
         A = state.columns(h)
-        need = _needed(A.shape[1], n, float(p))
+        need = _needed(A.shape[1], n, float(p), judge.null.weight)
         whitened = np.linalg.norm(judge.whitened(A, judge.null.reference), axis=0)
         moved = np.sqrt(np.sum(A[: 3 * N] ** 2, axis=0) / N)
         seen = whitened > 0.0
@@ -120,9 +120,9 @@ def noticed(judge: ChangeJudge, state: CheckState) -> tuple[Noticed, ...]:
     return tuple(Noticed(name, mm) for name, mm in worst.items())
 
 
-def _needed(k: int, n: int, log_prior: float) -> float:
+def _needed(k: int, n: int, log_prior: float, weight: float) -> float:
     """The length, in standard deviations, of a change of k sizes that is noticed in 95 of 100 cases."""
-    limit = -np.log(FALSE_ALARM) - log_prior
+    limit = -np.log(FALSE_ALARM) / weight - log_prior
     for gain in np.geomspace(1.0, 1e4, 400):
         g = SIZES**2 * n / k
         low = max(gain - 2.0 * _SURE * np.sqrt(gain), 0.0)
