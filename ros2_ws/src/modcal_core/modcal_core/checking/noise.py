@@ -37,7 +37,7 @@ _THERE = (
     2.0,
     4.0,
 )  # times the usual pattern, where it is large: a curve that was not found is up to some floors high
-_NEVER = -12.0  # logarithm of a prior below which a member changes nothing
+_NEVER = -6.0  # logarithm of a chance (1 in 400) below which stations do not all stand in such places
 _LARGE = 400  # rows, beyond which a coarser grid is kept: it is then known well from the data
 
 
@@ -89,6 +89,7 @@ def null(model: Model, samples: Samples, view: RowView, drivers: Drivers, known:
     own = J.T @ known.covariance[: len(J), : len(J)] @ J if len(J) else np.zeros((len(residual),) * 2)
     joints, share = of_all_joints(model, samples, view, rows)
     pattern = of_posture(samples, rows)
+    count = witnesses(samples)
     turned = (rows.component >= 3).astype(int)
 
     def spread(part: float, common: Array) -> Array:
@@ -114,16 +115,16 @@ def null(model: Model, samples: Samples, view: RowView, drivers: Drivers, known:
             each = usual + np.log(_ONE_JOINT / (1.0 - _ONE_JOINT) / (len(fine_curves) * len(_OF_ONE)))
             members += [(factor**2 * single, each) for factor in _OF_ONE]
         # and it is larger in some places than in others: all stations may stand in one of these
-        places = [(pattern, witnesses(samples), 0.5)]
-        places += [(one.covariance, witnesses(samples, one.joint), 0.5 / len(curves)) for one in curves]
-        for common, count, chance in places:
-            there = usual + count * np.log(known.pattern) + np.log(chance / len(_THERE))
-            if there > usual + _NEVER:
+        stand = count * np.log(known.pattern)
+        if stand > _NEVER:
+            places = [(pattern, 0.5), *((one.covariance, 0.5 / len(curves)) for one in curves)]
+            for common, chance in places:
+                there = usual + stand + np.log(chance / len(_THERE))
                 members += [(plain + (factor**2 - 1.0) * common, there) for factor in _THERE]
     log_prior = np.array([p for _, p in members])
     log_prior -= scipy.special.logsumexp(log_prior)
     covariances = tuple(own + V + np.diag(rows.known) for V, _ in members)
-    weight = witnesses(samples) / samples.stations if known.pattern > 0.0 else 1.0
+    weight = count / samples.stations if known.pattern > 0.0 else 1.0
     return NullModel(residual, covariances, log_prior, reference, rows, weight)
 
 

@@ -25,22 +25,19 @@ _LENGTHS = (_PERIOD, 0.1, _FINE)  # rad, of one that was left: of a turn or two,
 
 @dataclass(frozen=True)
 class JointPattern:
-    """An error that depends on one joint's position. joint: its index. fine: whether it is another one at every
-    station. covariance: (n, n), as large as the spread allows. share: of the variances of positions and orientations,
-    (2,).
+    """An error that depends on one joint's position. fine: whether it is another one at every station. covariance:
+    (n, n), as large as the spread allows. share: of the variances of positions and orientations, (2,).
     """
 
-    joint: int
     fine: bool
     covariance: Array
     share: Array
 
 
-def witnesses(samples: Samples, joint: int | None = None) -> float:
-    """How many stations far apart these stand for, from one to their number. joint: far apart by this joint alone."""
+def witnesses(samples: Samples) -> float:
+    """How many stations far apart these stand for, from one to their number."""
     first = np.unique(samples.station, return_index=True)[1]
-    q = samples.q[first] if joint is None else samples.q[first, joint, None]
-    return len(first) ** 2 / float(_alike(q).sum())
+    return len(first) ** 2 / float(_alike(samples.q[first]).sum())
 
 
 def of_posture(samples: Samples, rows: RowKinds) -> Array:
@@ -53,15 +50,12 @@ def of_posture(samples: Samples, rows: RowKinds) -> Array:
 
 def of_each_joint(model: Model, samples: Samples, view: RowView, rows: RowKinds) -> list[JointPattern]:
     """The patterns of every joint that turns, one for each length of its curve."""
-    return [
-        JointPattern(
-            j,
-            length == _FINE,
-            *_scaled(np.outer(g, g) * _curve(samples.q[:, j], length)[np.ix_(rows.sample, rows.sample)], rows),
-        )
-        for j, g in _turning(model, view)
-        for length in _LENGTHS
-    ]
+    out = []
+    for j, g in _turning(model, view):
+        for length in _LENGTHS:
+            alike = _curve(samples.q[:, j], length)[np.ix_(rows.sample, rows.sample)]
+            out.append(JointPattern(length == _FINE, *_scaled(np.outer(g, g) * alike, rows)))
+    return out
 
 
 def of_all_joints(model: Model, samples: Samples, view: RowView, rows: RowKinds) -> tuple[Array, Array]:
