@@ -222,7 +222,9 @@ def _minimum(
                 after += distance_cost(start, parameters, trial, distances)
             if after <= before * (1.0 + 1e-6) + 1e-12 or damping > 1e6:
                 break
-            if damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING:  # bent, along a direction that is hardly seen
+            if (
+                damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING
+            ):  # bent, along a direction that is hardly seen
                 share *= 0.5
             else:
                 damping, share = max(10.0 * damping, least), 1.0

@@ -166,9 +166,7 @@ def tool_error(
     own = ((draws.values @ gram) * draws.values).sum(axis=1)
     calibrated = np.sqrt(np.maximum(own, 0.0) / len(q) + scatter)
     against = np.sqrt(np.maximum(own - 2.0 * draws.values @ cross + square, 0.0) / len(q) + scatter)
-    return ToolError(
-        calibrated, against, draws.weight, draws.whole, draws.of, draws.wrong, both_ends or draws.in_doubt
-    )
+    return ToolError(calibrated, against, draws.weight, draws.whole, draws.of, draws.wrong, both_ends or draws.in_doubt)
 
 
 def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:

@@ -120,7 +120,7 @@ def _search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChan
             ]
             every, prior = [*every, one], np.r_[prior, max(own)]
         changes.append(with_rivals(one, every, prior, begin.null.weight))
-    changes, sizes = with_sizes(changes, fits, state, begin.null)
+    changes, sizes = with_sizes(changes, fits, state, begin.null, now.best)
     return FoundChanges(state.model, tuple(changes), tuple(log_e), (), samples, start, now, state, sizes)
 
 
