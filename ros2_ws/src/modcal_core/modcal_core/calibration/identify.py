@@ -229,9 +229,8 @@ def _minimum(
                 break
             if near and fitted:  # that curvature has done its service: look again from here
                 break
-            if (
-                damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING
-            ):  # bent, along a direction that is hardly seen
+            # bent, along a direction that is hardly seen
+            if damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING:
                 share *= 0.5
             else:
                 damping, share = max(10.0 * damping, least), 1.0
@@ -261,8 +260,8 @@ def _minimum(
             rows = distance_rows(start, parameters, values, distances)
             H_data = H_data + (rows.J / rows.std**2) @ rows.J.T
         H = H_data + known
-    # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be so
-    # long that where in it the values are is nothing that the readings show
+    # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be
+    # so long that where in it the values are is nothing that the readings show
     return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or flat or length <= FITTED)
 
 

@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.diagnosis.space import ROUNDING, Directions, Space, by_component, by_sample, drawn_in, equations
+from modcal_core.diagnosis.space import ROUNDING, Directions, Space, by_component, by_sample, drawn_in
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, all_columns, is_turned
 from modcal_core.geometry.so3 import Array

@@ -83,7 +83,7 @@ class Space:
 
     @classmethod
     def with_factor(cls, fit: Fit, drivers: Drivers) -> tuple[Space, Array]:
-        """Those of a fit at these drivers' samples, and the triangle L (P, P) by which ``Q = L⁻¹ J``, J at unit size."""
+        """Those of a fit at these drivers' samples, and the triangle L (P, P) of ``Q = L⁻¹ J``, J at unit size."""
         samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
