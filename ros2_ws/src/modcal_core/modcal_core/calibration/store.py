@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modcal_core.calibration.doubt import Doubt
 from modcal_core.calibration.fallback import Fallback, curved_joints
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
@@ -60,8 +61,9 @@ class Calibration:
     explain it as well. kind, postures, noise: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
-    clock: whether these are times. geometry_outside: whether the geometry alone counts where joints of curves go beyond
-    what was seen. ranges: smallest and largest value of each temperature and signal that effects depend on.
+    clock: whether these are times. trusted: how far below and above what was seen of each joint the full model counts,
+    (2, n) [rad, m], infinite where it does everywhere; beyond, the geometry alone does. None: everywhere. left_alone: RMS [m] of the
+    geometry alone on its own recording, by which the full model is doubted outside; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that effects depend on.
     typical: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
     where none was stated. converged: whether every fit reached its minimum.
@@ -81,7 +83,8 @@ class Calibration:
     scatter: tuple[float, float] = (0.0, 0.0)
     converged: bool = True
     clock: bool = True
-    geometry_outside: bool = False
+    trusted: Array | None = None
+    left_alone: float = 0.0
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     typical: tuple[TypicalDriver | None, ...] = ()
 
@@ -140,9 +143,17 @@ class Calibration:
     def fallback(self, model: Model, alone: Model) -> Fallback | None:
         """What counts outside the joint ranges that were seen, of a model and geometry alone with the same frames."""
         curved = curved_joints(model.effects, self.nominal.chain.names)
-        if not (self.geometry_outside and curved.any()):
+        if self.trusted is None or not curved.any():
             return None
-        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved)
+        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved, self.trusted, self._doubt)
+
+    @property
+    def _doubt(self) -> Doubt | None:
+        """How much the full model should be doubted where it was not seen; None where that was not kept."""
+        if self.uncertainty is None or not self.left_alone > 0.0:
+            return None
+        arm = replace(self.calibrated.arm or NominalArm(self.nominal.chain), limits=self.driver_limits)
+        return Doubt(replace(self.calibrated, arm=arm, fallback=None), self.uncertainty, self.left_alone**2)
 
     @property
     def driver_limits(self) -> DriverLimits:
@@ -220,7 +231,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             "postures": [floats(q) for q in calibration.postures],
             **({"stamps": floats(np.array(calibration.watched))} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
-            **({"geometry_outside": True} if calibration.geometry_outside else {}),
+            **_trusted_to_data(calibration),
             **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
@@ -259,7 +270,8 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         known = uncertainty_from_data(data.get("uncertainty"), calibrated)
         scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
         alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
-        clock, outside = bool(recorded.get("clock", True)), bool(recorded.get("geometry_outside", False))
+        clock, outside = bool(recorded.get("clock", True)), _trusted_from_data(recorded, nominal.chain.names)
+        left_alone = float(recorded.get("left_alone_m", 0.0))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
@@ -272,8 +284,34 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
-        *(watched, alone, converged, clock, outside, ranges, typical),
+        *(watched, alone, converged, clock, outside, left_alone, ranges, typical),
     )
+
+
+def _trusted_to_data(calibration: Calibration) -> dict[str, Any]:
+    """How far beyond what was seen the full model counts, by joint; null where it does everywhere."""
+    if calibration.trusted is None:
+        return {}
+    names = calibration.nominal.chain.names
+    alone = {"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}
+    each = {
+        name: [float(x) if np.isfinite(x) else None for x in ends]
+        for name, ends in zip(names, calibration.trusted.T, strict=True)
+        if np.isfinite(ends).any()
+    }
+    return {"trusted_beyond": each, **alone}
+
+
+def _trusted_from_data(recorded: Mapping[str, Any], names: tuple[str, ...]) -> Array | None:
+    """What :func:`_trusted_to_data` wrote; older files say only whether the geometry alone counts at once."""
+    if "trusted_beyond" not in recorded:
+        return np.zeros((2, len(names))) if recorded.get("geometry_outside") else None
+    out = np.full((2, len(names)), np.inf)
+    for name, ends in recorded["trusted_beyond"].items():
+        out[:, names.index(name)] = [np.inf if x is None else float(x) for x in ends]
+    if not (out >= 0.0).all():
+        raise ValueError("trusted_beyond has two distances for a joint")
+    return out
 
 
 def _require_consistent(
