@@ -102,35 +102,20 @@ def test_outside_geometry_alone_counts_where_it_is_better(made: Calibration, rng
 def test_elsewhere_the_full_model_goes_on(rng: np.random.Generator) -> None:
     """What it knows of the wrist is worth more beyond the elbow's range than what its curve for the elbow lacks there."""
     both, outside = calibrated(bend, SWING), readings(rng, HIGH + BLEND + 0.01, 1.5, 60, bend, SWING)
-    assert both.trusted is not None
-    assert np.isinf(both.trusted[:, ELBOW]).all()
+    assert not both.geometry_outside
     alone = missed(both.geometric.predict_samples(outside), outside)
     assert missed(both.predict(outside.q), outside) < 0.5 * alone
 
 
-def test_a_curve_that_is_needed_at_the_ends_is_not_done_without() -> None:
-    """With the ends left out geometry alone is nearer to them than a full model whose curve is nothing there."""
-    bent = calibrated(bend)
-    assert bent.trusted is not None
-    assert np.isfinite(bent.trusted[:, ELBOW]).all()
-    below = readings(np.random.default_rng(5), -2.4, LOW - bent.trusted[0, ELBOW] - BLEND - 0.01, 60, bend)
-    alone = missed(bent.geometric.predict_samples(below), below)
-    assert missed(bent.calibrated.predict_samples(below), below) > 1.2 * alone
-    assert missed(bent.predict(below.q), below) == pytest.approx(alone)
-
-
 def test_where_the_full_model_hardly_knows_itself_geometry_speaks(made: Calibration) -> None:
     """The ends of this recording do not tell, for its curve is as loose there as outside."""
-    assert made.trusted is not None
-    assert np.isinf(made.trusted[:, ELBOW]).all()
+    assert not made.geometry_outside
     full, q = made.calibrated, np.tile([0.3, -1.2, 0.0, 0.4, 0.8, 0.1], (3, 1))
     q[:, ELBOW] = [HIGH - 0.1, HIGH + 0.3, LOW - 0.3]
-    doubted, certain = made.fallback(full, made.geometric), replace(made, left_alone=0.0).fallback(full, made.geometric)
+    doubted = made.fallback(full, made.geometric)
     assert doubted is not None
-    assert certain is not None
-    samples = samples_of(ur10(), q, made.predict(q))
-    np.testing.assert_allclose(doubted.share(samples), [0.0, 1.0, 1.0])
-    np.testing.assert_allclose(certain.share(samples), 0.0)
+    np.testing.assert_allclose(doubted.share(samples_of(ur10(), q, made.predict(q))), [0.0, 1.0, 1.0])
+    assert replace(made, left_alone=0.0).fallback(full, made.geometric) is None  # files of before say nothing of it
 
 
 def test_nothing_jumps_on_the_way_out(made: Calibration) -> None:
@@ -161,15 +146,16 @@ def test_commands_follow_the_same_models(made: Calibration, frame: str) -> None:
 
 
 def test_what_is_better_outside_is_kept_with_the_calibration(made: Calibration) -> None:
-    other = replace(made, trusted=None)
     q = np.array([[0.3, -1.2, 1.0, 0.4, 0.8, 0.1]])
-    np.testing.assert_allclose(other.predict(q), made.calibrated.predict(q), atol=1e-12)
-    assert from_data(to_data(other)).trusted is None
-    assert made.trusted is not None
-    kept = from_data(to_data(made))
-    assert kept.trusted is not None
-    np.testing.assert_array_equal(kept.trusted, made.trusted)
-    assert kept.left_alone == made.left_alone > 0.0
+    unknown = replace(made, left_alone=0.0)
+    np.testing.assert_allclose(unknown.predict(q), made.calibrated.predict(q), atol=1e-12)
+    alone = replace(unknown, geometry_outside=True)
+    np.testing.assert_allclose(alone.predict(q), made.geometric.predict(q), atol=1e-12)
+    for calibration in (made, unknown, alone):
+        kept = from_data(to_data(calibration))
+        assert kept.geometry_outside == calibration.geometry_outside
+        assert kept.left_alone == calibration.left_alone
+        np.testing.assert_allclose(kept.predict(q), calibration.predict(q), atol=1e-12)
 
 
 def test_models_without_curves_go_on(made: Calibration) -> None:

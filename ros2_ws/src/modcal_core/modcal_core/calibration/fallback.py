@@ -1,9 +1,9 @@
 """Outside the joint ranges that were seen another model speaks: curves over a joint's position are not known there.
 
-The geometry beside curves is not the best without them. How far outside the full model is better than the geometry
-that is best alone is read from the calibration's own recording, the ends of which are left out of a fit of either
-(:mod:`modcal_core.calibration.outermost`); from there on geometry alone speaks, and wherever outside the full model
-hardly knows itself (:mod:`modcal_core.calibration.doubt`). It comes in over a twentieth of a radian, so that no command
+The geometry beside curves is not the best without them. Whether the geometry that is best alone does better where no
+curve was seen is read from the calibration's own recording, the outermost postures of which are left out of a fit of
+either (:mod:`modcal_core.calibration.outermost`); and wherever outside the full model hardly knows itself, geometry
+alone speaks too (:mod:`modcal_core.calibration.doubt`). It comes in over a twentieth of a radian, so that no command
 jumps.
 """
 
@@ -42,33 +42,25 @@ class Doubting(Protocol):
 class Fallback:
     """The model outside, with the same frames, and where that is.
 
-    low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,). trusted: how
-    far beyond the full model counts still, (2, n). doubt: how much it should be doubted there; None: not at all.
+    low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,). doubt: how much
+    the full model should be doubted there; None: altogether.
     """
 
     model: Predicting
     low: Array
     high: Array
     curved: np.ndarray
-    trusted: Array
     doubt: Doubting | None = None
 
     def share(self, samples: Samples) -> Array:
-        """How much of it counts at samples, in [0, 1], (N,): none inside, all of it from BLEND beyond what is trusted."""
-        out = self._beyond(samples.q, self.trusted)
-        if self.doubt is None:
-            return out
-        outside = self._beyond(samples.q, np.zeros_like(self.trusted))
-        rows = np.flatnonzero(outside > out)
-        if len(rows):
-            out[rows] = np.maximum(out[rows], outside[rows] * self.doubt.share(samples.select(rows)))
-        return out
-
-    def _beyond(self, q: Array, by: Array) -> Array:
-        """How far outside postures (N, n) are, from 0 at so far beyond what was seen (2, n) to 1 at BLEND more."""
-        beyond = np.maximum(np.maximum(self.low - by[0] - q, q - self.high - by[1]), 0.0)[:, self.curved]
+        """How much of it counts at samples, in [0, 1], (N,): none inside, from BLEND beyond as much as is doubted."""
+        beyond = np.maximum(np.maximum(self.low - samples.q, samples.q - self.high), 0.0)[:, self.curved]
         u = np.clip(beyond.max(axis=1, initial=0.0) / BLEND, 0.0, 1.0)
-        return np.asarray(u * u * (3.0 - 2.0 * u))
+        out = np.asarray(u * u * (3.0 - 2.0 * u))
+        rows = np.flatnonzero(out > 0.0)
+        if self.doubt is not None and len(rows):
+            out[rows] *= self.doubt.share(samples.select(rows))
+        return out
 
     def blended(self, T: Array, samples: Samples) -> Array:
         """Poses (N, 4, 4) of the full model, replaced by this one as far as the samples lie outside."""

@@ -12,7 +12,7 @@ from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import identify_moved
-from modcal_core.calibration.outermost import trusted_beyond
+from modcal_core.calibration.outermost import geometry_is_better
 from modcal_core.calibration.score import errors, typical_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
@@ -73,7 +73,7 @@ def finalise(
         converged=all(each.converged for each in fits),
         clock=samples.clock,
         left_alone=_left(geometric, samples),
-        trusted=trusted_beyond(tidy, geometric, samples, choice.parameters, last, cell.distances),
+        geometry_outside=geometry_is_better(tidy, geometric, samples, choice.parameters, last, cell.distances),
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
     )

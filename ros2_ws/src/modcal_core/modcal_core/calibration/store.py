@@ -61,9 +61,9 @@ class Calibration:
     explain it as well. kind, postures, noise: of the readings, what was recorded (k, n), thinned, and how the readings
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
-    clock: whether these are times. trusted: how far below and above what was seen of each joint the full model counts,
-    (2, n) [rad, m], infinite where it does everywhere; beyond, the geometry alone does. None: everywhere. left_alone: RMS [m] of the
-    geometry alone on its own recording, by which the full model is doubted outside; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that effects depend on.
+    clock: whether these are times. geometry_outside: whether the geometry alone counts where joints of curves go beyond
+    what was seen. left_alone: RMS [m] of the geometry alone on its own recording, by which the full model is doubted
+    there otherwise; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that effects depend on.
     typical: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
     where none was stated. converged: whether every fit reached its minimum.
@@ -83,7 +83,7 @@ class Calibration:
     scatter: tuple[float, float] = (0.0, 0.0)
     converged: bool = True
     clock: bool = True
-    trusted: Array | None = None
+    geometry_outside: bool = False
     left_alone: float = 0.0
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     typical: tuple[TypicalDriver | None, ...] = ()
@@ -143,9 +143,10 @@ class Calibration:
     def fallback(self, model: Model, alone: Model) -> Fallback | None:
         """What counts outside the joint ranges that were seen, of a model and geometry alone with the same frames."""
         curved = curved_joints(model.effects, self.nominal.chain.names)
-        if self.trusted is None or not curved.any():
+        doubt = None if self.geometry_outside else self._doubt
+        if not curved.any() or not (self.geometry_outside or doubt):
             return None
-        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved, self.trusted, self._doubt)
+        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved, doubt)
 
     @property
     def _doubt(self) -> Doubt | None:
@@ -231,7 +232,8 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             "postures": [floats(q) for q in calibration.postures],
             **({"stamps": floats(np.array(calibration.watched))} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
-            **_trusted_to_data(calibration),
+            **({"geometry_outside": True} if calibration.geometry_outside else {}),
+            **({"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}),
             **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
@@ -270,7 +272,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         known = uncertainty_from_data(data.get("uncertainty"), calibrated)
         scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
         alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
-        clock, outside = bool(recorded.get("clock", True)), _trusted_from_data(recorded, nominal.chain.names)
+        clock, outside = bool(recorded.get("clock", True)), bool(recorded.get("geometry_outside", False))
         left_alone = float(recorded.get("left_alone_m", 0.0))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
@@ -286,32 +288,6 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
         *(watched, alone, converged, clock, outside, left_alone, ranges, typical),
     )
-
-
-def _trusted_to_data(calibration: Calibration) -> dict[str, Any]:
-    """How far beyond what was seen the full model counts, by joint; null where it does everywhere."""
-    if calibration.trusted is None:
-        return {}
-    names = calibration.nominal.chain.names
-    alone = {"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}
-    each = {
-        name: [float(x) if np.isfinite(x) else None for x in ends]
-        for name, ends in zip(names, calibration.trusted.T, strict=True)
-        if np.isfinite(ends).any()
-    }
-    return {"trusted_beyond": each, **alone}
-
-
-def _trusted_from_data(recorded: Mapping[str, Any], names: tuple[str, ...]) -> Array | None:
-    """What :func:`_trusted_to_data` wrote; older files say only whether the geometry alone counts at once."""
-    if "trusted_beyond" not in recorded:
-        return np.zeros((2, len(names))) if recorded.get("geometry_outside") else None
-    out = np.full((2, len(names)), np.inf)
-    for name, ends in recorded["trusted_beyond"].items():
-        out[:, names.index(name)] = [np.inf if x is None else float(x) for x in ends]
-    if not (out >= 0.0).all():
-        raise ValueError("trusted_beyond has two distances for a joint")
-    return out
 
 
 def _require_consistent(
