@@ -20,7 +20,6 @@ from modcal_core.measurements.samples import Samples
 # Of the squares that geometry alone leaves: what a covariance says of a model is too little by several times where
 # the model is not quite right, so that at a fifth in RMS the better of the two is no longer known.
 UNSURE = 0.05
-_BEGINS = 0.4  # of UNSURE, from which on the other model comes in
 _CHUNK = 500  # samples, for memory
 
 
@@ -42,11 +41,14 @@ class Doubt:
         )  # fmt: skip
         parts = [self._variance(seen.select(np.arange(k, min(k + _CHUNK, N)))) for k in range(0, N, _CHUNK)]
         doubted = np.concatenate([np.zeros(0), *parts]) / (UNSURE * self.alone)
-        u = np.clip((doubted - _BEGINS) / (1.0 - _BEGINS), 0.0, 1.0)
+        u = np.clip(doubted, 0.0, 1.0)
         return np.asarray(u * u * (3.0 - 2.0 * u))
 
     def _variance(self, samples: Samples) -> Array:
-        """Of predicted positions, (N,) [m²]: of all that postures alone tell."""
+        """Of predicted positions, (N,) [m²]: of all that postures alone tell.
+
+        What a free curve itself is not known there counts nothing, for geometry alone lacks it as well.
+        """
         parameters, effects = self.known.parameters, self.model.effects
         kept = [k for k, p in enumerate(parameters) if p.instrument < 0]
         rows = list(kept)
@@ -60,4 +62,11 @@ class Doubt:
         values = np.concatenate([np.zeros(len(kept)), *(e.values for e in told)])
         J = linearise(model, [parameters[k] for k in kept], values, samples).J[:, : 3 * len(samples)]
         C = self.known.covariance[np.ix_(rows, rows)]
-        return np.asarray(np.einsum("kr,kr->r", J, C @ J).reshape(3, -1).sum(axis=0))
+        free = np.concatenate([np.zeros(len(kept), bool), *(np.full(len(e.values), e.shape.is_free) for e in told)])
+        both = (_spread(J[part], C[np.ix_(part, part)]) for part in (np.arange(len(J)), np.flatnonzero(~free)))
+        return np.minimum(*both)
+
+
+def _spread(J: Array, C: Array) -> Array:
+    """Trace of J C Jᵀ of each sample, (N,), with J (K, 3 N)."""
+    return np.asarray(np.einsum("kr,kr->r", J, C @ J).reshape(3, -1).sum(axis=0))
