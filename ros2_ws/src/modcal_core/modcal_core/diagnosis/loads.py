@@ -281,8 +281,8 @@ class _Fitted:
             if asked.arm.weighed and mass.max() <= 0.0:  # nothing hangs upwards
                 return False
         if asked.places:
-            beside, std = self.x[-3:], self.std[-3:]
-            return bool((np.abs(beside) > _SURE * std).any() and np.linalg.norm(beside) < _MOST_BESIDE)
+            beside = self.x[-3:]
+            return bool((np.abs(beside) > _SURE * self.std[-3:]).any() and np.linalg.norm(beside) < _MOST_BESIDE)
         return True
 
     def _masses(self, asked: LoadHypothesis) -> tuple[Array, Array]:
