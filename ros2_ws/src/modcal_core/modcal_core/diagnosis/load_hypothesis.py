@@ -53,15 +53,20 @@ class LoadHypothesis:
     arm: as it is known. tilts: whether weight pulls another way, by two turns [rad] across the known one. until: stamps
     [s] between recordings. carries: whether the tip carries more than is known, in each recording something else: mass
     [kg] and mass times place in the tip [kg m], four numbers each; of an arm without masses only how much more than in
-    the last, one for each other recording. places: whether what a recorded number says is carried has its centre beside
-    the tip, by three numbers [m]; of an arm with masses, and without ``carries``.
+    the last, one for each other recording. told: the recorded number that says how many kg are carried, where their
+    centre is asked, three numbers [m]; of an arm with masses, and without ``carries``.
     """
 
     arm: NominalArm
     tilts: bool = False
     until: tuple[float, ...] = ()
     carries: bool = False
-    places: bool = False
+    told: str = ""
+
+    @property
+    def places(self) -> bool:
+        """Whether it is asked where the centre of a stated payload is."""
+        return bool(self.told)
 
     @property
     def recordings(self) -> int:
@@ -144,6 +149,8 @@ class LoadHypothesis:
     def _starts(self) -> list[Array]:
         if self.tilts:
             return [np.r_[turn, np.zeros(self.size - 2)] for turn in _ways()]
+        if self.places:
+            return [np.zeros(self.size)]
         out = []
         for kg in _STARTS_KG:
             x = np.zeros(self.size)
@@ -171,6 +178,11 @@ class LoadHypothesis:
             arms = (replace(self.arm, inertias=inertias.pulled(way)) for way in np.eye(3))
             return [load(Drivers(drivers.samples, arm)) for arm in arms]
         at = Drivers(drivers.samples, self.arm)
+        if self.places:
+            mass = at.values(self.told)
+            each = (at.payload, *at.offset)
+            parts = [unit[rows, along] * mass for unit in each]
+            return [load(at) + parts[0], *parts[1:]]
         bare = Drivers(drivers.samples, replace(self.arm, earlier=None))
         which = np.searchsorted(np.array(self.until), drivers.samples.stamps, side="right")
         units = [bare.payload, *(bare.offset if weighed else ())]
