@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize, nnls
 
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.carried import Carried
@@ -136,10 +135,15 @@ class LoadHypothesis:
             prior = float(np.sum((x / self.prior_std) ** 2))
             return prior - _explained(M, before @ v)
 
-        known, total = missed(np.zeros(self.size)), float(np.sum(space.residual**2))
+        total = float(np.sum(space.residual**2))
         most = _all_explained(A.reshape(S * n, S * n), v.ravel())  # each part at each joint for itself
+        if most < worth * (total - most):  # whatever the arm as it is known explains of it
+            return None
+        known = missed(np.zeros(self.size))
         if known + most < worth * (total - most):
             return None
+        from scipy.optimize import minimize  # slow to import, and of most arms not asked for
+
         starts = sorted(self._starts(), key=missed)[:2]
         found = [minimize(missed, x, method="Nelder-Mead" if self.size <= 2 else "BFGS") for x in starts]
         best = min(found, key=lambda result: float(result.fun))
@@ -212,6 +216,8 @@ def _with(inertias: Inertias, arm: NominalArm, carried: Array) -> Inertias:
 
 def _explained(M: Array, v: Array) -> float:
     """The most of a square that columns with these products explain without a negative share."""
+    from scipy.optimize import nnls  # slow to import
+
     unit = float(np.trace(M)) / max(len(M), 1)
     if not unit > 0.0:
         return 0.0
