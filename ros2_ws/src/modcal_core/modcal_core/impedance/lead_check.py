@@ -8,6 +8,11 @@ stiffness depends on the posture, and is largest along an outstretched arm; what
 does not make it less, as the tool is measured. So the stiffest that an arm may be is what counts, and the lead may be
 some tenths of a millimetre. A sensor that says the same to the last digit while the arm is
 moved may be stuck, or coarse: what it says explains nothing.
+
+A sensor that is stuck while its noise goes on repeats nothing. But by how much the servos yield to a newton is learned
+from what it said while it followed: whenever the felt force has changed by half a newton, the lead and the force of
+that moment are noted, and from then on the force explains that lead and not what the softest stack would take. The arm
+yields in another posture by as much more or less as its levers say: J Jᵀ along the lead, for joints that are alike.
 """
 
 from __future__ import annotations
@@ -30,6 +35,9 @@ _SOFTER = 3.0  # times softer than a contact may an arm be that is felt
 _SHARE = 0.5  # of the force that may go unfelt, for as much again comes until the arm stands
 _LAG_OFF = 0.5  # of the servo's lag by which that may be misstated, in what the setpoint moves meanwhile
 _IN_A_ROW = 2  # measurements, for one may be late
+_CHANGES = 0.5  # N by which a force must change to show that the sensor follows: three deviations of a usual noise
+_STEADY, _GROWS = 1.3, 2.0  # times what was noted may a force take, and one that grew since: joints are not all alike
+_CREEP_SHARE = 0.2  # of the force that may come, in what a misstated lag hides of a setpoint that creeps
 _SETTLES = 0.15e-3  # m that a setpoint has gone, up to which what it leads by is how the arm sags, and no force
 
 
@@ -69,6 +77,7 @@ class LeadCheck:
         self._gone, self._sag = 0.0, np.zeros(3)
         self._beyond = 0
         self._looked = -math.inf
+        self._noted = (0.0, math.inf)  # force [N], and the lead [m] per newton and m² of levers that it came with
 
     def sent(self, p: Array, now: float) -> None:
         """Note where the setpoint (3,) [m] is at time ``now`` [s]."""
@@ -95,10 +104,17 @@ class LeadCheck:
         """Whether the sensor says the same again and again while the arm is moved."""
         return self._same >= _SAME and self._way >= _SAME_WAY
 
-    def unfelt(self, tool: Array, force: float, stamp: float, most: float) -> float:
+    def creep(self, most: float) -> float:
+        """The speed [m/s] at which what a misstated lag hides is a small share of a force [N]; inf where none is."""
+        known = self.stiffness
+        hides = _LAG_OFF * known.lag * known.stiffest
+        return _CREEP_SHARE * most / hides if hides > 0.0 else math.inf
+
+    def unfelt(self, tool: Array, force: float, stamp: float, most: float, levers: Array | None = None) -> float:
         """The force [N] by which the setpoint pulls and that is not felt; 0 where a servo's lag may be all of it.
 
-        tool (3,): measured at ``stamp`` [s]. force: that is felt; most: that may go unfelt [N].
+        tool (3,): measured at ``stamp`` [s]. force: that is felt; most: that may go unfelt [N]. levers (3, 3): J Jᵀ of
+        the tool's position, in the same frame [m²].
         """
         known = self.stiffness
         since = stamp - _LAGS * known.lag
@@ -108,22 +124,43 @@ class LeadCheck:
         if known.stiffest and self._gone <= _SETTLES:
             self._sag = tool - lately[-1]
         tool = tool - self._sag
-        explained = 0.0 if self.repeats else force / known.softest
-        left = min(math.dist(p, tool) for p in lately) - explained
         if known.stiffest:
             slack = _LAG_OFF / _LAGS * sum(map(math.dist, lately[1:], lately[:-1]))
-            return known.stiffest * max(left - slack, 0.0)
+            nearest = min(lately, key=lambda p: math.dist(p, tool))
+            left = math.dist(nearest, tool)
+            explained = 0.0 if self.repeats else self._explained(nearest - tool, left + slack, force, levers)
+            return known.stiffest * max(left - explained - slack, 0.0)
+        explained = 0.0 if self.repeats else force / known.softest
+        left = min(math.dist(p, tool) for p in lately) - explained
         least = min(_LEAST_LEAD, _LEAST_SHARE * most / known.contact)
         if left <= least:
             return 0.0
         return known.contact * (math.dist(self._sent[-1][1], tool) - explained)  # as it will be, with no more lag
 
-    def refused(self, tool: Array, force: float, stamp: float, most: float) -> BadCommand | None:
-        """Why to let go: more than ``most`` [N] is not felt; None where all is well."""
+    def _explained(self, way: Array, lead: float, force: float, levers: Array | None) -> float:
+        """The lead [m] that a felt force [N] takes, by what was noted of the servos; at most what the softest do.
+
+        way (3,): of the lead. lead: with what the lag may be of it [m].
+        """
+        most = force / self.stiffness.softest
+        along = 1.0
+        if levers is not None and (size := math.sqrt(way @ way)) > 0.0:
+            along = max(float(way @ levers @ way) / size**2, 1e-6)
+        noted, per = self._noted
+        if abs(force - noted) >= _CHANGES and force > 0.0:
+            self._noted = noted, per = force, min(lead, most) / (force * along)
+        if not math.isfinite(per):
+            return most
+        return min(along * per * (_STEADY * min(force, noted) + _GROWS * max(force - noted, 0.0)), most)
+
+    def refused(
+        self, tool: Array, force: float, stamp: float, most: float, levers: Array | None = None
+    ) -> BadCommand | None:
+        """Why to let go: more than ``most`` [N] is not felt; None where all is well. levers: as of :meth:`unfelt`."""
         if stamp <= self._looked:
             return None
         self._looked = stamp
-        hidden, stiff = self.unfelt(tool, force, stamp, most), self.stiffness.stiffest > 0.0
+        hidden, stiff = self.unfelt(tool, force, stamp, most, levers), self.stiffness.stiffest > 0.0
         self._beyond = self._beyond + 1 if hidden > (_SHARE if stiff else 1.0) * most else 0
         if self._beyond < (_IN_A_ROW if stiff else 1):
             return None

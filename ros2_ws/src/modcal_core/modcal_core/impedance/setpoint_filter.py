@@ -82,6 +82,12 @@ class SetpointFilter:
         self._rates = np.concatenate([self.pose[:3, 3] - before[:3, 3], rotation_vector(D)]) / h
         self._h = h
 
+    @property
+    def levers(self) -> Array:
+        """J Jᵀ (3, 3) of the tool's position in the base [m²]: how much it yields where all joints yield alike."""
+        J = self.pose[:3, :3] @ self._J[:3]
+        return J @ J.T
+
     def lag(self, goal: Array) -> float:
         """How far the tool has stayed behind a pose (4, 4) [m]."""
         return float(np.linalg.norm(goal[:3, 3] - self.pose[:3, 3]))
