@@ -12,7 +12,8 @@ moved may be stuck, or coarse: what it says explains nothing.
 A sensor that is stuck while its noise goes on repeats nothing. But by how much the servos yield to a newton is learned
 from what it said while it followed: whenever the felt force has changed by half a newton, the lead and the force of
 that moment are noted, and from then on the force explains that lead and not what the softest stack would take. The arm
-yields in another posture by as much more or less as its levers say: J Jᵀ along the lead, for joints that are alike.
+yields in another posture, and to another moment of the hand, by as much more or less as its levers say: by J Jᵀ w of
+the felt wrench w, for joints that are alike.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ class LeadCheck:
         self._gone, self._sag = 0.0, np.zeros(3)
         self._beyond = 0
         self._looked = -math.inf
-        self._noted = (0.0, math.inf)  # force [N], and the lead [m] per newton and m² of levers that it came with
+        self._noted = (0.0, math.inf)  # what moved the levers [N m²], and the lead [m] per N m² that it came with
 
     def sent(self, p: Array, now: float) -> None:
         """Note where the setpoint (3,) [m] is at time ``now`` [s]."""
@@ -110,11 +111,12 @@ class LeadCheck:
         hides = _LAG_OFF * known.lag * known.stiffest
         return _CREEP_SHARE * most / hides if hides > 0.0 else math.inf
 
-    def unfelt(self, tool: Array, force: float, stamp: float, most: float, levers: Array | None = None) -> float:
+    def unfelt(self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
+               ) -> float:  # fmt: skip
         """The force [N] by which the setpoint pulls and that is not felt; 0 where a servo's lag may be all of it.
 
-        tool (3,): measured at ``stamp`` [s]. force: that is felt; most: that may go unfelt [N]. levers (3, 3): J Jᵀ of
-        the tool's position, in the same frame [m²].
+        tool (3,): measured at ``stamp`` [s]. force: that is felt; most: that may go unfelt [N]. moved: how far the
+        felt wrench moves the tool of an arm whose joints yield by 1 rad to 1 N m, and one newton of it at most [N m²].
         """
         known = self.stiffness
         since = stamp - _LAGS * known.lag
@@ -126,9 +128,8 @@ class LeadCheck:
         tool = tool - self._sag
         if known.stiffest:
             slack = _LAG_OFF / _LAGS * sum(map(math.dist, lately[1:], lately[:-1]))
-            nearest = min(lately, key=lambda p: math.dist(p, tool))
-            left = math.dist(nearest, tool)
-            explained = 0.0 if self.repeats else self._explained(nearest - tool, left + slack, force, levers)
+            left = min(math.dist(p, tool) for p in lately)
+            explained = 0.0 if self.repeats else self._explained(left + slack, force, moved or (force, 1.0))
             return known.stiffest * max(left - explained - slack, 0.0)
         explained = 0.0 if self.repeats else force / known.softest
         left = min(math.dist(p, tool) for p in lately) - explained
@@ -137,30 +138,28 @@ class LeadCheck:
             return 0.0
         return known.contact * (math.dist(self._sent[-1][1], tool) - explained)  # as it will be, with no more lag
 
-    def _explained(self, way: Array, lead: float, force: float, levers: Array | None) -> float:
+    def _explained(self, lead: float, force: float, moved: tuple[float, float]) -> float:
         """The lead [m] that a felt force [N] takes, by what was noted of the servos; at most what the softest do.
 
-        way (3,): of the lead. lead: with what the lag may be of it [m].
+        lead: that is there, with what the lag may be of it [m]. moved: as of :meth:`unfelt`.
         """
         most = force / self.stiffness.softest
-        along = 1.0
-        if levers is not None and (size := math.sqrt(way @ way)) > 0.0:
-            along = max(float(way @ levers @ way) / size**2, 1e-6)
+        by, newton = moved
         noted, per = self._noted
-        if abs(force - noted) >= _CHANGES and force > 0.0:
-            self._noted = noted, per = force, min(lead, most) / (force * along)
+        if abs(by - noted) >= _CHANGES * newton and by > 0.0:
+            self._noted = noted, per = by, min(lead, most) / by
         if not math.isfinite(per):
             return most
-        return min(along * per * (_STEADY * min(force, noted) + _GROWS * max(force - noted, 0.0)), most)
+        return min(per * (_STEADY * min(by, noted) + _GROWS * max(by - noted, 0.0)), most)
 
     def refused(
-        self, tool: Array, force: float, stamp: float, most: float, levers: Array | None = None
+        self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
     ) -> BadCommand | None:
-        """Why to let go: more than ``most`` [N] is not felt; None where all is well. levers: as of :meth:`unfelt`."""
+        """Why to let go: more than ``most`` [N] is not felt; None where all is well. moved: as of :meth:`unfelt`."""
         if stamp <= self._looked:
             return None
         self._looked = stamp
-        hidden, stiff = self.unfelt(tool, force, stamp, most, levers), self.stiffness.stiffest > 0.0
+        hidden, stiff = self.unfelt(tool, force, stamp, most, moved), self.stiffness.stiffest > 0.0
         self._beyond = self._beyond + 1 if hidden > (_SHARE if stiff else 1.0) * most else 0
         if self._beyond < (_IN_A_ROW if stiff else 1):
             return None

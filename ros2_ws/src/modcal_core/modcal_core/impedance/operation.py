@@ -214,8 +214,8 @@ class Operation:
         self.lead_check.felt(sensor.raw, sensor.stamp)
         if refused is None and self.phase in _MOVING:
             felt = math.sqrt(self.force[:3] @ self.force[:3])
-            levers = self.setpoint_filter.levers
-            refused = self.lead_check.refused(T[:3, 3], felt, joints.stamp, self.limits.force, levers)
+            moved = self.setpoint_filter.moved_by(self.force)
+            refused = self.lead_check.refused(T[:3, 3], felt, joints.stamp, self.limits.force, moved)
         if refused is not None and self.phase != "release":
             self._let_go(str(refused), now)
         self._tell[self.phase](h, T, state)

@@ -82,11 +82,13 @@ class SetpointFilter:
         self._rates = np.concatenate([self.pose[:3, 3] - before[:3, 3], rotation_vector(D)]) / h
         self._h = h
 
-    @property
-    def levers(self) -> Array:
-        """J Jᵀ (3, 3) of the tool's position in the base [m²]: how much it yields where all joints yield alike."""
-        J = self.pose[:3, :3] @ self._J[:3]
-        return J @ J.T
+    def moved_by(self, wrench: Array) -> tuple[float, float]:
+        """How far a wrench (6,) on the tool, in its axes, moves it where every joint yields by 1 rad to 1 N m, and how
+        far one newton does at most [N m²].
+        """
+        J = self._J
+        way = J[:3] @ (J.T @ wrench)
+        return math.sqrt(way @ way), float(np.linalg.eigvalsh(J[:3] @ J[:3].T)[-1])
 
     def lag(self, goal: Array) -> float:
         """How far the tool has stayed behind a pose (4, 4) [m]."""
