@@ -37,7 +37,9 @@ _SHARE = 0.5  # of the force that may go unfelt, for as much again comes until t
 _LAG_OFF = 0.5  # of the servo's lag by which that may be misstated, in what the setpoint moves meanwhile
 _IN_A_ROW = 2  # measurements, for one may be late
 _CHANGES = 0.5  # N by which a force must change to show that the sensor follows: three deviations of a usual noise
+_FALLS = 2.0  # N by which a force must have fallen lately for its lead to be on its way back, and not to be noted
 _STEADY, _GROWS = 1.3, 2.0  # times what was noted may a force take, and one that grew since: joints are not all alike
+_RECALL = 3.0  # servo lags for which a force that has gone still explains a lead: a servo unwinds by its lag
 _CREEP_SHARE = 0.2  # of the force that may come, in what a misstated lag hides of a setpoint that creeps
 _SETTLES = 0.15e-3  # m that a setpoint has gone, up to which what it leads by is how the arm sags, and no force
 
@@ -78,6 +80,7 @@ class LeadCheck:
         self._gone, self._sag = 0.0, np.zeros(3)
         self._beyond = 0
         self._looked = -math.inf
+        self._felt: deque[tuple[float, float, float]] = deque()  # stamp [s], force [N], what it moved [N m²]
         self._noted = (0.0, math.inf)  # what moved the levers [N m²], and the lead [m] per N m² that it came with
 
     def sent(self, p: Array, now: float) -> None:
@@ -129,7 +132,7 @@ class LeadCheck:
         if known.stiffest:
             slack = _LAG_OFF / _LAGS * sum(map(math.dist, lately[1:], lately[:-1]))
             left = min(math.dist(p, tool) for p in lately)
-            explained = 0.0 if self.repeats else self._explained(left + slack, force, moved or (force, 1.0))
+            explained = self._explained(left + slack, force, moved or (force, 1.0), stamp)
             return known.stiffest * max(left - explained - slack, 0.0)
         explained = 0.0 if self.repeats else force / known.softest
         left = min(math.dist(p, tool) for p in lately) - explained
@@ -138,16 +141,26 @@ class LeadCheck:
             return 0.0
         return known.contact * (math.dist(self._sent[-1][1], tool) - explained)  # as it will be, with no more lag
 
-    def _explained(self, lead: float, force: float, moved: tuple[float, float]) -> float:
+    def _explained(self, lead: float, force: float, moved: tuple[float, float], stamp: float) -> float:
         """The lead [m] that a felt force [N] takes, by what was noted of the servos; at most what the softest do.
 
-        lead: that is there, with what the lag may be of it [m]. moved: as of :meth:`unfelt`.
+        The largest of the last moments counts, for what lets go (a magnet) is felt at once and unwinds by the servo's
+        lag. lead: that is there, with what the lag may be of it [m]. moved: as of :meth:`unfelt`.
         """
-        most = force / self.stiffness.softest
         by, newton = moved
+        self._felt.append((stamp, force, by))
+        while self._felt[0][0] < stamp - _RECALL * self.stiffness.lag:
+            self._felt.popleft()
+        if self.repeats:
+            return 0.0
         noted, per = self._noted
-        if abs(by - noted) >= _CHANGES * newton and by > 0.0:
-            self._noted = noted, per = by, min(lead, most) / by
+        fell = max(f for _, f, _ in self._felt) > force + _FALLS
+        if abs(by - noted) >= _CHANGES * newton and by > 0.0 and not fell:
+            self._noted = noted, per = by, min(lead, force / self.stiffness.softest) / by
+        return max(self._takes(f, b, noted, per) for _, f, b in self._felt)
+
+    def _takes(self, force: float, by: float, noted: float, per: float) -> float:
+        most = force / self.stiffness.softest
         if not math.isfinite(per):
             return most
         return min(per * (_STEADY * min(by, noted) + _GROWS * max(by - noted, 0.0)), most)
