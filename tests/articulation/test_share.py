@@ -67,11 +67,11 @@ def test_stretches_are_bounded_and_keep_the_path() -> None:
 
 
 def bent(smooth: bool, seed: int = 3) -> Track:
-    """A hinge of 40 cm that departs by a millimetre and a half: in one wave, or in places a few centimetres apart."""
+    """A hinge of 40 cm that departs by some millimetres: in one wave, or in places a few centimetres apart."""
     rng, n = np.random.default_rng(seed), 240
     a = np.linspace(0.0, 1.2, n)
     if smooth:
-        off = 2e-3 * np.sin(2.0 * np.pi * a / a[-1])
+        off = 4e-3 * np.sin(2.0 * np.pi * a / a[-1])
     else:
         off = 2e-3 * np.interp(a, np.linspace(0.0, a[-1], 16), rng.uniform(-1.0, 1.0, 16))
     p = (0.4 + off)[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1)
