@@ -59,7 +59,9 @@ def bag_of_tags(path: Path, s: CameraScene, turned: int = 0, family: str = "36h1
 
     def detection(number: int, quad: Array) -> Any:
         corners = [corner(p) for p in np.roll(quad, turned, axis=0)]
-        return store.types[ONE](family, number + GRID.first_id, 0, 0.0, 60.0, corner(quad.mean(0)), corners, np.eye(3).ravel())
+        return store.types[ONE](
+            family, number + GRID.first_id, 0, 0.0, 60.0, corner(quad.mean(0)), corners, np.eye(3).ravel()
+        )
 
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -69,22 +71,38 @@ def bag_of_tags(path: Path, s: CameraScene, turned: int = 0, family: str = "36h1
         def write(topic: str, type_name: str, message: Any, t: float) -> None:
             if topic not in channels:
                 text = TEXT if type_name == TAGS else definition(type_name)[0]
-                channels[topic] = writer.register_channel(topic, "cdr", writer.register_schema(type_name, "ros2msg", text.encode()))
-            writer.add_message(channels[topic], round(t * 1e9), bytes(store.serialize_cdr(message, type_name)), round(t * 1e9))
+                channels[topic] = writer.register_channel(
+                    topic, "cdr", writer.register_schema(type_name, "ros2msg", text.encode())
+                )
+            writer.add_message(
+                channels[topic], round(t * 1e9), bytes(store.serialize_cdr(message, type_name)), round(t * 1e9)
+            )
 
         String = message_class("std_msgs/msg/String")
         write("/robot_description", "std_msgs/msg/String", String(data=PANDA.read_text()), START)
         if info:
-            write("/camera/camera_info", CAMERA_INFO, camera_info(START, s.lens.size, s.lens.K, s.lens.values[4:]), START)
+            write(
+                "/camera/camera_info", CAMERA_INFO, camera_info(START, s.lens.size, s.lens.K, s.lens.values[4:]), START
+            )
         t = START
         for k, (q, view) in enumerate(zip(s.q, s.views, strict=True)):
             before = s.q[max(k - 1, 0)]
             for share in np.linspace(0.0, 1.0, 20, endpoint=False):
                 now = before + share * (q - before)
-                write("/joint_states", "sensor_msgs/msg/JointState", state(header(t), list(s.chain.names), now, nothing, nothing), t)
+                write(
+                    "/joint_states",
+                    "sensor_msgs/msg/JointState",
+                    state(header(t), list(s.chain.names), now, nothing, nothing),
+                    t,
+                )
                 t += 0.05
             for j in range(20):
-                write("/joint_states", "sensor_msgs/msg/JointState", state(header(t), list(s.chain.names), q, nothing, nothing), t)
+                write(
+                    "/joint_states",
+                    "sensor_msgs/msg/JointState",
+                    state(header(t), list(s.chain.names), q, nothing, nothing),
+                    t,
+                )
                 if j == 10:
                     by_tag = [(n, view.pixels[view.ids // 4 == n]) for n in np.unique(view.ids // 4)]
                     found = [detection(int(n), quad) for n, quad in by_tag if len(quad) == 4]

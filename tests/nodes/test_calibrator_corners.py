@@ -73,14 +73,13 @@ class Cell:
 
 
 def test_corners_to_a_calibrated_arm_and_a_kicked_tripod(tmp_path: Path) -> None:
-    """A process solves as a user has it solve, which takes its seconds."""
+    """A process solves as a user has it solve, which takes its seconds; another one goes on where it was."""
     s = scene(8, False, count=20, board=MEASURED)
     (tmp_path / "target.yaml").write_text(to_yaml(TARGET))
     domain = fresh_domain()
-    process = Process(
-        "calibrator", domain, tmp_path, target=tmp_path / "target.yaml", tip="panda_link8", effects=False,
-        out=tmp_path / "out",
-    )  # fmt: skip
+    options = {"target": tmp_path / "target.yaml", "tip": "panda_link8", "effects": False, "out": tmp_path / "out"}
+    options["state"] = tmp_path / "state"
+    process = Process("calibrator", domain, tmp_path, **options)
     with running(process), listener(domain) as (node, wait):
         cell = Cell(node, wait, s)
         trusted, models, changes = (
@@ -109,18 +108,31 @@ def test_corners_to_a_calibrated_arm_and_a_kicked_tripod(tmp_path: Path) -> None
         report = json.loads((tmp_path / "out" / "report.json").read_text())
         assert report["camera"]["mounting"] == "world"
         assert report["camera"]["tool_error_mm"]["in_view"]["calibrated"]["high95"] < 5.0
-        # a tripod is kicked by 2 mm: named within five images
-        kick = se3.exp([0.0, 2e-3, 0.0, 0.0, 0.0, 0.0])
-        for i, (q, T) in enumerate(zip(s.q[:6], s.T[:6], strict=True)):
-            cell.stop_at(q, kick @ T, 100 + i)
-        wait(lambda: any("sentence" in text for text in changes), 15.0)
-        said = json.loads(next(text for text in changes if "sentence" in text))
-        assert said["place"] == "camera"
-        assert said["size_mm"] == pytest.approx(2.0, rel=0.5)
-        wait(lambda: not trusted[-1], 60.0)
-        wait(lambda: cell.health.said(STATUS, "The camera was moved by"), 60.0)
-        # corners of another target are refused, and counted
+        # after a restart the same images give the same model, and what comes is held against it
         assert process.stop() == 0
+        models.clear()
+        trusted.clear()
+        again = Process("calibrator", domain, tmp_path, **options)
+        with running(again):
+            wait(lambda: all(one.get_subscription_count() for one in publishers), 60.0)
+
+            def restored() -> bool:
+                cell.stop_at(s.q[0], s.T[0], 0)
+                return bool(models and trusted and trusted[-1])
+
+            wait(restored, 60.0)
+            # a tripod is kicked by 2 mm: named within five images
+            kick = se3.exp([0.0, 2e-3, 0.0, 0.0, 0.0, 0.0])
+            for i, (q, T) in enumerate(zip(s.q[:6], s.T[:6], strict=True)):
+                cell.stop_at(q, kick @ T, 100 + i)
+            wait(lambda: any("sentence" in text for text in changes), 15.0)
+            said = json.loads(next(text for text in changes if "sentence" in text))
+            assert said["place"] == "camera"
+            assert said["size_mm"] == pytest.approx(2.0, rel=0.5)
+            wait(lambda: not trusted[-1], 60.0)
+            wait(lambda: cell.health.said(STATUS, "The camera was moved by"), 60.0)
+            # corners of another target are refused, and counted
+            assert again.stop() == 0
 
 
 def _bool() -> type:

@@ -51,8 +51,8 @@ class Sizes:
 
 @dataclass(frozen=True)
 class OtherBlock:
-    """Images of a further camera. equations: theirs, in an order of their own, whose priors do not count. columns: where
-    each of their parameters stands among those of all, −1 for one that is not fitted.
+    """Images of a further camera. equations: theirs, in an order of their own, whose priors do not count. columns:
+    where each of their parameters stands among those of all, −1 for one that is not fitted.
     """
 
     equations: Equations

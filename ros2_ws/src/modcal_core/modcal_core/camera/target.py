@@ -24,7 +24,8 @@ class PrintScale:
     """How much larger than stated the sheet is, in x and y, and how well that is known.
 
     x, y: ratio to what the file states. std: relative standard deviation of what x and y share. std_apart: of their
-    difference. measured: whether somebody has measured it.
+    difference. leaning: covariance of these two, where one of x and y is known better. measured: whether somebody has
+    measured it.
     """
 
     x: float = 1.0
@@ -32,6 +33,14 @@ class PrintScale:
     std: float = 0.01  # a printer that fits to the page, or feeds unevenly, is off by up to a few per cent
     std_apart: float = 0.003  # paper feed against the width of the head
     measured: bool = False
+    leaning: float = 0.0
+
+    @property
+    def covariance(self) -> Array:
+        """Of x and y, (2, 2)."""
+        shared, apart = self.std**2, (0.5 * self.std_apart) ** 2
+        other = shared - apart
+        return np.array([[shared + apart + self.leaning, other], [other, shared + apart - self.leaning]])
 
 
 @dataclass(frozen=True)

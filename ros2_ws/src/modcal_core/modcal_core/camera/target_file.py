@@ -83,7 +83,8 @@ def scale_of_rulers(
         raise BadTable(source, said, "give what a ruler shows, in metres, or print at 100 %")
     each = [std / n for n in nominal]
     apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
-    return PrintScale(x, y, apart / _TWO_RULERS, apart, measured=True)
+    leaning = 0.5 * (each[0] ** 2 - each[1] ** 2)  # the longer ruler says more of what both share
+    return PrintScale(x, y, apart / _TWO_RULERS, apart, measured=True, leaning=leaning)
 
 
 def _scale(rulers: Any, source: str) -> PrintScale:

@@ -38,9 +38,9 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 
 @dataclass(frozen=True)
 class ToolError:
-    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each in the intervals,
-    sum 1, (D,). whole: the same with every statement that may be wrong. of: which statement is wrong in each, an index
-    into ``wrong``, −1 for none, (D,). wrong: what these are.
+    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each in the
+    intervals, sum 1, (D,). whole: the same with all statements that may be wrong. of: which statement is wrong in each,
+    an index into ``wrong``, −1 for none, (D,). wrong: what these are.
 
     both_ends: whether the intervals leave out the same on either side.
     """
@@ -166,9 +166,7 @@ def tool_error(
     own = ((draws.values @ gram) * draws.values).sum(axis=1)
     calibrated = np.sqrt(np.maximum(own, 0.0) / len(q) + scatter)
     against = np.sqrt(np.maximum(own - 2.0 * draws.values @ cross + square, 0.0) / len(q) + scatter)
-    return ToolError(
-        calibrated, against, draws.weight, draws.whole, draws.of, draws.wrong, both_ends or draws.in_doubt
-    )
+    return ToolError(calibrated, against, draws.weight, draws.whole, draws.of, draws.wrong, both_ends or draws.in_doubt)
 
 
 def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:

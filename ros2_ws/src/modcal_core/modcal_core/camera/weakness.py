@@ -67,9 +67,9 @@ def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class RestsOn:
-    """What the sheet's stated size is worth. images_std: to what the images by themselves show it, relative. per_unit_m:
-    RMS by which the tool is off per unit that it is wrong. if_wrong_m: upper end of the 95 % interval of the calibrated
-    arm's error, were it wrong by what the images allow.
+    """What the sheet's stated size is worth. images_std: to what the images by themselves show it, relative.
+    per_unit_m: RMS by which the tool is off per unit that it is wrong. if_wrong_m: upper end of the 95 % interval of
+    the calibrated arm's error, were it wrong by what the images allow.
     """
 
     images_std: float
@@ -80,9 +80,10 @@ class RestsOn:
         """For a person. nominal_m: error of the nominal arm."""
         return (
             f"All of this rests on the sheet's stated size, which these images by themselves show to "
-            f"{100.0 * self.images_std:.1f} % only: each per cent that it is off puts the tool {10.0 * self.per_unit_m:.1f} "
-            f"mm off. Were it wrong, the calibrated arm could be up to {1e3 * self.if_wrong_m:.0f} mm off (95 %), the "
-            f"nominal arm is {1e3 * nominal_m:.0f} mm: measure a square once more."
+            f"{100.0 * self.images_std:.1f} % only: each per cent that it is off puts the tool "
+            f"{10.0 * self.per_unit_m:.1f} mm off. Were it wrong, the calibrated arm could be up to "
+            f"{1e3 * self.if_wrong_m:.1f} mm off (95 %), the nominal arm is {1e3 * nominal_m:.1f} mm: measure a square "
+            "once more."
         )
 
 

@@ -15,8 +15,8 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.store import Calibration, to_data
 from modcal_core.camera.causes import CameraCause
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
-from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.lens import DISTORTIONS
+from modcal_core.camera.lens import DISTORTIONS, Lens
+from modcal_core.camera.several import FurtherSeen
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
 from modcal_core.effects.entry import ReportEntry
@@ -77,8 +77,10 @@ def camera_files(
         "calibration.yaml": to_yaml(to_data(calibration)),
         "calibrated.urdf": corrected,
         "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
-        "camera.yaml": to_yaml(camera_info(solution.fit)),
+        "camera.yaml": to_yaml(camera_info(solution.fit.state.lens)),
     }
+    for i, one in enumerate(solution.further, start=2):
+        files[f"camera_{i}.yaml"] = to_yaml(camera_info(one.state.lens, f"camera_{i}"))
     if not page:
         return files
     charts = camera_charts.camera_charts(solution.fit)
@@ -86,16 +88,15 @@ def camera_files(
     return {"report.html": html, **files}
 
 
-def camera_info(fit: CameraFit) -> dict[str, Any]:
-    """The lens in the form of ROS's camera_info files."""
-    lens = fit.state.lens
+def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
+    """A lens in the form of ROS's camera_info files. name: of the camera."""
     fx, fy, cx, cy = (float(x) for x in lens.values[:4])
     count = DISTORTIONS[lens.model]
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
-        "camera_name": "camera",
+        "camera_name": name,
         "camera_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in lens.K.ravel()]},
         "distortion_model": lens.model,
         "distortion_coefficients": {"rows": 1, "cols": count, "data": [float(x) for x in lens.values[4 : 4 + count]]},
@@ -174,6 +175,7 @@ def camera_report(
                 {"what": name, "value": 1e6 * (whole - known)} for name, (whole, known) in solution.shares.items()
             ],
             "weak": list(solution.weak),
+            "further": [_further(one) for one in solution.further],
         },
         "parameters": [
             {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
@@ -207,6 +209,11 @@ def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) ->
     out = [
         f"Mounting: {solution.mounting.label}. {solution.target.label}, {fit.table.views} of {images} images, "
         f"{int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS.",
+        *(
+            f"Also {one.name}: {one.mounting.label}. {one.target.label}, {one.used} of {one.given} images, "
+            f"{one.rms_px:.2f} px RMS."
+            for one in solution.further
+        ),
         _line("Where the target is in view", solution.in_view),
         _line("Anywhere within the joint limits", solution.anywhere),
         f"Held-out images: {solution.held_out_px[0]:.2f} px nominal, {solution.held_out_px[1]:.2f} px calibrated "
@@ -322,6 +329,25 @@ def _moved(solution: CameraSolution) -> dict[str, Any]:
         "before_image": solution.fit.table.names[moved.at],
         "shift_mm": 1e3 * moved.shift_m,
         "turn_deg": float(np.degrees(moved.turn_rad)),
+    }
+
+
+def _further(one: FurtherSeen) -> dict[str, Any]:
+    """A further camera."""
+    lens = one.state.lens
+    return {
+        "name": one.name,
+        "mounting": "tip" if one.mounting.camera_on_tip else "world",
+        "target": one.target.label,
+        "images": {"given": one.given, "used": one.used, "left_out": one.left_out},
+        "rms_px": one.rms_px,
+        "lens": {
+            name: {"value": float(lens.values[i]), "std": float(one.std[i])}
+            for i, name in enumerate(lens.names)
+            if lens.used[i]
+        },
+        "clock_s": one.state.offset_s,
+        "readout_s": one.state.readout_s,
     }
 
 

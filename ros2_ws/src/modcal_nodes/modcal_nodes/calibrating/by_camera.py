@@ -7,12 +7,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+from modcal_core.camera.views import BoardView
 from modcal_core.camera.watching import Moved
 from modcal_core.files import write_folder
+from modcal_core.geometry.so3 import Array
 from modcal_core.online.supervisor import BETTER
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import LEAST, CameraSolved, CornerIntake, solve_corners
+from modcal_nodes.calibrating.kept_images import forget_images, read_images, write_images
 from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.worker import SolveWorker
 
@@ -39,6 +42,34 @@ class ByCamera:
         self._chosen, self._outputs, self._log, self._trusted = chosen, outputs, log, trusted
         self._candidate: CameraSolved | None = None
         self._said: Moved | None = None
+        self._folder = Path(chosen["state"]) if chosen["state"] else None
+        self._given: list[tuple[BoardView, Array]] = []  # what the last solve came from
+        self._was_trusted = self._restoring = False
+        if self._folder is not None and (kept := read_images(self._folder, intake.target)) is not None:
+            intake.images, intake.size = kept.images, kept.size
+            self._was_trusted = self._restoring = kept.trusted
+
+    def restore(self, arm: KnownArm, buffer: Buffer, worker: SolveWorker) -> None:
+        """Go on with what was trusted before a restart: have its images solved again, once the arm is known."""
+        if not self._restoring or worker.doing:
+            return
+        of_arm = arm.chain is not None and all(len(q) == arm.chain.n for _, q in self.intake.images)
+        said = "its images are of another arm" if not of_arm else ""
+        if of_arm:
+            said = self.begin("restoring", arm, buffer, worker, self._restored)
+        if said:
+            self._restored(False, said)
+
+    def _restored(self, success: bool, message: str) -> None:
+        if not success:
+            self._restoring = self._was_trusted = False
+            self._log.warning(f"the model by camera that was trusted is not used: {message}")
+
+    def keep(self) -> None:
+        """Keep the images on disk, to go on from them after a restart; of a trusted model those that it came from."""
+        images = self._given if self._was_trusted else self.intake.images
+        if self._folder is not None and images and self.intake.size is not None:
+            write_images(self._folder, images, self.intake.size, self.intake.target, self._was_trusted)
 
     def begin(
         self, name: str, arm: KnownArm, buffer: Buffer, worker: SolveWorker, answer: Callable[[bool, str], None]
@@ -48,6 +79,7 @@ class ByCamera:
         if count < LEAST:
             return f"{count} images of the target at different postures, at least {LEAST} are needed"
         chosen = self._chosen
+        self._given = list(self.intake.images)
         job = self.intake.job(
             urdf=arm.description,
             base=chosen["base"],
@@ -71,7 +103,8 @@ class ByCamera:
             write_folder(Path(self._chosen["out"]), solved.files)
         self.intake.solved(solved)
         self._candidate, self._said = solved, None
-        if solved.apply and self._chosen["accept"] == BETTER:
+        restored, self._restoring = self._restoring, False
+        if solved.apply and (restored or self._chosen["accept"] == BETTER):
             self.accept()
         self._log.info(solved.verdict)
         answer(True, solved.verdict)
@@ -84,12 +117,17 @@ class ByCamera:
         self._trusted(files)
         self._outputs.model(files)
         self._outputs.no_change()
+        self._was_trusted = True
+        self.keep()
         return True
 
     def forget(self) -> None:
         """Begin anew with the images; the trusted model stays."""
         self.intake.forget()
         self._candidate = self._said = None
+        self._was_trusted = self._restoring = False
+        if self._folder is not None:
+            forget_images(self._folder)
 
     def tell(self) -> bool:
         """Say what images show to have been moved, once; returns whether there was anything to say."""
@@ -97,6 +135,9 @@ class ByCamera:
         if moved is None or (self._said is not None and self._said.what == moved.what):
             return False
         self._said = moved
+        if self._was_trusted:  # nor after a restart
+            self._was_trusted = False
+            self.keep()
         self._outputs.moved(moved)
         self._log.warning(f"{moved.sentence}; the last trusted model is still published")
         return True

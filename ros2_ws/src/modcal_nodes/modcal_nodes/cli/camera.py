@@ -24,14 +24,16 @@ from modcal_nodes.io.recorded import opened
 
 if TYPE_CHECKING:
     from modcal_core.camera.beside import ReadingsBeside
+    from modcal_core.camera.prepared import CameraImages
     from modcal_core.camera.solve import CameraSolution
     from modcal_core.camera.target import PrintedTarget
+    from modcal_core.measurements.recording import Recording
     from modcal_core.report.particulars import Particulars
     from modcal_nodes.vision.images import ImageFolder
 
 _EXISTING = click.Path(exists=True, path_type=Path)
 _OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
-_TOGETHER = (*_OF_IMAGES, "flat_target", "fisheye")
+_TOGETHER = (*_OF_IMAGES, "flat_target", "fisheye", "also_camera")
 _OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
 _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
@@ -50,6 +52,10 @@ OPTIONS = (
     ),
     click.option(
         "--image-topic", default=None, metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
+    ),
+    click.option(
+        "--also-camera", multiple=True, metavar="TOPIC[=FILE]",
+        help="Images of a further camera in BAG, and the target that it sees, where that is another file.",
     ),
     click.option(
         "--camera-info", type=_EXISTING, default=None, metavar="FILE", help="Intrinsics. Default: from the images."
@@ -103,8 +109,8 @@ def by_camera(ctx: click.Context, bag: Path | None, camera: dict[str, Any]) -> b
     else:
         if missing := [name for name in ("joints", "target", "urdf") if name not in given]:
             raise click.UsageError(f"--images needs {_option(missing[0])}.", ctx)
-        if "image_topic" in given:
-            raise click.UsageError("--image-topic is of a bag: leave out --images.", ctx)
+        if of_bag := given & {"image_topic", "also_camera"}:
+            raise click.UsageError(f"{_option(min(of_bag))} is of a bag: leave out --images.", ctx)
     if "cell_file" in given and "certificate" not in given:
         raise click.UsageError(
             "--cell states what is on a certificate where there are images: give --certificate.", ctx
@@ -197,7 +203,7 @@ def _solved(
 
     target = read_target(camera["target"])
     stated = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"])
-    robot, found, others = _read(camera, options, target, bag, watch)
+    robot, found, others, further = _read(camera, options, target, bag, watch)
     lens, source = (stated, str(camera["camera_info"])) if stated is not None else (found.lens, found.lens_of)
     if lens is not None:
         require_size(lens, found.size, source)
@@ -221,14 +227,17 @@ def _solved(
         beside=others,
         look_for_effects=not options["geometry_only"],
         fisheye=camera["fisheye"],
+        further=further,
     )
     return robot, found, replace(solution, notes=found.notes)
 
 
 def _read(
     camera: dict[str, Any], options: dict[str, Any], target: PrintedTarget, bag: Path | None, watch: Watch
-) -> tuple[Robot, ImageFolder, ReadingsBeside | None]:
-    """The robot, the images with their joints, and readings of other instruments in the bag, None where it has none."""
+) -> tuple[Robot, ImageFolder, ReadingsBeside | None, tuple[CameraImages, ...]]:
+    """The robot, the images with their joints, readings of other instruments in the bag, None where it has none, and
+    what further cameras saw.
+    """
     from modcal_core.camera.beside import beside
     from modcal_nodes.vision.bag import read_bag_images
     from modcal_nodes.vision.corner_table import read_corner_table
@@ -252,14 +261,43 @@ def _read(
         robot = described(recording, None, urdf, options["base"], options["tip"])
         size = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"]).size
         found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch, size)
+    further: tuple[CameraImages, ...] = ()
+    if bag is not None and recording is not None:
+        further = tuple(
+            _further(one, bag, recording, robot, target, camera["flat_target"], watch)
+            for one in camera.get("also_camera", ())
+        )
     if bag is None or recording is None or not (told := [r for r in recording.readings if not r.by_type]):
-        return robot, found, None
+        return robot, found, None, further
     watch("reading other instruments")
     # poses that nobody called a tracker's may be made from these very images
     guessed = [r.topic for r in recording.readings if r.by_type and r.topic not in {t.topic for t in told}]
     topics = Topics.of(options["topic"], [*options["ignore"], *guessed])
     samples = opened(bag, watch, topics).samples(robot, options["clock_limit"])
-    return robot, found, beside(robot.chain, samples, robot.inertias)
+    return robot, found, beside(robot.chain, samples, robot.inertias), further
+
+
+def _further(
+    said: str, bag: Path, recording: Recording, robot: Robot, target: PrintedTarget, flat: bool, watch: Watch
+) -> CameraImages:
+    """What a further camera saw. said: its topic, and after = the file of its target, where that is another."""
+    from modcal_core.camera.prepared import CameraImages
+    from modcal_core.camera.priors import TOLERANCE
+    from modcal_core.camera.target_file import read_target
+    from modcal_nodes.vision.bag import read_bag_images
+    from modcal_nodes.vision.images import require_size
+
+    topic, _, file = said.partition("=")
+    if file and not Path(file).exists():
+        raise BadTable(f"--also-camera {said}", f"names no file {file}", "give TOPIC, or TOPIC=target.yaml")
+    own = read_target(Path(file)) if file else target
+    found = read_bag_images(bag, recording, robot.names, own, topic, watch)
+    if found.lens is not None:
+        require_size(found.lens, found.size, found.lens_of)
+    return CameraImages(
+        *(found.q, found.views, own, found.size, found.velocity, found.lens, TOLERANCE, None, flat, found.moments),
+        name=topic,
+    )
 
 
 def camera_urdf(path: Path) -> Path:

@@ -125,6 +125,8 @@ class Calibrator(GuardedNode):
         """Go on with the model that was saved, once it is known that this is its arm."""
         if not self._arm.recognise(self._buffer.joint_names()) or self._arm.chain is None:
             return
+        if self._camera is not None:
+            self._camera.restore(self._arm, self._buffer, self._worker)
         restored, self._restored = self._restored, None
         if restored is None or restored.calibration is None:
             return
@@ -331,8 +333,10 @@ class Calibrator(GuardedNode):
         return response
 
     def close(self) -> None:
-        """Keep the stations heard so far, and end the worker."""
+        """Keep the stations and images heard so far, and end the worker."""
         self._worker.close()
+        if self._camera is not None:
+            self._camera.keep()
         if self._folder.path and self._arm.chain is not None:
             try:
                 heard = self._buffer.collected()

@@ -46,9 +46,7 @@ _SETTLED = 0.15  # s after a stop before images of it are used
 _BEFORE = 0.05  # s on either side of an image, over which speeds are taken
 _GAP = 0.2  # s between joint states around an image, beyond which they do not say where the arm was
 _LEAST_STOPS = 4  # below, the arm is taken for one that moves
-TAGS_SAID = (
-    "Corners are those of a detector of AprilTags; the lens was found from them, for its images may have been rectified."
-)
+TAGS_SAID = "Corners are those of a detector of AprilTags; the lens was found from them: its images may be rectified."
 _Look = Callable[[str], tuple[Detection, tuple[int, int], str]]  # by name: (what was found, size of the image, a note)
 
 
@@ -73,7 +71,9 @@ def read_bag_images(
         require_tags(target)
         size = size or size_of(bag, recording.listed, topic.topic)
         if size is None:
-            raise BadRecording(source, "does not say how large the images are", "record camera_info, or give --camera-info")
+            raise BadRecording(
+                source, "does not say how large the images are", "record camera_info, or give --camera-info"
+            )
     log = JointLog.of(recording, names)
     stamps = stamps_of(bag, topic.topic)
     wanted, moving = chosen_stamps(stamps, log)

@@ -113,7 +113,7 @@ def in_order(
     """(ids (4 m,), pixels (4 m, 2)) of the corners of markers with these numbers (m,), as their finder has them
     (m, 4, 2): counter-clockwise of an AprilGrid, clockwise of others, from whichever corner.
 
-    A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also which way round.
+    A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also the way round.
     """
     ids = (4 * numbers[:, None] + np.arange(4)).ravel()
     if target.kind == TAG or len(quads) == 1:

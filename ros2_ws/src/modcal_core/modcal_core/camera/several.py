@@ -1,0 +1,95 @@
+"""Further cameras of a calibration: each is fitted by itself first, which says whether it serves, then with all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.camera.changes import moved_half
+from modcal_core.camera.fit import CameraFit, CameraState, missed_pixels
+from modcal_core.camera.further import FurtherCamera, places_of
+from modcal_core.camera.mounting import Mounting
+from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare
+from modcal_core.camera.problems import MANY_OUT, moved_sentence
+from modcal_core.camera.target import PrintedTarget
+from modcal_core.errors import BadRecording
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import Inertias
+
+
+@dataclass(frozen=True)
+class FurtherSeen:
+    """A further camera after the fit of all. std: of lens, shape and readout, those of the first camera as in its fit,
+    (15,). given: images in which the target was found. rms_px: of its corners.
+    """
+
+    name: str
+    mounting: Mounting
+    target: PrintedTarget
+    state: CameraState
+    std: Array
+    given: int
+    used: int
+    left_out: dict[str, str]
+    rms_px: float
+
+
+@dataclass(frozen=True)
+class _Further:
+    """camera: for the fit of all. problems: what its own images contradict, in sentences."""
+
+    camera: FurtherCamera
+    images: CameraImages
+    ready: PreparedImages
+    problems: tuple[str, ...]
+
+    def seen_by(self, fit: CameraFit) -> FurtherSeen:
+        """What the fit of all makes of it."""
+        camera, first = next(
+            (camera, place)
+            for camera, place in zip(fit.poses.further, places_of(fit.poses.further, fit.poses.count), strict=True)
+            if camera.name == self.camera.name
+        )
+        state = camera.state(fit.poses, fit.state, fit.state.values[first : first + len(camera.own)])
+        columns = camera.columns(fit.poses, first)[len(state.values) + 1 :]
+        std = np.where(columns >= 0, np.sqrt(np.diag(fit.covariance))[columns], 0.0)
+        gap = missed_pixels(camera.table, camera.poses.with_effects(fit.poses.model.effects), state)
+        weight = camera.table.weight
+        rms = float(np.sqrt((weight @ (gap**2).sum(1)) / max(weight.sum(), 1.0)))
+        ready = self.ready
+        return FurtherSeen(
+            *(self.images.name, ready.mounting, self.images.target, state, std, len(self.images.views)),
+            *(camera.table.views, ready.left_out, rms),
+        )
+
+
+def further_of(
+    chain: Chain,
+    images: CameraImages,
+    first: CameraImages,
+    of_first: PreparedImages,
+    fixed: Sequence[str],
+    inertias: Inertias | None,
+    arm: float | None,
+) -> _Further:
+    """A further camera, from a fit of its own. first, of_first: the first camera. arm: as of a fit.
+
+    Raises ModcalError for images that cannot carry a fit by themselves.
+    """
+    if images.name == first.name:
+        raise BadRecording(images.name, "is given twice", "give each camera once")
+    ready = prepare(chain, images, fixed, inertias)
+    fit, ready = first_fit(ready, arm)
+    same_side = ready.mounting.camera_on_tip == of_first.mounting.camera_on_tip
+    out = []
+    if not fit.converged:
+        out.append(f"The fit of {images.name} by itself did not reach its minimum.")
+    if (moved := moved_half(fit, arm)) is not None:
+        out.append(moved_sentence(fit, moved, f" of {images.name}"))
+    if len(ready.left_out) > MANY_OUT * len(images.views):
+        out.append(f"{len(ready.left_out)} of {len(images.views)} images of {images.name} were left out.")
+    camera = FurtherCamera.of(images.name, fit, images.target == first.target, same_side)
+    return _Further(camera, images, ready, tuple(out))

@@ -1,0 +1,127 @@
+"""Two cameras that watch one arm in the same recording: one fit, each with a lens and places of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera.boards import BOARD, views
+from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
+from camera.test_camera_fit import MEASURED, true_error
+from finite_differences import assert_jacobian
+
+from modcal_core.camera.decision import APPLY, DO_NOT_APPLY
+from modcal_core.camera.fit import equations_at
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.prepared import CameraImages
+from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+OTHER_LENS = Lens(np.array([620.0, 622.0, 318.0, 242.0, 0.05, -0.04, 0.0, 0.0005, 0.0]), (640, 480))
+MIDDLE, AT = (
+    np.array([0.0, 0.0, 0.47]),
+    np.array([-0.25, 0.12, -0.12]),
+)  # of the board; of a second tripod, from the first
+
+
+def _looking() -> Array:
+    """The second camera from the first, looking at the middle of where the board is."""
+    z = (MIDDLE - AT) / np.linalg.norm(MIDDLE - AT)
+    x = np.cross([0.0, 1.0, 0.0], z) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], z))
+    return se3.transform(np.stack([x, np.cross(z, x), z], axis=1), AT)
+
+
+def solved(s: CameraScene, *others: CameraImages) -> CameraSolution:
+    rng = np.random.default_rng(3)
+    return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, rng, further=others, look_for_effects=False)
+
+
+def on_tripod(s: CameraScene, kicked_at: int | None = None, board: PrintedTarget = MEASURED) -> CameraImages:
+    """What a second camera in the world saw of the board on the tip, of the scene's arm at its postures."""
+    camera = CAMERA_IN_WORLD @ _looking()
+    T = se3.inverse(camera) @ _tip(s) @ BOARD_ON_TIP
+    if kicked_at is not None:
+        T = np.concatenate([T[:kicked_at], se3.exp([4e-3, 0.0, 0.0, 0.0, 5e-3, 0.0]) @ T[kicked_at:]])
+    seen = views(np.random.default_rng(7), T, lens=OTHER_LENS, board=board)
+    good = [i for i, v in enumerate(seen) if len(v) >= 8]
+    return CameraImages(s.q[good], [seen[i] for i in good], board, OTHER_LENS.size, name="/second/image")
+
+
+def _tip(s: CameraScene) -> Array:
+    """True poses of the tip in the base, (N, 4, 4)."""
+    return CAMERA_IN_WORLD @ s.T @ se3.inverse(BOARD_ON_TIP)
+
+
+@pytest.fixture(scope="module")
+def cell() -> CameraScene:
+    return scene(61, False, count=14, board=MEASURED)
+
+
+def test_two_tripods_know_the_arm_better_than_one(cell: CameraScene) -> None:
+    """Both see the sheet on the tip, whose size and bow are one for both."""
+    other = on_tripod(cell)
+    assert len(other.views) >= 10
+    one, two = solved(cell), solved(cell, other)
+    (seen,) = two.further
+    assert not seen.mounting.camera_on_tip
+    assert seen.used == len(other.views)
+    assert np.abs(seen.state.lens.values - OTHER_LENS.values)[:4].max() < 5.0
+    assert (np.abs(seen.state.lens.values - OTHER_LENS.values)[:4] < 4.0 * seen.std[:4]).all()
+    assert (seen.state.shape == two.fit.state.shape).all()
+    assert two.decision.word == APPLY
+    q, _ = postures_in_view(two.fit, np.random.default_rng(1))
+    assert true_error(cell, two.fit, q) < two.in_view.interval[2]
+    P = two.fit.poses.of_model
+    arm = [i for i, p in enumerate(two.fit.poses.parameters) if p.of_arm]
+    assert arm == [i for i, p in enumerate(one.fit.poses.parameters) if p.of_arm]
+    better = np.diag(two.fit.covariance)[arm] / np.diag(one.fit.covariance)[arm]
+    assert one.fit.poses.of_model == P
+    assert (better < 1.05).all()
+    assert np.median(better) < 0.8
+
+
+def test_derivatives_and_shared_sheet(cell: CameraScene) -> None:
+    """The gradient of the likelihood by every parameter, those of the second camera included."""
+    fit = solved(cell, on_tripod(cell)).fit
+    rng = np.random.default_rng(0)
+    count = len(fit.covariance)
+    off = np.sqrt(np.diag(fit.covariance)) * rng.normal(size=count)
+    state = fit.state.moved(off)
+    sizes = replace(fit.sizes, joint=1e-9, shift=1e-9)  # what images have of their own is not differentiated
+
+    def cost(x: Array) -> Array:
+        there = equations_at(fit.table, fit.poses, fit.prior, state.moved(x))
+        return np.array([there.solve(sizes).cost])
+
+    here = equations_at(fit.table, fit.poses, fit.prior, state).solve(sizes)
+    free = here.use
+    gradient = np.zeros(count)
+    gradient[free] = -2.0 * here.b
+    chosen = np.zeros((count, 6))  # along a few directions, of the size of what is known
+    for k in range(6):
+        chosen[free, k] = np.sqrt(np.diag(fit.covariance))[free] * rng.normal(size=len(free))
+    assert_jacobian(lambda x: cost(chosen @ x), gradient[None] @ chosen, np.zeros(6), tolerance=1e-4)
+
+
+def test_a_camera_on_the_hand_beside_one_on_a_tripod(cell: CameraScene) -> None:
+    """They look at two sheets; of the second nobody has measured the size, which it gets by the first and the arm."""
+    hand = scene(61, True, count=12, board=replace(BOARD, square=0.028, marker=0.02))
+    other = CameraImages(hand.q, hand.views, hand.board, hand.lens.size, name="/hand/image")
+    r = solved(cell, other)
+    (seen,) = r.further
+    assert seen.mounting.camera_on_tip
+    assert not np.isclose(seen.state.shape[:2], r.fit.state.shape[:2]).any()
+    assert seen.rms_px < 0.5
+
+
+def test_a_kicked_second_tripod_is_named(cell: CameraScene) -> None:
+    r = solved(cell, on_tripod(cell, kicked_at=6))
+    assert r.decision.word == DO_NOT_APPLY
+    assert any(said.startswith("The camera of /second/image was moved") for said in r.decision.because)
+    with pytest.raises(BadRecording, match="given twice"):
+        solved(cell, replace(on_tripod(cell), name="images"))
