@@ -94,16 +94,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cells", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--json", type=Path, default=None, help="file that the cells are added to, one a line")
     chosen = parser.parse_args()
     cells = []
     for seed in range(chosen.first, chosen.first + chosen.cells):
-        for kind in KINDS:
+        for kind in chosen.kinds:
             cells.append(cell(seed, kind))
             if chosen.json is not None:
                 with chosen.json.open("a") as file:
                     file.write(json.dumps(cells[-1]) + "\n")
-    for kind in KINDS:
+    for kind in chosen.kinds:
         of = [c for c in cells if c["kind"] == kind]
         good = [c for c in of if "refused" not in c]
         others = sum(bool(c["blamed"]) for c in good)

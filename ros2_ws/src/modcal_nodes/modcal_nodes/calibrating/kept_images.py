@@ -1,6 +1,6 @@
-"""The corners that a calibrator has taken, on disk, so that a restart goes on from them: solved again they give the same.
+"""The corners that a calibrator has taken, on disk, so that a restart goes on from them.
 
-A fit and what watches it are not kept: both follow from the images in a second or two, and a newer version may do better.
+A fit and what watches it are not kept: both follow from the images in a second or two, and are the same again.
 """
 
 from __future__ import annotations
