@@ -12,6 +12,8 @@ from camera.boards import BOARD, LENS, views
 from camera.scenes import CameraScene, scene
 from finite_differences import assert_jacobian
 
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
 from modcal_core.camera.corners import CornerTable, corner_rows
 from modcal_core.camera.decision import APPLY, CANNOT_TELL, DO_NOT_APPLY
@@ -29,6 +31,7 @@ from modcal_core.camera.tool_error import postures_in_view
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POSE
 from modcal_core.robots.kinematics import forward
 
 FLAT = np.zeros(5)
@@ -113,6 +116,25 @@ def test_motion_of_the_target_in_the_images(on_tip: bool) -> None:
     late = replace(arm, q=arm.q + 0.1 * arm.velocity)
     J[:, :, -1] = np.einsum("nij,nj->ni", late.joint_motions(x, T), arm.velocity)
     assert_jacobian(seen, arm.as_twists(T, J).reshape(12, -1), np.r_[x, 0.1], tolerance=1e-7)
+
+
+def test_the_arms_faults_are_those_of_all_its_bodies() -> None:
+    """Of a minimal set of parameters, brought to it: at postures anywhere they move the tip as all faults do, so a link
+    between two bodies that may each be displaced is known less well than either.
+    """
+    s = images(True)
+    _, arm = start(s)
+    assert arm.faults is not None
+    kept = [p for p in arm.parameters if p.of_arm]
+    every = [p for p in ordered_candidates(s.chain, arm.model.frames, (View(POSE, 0),)) if p.of_arm]
+    assert len(kept) < len(every)
+    q = np.random.default_rng(3).uniform(-1.5, 1.5, (6, s.chain.n))
+    samples = arm.at_postures(q).drivers().samples
+    J, whole = (linearise(arm.model, some, np.zeros(len(some)), samples).J.T for some in (kept, every))
+    for ratio in (1.0, 3.0):
+        std = np.array([p.prior_std * (1.0 if p.turns else ratio) for p in every])
+        assert J @ arm.faults.covariance(ratio) @ J.T == pytest.approx((whole * std**2) @ whole.T, abs=1e-9)
+    assert np.sqrt(np.diag(arm.faults.lengths)).max() > 1.3 * max(p.prior_std for p in every if not p.turns)
 
 
 def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
