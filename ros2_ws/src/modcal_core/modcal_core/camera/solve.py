@@ -27,6 +27,7 @@ from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import Mounting
+from modcal_core.camera.not_shown import HiddenSpring, hidden_springs
 from modcal_core.camera.prepared import CameraImages, first_fit, prepare
 from modcal_core.camera.priors import FREE, CommonPrior
 from modcal_core.camera.problems import metric_of, problems, size_open
@@ -59,6 +60,7 @@ class CameraSolution:
     camera are not as stated. causes: effects beyond geometry.
     left: what is significant and could not be turned into one. notes: what was done to the images, in sentences.
     rests_on: what the sheet's stated size is worth, where the images do not show it. further: of other cameras.
+    hidden: springs that these images would not show.
     """
 
     fit: CameraFit
@@ -83,6 +85,7 @@ class CameraSolution:
     notes: tuple[str, ...] = ()
     rests_on: RestsOn | None = None
     further: tuple[FurtherSeen, ...] = ()
+    hidden: tuple[HiddenSpring, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -199,6 +202,7 @@ def solve_camera(
         left,
         rests_on=rests,
         further=tuple(one.seen_by(fit) for one in others),
+        hidden=hidden_springs(fit) if look_for_effects else (),
     )
 
 

@@ -175,6 +175,10 @@ def camera_report(
                 {"what": name, "value": 1e6 * (whole - known)} for name, (whole, known) in solution.shares.items()
             ],
             "weak": list(solution.weak),
+            "springs_not_shown": [
+                {"place": one.place, "softer_than": 1.0 / one.least, "at_tool_mm": 1e3 * one.at_tool_m}
+                for one in solution.hidden
+            ],
             "further": [_further(one) for one in solution.further],
         },
         "parameters": [
@@ -194,6 +198,15 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
         said = solution.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
     out += solution.weak
+    if solution.hidden and solution.hidden[0].at_tool_m > _WORTH * solution.in_view.interval[0]:
+        one = solution.hidden[0]
+        chain = solution.fit.poses.model.serial
+        per = "N m/rad" if chain.revolute[chain.names.index(one.place)] else "N/m"
+        out.append(
+            f"Springs: these images show one in {one.place} only where it is softer than {1.0 / one.least:.2g} {per}, "
+            f"which moves the tool by {1e3 * one.at_tool_m:.2f} mm RMS; what a stiffer one does is taken up by the "
+            "geometry, which holds where the images are."
+        )
     for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
         if whole - known > _WORTH * whole:
             out.append(
