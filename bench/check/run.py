@@ -27,6 +27,8 @@ from rich.table import Table  # noqa: E402
 from scipy.stats import beta  # noqa: E402
 
 import modcal_core as modcal  # noqa: E402
+from modcal_core.checking.accuracy import expected_error  # noqa: E402
+from modcal_core.checking.known import pattern_of  # noqa: E402
 from modcal_core.checkup import Checked  # noqa: E402
 
 ROBOTS = ("ur10", "panda", "xarm7")
@@ -46,9 +48,15 @@ def samples_of(place: Workplace, readings: Readings, begin: float) -> modcal.Sam
 
 
 def calibrated(place: Workplace, q: np.ndarray, rng: np.random.Generator, changes: tuple[Change, ...]) -> Any:
-    """The calibration from these postures."""
+    """The result of calibrating from these postures."""
     robot = modcal.Robot.from_urdf(place.cell.arm.urdf, tip=place.cell.arm.tip)
     return modcal.calibrate(robot, samples_of(place, place.measure(q, rng, changes), 1.7e9), seed=0)
+
+
+def pattern(result: Any) -> float:
+    """What ``modcal check`` takes from the report beside a calibration."""
+    share = result.report.judged.predictable
+    return pattern_of(None if share is None else share.share)
 
 
 def miss(calibration: modcal.Calibration, readings: Readings, exact: bool) -> float:
@@ -58,7 +66,7 @@ def miss(calibration: modcal.Calibration, readings: Readings, exact: bool) -> fl
 
 
 def one(
-    place: Workplace, calibration: modcal.Calibration, kind: str, rng: np.random.Generator, stations: int, full: bool
+    place: Workplace, before: Any, kind: str, rng: np.random.Generator, stations: int, full: bool, follow: bool
 ) -> Result:
     """One check after one change, its score, and how well the repaired model does."""
     arm = place.cell.arm
@@ -68,8 +76,10 @@ def one(
     if place.camera:
         right = {("tool", "tool")} if kind == "camera" else right
     seen = place.measure(q, rng, changes)
+    calibration, share = before.calibration, pattern(before)
     begin = time.process_time()
-    found = modcal.check(calibration, samples_of(place, seen, 1.71e9))
+    samples = samples_of(place, seen, 1.71e9)
+    found = modcal.check(calibration, samples, pattern=share)
     seconds = time.process_time() - begin
     result: Result = {"seconds": seconds, "right": sorted(map(list, right)), **said(found)}
     labels = {(c.kind, c.place): (c.label, *c.same_as) for c in found.changes}
@@ -84,14 +94,17 @@ def one(
         for name, model in (("old", calibration), ("repaired", found.repaired), ("full", again)):
             result[f"{name}_mm"] = miss(model, fresh, exact=False)
             result[f"{name}_true_mm"] = miss(model, fresh, exact=True)
-    if changes and len(found.advice.stations):
-        result["added"] = followed(place, calibration, found, seen, changes, rng, right)
+            expected = expected_error(model, model.calibrated, samples, fresh.q)
+            result[f"{name}_expected_mm"] = None if expected is None else 1e3 * expected
+    if follow and changes and len(found.advice.stations):
+        result["added"] = followed(place, calibration, share, found, seen, changes, rng, right)
     return result
 
 
 def followed(
     place: Workplace,
     calibration: modcal.Calibration,
+    share: float,
     found: Checked,
     seen: Readings,
     changes: tuple[Change, ...],
@@ -100,7 +113,7 @@ def followed(
 ) -> Result:
     """The same after the proposed stations were measured as well."""
     more = place.measure(np.concatenate([seen.q, found.advice.stations]), rng, changes)
-    again = modcal.check(calibration, samples_of(place, more, 1.72e9))
+    again = modcal.check(calibration, samples_of(place, more, 1.72e9), pattern=share)
     result = {"stations": len(more.q), **said(again)}
     result["first"] = any((c.kind, c.place) in right for c in again.changes)
     return result
@@ -129,7 +142,7 @@ def runs(cells: int, each: int, nothing: int, setups: tuple[str, ...]) -> Iterat
     for seed in range(cells):
         robot = ROBOTS[seed % len(ROBOTS)]
         for setup in setups:
-            kinds = ("camera", "base", "joint_zero") if setup == "camera" else KINDS
+            kinds = ("camera", "base", "joint_zero", "gear") if setup == "camera" else KINDS
             for i in range(nothing):
                 yield setup, robot, seed, "nothing", i
             for kind in kinds:
@@ -147,7 +160,7 @@ def interval(hits: int, count: int) -> tuple[float, float]:
 def table(results: list[Result]) -> Table:
     """The score by setup and kind."""
     head = ("setup", "planted", "checks", "named or among same_as", "95 %", "named first", "something else named too")
-    out = Table(*head, "same_as, mean", "repaired ÷ full, noisy", "÷ full, against truth", "s")
+    out = Table(*head, "same_as, mean", "repaired ÷ full, noisy", "÷ full, truth", "by covariances", "s")
     for setup in SETUPS:
         for kind in ("nothing", *KINDS, "camera"):
             part = [r for r in results if r["setup"] == setup and r["kind"] == kind]
@@ -157,6 +170,7 @@ def table(results: list[Result]) -> Table:
             low, high = interval(hits, len(part))
             ratio = [r["repaired_mm"] / r["full_mm"] for r in part if "full_mm" in r]
             true = [r["repaired_true_mm"] / r["full_true_mm"] for r in part if "full_mm" in r]
+            told = [r["repaired_expected_mm"] / r["full_expected_mm"] for r in part if r.get("full_expected_mm")]
             wide = [n for r in part for n in r["same_as"]]
             out.add_row(
                 *(setup, kind, str(len(part)), f"{hits / len(part):.1%}", f"{low:.1%} … {high:.1%}"),
@@ -165,6 +179,7 @@ def table(results: list[Result]) -> Table:
                 f"{np.mean(wide):.2f}" if wide else "",
                 f"{np.median(ratio):.2f}, worst {max(ratio):.2f}" if ratio else "",
                 f"{np.median(true):.2f}" if true else "",
+                f"{np.median(told):.2f}" if told else "",
                 f"{np.median([r['seconds'] for r in part]):.2f}",
             )
     return out
@@ -178,6 +193,7 @@ def main() -> None:
     parser.add_argument("--setups", default=",".join(SETUPS), help="some of them, separated by commas")
     parser.add_argument("--stations", type=int, default=10)
     parser.add_argument("--full", type=int, default=1, help="of each kind in a cell, beside a full recalibration")
+    parser.add_argument("--follow", action="store_true", help="measure the proposed stations too, and check again")
     parser.add_argument("--seed", type=int, default=0, help="another seed is another set of cells")
     parser.add_argument("--out", type=Path, default=Path("check.jsonl"))
     parser.add_argument("--table", action="store_true")
@@ -195,10 +211,10 @@ def main() -> None:
             now = setup, robot, seed
             place, rng = workplace(robot, seed, camera=setup == "camera", points=setup == "points")
             arm = place.cell.arm
-            calibration = calibrated(place, rng.uniform(*arm.range, (STATIONS, arm.n)), rng, ()).calibration
+            before = calibrated(place, rng.uniform(*arm.range, (STATIONS, arm.n)), rng, ())
         own = np.random.default_rng([seed, i, SETUPS.index(setup), sum(map(ord, kind))])
         result = {**dict(zip(key, (setup, robot, seed, kind, i), strict=True)), "times": TIMES}
-        result |= one(place, calibration, kind, own, asked.stations, i < asked.full)
+        result |= one(place, before, kind, own, asked.stations, i < asked.full, asked.follow)
         done.append(result)
         with asked.out.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(result) + "\n")

@@ -101,7 +101,7 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome
         return replace(made, outcome=CANNOT_TELL)
     named = _names(case, text)
     much = not left <= LEFT
-    # where nothing was planted and what can be reached is reached, there is nothing to name: what else is found in a real
+    # where nothing was planted and what can be reached is reached, there is nothing to name: what else is found in a
     # recording (an error of a joint that is left) may well make it open
     if case.shown == "if missed" and not much and status != "at_floor":
         return replace(made, outcome=HARMLESS)

@@ -6,7 +6,8 @@ import numpy as np
 
 from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, e_value
 from modcal_core.checking.hypotheses import BASE, NOISE, CellChange
-from modcal_core.checking.noise import NullModel, RowKinds
+from modcal_core.checking.noise import NullModel
+from modcal_core.checking.rows import RowKinds
 
 
 def null(residual: np.ndarray, factors: tuple[float, ...] = (1.0,)) -> NullModel:

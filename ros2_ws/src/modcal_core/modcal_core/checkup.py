@@ -11,6 +11,7 @@ from modcal_core.calibration.fallback import BLEND, curved_joints
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.store import Calibration
+from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
 from modcal_core.checking.advice import advise, noticed, same_everywhere
 from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
 from modcal_core.checking.naming import named
@@ -41,7 +42,7 @@ class Checked:
     what would have been noticed. repaired: the frozen model with only what changed put in; None where nothing did or
     it cannot be. report: of the frozen or, where there is one, the repaired model at these stations, each of them
     predicted by the others. joints: names, in the order of the stations' columns. station_errors: distances [m] before
-    and with what changed, of every reading that was used.
+    and with what changed, of every reading that was used. accuracy: how well the repaired model is known; None without.
     """
 
     status: Status
@@ -60,6 +61,7 @@ class Checked:
     convention: str | None = None
     notes: tuple[str, ...] = ()
     station_errors: tuple[Array, Array] | None = None
+    accuracy: RepairAccuracy | None = None
 
     @property
     def sentence(self) -> str:
@@ -132,6 +134,9 @@ def checkup(
             errors(begin.model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
         ),
+        accuracy=None
+        if fixed is None
+        else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples),
     )
 
 
@@ -211,7 +216,7 @@ def _each_by_the_others(report: Report, found: FoundChanges, begin: FrozenCalibr
     if not sized:
         return report
     A = np.concatenate([state.columns(h) for h in sized], axis=1)
-    V = found.start.null.covariances[found.start.best]
+    V = found.start.null.covariances[found.left.best]
     residual, rows = state.residual, found.start.null.rows
     station = found.samples.station[rows.sample]
     left = residual.copy()

@@ -45,6 +45,9 @@ FITTED = 1e-2  # the same for models with effects, some of which have many value
 # their length. The covariance is then right to 1e-4 (robust fits of few: 1e-3), and better where a stricter end is set.
 _NEAR = 1e-4
 _SHRINKING = 0.3
+# With effects, whose curvature takes far longer than their gradient, steps are taken with the same one while each is
+# shorter than so much of the last: robust weights alone let them shrink by a factor of 2 to 10, whatever the curvature
+_LEADING, _CLOSE = 0.7, 10.0  # the latter in standard deviations
 _SURE = 0.1  # of the tolerance; what is expected to be left
 _LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
 _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
@@ -187,6 +190,7 @@ def _minimum(
     least = _DAMPING  # from which a step is damped that leads uphill
     gained: list[float] = []
     flat = False
+    moved = 0.0  # since the curvature was computed
     at = equations.residuals(values)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
@@ -195,6 +199,7 @@ def _minimum(
             H_samples, g = equations.last_curvature(row_weight), equations.gradient(values, row_weight)
         else:
             H_samples, g = equations.normal_equations(values, row_weight)
+            moved = 0.0
         H_data, measured = H_samples, 0.0
         if distances:
             H_data = H_samples.copy()
@@ -222,25 +227,41 @@ def _minimum(
                 after += distance_cost(start, parameters, trial, distances)
             if after <= before * (1.0 + 1e-6) + 1e-12 or damping > 1e6:
                 break
-            if damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING:  # bent, along a direction that is hardly seen
+            if near and fitted:  # that curvature has done its service: look again from here
+                break
+            # bent, along a direction that is hardly seen
+            if damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING:
                 share *= 0.5
             else:
                 damping, share = max(10.0 * damping, least), 1.0
         if damping > 0.0:  # in a long and bent valley a tenth of what was enough is enough again
             least = max(0.1 * damping, _LEAST_DAMPING)
         looked = new is not at
+        if near and fitted and looked and not after <= before * (1.0 + 1e-6) + 1e-12:
+            near, length = False, last
+            continue
         gained.append(before - after if looked else 0.0)
         values, at = values + step, new
         flat = len(gained) >= 2 * _FLAT and sum(gained[-_FLAT:]) < _SHOWN
         if ended or begun or flat:
             break
-        near = equations.quick_gradient and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
-        near = near and damping == 0.0 and length <= _SHRINKING * last
+        moved = max(moved, float(np.abs(step).max()))
+        near = equations.quick_gradient and damping == 0.0 and length <= (_LEADING if fitted else _SHRINKING) * last
+        near = near and (
+            length <= _CLOSE if fitted else float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
+        )
         damping = 0.0 if damping < 1e-3 else damping / 10.0
     if looked and not rough:  # else these are of the same residuals
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
-    # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be so
-    # long that where in it the values are is nothing that the readings show
+    if fitted and tolerance <= FITTED and moved > _NEAR:  # while searching nobody asks for their covariance
+        row_weight = _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
+        H_data = equations.normal_equations(values, row_weight)[0]
+        if distances:
+            rows = distance_rows(start, parameters, values, distances)
+            H_data = H_data + (rows.J / rows.std**2) @ rows.J.T
+        H = H_data + known
+    # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be
+    # so long that where in it the values are is nothing that the readings show
     return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or flat or length <= FITTED)
 
 

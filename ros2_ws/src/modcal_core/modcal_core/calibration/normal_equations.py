@@ -8,6 +8,7 @@ only once: ``(u φ)ᵀ W (v ψ) = φᵀ diag(uᵀWv) ψ``, six times less work w
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ from modcal_core.effects.effect import Term, all_columns
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-BLOCK = 2000  # samples
+BLOCK = 4000  # samples
 _LEAST_THINNED = 100_000  # numbers of a curve; of fewer, products of whole matrices are quicker than of sparse ones
 _FULL = (
     0.3  # share of numbers that are not zero, above which they are so too; a cubic curve with 16 knots has a quarter
@@ -92,65 +93,124 @@ def _add(
     JW = J * weight
     H[np.ix_(dense, dense)] += JW @ J.T
     g[dense] += JW @ residual
-    groups = _groups(terms, view, at)
+    groups = _groups(terms, view, at, P)
     for a, group in enumerate(groups):
-        index = P + group.index
-        cross = group.numbers @ view.products(JW, group.unit).T
-        H[np.ix_(index, dense)] += cross
-        H[np.ix_(dense, index)] += cross.T
+        seen = view.products(JW, group.unit).T
         weighted = (group.unit * weight)[None]
-        g[index] += group.numbers @ view.products(weighted, residual)[0]
+        missed = view.products(weighted, residual)[0]
+        for part in group.parts:
+            cross = part.numbers @ seen
+            _put(H, part.index, dense, cross)
+            _put(H, dense, part.index, cross.T)
+            g[part.index] += part.numbers @ missed
         for other in groups[a:]:
-            block = _product(group.numbers, view.products(weighted, other.unit)[0], other.numbers)
-            H[np.ix_(index, P + other.index)] += block
-            if other is not group:
-                H[np.ix_(P + other.index, index)] += block.T
+            both = view.products(weighted, other.unit)[0]
+            for i, part in enumerate(group.parts):
+                for one in other.parts[i if other is group else 0 :]:
+                    block = _product(part.numbers, both, one.numbers)
+                    _put(H, part.index, one.index, block)
+                    if one is not part:
+                        _put(H, one.index, part.index, block.T)
+
+
+def _put(H: Array, rows: Index, columns: Index, block: Array) -> None:
+    """Add a block to some rows and columns of H."""
+    if isinstance(rows, slice) or isinstance(columns, slice):
+        H[rows, columns] += block
+    else:
+        H[np.ix_(rows, columns)] += block
+
+
+def gradient(
+    start: Model, parameters: Sequence[ModelParameter], values: Array, view: RowView, at: Drivers, row_weight: Array
+) -> Array:
+    """JᵀWr alone, of the parameters, then of the effects' values where there are any, at these values.
+
+    view: readings and frames there. at: drivers of its samples. row_weight: as in :func:`normal_equations`. No product
+    of two columns is needed: the weighted residual is contracted with each direction of a place once.
+    """
+    P = len(parameters)
+    weighted = np.concatenate([view.position.ravel(), view.rotation.ravel()]) * row_weight
+    g = np.zeros(len(values))
+    g[:P] = geometry_rows(view, start, parameters, values) @ weighted
+    if len(values) == P:
+        return g
+    seen: dict[tuple[int, int], Array] = {}
+
+    def along(place: int, direction: int) -> Array:
+        key = place, direction
+        if key not in seen:
+            seen[key] = view.products(weighted[None], view.unit_column(place, direction))[0]
+        return seen[key]
+
+    terms = all_columns(model_at(start, parameters, values).effects, at)
+    for j, several in enumerate(terms):
+        if len(several) != 1:
+            g[P + j] = sum(float(term.size @ along(term.place, term.direction)) for term in several)
+    for (place, direction), index in _members(terms).items():
+        for part in _parts(terms, index, at, P):
+            g[part.index] = part.numbers @ along(place, direction)
+    return g
+
+
+Index = slice | np.ndarray
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Columns of one direction at one place. numbers: (b, N), sparse of a curve of many knots. index: among all
+    values; of such a curve they stand beside each other.
+    """
+
+    numbers: Array | sparse.csr_array
+    index: Index
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns of one direction at one place. unit: (3 N + 3 M,). numbers: (b, N), sparse where a curve of many knots is
-    among them. index: among the effects' values.
-    """
+    """All columns of one direction at one place. unit: (3 N + 3 M,)."""
 
     unit: Array
-    numbers: Array | sparse.csr_array
-    index: np.ndarray
+    parts: tuple[_Part, ...]
 
 
 def _product(numbers: Array | sparse.csr_array, weight: Array, others: Array | sparse.csr_array) -> Array:
     """``numbers diag(weight) othersᵀ``, (b, c)."""
     if isinstance(numbers, np.ndarray):
-        weighted: Array | sparse.csr_array = numbers * weight
-    else:
-        own = numbers.data * weight[numbers.indices], numbers.indices, numbers.indptr
-        weighted = sparse.csr_array(own, shape=numbers.shape)
-    if not isinstance(others, np.ndarray):
-        product = others @ weighted.T
-        return np.asarray(product.T if isinstance(product, np.ndarray) else product.toarray().T)
-    return np.asarray(weighted @ others.T)
+        if isinstance(others, np.ndarray):
+            return np.asarray((numbers * weight) @ others.T)
+        return np.asarray((others @ (numbers * weight).T).T)
+    if isinstance(others, np.ndarray):
+        return np.asarray(numbers @ (others * weight).T)
+    weighted = copy(numbers)  # with the same places: making another looks through them all
+    weighted.data = numbers.data * weight[numbers.indices]
+    return np.asarray((weighted @ others.T).toarray())
 
 
-def _numbers(terms: Sequence[Term], at: Drivers) -> Array | sparse.csr_array:
-    """The numbers (b, N) of terms; as a sparse array where functions that are mostly zero are among them."""
-    parts: list[Array | sparse.csr_array] = []
+def _parts(terms: Sequence[list[Term]], index: Sequence[int], at: Drivers, P: int) -> tuple[_Part, ...]:
+    """Columns with these numbers among the terms, each of one: every curve of many knots, then all others together."""
+    parts: list[_Part] = []
+    others: list[int] = []
     first = 0
-    while first < len(terms):
-        of = terms[first].of
+    while first < len(index):
+        j = index[first]
+        of = terms[j][0].of
         count = 1 if of is None else len(of)
-        whole = of is not None and [t.of is of for t in terms[first : first + count]] == [True] * count
-        if of is not None and whole and of.size >= _LEAST_THINNED:
-            parts.append(at.thinned(of, _thinned))
+        if of is not None and of.size >= _LEAST_THINNED and _is_whole(terms, index[first : first + count], of):
+            parts.append(_Part(at.thinned(of, _thinned), slice(P + j, P + j + count)))
         else:
             count = 1
-            parts.append(terms[first].size[None])
+            others.append(j)
         first += count
-    if len(parts) == 1:
-        return parts[0]
-    dense = [part for part in parts if isinstance(part, np.ndarray)]
-    if len(dense) == len(parts):
-        return np.concatenate(dense)
-    return sparse.csr_array(sparse.vstack([sparse.csr_array(part) for part in parts], format="csr"))
+    if others:
+        parts.append(_Part(np.stack([terms[j][0].size for j in others]), P + np.array(others)))
+    return tuple(parts)
+
+
+def _is_whole(terms: Sequence[list[Term]], index: Sequence[int], of: Array) -> bool:
+    """Whether these are the columns of all functions, one after the other."""
+    beside = len(index) == len(of) and index[-1] - index[0] == len(of) - 1
+    return beside and all(terms[i][0].of is of for i in index)
 
 
 def _thinned(numbers: Array) -> Array | sparse.csr_array:
@@ -158,12 +218,14 @@ def _thinned(numbers: Array) -> Array | sparse.csr_array:
     return numbers if np.count_nonzero(numbers) > _FULL * numbers.size else sparse.csr_array(numbers)
 
 
-def _groups(terms: list[list[Term]], view: RowView, at: Drivers) -> list[_Group]:
+def _groups(terms: list[list[Term]], view: RowView, at: Drivers, P: int) -> list[_Group]:
+    return [_Group(view.unit_column(*key), _parts(terms, index, at, P)) for key, index in _members(terms).items()]
+
+
+def _members(terms: list[list[Term]]) -> dict[tuple[int, int], list[int]]:
+    """The columns of one term, by place and direction."""
     members: dict[tuple[int, int], list[int]] = {}
     for j, t in enumerate(terms):
         if len(t) == 1:
             members.setdefault((t[0].place, t[0].direction), []).append(j)
-    return [
-        _Group(view.unit_column(*key), _numbers([terms[j][0] for j in index], at), np.array(index))
-        for key, index in members.items()
-    ]
+    return members

@@ -134,7 +134,7 @@ def _expecting(fit: Fit, off: float) -> Fit:
 
 
 def _tail(shown: float) -> float:
-    """By which a deviation that so many values tell is widened, so that a contradiction is as rare as a normal one's."""
+    """By which a deviation that so many values tell is widened: a contradiction is then as rare as a normal one's."""
     beyond = float(scipy.special.ndtr(-CONTRADICTED))
     return -float(scipy.special.stdtrit(shown, beyond)) / CONTRADICTED
 

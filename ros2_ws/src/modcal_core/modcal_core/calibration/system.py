@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
-from modcal_core.calibration.linearise import Linearised, linearise
+from modcal_core.calibration.linearise import Linearised, RowView, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.normal_equations import BLOCK, RowBlock, blocks, normal_equations
+from modcal_core.calibration.normal_equations import BLOCK, RowBlock, blocks, gradient, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
@@ -44,16 +44,24 @@ class System(Protocol):
 class PlainSystem:
     """The equations of any model."""
 
-    quick_gradient = False
-
     def __init__(self, start: Model, parameters: Sequence[ModelParameter], samples: Samples, around: Drivers) -> None:
         """around: the drivers at the samples."""
         self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
         self._kept: list[RowBlock] | None = None
+        self._last_view: tuple[Array, RowView] | None = None
+        self.quick_gradient = len(samples) <= MOST_KEPT
 
     def residuals(self, values: Array) -> Linearised:
         """Residuals, without derivatives."""
-        return linearise(self._start, self._parameters, values, self._samples, jacobian=False, drivers=self._around)
+        view = self._view(values)
+        return Linearised(view.position, view.rotation, np.zeros((0, view.position.size + view.rotation.size)))
+
+    def _view(self, values: Array) -> RowView:
+        """Readings and frames at these values; those asked for last are kept."""
+        if self._last_view is None or not np.array_equal(self._last_view[0], values):
+            now = model_at(self._start, self._parameters, values)
+            self._last_view = np.array(values), RowView.of(now, self._samples, self._around)
+        return self._last_view[1]
 
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
@@ -75,7 +83,9 @@ class PlainSystem:
 
     def gradient(self, values: Array, row_weight: Array) -> Array:
         """JᵀWr alone, (P,)."""
-        return self.normal_equations(values, row_weight)[1]
+        if not self.quick_gradient:
+            return self.normal_equations(values, row_weight)[1]
+        return gradient(self._start, self._parameters, values, self._view(values), self._around, row_weight)
 
     def last_curvature(self, row_weight: Array) -> Array:
         """JᵀWJ of the last normal equations, scaled as the weights have been since, on the whole."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from modcal_core.calibration.model import Model
@@ -11,11 +9,10 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, hypotheses
 from modcal_core.checking.known import FrozenCalibration
-from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.outcome import Noticed, Recommendation
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.checking.search import FALSE_ALARM, FoundChanges
-from modcal_core.checking.state import CheckState
+from modcal_core.checking.state import CheckState, state_at
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -29,7 +26,7 @@ def same_everywhere(change: FittedChange, calibration: Calibration, model: Model
     """Whether what explains a change as well makes the same motion at all recorded postures."""
     if not change.same_as or not change.hypothesis.sizes or not len(calibration.postures):
         return False
-    state = _at(calibration.postures, model, samples, change, calibration)
+    state = state_at(calibration.postures, model, samples, calibration.noise)
     moved = state.columns(change.hypothesis) @ change.sizes
     weight = _weights(state)
     total = float(np.sum((weight * moved) ** 2))
@@ -51,7 +48,7 @@ def telling_stations(change: FittedChange, calibration: Calibration, model: Mode
         return np.empty((0, samples.q.shape[1]))
     if change.hypothesis.curve >= 0:
         return _along(pool, change.hypothesis.curve, samples.q)
-    state = _at(np.concatenate([samples.q, pool]), model, samples, change, calibration)
+    state = state_at(np.concatenate([samples.q, pool]), model, samples, calibration.noise)
     rows = np.arange(len(state.samples))
     weight = _weights(state)
     moved = weight * (state.columns(change.hypothesis) @ change.sizes)
@@ -80,18 +77,6 @@ def _along(pool: Array, joint: int, q: Array) -> Array:
     return np.asarray(pool[out])
 
 
-def _at(q: Array, model: Model, samples: Samples, change: FittedChange, calibration: Calibration) -> CheckState:
-    """The model at other postures, watched as the first of the samples was."""
-    like = samples.select(np.zeros(len(q), int))
-    poses = replace(
-        like, q=q, station=np.arange(len(q)), velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
-        acceleration=np.zeros_like(q), approach=np.zeros_like(q), following=np.full(q.shape, np.nan),
-    )  # fmt: skip
-    T = model.predict_samples(poses)
-    poses = replace(poses, reading=T[:, :3, 3], R=np.where(poses.is_pose[:, None, None], T[:, :3, :3], np.eye(3)))
-    return CheckState(model, poses, FrozenKnowledge((), np.zeros((0, 0)), (), calibration.noise))
-
-
 def _weights(state: CheckState) -> Array:
     N, M = len(state.samples), len(state.view.pose)
     noise = state.known.noise
@@ -109,7 +94,7 @@ def noticed(judge: ChangeJudge, state: CheckState) -> tuple[Noticed, ...]:
         if h.kind in (NOISE, GEAR) or not h.sizes or h.kind not in (BASE, FRAME, TOOL, ZERO, "tracker_scale"):
             continue
         A = state.columns(h)
-        need = _needed(A.shape[1], n, float(p))
+        need = _needed(A.shape[1], n, float(p), judge.null.weight)
         whitened = np.linalg.norm(judge.whitened(A, judge.null.reference), axis=0)
         moved = np.sqrt(np.sum(A[: 3 * N] ** 2, axis=0) / N)
         seen = whitened > 0.0
@@ -120,9 +105,9 @@ def noticed(judge: ChangeJudge, state: CheckState) -> tuple[Noticed, ...]:
     return tuple(Noticed(name, mm) for name, mm in worst.items())
 
 
-def _needed(k: int, n: int, log_prior: float) -> float:
+def _needed(k: int, n: int, log_prior: float, weight: float) -> float:
     """The length, in standard deviations, of a change of k sizes that is noticed in 95 of 100 cases."""
-    limit = -np.log(FALSE_ALARM) - log_prior
+    limit = -np.log(FALSE_ALARM) / weight - log_prior
     for gain in np.geomspace(1.0, 1e4, 400):
         g = SIZES**2 * n / k
         low = max(gain - 2.0 * _SURE * np.sqrt(gain), 0.0)

@@ -7,6 +7,10 @@ columns' own metric). So a change of six directions pays for them, and none pays
 The mean over all changes, with their prior probabilities, of how much more probable they make the readings is an
 *e-value*: while nothing has changed it exceeds 1/α with a chance of at most α, whatever the number of changes that are
 looked for and however alike they are (Markov's inequality; Vovk & Wang 2021).
+
+Errors of neighbouring stations are alike, in ways that no model of theirs has in full. So what n stations say together
+is raised to the power m/n, where m is how many far apart they stand for: an e-value to a power below one is one as
+well (Jensen's inequality), and of neighbours more is asked.
 """
 
 from __future__ import annotations
@@ -155,14 +159,14 @@ def _log_priors(keys: tuple[tuple[str, str], ...]) -> Array:
     return np.array([np.log(weight[k] / total / len(places[k]) / variants[k, p]) for k, p in keys])
 
 
-def e_value(judged: Sequence[JudgedChange], log_prior: Array) -> float:
-    """Logarithm of the mean Bayes factor over all changes."""
-    return float(scipy.special.logsumexp([j.log_factor for j in judged] + log_prior))
+def e_value(judged: Sequence[JudgedChange], log_prior: Array, weight: float = 1.0) -> float:
+    """Logarithm of the mean Bayes factor over all changes, raised to the stations' weight."""
+    return weight * float(scipy.special.logsumexp([j.log_factor for j in judged] + log_prior))
 
 
-def probabilities(judged: Sequence[JudgedChange], log_prior: Array) -> Array:
+def probabilities(judged: Sequence[JudgedChange], log_prior: Array, weight: float = 1.0) -> Array:
     """Posterior probability of each change, one of them being the case, (H,)."""
-    each = np.array([j.log_factor for j in judged]) + log_prior
+    each = weight * np.array([j.log_factor for j in judged]) + log_prior
     return np.asarray(np.exp(each - scipy.special.logsumexp(each)))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import Deviations, RowView, apply_deviations
 from modcal_core.calibration.model import Model
+from modcal_core.checking.patterns import varying
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect, columns
 from modcal_core.effects.families import compliance, gear_harmonic, gear_ratio, scale
@@ -26,8 +27,6 @@ from modcal_core.robots.mechanism import is_serial_arm
 BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
 GEAR, LOAD, SCALE, NOISE, READING = "gear", "load", "tracker_scale", "tracker_noise", "reading"
 KINDS = (BASE, FRAME, TOOL, ZERO, LENGTH, GEAR, LOAD, SCALE, NOISE, READING)
-_PERIOD = 0.7  # of a smooth curve of a joint: it is another one after about so many radians
-_ROUGH = 0.5  # share of such a curve that changes from station to station, as the many waves of a gear do
 _MEAN = 0.1  # share of its square that is one number at all stations: few stations see the mean of a wave as well
 MOST_CYCLES = 2  # a turn: eccentric gears and encoders; more waves than ten stations can tell apart are a curve
 _GROWS = {
@@ -199,10 +198,8 @@ def curve_columns(joint: int, model: Model, view: RowView) -> Array:
 def curve_root(joint: int, model: Model, samples: Samples) -> Array:
     """A root (S, r) of the covariance of such a curve at the S stations: random sums of its columns are curves."""
     first = np.unique(samples.station, return_index=True)[1]
-    q = samples.q[first, joint]
-    apart = 2.0 * np.sin(0.5 * (q[:, None] - q)) if model.chain.revolute[joint] else (q[:, None] - q) / 0.1
-    varying = (1.0 - _ROUGH) * np.exp(-0.5 * (apart / _PERIOD) ** 2) + _ROUGH * np.eye(len(q))
-    values, vectors = np.linalg.eigh((1.0 - _MEAN) * varying + _MEAN)
+    course = varying(samples.q[first, joint], bool(model.chain.revolute[joint]))
+    values, vectors = np.linalg.eigh((1.0 - _MEAN) * course + _MEAN)
     kept = values > 1e-9
     return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 

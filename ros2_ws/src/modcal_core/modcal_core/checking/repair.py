@@ -20,6 +20,7 @@ from modcal_core.checking.hypotheses import BASE, FRAME, NOISE, TOOL, CellChange
 from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.search import FoundChanges
 from modcal_core.checking.state import CheckState
+from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 
 _POSTURES = 40  # at which a change is written as deviations of the calibration's own parameters
@@ -68,9 +69,14 @@ def _of_calibration(h: CellChange, calibration: Calibration, frames: tuple[str, 
     )
     at = -1
     if h.replaces >= 0 and h.effect is not None:
-        key = h.effect.key
-        at = next(i for i, e in enumerate(calibration.calibrated.effects) if e.key == key)
+        at = _number(h.effect, calibration)
     return replace(h, motions=motions, replaces=at)
+
+
+def _number(effect: Effect, calibration: Calibration) -> int:
+    """Which effect of a calibration this is; two curves of one gear differ in their values only."""
+    effects = calibration.calibrated.effects
+    return next(i for i, e in enumerate(effects) if e.key == effect.key and np.array_equal(e.values, effect.values))
 
 
 def _known_then(

@@ -33,9 +33,9 @@ class FittedChange:
         return self.judged.candidate.hypothesis
 
 
-def most_probable(judged: Sequence[JudgedChange], prior: Array) -> JudgedChange:
-    """The most probable thing to name, by its most probable shape."""
-    chance = probabilities(judged, prior)
+def most_probable(judged: Sequence[JudgedChange], prior: Array, weight: float = 1.0) -> JudgedChange:
+    """The most probable thing to name, by its most probable shape. weight: of what the stations say."""
+    chance = probabilities(judged, prior, weight)
     of_key: dict[tuple[str, str], float] = {}
     for j, p in zip(judged, chance, strict=True):
         key = j.candidate.hypothesis.key
@@ -47,9 +47,9 @@ def most_probable(judged: Sequence[JudgedChange], prior: Array) -> JudgedChange:
     )[1]
 
 
-def with_rivals(best: JudgedChange, every: Sequence[JudgedChange], prior: Array) -> FittedChange:
-    """What is named, with what explains the readings as well."""
-    chance = probabilities(every, prior)
+def with_rivals(best: JudgedChange, every: Sequence[JudgedChange], prior: Array, weight: float = 1.0) -> FittedChange:
+    """What is named, with what explains the readings as well. weight: of what the stations say, as of the null."""
+    chance = probabilities(every, prior, weight)
     by_key: dict[tuple[str, str], tuple[float, JudgedChange]] = {}
     for j, p in zip(every, chance, strict=True):
         key = j.candidate.hypothesis.key
@@ -63,7 +63,7 @@ def with_rivals(best: JudgedChange, every: Sequence[JudgedChange], prior: Array)
         if key == best.candidate.hypothesis.key or j.candidate.hypothesis.kind == READING:
             continue
         as_probable = p > own[0] * np.exp(-_AS_PROBABLE)
-        contained = bool(j.candidate.hypothesis.sizes) and j.likelihood > likely - _AS_LIKELY
+        contained = bool(j.candidate.hypothesis.sizes) and j.likelihood > likely - _AS_LIKELY / weight
         if as_probable or contained:
             rivals.append((p, j))
     rivals.sort(key=lambda pair: -pair[0])

@@ -31,10 +31,11 @@ _BEAM = 5  # changes that a pair is begun with
 
 @dataclass(frozen=True)
 class FoundChanges:
-    """What a search found. model: with the changes put in. changes: at most two. log_e: logarithms of the e-values by
-    which each was asked for, and, last, of what is left. aside: samples that were set aside as wrong. samples: the
-    others. start: the null before, on them. left: the one after. state: the model with the changes, beside them. sizes:
-    what is known of these.
+    """What a search found.
+
+    model: with the changes put in. changes: at most two. log_e: logarithms of the e-values by which each was asked for,
+    and, last, of what is left. aside: samples that were set aside as wrong. samples: the others. start: the null
+    before, on them. left: the one after. state: the model with the changes, beside them. sizes: what is known of these.
     """
 
     model: Model
@@ -75,10 +76,10 @@ def _search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChan
     start = now = ChangeJudge(state.null)
     asked = hypotheses(model, samples)
     judged, prior = _judge_all(start, begin, asked, bent=True)
-    log_e = [e_value(judged, prior)]
+    log_e = [e_value(judged, prior, state.null.weight)]
     picked: list[JudgedChange] = []
     if log_e[0] > -np.log(FALSE_ALARM):
-        first = most_probable(judged, prior)
+        first = most_probable(judged, prior, state.null.weight)
         if first.candidate.hypothesis.kind == READING:  # the caller sets it aside and begins again
             wrong = FittedChange(first, 1.0, ())
             return FoundChanges(
@@ -90,10 +91,12 @@ def _search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChan
         if rest > -np.log(FALSE_ALARM) or is_noise(first):
             pair = _best_pair(model, samples, known, judged, prior, asked, start)
             alone = first.log_factor + float(prior[[j is first for j in judged]][0])
-            if pair is not None and (rest > -np.log(FALSE_ALARM) or pair[1] > alone - np.log(FALSE_ALARM)):
+            if pair is not None and (
+                rest > -np.log(FALSE_ALARM) or begin.null.weight * (pair[1] - alone) > -np.log(FALSE_ALARM)
+            ):
                 picked = pair[0]
                 state, fits, now, rest = _taken(model, samples, known, picked, asked)
-                log_e = [log_e[0], max(pair[1] - alone, 0.0), rest]
+                log_e = [log_e[0], begin.null.weight * max(pair[1] - alone, 0.0), rest]
     for i, one in enumerate(picked):
         if one.candidate.free:
             others = [p for j, p in enumerate(picked) if j != i]
@@ -116,8 +119,8 @@ def _search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChan
                 if j.candidate.hypothesis.key == one.candidate.hypothesis.key
             ]
             every, prior = [*every, one], np.r_[prior, max(own)]
-        changes.append(with_rivals(one, every, prior))
-    changes, sizes = with_sizes(changes, fits, state, begin.null)
+        changes.append(with_rivals(one, every, prior, begin.null.weight))
+    changes, sizes = with_sizes(changes, fits, state, begin.null, now.best)
     return FoundChanges(state.model, tuple(changes), tuple(log_e), (), samples, start, now, state, sizes)
 
 
@@ -128,7 +131,7 @@ def _taken(
     state, fits = taken_up(model, samples, known, picked)
     now = ChangeJudge(state.null)
     judged, prior = _judge_all(now, state, [h for h in asked if h.key not in _keys(picked)])
-    return state, fits, now, e_value(judged, prior)
+    return state, fits, now, e_value(judged, prior, state.null.weight)
 
 
 def _best_pair(

@@ -31,9 +31,17 @@ class SizeCovariance:
 
 
 def with_sizes(
-    changes: Sequence[FittedChange], fits: Sequence[ChangeCandidate], state: CheckState, begin: NullModel
+    changes: Sequence[FittedChange],
+    fits: Sequence[ChangeCandidate],
+    state: CheckState,
+    begin: NullModel,
+    member: int,
 ) -> tuple[list[FittedChange], SizeCovariance]:
-    """The changes with their sizes, and what is known of these beside each other."""
+    """The changes with their sizes, and what is known of these beside each other.
+
+    member: of the null's grid, that which suits the readings best with the changes in; without them it would be a wider
+    spread, for it would have to explain them.
+    """
     known = state.known
     if not changes:
         return [], SizeCovariance.none(known)
@@ -45,20 +53,20 @@ def with_sizes(
     blocks, roots = [], []
     for change, fit in zip(changes, fits, strict=True):
         if fit.free:
-            A = judge.whitened(fit.columns, judge.best)
+            A = judge.whitened(fit.columns, member)
             spread = change.judged.size * np.sqrt(n / max(float(np.sum(A**2)), 1e-300))
             blocks.append(spread * A)
             roots.append(spread * curve_root(fit.hypothesis.curve, state.model, state.samples))
         else:
             sized = bool(fit.hypothesis.sizes)
-            blocks.append(judge.whitened(state.columns(fit.hypothesis), judge.best) if sized else np.zeros((n, 0)))
+            blocks.append(judge.whitened(state.columns(fit.hypothesis), member) if sized else np.zeros((n, 0)))
             roots.append(np.empty((0, 0)))
     J = np.concatenate(blocks, axis=1)
     prior = np.concatenate([np.full(b.shape[1], float(f.free)) for b, f in zip(blocks, fits, strict=True)])
     covariance = np.linalg.pinv(J.T @ J + np.diag(prior), hermitian=True)
-    mean = covariance @ (J.T @ judge.whitened(state.residual, judge.best))  # of curves; of sizes it is the last step
+    mean = covariance @ (J.T @ judge.whitened(state.residual, member))  # of curves; of sizes it is the last step
     own = parameter_rows(state.model, state.view, state.drivers, known.parameters, known.effects)
-    cross = -known.covariance @ judge.whitened(own.T, judge.best).T @ J @ covariance
+    cross = -known.covariance @ judge.whitened(own.T, member).T @ J @ covariance
     out: list[FittedChange] = []
     kept: list[int] = []
     first = 0

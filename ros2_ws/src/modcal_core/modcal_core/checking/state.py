@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.checking.hypotheses import NOISE, CellChange, curve_columns, hypothesis_columns
 from modcal_core.checking.noise import FrozenKnowledge, NullModel, null, parameter_rows
@@ -45,3 +47,15 @@ class CheckState:
         if hypothesis.curve >= 0:
             return curve_columns(hypothesis.curve, self.model, self.view)
         return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
+
+
+def state_at(q: Array, model: Model, samples: Samples, noise: NoiseModel) -> CheckState:
+    """The model at other postures (k, n), watched as the first of the samples was, with exact readings."""
+    like = samples.select(np.zeros(len(q), int))
+    poses = replace(
+        like, q=q, station=np.arange(len(q)), velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
+        acceleration=np.zeros_like(q), approach=np.zeros_like(q), following=np.full(q.shape, np.nan),
+    )  # fmt: skip
+    T = model.predict_samples(poses)
+    poses = replace(poses, reading=T[:, :3, 3], R=np.where(poses.is_pose[:, None, None], T[:, :3, :3], np.eye(3)))
+    return CheckState(model, poses, FrozenKnowledge((), np.zeros((0, 0)), (), noise))

@@ -69,7 +69,7 @@ class Dependence:
 class _Pair:
     place: str
     driver: str
-    columns: Array  # (D, 6, N)
+    columns: Array  # (D, 6, k), of the samples that are asked
 
 
 def dependence(
@@ -79,12 +79,12 @@ def dependence(
 
     least: share of the squares that is a good part.
 
-    weight: of the six components, (6, N). fitted: derivatives (P, 6, N) by the parameters that were fitted to these
-    samples, None where the model is frozen; constant errors are looked for only then.
+    weight: of the six components, (6, N). fitted: derivatives (P, 6, k) by the parameters that were fitted to these
+    samples, at those of :func:`asked_of`; None where the model is frozen: constant errors are looked for only then.
     """
     if samples.stations < _LEAST or not is_serial_arm(model.chain) or model.instruments:
         return None
-    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
+    rows = asked_of(samples)
     view = RowView.of(model, samples, model.drivers(samples))
     residual = np.zeros((6, len(samples)))
     residual[:3], residual[3:, view.pose] = view.position, view.rotation
@@ -92,12 +92,14 @@ def dependence(
     take = (weight[:, rows] > 0.0).ravel()
     r = residual.ravel()[take]
     whole = float(r @ r)
-    out = _orthonormal((fitted * weight)[..., rows].reshape(len(fitted), -1)[:, take]) if fitted is not None else None
+    out = None
+    if fitted is not None:
+        out = _orthonormal((fitted * weight[:, rows]).reshape(len(fitted), -1)[:, take])
     r = r if out is None else r - out @ (out.T @ r)
     fold = np.tile(_folds(samples.station[rows]), 6)[take]
     found: list[tuple[float, int, str, str]] = []
-    for pair in _pairs(model, samples, view, constant=fitted is None):
-        X = (pair.columns * weight)[..., rows].reshape(len(pair.columns), -1)[:, take].T
+    for pair in _pairs(model, samples, view, rows, constant=fitted is None):
+        X = (pair.columns * weight[:, rows]).reshape(len(pair.columns), -1)[:, take].T
         size = np.linalg.norm(X, axis=0)
         X = X[:, size > _SMALL * max(size.max(initial=0.0), 1e-300)]
         X = X if out is None else X - out @ (out.T @ X)
@@ -110,6 +112,11 @@ def dependence(
     if named is None or (moved is not None and named.share < _HALF * moved.share):
         return moved
     return named
+
+
+def asked_of(samples: Samples) -> np.ndarray:
+    """The samples that are asked, (k,): all, or a part of many."""
+    return np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
 
 
 def _by_motion(model: Model, view: RowView, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:
@@ -180,9 +187,9 @@ def _orthonormal(J: Array) -> Array:
     return np.asarray(J.T @ vector[:, keep] / np.sqrt(value[keep]))
 
 
-def _pairs(model: Model, samples: Samples, view: RowView, constant: bool) -> Iterator[_Pair]:
-    """Every place with every driver."""
-    builder = _Builder(model, samples, view)
+def _pairs(model: Model, samples: Samples, view: RowView, rows: np.ndarray, constant: bool) -> Iterator[_Pair]:
+    """Every place with every driver, at these of the samples."""
+    builder = _Builder(model, samples, view, rows)
     yield from builder.of_joints(constant)
     yield from builder.of_all_joints()
     yield from builder.of_ends(constant)
@@ -193,8 +200,8 @@ def _pairs(model: Model, samples: Samples, view: RowView, constant: bool) -> Ite
 class _Builder:
     """Columns of places times numbers of drivers."""
 
-    def __init__(self, model: Model, samples: Samples, view: RowView) -> None:
-        self.model, self.samples, self.view = model, samples, view
+    def __init__(self, model: Model, samples: Samples, view: RowView, rows: np.ndarray) -> None:
+        self.model, self.samples, self.view, self.rows = model, samples, view, rows
         self.at = model.drivers(samples)
         self.chain = model.serial
         self.N = len(samples)
@@ -238,9 +245,8 @@ class _Builder:
         columns = [
             self._unit(*where) * number for where, some in zip(places, self.arrived, strict=True) for number in some[:2]
         ]
-        yield _Pair(
-            "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", np.stack(columns)
-        )
+        who = "all joints, or the readings' time (a filter, an average, a late clock)"
+        yield self._at_rows(who, "the last move", np.stack(columns))
 
     def _loads(self) -> list[str]:
         kinds = ["payload", *(["load"] if self.at.arm.weighed else [])]
@@ -312,18 +318,19 @@ class _Builder:
         radial[:3] = x / np.maximum(r, 1e-9)
         powers = np.stack([np.ones_like(r), r / unit, (r / unit) ** 2, (r / unit) ** 3])
         who = "the tracker's readings"
-        yield _Pair(who, "the distance from the tracker", powers[:, None] * radial)
+        yield self._at_rows(who, "the distance from the tracker", powers[:, None] * radial)
         before = np.zeros_like(x)
         order = np.lexsort((self.samples.stamps, self.samples.frame))
         before[:, order[1:]] = np.diff(x[:, order], axis=1)
         moved = np.zeros((1, 6, self.N))
         moved[0, :3] = before
-        yield _Pair(who, "the last move of the target (a filter, or a late clock)", moved)
+        yield self._at_rows(who, "the last move of the target (a filter, or a late clock)", moved)
         if len(self.view.pose):
             turns = np.zeros((3, len(self.order), 6, self.N))
             for axis in range(3):
                 turns[axis, :, 3 + axis, self.view.pose] = self.order[:, self.view.pose].T
-            yield _Pair("the tracker's orientations alone", "the order of the stations", turns.reshape(-1, 6, self.N))
+            alone = "the tracker's orientations alone"
+            yield self._at_rows(alone, "the order of the stations", turns.reshape(-1, 6, self.N))
         z = (x - x.mean(axis=1, keepdims=True)) / np.maximum(x.std(axis=1, keepdims=True), 1e-9)
         one = [z[i] for i in range(3)]
         two = [z[i] * z[j] for i in range(3) for j in range(i + 1)]
@@ -331,17 +338,16 @@ class _Builder:
         along = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)[:, :, None]
         place = "the place of the target before the tracker"
         for some in (one, [*one, *two, *three]):
-            numbers = np.stack(some)
-            yield _Pair(who, place, _along(numbers, along))
-        yield _Pair(who, "how the target is turned", _along(self._turns(), along))
+            yield self._read(who, place, np.stack(some), along)
+        yield self._read(who, "how the target is turned", self._turns(), along)
         steps = self.order[-9::2]
         scales = np.stack([np.ones_like(r), *one])
         changed = (steps[:, None] * scales[None]).reshape(-1, self.N)
-        yield _Pair(who, "the order of the stations: their scale or their frame changed", _along(changed, along))
+        yield self._read(who, "the order of the stations: their scale or their frame changed", changed, along)
         seen = self.samples.reading.T
         angles = [np.arctan2(seen[1], seen[0]), np.arcsin(np.clip(seen[2] / np.maximum(r, 1e-9), -1.0, 1.0))]
         waves = [f(k * a) * r / unit for a in angles for k in range(1, 5) for f in (np.sin, np.cos)]
-        yield _Pair(who, "the direction in which the tracker looks", _along(np.stack(waves), along))
+        yield self._read(who, "the direction in which the tracker looks", np.stack(waves), along)
 
     def _down_in_tool(self) -> Array:
         R = self.view.f.rotation(-1)
@@ -379,8 +385,17 @@ class _Builder:
         return out
 
     def _pair(self, who: str, driver: str, where: list[tuple[int, int]], numbers: Array) -> _Pair:
-        unit = np.stack([self._unit(place, direction) for place, direction in where])
-        return _Pair(who, driver, (unit[:, None] * numbers[None, :, None, :]).reshape(-1, 6, self.N))
+        unit = np.stack([self._unit(place, direction)[:, self.rows] for place, direction in where])
+        columns = unit[:, None] * numbers[None, :, None, self.rows]
+        return _Pair(who, driver, columns.reshape(-1, 6, len(self.rows)))
+
+    def _at_rows(self, who: str, driver: str, columns: Array) -> _Pair:
+        """The pair of columns (D, 6, N) of all samples."""
+        return _Pair(who, driver, columns[..., self.rows])
+
+    def _read(self, who: str, driver: str, numbers: Array, along: Array) -> _Pair:
+        """The pair of numbers (c, N) along directions (d, 6, 1)."""
+        return _Pair(who, driver, _along(numbers[:, self.rows], along))
 
 
 def _along(numbers: Array, along: Array) -> Array:

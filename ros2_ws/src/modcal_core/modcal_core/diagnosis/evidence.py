@@ -24,6 +24,7 @@ import numpy as np
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.runs import independent_unit
+from modcal_core.diagnosis.anchor import Anchor
 from modcal_core.diagnosis.banks import (
     Bank,
     Key,
@@ -35,7 +36,7 @@ from modcal_core.diagnosis.banks import (
     wave_step,
 )
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS, against_noise, is_clear, score_table
-from modcal_core.diagnosis.space import SignTrials, Space
+from modcal_core.diagnosis.space import Directions, SignTrials, Space
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index
 from modcal_core.effects.registry import complexity
@@ -43,6 +44,7 @@ from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
 
 LEAST_FREEDOM = 20  # rows beyond what is fitted
+_KEPT = 2  # fits whose rows are kept beside those of the last: a look ahead, and back
 _AT_ONCE = 256  # candidates; what they explain in all trials then stays near the processor
 _ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
 _LEAST_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
@@ -110,7 +112,8 @@ class Scanner:
         parts = zip(self.banks, ends, ends[1:], strict=False)
         self._least = {id(bank): int(self.complexity[first:last].min()) for bank, first, last in parts}
         self.unit = independent_unit(drivers.samples)
-        self._last: tuple[Fit, Space] | None = None
+        self._seen: list[tuple[Fit, Space]] = []
+        self._anchor: Anchor | None = None
 
     def _at_once(self, alike: list[Effect], spectra: SpectraOfDrivers) -> Bank:
         """The bank of candidates that differ in their cycles or times alone."""
@@ -130,9 +133,16 @@ class Scanner:
 
     def space_of(self, fit: Fit) -> Space:
         """The rows of this fit at the samples."""
-        if self._last is None or self._last[0] is not fit:
-            self._last = (fit, Space.of(fit, self.drivers))
-        return self._last[1]
+        for known, space in self._seen:
+            if known is fit:
+                return space
+        found = None if self._anchor is None else self._anchor.beside(fit, self.drivers)
+        if found is None:
+            self._seen.clear()  # they hold what is of the anchor
+            self._anchor = Anchor.of(fit, self.drivers)
+            found = self._anchor.space
+        self._seen = [*self._seen[-_KEPT:], (fit, found)]
+        return found
 
     def evidence(
         self, fit: Fit, rng: np.random.Generator | None = None, flips: int = FLIPS, most: int | None = None
@@ -258,15 +268,34 @@ class Scanner:
         """Products of each candidate's columns with each other (C, m, m), the fitted projected out, and their squares
         before that, (C, m).
         """
-        gram = bank.gram([self._column(key, space) for key in bank.keys])
-        own = np.einsum("cii->ci", gram).copy()
-        return gram - bank.gram_of_sums([self._against(key, space) for key in bank.keys], space.spectra), own
+        if not self._is_own(bank):
+            gram = bank.gram([self._column(key, space) for key in bank.keys])
+            parts = [part.sign * self._along(bank, space, part) for part in space.parts]
+            return gram - sum(parts), np.einsum("cii->ci", gram).copy()
+        number = id(bank)
+        if number not in space.squares:
+            space.squares[number] = bank.gram([self._column(key, space) for key in bank.keys])
+        gram = space.squares[number]
+        left = gram.copy()
+        for part in space.parts:
+            if number not in part.grams:
+                part.grams[number] = self._along(bank, space, part)
+            left -= part.sign * part.grams[number]
+        return left, np.einsum("cii->ci", gram).copy()
 
-    def _against(self, key: Key, space: Space) -> Array:
-        """Contraction, sample by sample, of a column with the projector, (N, P)."""
-        if key not in space.against:
-            space.against[key] = np.einsum("cN,cNp->Np", self._column(key, space)[: space.rows], space.Q[: space.rows])
-        return space.against[key]
+    def _is_own(self, bank: Bank) -> bool:
+        """Whether it is one of the scanner's banks, which stay as long as it does."""
+        return id(bank) in self._least
+
+    def _along(self, bank: Bank, space: Space, part: Directions) -> Array:
+        """Products with each other of what of each candidate's columns lies along these directions, (C, m, m)."""
+        return bank.gram_of_sums([self._against(key, space, part) for key in bank.keys], part.spectra)
+
+    def _against(self, key: Key, space: Space, part: Directions) -> Array:
+        """Contraction, sample by sample, of a column with directions, (N, P)."""
+        if key not in part.against:
+            part.against[key] = np.einsum("cN,cNp->Np", self._column(key, space)[: space.rows], part.Q)
+        return part.against[key]
 
 
 def _inverse(gram: Array, own: Array) -> tuple[Array, np.ndarray]:

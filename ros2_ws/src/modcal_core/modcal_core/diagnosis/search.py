@@ -151,18 +151,20 @@ def _searched(
     scans: list[Evidence] = []
     flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
     missed = 0
+    evidence: Evidence | None = None
     while scanner.enough(search.fit, least_freedom) and len(search.causes) < MOST_EFFECTS and missed <= _MOST_REFUSED:
-        evidence = scanner.evidence(search.fit, rng, flips)
-        scans = [*scans[:1], evidence]
-        if evidence.p_value > SIGNIFICANT:
-            left = None
-            break
+        if evidence is None:  # after a choice that was refused, the fit is as it was, and so is what it leaves
+            evidence = scanner.evidence(search.fit, rng, flips)
+            scans = [*scans[:1], evidence]
+            if evidence.p_value > SIGNIFICANT:
+                left = None
+                break
         choice = choose(evidence, scanner, search.fit, refused)
         if choice is None:
             break
         progress(choice.effect.label)
         if search.add(choice):
-            left, missed = None, 0
+            left, missed, evidence = None, 0, None
         else:  # also more of the same, which is not worth having: another may be
             refused.add(choice.effect.key)
             left, missed = left or choice, missed + 1

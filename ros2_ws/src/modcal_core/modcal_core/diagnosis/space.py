@@ -6,6 +6,7 @@ Each sample has six rows, weighted; what is fitted is projected out of the resid
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -18,6 +19,7 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
+ROUNDING = 1e-12  # of the square of a column, added to what is inverted
 _FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
 
 
@@ -39,12 +41,28 @@ class SignTrials:
 
 
 @dataclass(frozen=True)
+class Directions:
+    """Orthonormal directions that a projector has, or has no longer. Q: (rows, N, P). sign: 1 or −1.
+
+    against: contractions of columns with them, (N, P). grams: of banks, by their number, the products with each other
+    of what lies along them, (C, m, m). spectra: of contractions.
+    """
+
+    Q: Array
+    sign: float = 1.0
+    against: dict[Key, Array] = field(default_factory=dict)
+    grams: dict[int, Array] = field(default_factory=dict)
+    spectra: Spectra = field(default_factory=Spectra)
+
+
+@dataclass(frozen=True)
 class Space:
     """Weighted residual and columns, sample by sample: (6, N), rows 3 … 5 zero where there is no orientation.
 
     Q: orthonormal columns of all that is fitted, (6, N, P). Parameters are held by their priors, as extra rows that ask
     each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
-    rows: those that may not be zero.
+    rows: those that may not be zero. squares: of banks, by their number, the products of their columns with each other.
+    whole, changes: of a space beside another the directions of Q, and those that come on top or go (:mod:`anchor`).
     """
 
     view: RowView
@@ -54,12 +72,18 @@ class Space:
     freedom: int
     rows: int = 6
     columns: dict[Key, Array] = field(default_factory=dict)
-    against: dict[Key, Array] = field(default_factory=dict)
-    spectra: Spectra = field(default_factory=Spectra)
+    squares: dict[int, Array] = field(default_factory=dict)
+    whole: Directions | None = None
+    changes: tuple[Directions, ...] = ()
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Space:
         """Those of a fit at these drivers' samples."""
+        return cls.with_factor(fit, drivers)[0]
+
+    @classmethod
+    def with_factor(cls, fit: Fit, drivers: Drivers) -> tuple[Space, Array]:
+        """Those of a fit at these drivers' samples, and the triangle L (P, P) of ``Q = L⁻¹ J``, J at unit size."""
         samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
@@ -67,33 +91,37 @@ class Space:
         view = RowView.of(fit.model, samples, drivers)
         held = np.zeros(len(now.J))  # of a frozen model without effects nothing is fitted
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
-        N, P = len(samples), len(now.J)
-        rows = 6 if len(view.pose) else 3  # of points alone the other three are zero
-        J = np.zeros((P, rows, N))
-        J[:, :3] = now.J[:, : 3 * N].reshape(P, 3, N)
-        if rows > 3:
-            J[:, 3:, view.pose] = now.J[:, 3 * N :].reshape(P, 3, len(view.pose))
-        J *= weight[:rows]
+        J = by_component(now.J, view) * weight[: _rows(view)]
+        P, rows, N = J.shape
         Q = np.zeros((6, N, P))
-        Q[:rows] = _orthonormal(J.reshape(P, rows * N), held).reshape(P, rows, N).transpose(1, 2, 0)
-        residual = _drawn_in(_by_sample(now.residual, view) * weight)
+        orthonormal, L = _orthonormal(J.reshape(P, rows * N), held)
+        Q[:rows] = orthonormal.reshape(P, rows, N).transpose(1, 2, 0)
+        residual = drawn_in(by_sample(now.residual, view) * weight)
         # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
         # join the noise and hide how uneven that is.
         residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
-        free = round(Groups.of(samples, bool(fit.model.instruments)).rows) - round(float(np.sum(Q[:rows] ** 2)))
-        return cls(view, weight, residual, Q, free, rows)
+        free = equations(fit, samples) - round(float(np.sum(Q[:rows] ** 2)))
+        return cls(view, weight, residual, Q, free, rows), L
+
+    @cached_property
+    def parts(self) -> tuple[Directions, ...]:
+        """What is projected out: the directions of Q, and changes to them."""
+        return (self.whole or Directions(self.Q[: self.rows]), *self.changes)
 
     def column(self, place: int, direction: int) -> Array:
         """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
-        return _by_sample(self.view.unit_column(place, direction), self.view) * self.weight
+        return by_sample(self.view.unit_column(place, direction), self.view) * self.weight
 
     def trials(self, signs: Array) -> SignTrials:
         """The residual under signs (trials, N)."""
-        Q, residual = self.Q[: self.rows], self.residual[: self.rows]
-        seen = signs @ np.einsum("cNp,cN->Np", Q, residual)
+        residual = self.residual[: self.rows]
         left = residual[:, :, None] * signs.T
-        left -= Q @ seen.T
-        return SignTrials(left, np.sum(residual**2) - np.sum(seen**2, axis=1))
+        total = np.full(len(signs), np.sum(residual**2))
+        for part in self.parts:
+            seen = signs @ np.einsum("cNp,cN->Np", part.Q, residual)
+            left -= part.Q @ (part.sign * seen.T)
+            total -= part.sign * np.sum(seen**2, axis=1)
+        return SignTrials(left, total)
 
 
 def sample_weights(fit: Fit, samples: Samples) -> Array:
@@ -103,22 +131,45 @@ def sample_weights(fit: Fit, samples: Samples) -> Array:
     return np.concatenate([np.tile(1.0 / position, (3, 1)), np.tile(1.0 / rotation, (3, 1))])
 
 
-def _orthonormal(J: Array, held: Array) -> Array:
-    """Orthonormal rows of J (P, m) with the columns diag(held) beside it, those columns left out again, (P, m)."""
+def equations(fit: Fit, samples: Samples) -> int:
+    """How many equations the samples give."""
+    return round(Groups.of(samples, bool(fit.model.instruments)).rows)
+
+
+def _orthonormal(J: Array, held: Array) -> tuple[Array, Array]:
+    """Orthonormal rows of J (P, m) with the columns diag(held) beside it, those columns left out again, (P, m).
+
+    And the triangle whose inverse makes them of the rows of J at unit size, (P, P).
+    """
     size = np.maximum(np.sqrt(np.einsum("ij,ij->i", J, J) + held**2), 1e-300)
     J, held = J / size[:, None], held / size
-    L = np.linalg.cholesky(J @ J.T + np.diag(held**2 + 1e-12))
-    return np.asarray(solve_triangular(L, J, lower=True, check_finite=False))
+    L = np.linalg.cholesky(J @ J.T + np.diag(held**2 + ROUNDING))
+    return np.asarray(solve_triangular(L, J, lower=True, check_finite=False)), L
 
 
-def _drawn_in(residual: Array) -> Array:
+def drawn_in(residual: Array) -> Array:
     """The residual (6, N) with samples beyond several times the usual size brought in to there."""
     size = np.linalg.norm(residual, axis=0)
     limit = _FARTHEST * float(np.median(size))
     return residual * np.minimum(1.0, limit / np.maximum(size, 1e-300))
 
 
-def _by_sample(row: Array, view: RowView) -> Array:
+def _rows(view: RowView) -> int:
+    """Rows of a sample: of points alone those of the orientation are zero."""
+    return 6 if len(view.pose) else 3
+
+
+def by_component(J: Array, view: RowView) -> Array:
+    """Rows of a linearisation (P, 3 N + 3 M) as (P, 6, N), or (P, 3, N) of points alone."""
+    N, P = view.position.shape[1], len(J)
+    out = np.zeros((P, _rows(view), N))
+    out[:, :3] = J[:, : 3 * N].reshape(P, 3, N)
+    if len(view.pose):
+        out[:, 3:, view.pose] = J[:, 3 * N :].reshape(P, 3, len(view.pose))
+    return out
+
+
+def by_sample(row: Array, view: RowView) -> Array:
     """A row of a linearisation, (3 N + 3 M,), as (6, N)."""
     N = view.position.shape[1]
     out = np.zeros((6, N))

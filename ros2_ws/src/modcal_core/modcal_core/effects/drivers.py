@@ -33,7 +33,7 @@ from modcal_core.robots.urdf_inertias import Inertias
 _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
 _MOST_POINTS = 20_000  # of a signal; a faster one is thinned
-_MOST_KEPT = 32e6  # bytes of drivers and shapes that are kept for one set of samples
+_MOST_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
 

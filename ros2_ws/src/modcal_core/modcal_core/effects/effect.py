@@ -156,7 +156,7 @@ def all_columns(effects: Iterable[Effect], drivers: Drivers) -> list[list[Term]]
     """
     effects = tuple(effects)
     out = [terms for effect in effects for terms in (*columns(effect, drivers), *shape_columns(effect, drivers))]
-    if not any(effect.direction == ALL and np.abs(effect.amplitudes).max(initial=0.0) > _TURNED for effect in effects):
+    if not any(map(is_turned, effects)):
         return out
     turned = {
         place: local_twists(twist.T)
@@ -164,6 +164,11 @@ def all_columns(effects: Iterable[Effect], drivers: Drivers) -> list[list[Term]]
         if np.abs(twist[3:]).max() > _TURNED and place in (0, drivers.arm.chain.tool_place)
     }
     return [_seen_turned(terms, turned) for terms in out]
+
+
+def is_turned(effect: Effect) -> bool:
+    """Whether an effect turns its place by so much that columns there are those of the turned frame."""
+    return effect.direction == ALL and bool(np.abs(effect.amplitudes).max(initial=0.0) > _TURNED)
 
 
 def _seen_turned(terms: list[Term], turned: Mapping[int, Array]) -> list[Term]:

@@ -63,6 +63,13 @@ def to_json_data(found: Checked, calibration: str = "") -> dict[str, Any]:
             {name: float(x) for name, x in zip(found.joints, q, strict=True)} for q in found.advice.stations
         ],
         "repaired": found.repaired is not None,
+        "known_to_mm": None
+        if found.accuracy is None
+        else {
+            "before": 1e3 * found.accuracy.before,
+            "repaired": 1e3 * found.accuracy.repaired,
+            "stations_to_be_alike": found.accuracy.more,
+        },
         "convention": found.convention,
         "tolerance": None
         if found.report.tolerance is None
@@ -118,6 +125,8 @@ def summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
     out += [SummaryLine(note, "doubt") for note in found.notes]
     out.append(SummaryLine(found.sentence, _TONES[found.status]))
     out.append(SummaryLine(found.advice.sentence))
+    if found.accuracy is not None:
+        out.append(SummaryLine(found.accuracy.sentence, "legend"))
     met = found.report.tolerance
     if met is not None:
         tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
@@ -142,6 +151,7 @@ def to_html(found: Checked, title: str, files: Sequence[str]) -> str:
         f"The error at these {found.stations} stations is {_pair(found.before)} by the model as it was calibrated; "
         f"{_pair(found.expected)} is expected while nothing has changed.",
         *([f"With what changed put in it is {_pair(found.after)}."] if found.changes else []),
+        *([found.accuracy.sentence] if found.accuracy is not None else []),
         (
             f"While nothing has changed, as much is named by chance in fewer than {_rarely(found.chance)} checks."
             if found.changes

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.diagnosis.dependence import WORTH_NAMING, dependence
+from modcal_core.diagnosis.dependence import WORTH_NAMING, asked_of, dependence
 from modcal_core.plausibility.channels import disagreeing_channel
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
@@ -38,7 +38,9 @@ def with_places(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> Ver
         return judged
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     samples = case.samples.select(rows)
-    fitted = derivatives(case.model, case.known.parameters, samples)[1] if case.fitted else None
+    fitted = None
+    if case.fitted:
+        fitted = derivatives(case.model, case.known.parameters, samples.select(asked_of(samples)))[1]
     both = judged.predictable_both
     share = both.share if both is not None and both.lower99 > MOST_PREDICTABLE else 1.0
     least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))

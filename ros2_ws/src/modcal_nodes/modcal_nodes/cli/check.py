@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.checking.known import pattern_of
 from modcal_core.checkup import Checked
 from modcal_core.errors import BadTable
 from modcal_core.files import to_json, write_folder
@@ -41,7 +42,6 @@ from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.recorded import opened
 
-_LEAST_PATTERN = 0.1  # share of the noise that postures have in common, where the report saw none: it sees only so much
 _MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
 
 
@@ -163,7 +163,7 @@ def _pattern(calibration: Path) -> float | None:
         return None
     try:
         share = json.loads(beside.read_text(encoding="utf-8"))["predictable"]
-        return None if share is None else max(float(share["share"]), _LEAST_PATTERN)
+        return None if share is None else pattern_of(float(share["share"]))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadTable(str(beside), "is not a report of modcal", "remove it, or calibrate again") from error
 

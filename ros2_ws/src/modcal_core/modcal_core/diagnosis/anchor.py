@@ -1,0 +1,133 @@
+"""The rows of a fit beside those of another: what effects that came or went add to its projector or take from it.
+
+A search weighs thousands of candidates against one fit after the other, each with an effect more or one less. What the
+fitted columns leave of the candidates costs most of it, and is linear in the projector: so it is kept of one fit, the
+anchor, and of others only what differs is computed. With ``K = L Lᵀ`` the products of the scaled columns J, priors
+added, and ``Q = L⁻¹ J``, columns R that go take the directions ``F`` with them that span ``L⁻¹ I_R``; columns that come
+bring what Q and F leave of them (block inverse; Golub & Van Loan, ch. 3).
+
+The columns are those at the anchor. They hold as long as geometry has not moved and noise has not changed by more than
+what the shares that are weighed depend on; else there is a new anchor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.diagnosis.space import ROUNDING, Directions, Space, by_component, by_sample, drawn_in
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import Effect, all_columns, is_turned
+from modcal_core.geometry.so3 import Array
+
+# How far a fit may lie from the anchor. Of the real UR5 and a made arm of 27 effects shares then differ by less than
+# 1 % of themselves and scores by less than 0.1, where a hundredfold in chance is 2 (make bench shows the whole runs).
+_MOVED = 5e-3  # m, rad; columns change by as much of themselves
+_UNEVEN = 0.01  # of the ratio of two noises, by which rows are weighed against each other
+_QUIETER = 0.1  # of any noise, by which priors are weighed against readings
+_MOST_NEW = 0.5  # of the columns, that may come and go; more are not worth it
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A fit, its rows, and what they were made by. L: see :meth:`Space.with_factor`, (P, P)."""
+
+    fit: Fit
+    space: Space
+    L: Array
+
+    @classmethod
+    def of(cls, fit: Fit, drivers: Drivers) -> Anchor:
+        """That of a fit at these drivers' samples."""
+        return cls(fit, *Space.with_factor(fit, drivers))
+
+    def beside(self, fit: Fit, drivers: Drivers) -> Space | None:
+        """The rows of another fit at the same samples; None where it is too far away."""
+        mine, others = self.fit.model.effects, list(fit.model.effects)
+        if not self._is_near(fit) or any(is_turned(effect) for effect in (*mine, *others)):
+            return None
+        gone: list[int] = []
+        at = len(self.fit.parameters)
+        for effect in mine:
+            same = next((i for i, other in enumerate(others) if _is_same(effect, other)), None)
+            if same is None:
+                gone += range(at, at + len(effect.values))
+            else:
+                del others[same]
+            at += len(effect.values)
+        count = len(gone) + sum(len(e.values) for e in others)
+        if count > _MOST_NEW * len(self.L):
+            return None
+        space = self.space
+        rows, Q = space.rows, space.Q[: space.rows]
+        values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
+        now = linearise(fit.model, fit.parameters, values, drivers.samples, jacobian=False, drivers=drivers)
+        residual = drawn_in(by_sample(now.residual, space.view) * space.weight)
+        changes: list[Directions] = []
+        if gone:
+            F = np.linalg.qr(solve_triangular(self.L, np.eye(len(self.L))[:, gone], lower=True, check_finite=False))[0]
+            changes.append(Directions(Q @ F, -1.0))
+        if others:
+            new = self._new(others, drivers, changes)
+            if new is None:
+                return None
+            changes.append(Directions(new))
+        free = space.freedom - round(sum(part.sign * float(np.sum(part.Q**2)) for part in changes))
+        whole = space.parts[0]
+        along = [part.sign * (part.Q @ np.einsum("cNp,cN->p", part.Q, residual[:rows])) for part in (whole, *changes)]
+        residual[:rows] -= np.sum(along, axis=0)
+        return replace(space, residual=residual, freedom=free, whole=whole, changes=tuple(changes))
+
+    def _is_near(self, fit: Fit) -> bool:
+        """Whether the columns of geometry, and how rows are weighed, are nearly the anchor's."""
+        if fit.start.chain is not self.fit.start.chain or fit.parameters != self.fit.parameters:
+            return False
+        if fit.values is not self.fit.values and np.abs(fit.values - self.fit.values).max(initial=0.0) > _MOVED:
+            return False
+        if fit.noise is self.fit.noise:
+            return True
+        if fit.noise.others.keys() != self.fit.noise.others.keys():
+            return False
+        change = np.log(self._sizes(fit.noise) / self._sizes(self.fit.noise))
+        return bool(np.ptp(change) < _UNEVEN and np.abs(change).max() < _QUIETER)
+
+    def _sizes(self, noise: NoiseModel) -> Array:
+        """Those of the rows that there are."""
+        rotation = [noise.rotation] if self.space.rows > 3 else []
+        return np.array([noise.position, *rotation, *(noise.others[kind] for kind in sorted(noise.others))])
+
+    def _new(self, effects: list[Effect], drivers: Drivers, gone: list[Directions]) -> Array | None:
+        """Orthonormal directions (rows, N, a) that these effects bring; None where they bring none of their own."""
+        space = self.space
+        rows, Q = space.rows, space.Q[: space.rows]
+        view = space.view
+        J = by_component(np.stack([view.moved_by(terms) for terms in all_columns(effects, drivers)]), view)
+        J *= space.weight[:rows]
+        a = len(J)
+        flat = J.reshape(a, -1)
+        size = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat, flat)), 1e-300)
+        W = (flat / size[:, None]).T.reshape(rows, -1, a)
+        for part in (Directions(Q), *gone):
+            W = W - part.sign * (part.Q @ np.tensordot(part.Q, (J / size[:, None, None]), ((0, 1), (1, 2))))
+        try:
+            L = np.linalg.cholesky((flat / size[:, None]) @ W.reshape(-1, a) + ROUNDING * np.eye(a))
+        except np.linalg.LinAlgError:
+            return None
+        out = solve_triangular(L, W.reshape(-1, a).T, lower=True, check_finite=False)
+        return np.ascontiguousarray(out.T).reshape(rows, -1, a)
+
+
+def _is_same(effect: Effect, other: Effect) -> bool:
+    """Whether two effects have the same columns."""
+    if effect is other:
+        return True
+    if effect.key != other.key or effect.shape.kind != other.shape.kind:
+        return False
+    if effect.refined and not np.array_equal(effect.values, other.values):
+        return False
+    return effect.shape.settings == other.shape.settings
