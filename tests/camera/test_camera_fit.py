@@ -28,6 +28,7 @@ from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.target_file import scale_of_rulers
 from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.weakness import ALL_BUT_IMAGES
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -187,6 +188,9 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     assert 2e-5 < r.fit.sizes.joint < 1e-4  # 5e-5 was put in
     assert not r.left_out
     assert r.moved is None
+    # were everything known but what corners and joints scatter, less would be left, and no less than with one thing known
+    whole, left = r.shares[ALL_BUT_IMAGES]
+    assert left < min(known for name, (_, known) in r.shares.items() if name != ALL_BUT_IMAGES) < whole
     # lens and sheet within what is stated of them
     std = np.sqrt(np.diag(r.fit.covariance))[-15:-6]
     assert (np.abs(r.fit.state.lens.values - s.lens.values) < 4.0 * std).all()

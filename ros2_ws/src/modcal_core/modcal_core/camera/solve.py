@@ -18,8 +18,8 @@ from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.beside import LEAST, ReadingsBeside
 from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
-from modcal_core.camera.contradicted import contradictions, doubts, in_doubt, is_stated
-from modcal_core.camera.decision import Decision, decide
+from modcal_core.camera.contradicted import SIZE, contradictions, doubts, in_doubt, is_stated
+from modcal_core.camera.decision import CANNOT_TELL, Decision, decide
 from modcal_core.camera.findings import CameraFinding, findings
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.held_out import held_out
@@ -178,6 +178,11 @@ def solve_camera(
     doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0]),)
     open_size = size_open(target, doubted, in_view, shared, arm_m)
     decision = decide(in_view, bool(metric), against, arm_m, doubtful, open_size)
+    if (
+        metric and decision.word == CANNOT_TELL and target.scale.measured
+    ):  # the size decides: what is said holds either way
+        in_view, anywhere = in_view.either_way(SIZE), anywhere.either_way(SIZE)
+        decision = decide(in_view, True, against, arm_m, doubtful, open_size)
     return CameraSolution(
         *(
             fit,
