@@ -12,6 +12,8 @@ from camera.boards import BOARD, LENS, views
 from camera.scenes import CameraScene, scene
 from finite_differences import assert_jacobian
 
+from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
 from modcal_core.camera.corners import CornerTable, corner_rows
 from modcal_core.camera.decision import APPLY, CANNOT_TELL, DO_NOT_APPLY
@@ -26,9 +28,11 @@ from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.target_file import scale_of_rulers
 from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.weakness import ALL_BUT_IMAGES
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POSE
 from modcal_core.robots.kinematics import forward
 
 FLAT = np.zeros(5)
@@ -115,6 +119,25 @@ def test_motion_of_the_target_in_the_images(on_tip: bool) -> None:
     assert_jacobian(seen, arm.as_twists(T, J).reshape(12, -1), np.r_[x, 0.1], tolerance=1e-7)
 
 
+def test_the_arms_faults_are_those_of_all_its_bodies() -> None:
+    """Of a minimal set of parameters, brought to it: at postures anywhere they move the tip as all faults do, so a link
+    between two bodies that may each be displaced is known less well than either.
+    """
+    s = images(True)
+    _, arm = start(s)
+    assert arm.faults is not None
+    kept = [p for p in arm.parameters if p.of_arm]
+    every = [p for p in ordered_candidates(s.chain, arm.model.frames, (View(POSE, 0),)) if p.of_arm]
+    assert len(kept) < len(every)
+    q = np.random.default_rng(3).uniform(-1.5, 1.5, (6, s.chain.n))
+    samples = arm.at_postures(q).drivers().samples
+    J, whole = (linearise(arm.model, some, np.zeros(len(some)), samples).J.T for some in (kept, every))
+    for ratio in (1.0, 3.0):
+        std = np.array([p.prior_std * (1.0 if p.turns else ratio) for p in every])
+        assert J @ arm.faults.covariance(ratio) @ J.T == pytest.approx((whole * std**2) @ whole.T, abs=1e-9)
+    assert np.sqrt(np.diag(arm.faults.lengths)).max() > 1.3 * max(p.prior_std for p in every if not p.turns)
+
+
 def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
     """Two images of few corners: −2 log of the density of all residuals, with every covariance written out."""
     s = images(False)
@@ -165,6 +188,9 @@ def test_an_arm_that_is_centimetres_off(on_tip: bool) -> None:
     assert 2e-5 < r.fit.sizes.joint < 1e-4  # 5e-5 was put in
     assert not r.left_out
     assert r.moved is None
+    # were everything known but what corners and joints scatter, less would be left, and no less than with one thing known
+    whole, left = r.shares[ALL_BUT_IMAGES]
+    assert left < min(known for name, (_, known) in r.shares.items() if name != ALL_BUT_IMAGES) < whole
     # lens and sheet within what is stated of them
     std = np.sqrt(np.diag(r.fit.covariance))[-15:-6]
     assert (np.abs(r.fit.state.lens.values - s.lens.values) < 4.0 * std).all()

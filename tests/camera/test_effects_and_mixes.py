@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import BOARD, LENS, views
-from camera.scenes import CameraScene, scene
+from camera.scenes import PANDA, CameraScene, scene
 from camera.test_camera_fit import MEASURED, solved, start, true_error
 from finite_differences import assert_jacobian
 
@@ -25,6 +25,8 @@ from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.robot import Robot
+from modcal_core.robots.kinematics import forward
 
 TRACKER = se3.exp([1.5, -0.4, 0.3, 0.2, 0.1, 2.0])  # where the camera's or the target's frame is in the tracker's
 BALL = np.array([0.03, -0.05, 0.12])  # in the tool
@@ -157,6 +159,26 @@ def test_a_ratio_and_backlash_are_found_from_corners() -> None:
     ratio, play = found["gear_ratio", s.chain.names[3]], found["backlash", s.chain.names[0]]
     assert ratio.values == pytest.approx(0.002, abs=2e-4)
     assert np.abs(play.values) == pytest.approx(1e-3, rel=0.2)
+
+
+@pytest.mark.slow
+def test_springs_that_images_do_not_show_are_said() -> None:
+    """Four standard deviations of a compliance, as a fit that has it too knows it; and what that is at the tool."""
+    s = scene(43, False, count=18, length_std=2e-3, angle_std=3e-3, board=MEASURED)
+    inertias = Robot.from_urdf(PANDA.read_text(), tip="panda_link8").inertias
+    r = solved(s, inertias=inertias)
+    assert {one.place for one in r.hidden} >= {"panda_joint2", "panda_joint4"}
+    one = next(h for h in r.hidden if h.place == "panda_joint4")
+    spring = Effect("compliance", one.place, "axis", f"load:{one.place}", Shape("linear")).started(np.zeros(1))
+    fit, poses = r.fit, r.fit.poses.with_effects((spring,))
+    begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, 0.0))
+    there = fit_camera(fit.table, poses, fit.state.lens, fit.prior, fit.sizes, fixed_sizes=True, begin=begin)
+    std = np.sqrt(there.covariance[fit.poses.of_model, fit.poses.of_model])
+    assert one.least == pytest.approx(4.0 * std, rel=0.05)
+    bent = fit.poses.q.copy()
+    bent[:, 3] += one.least * poses.drivers().values(spring.driver)
+    gap = (forward(r.model.serial, bent) - forward(r.model.serial, fit.poses.q))[:, :3, 3]
+    assert one.at_tool_m == pytest.approx(np.sqrt((gap**2).sum(1).mean()), rel=0.02)
 
 
 @pytest.mark.slow

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from camera.boards import views
 from camera.scenes import PANDA, CameraScene, scene
 from camera.test_image_bags import camera_info, header
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from modcal_core.camera.target import APRIL_GRID, TAG, PrintedTarget
+from modcal_core.camera.target_file import target_to_data
+from modcal_core.camera.views import BoardView
 from modcal_core.errors import ModcalError
+from modcal_core.files import to_yaml
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robot import Robot
 from modcal_msgs_py.images import CAMERA_INFO, TAGS
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_msgs_py.types import definition, message_class
+from modcal_nodes.cli.main import run
 from modcal_nodes.vision.bag import TAGS_SAID, read_bag_images
 from modcal_nodes.vision.images import ImageFolder
 
@@ -46,8 +54,17 @@ TEXT = (
 )
 
 
-def bag_of_tags(path: Path, s: CameraScene, turned: int = 0, family: str = "36h11", info: bool = True) -> Path:
-    """A bag of an arm that stops at each posture. turned: by how many corners the detector begins elsewhere."""
+def bag_of_tags(
+    path: Path,
+    s: CameraScene,
+    turned: int = 0,
+    family: str = "36h11",
+    info: bool = True,
+    second: Sequence[BoardView] = (),
+) -> Path:
+    """A bag of an arm that stops at each posture. turned: by how many corners the detector begins elsewhere. second:
+    what another camera shows.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in FIELDS.items():
         store.register(get_types_from_msg(text, name))
@@ -103,10 +120,11 @@ def bag_of_tags(path: Path, s: CameraScene, turned: int = 0, family: str = "36h1
                     state(header(t), list(s.chain.names), q, nothing, nothing),
                     t,
                 )
-                if j == 10:
-                    by_tag = [(n, view.pixels[view.ids // 4 == n]) for n in np.unique(view.ids // 4)]
-                    found = [detection(int(n), quad) for n, quad in by_tag if len(quad) == 4]
-                    write("/detections", TAGS, store.types[TAGS](header(t, "camera"), found), t)
+                for topic, one in (("/detections", view), *((("/second/detections", second[k]),) if second else ())):
+                    if j == 10:
+                        by_tag = [(n, one.pixels[one.ids // 4 == n]) for n in np.unique(one.ids // 4)]
+                        found = [detection(int(n), quad) for n, quad in by_tag if len(quad) == 4]
+                        write(topic, TAGS, store.types[TAGS](header(t, "camera"), found), t)
                 t += 0.05
         writer.finish()
     return path
@@ -152,3 +170,26 @@ def test_tags_that_do_not_serve_are_refused(cell: CameraScene, tmp_path: Path) -
         with pytest.raises(ModcalError, match=words):
             read(path, target)
     assert read(silent, GRID, size=cell.lens.size).size == cell.lens.size
+
+
+@pytest.mark.slow
+def test_two_cameras_on_one_hand_by_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both see the same grid of tags; the second is named with its topic, and has a lens file of its own."""
+    s = scene(12, True, count=12, board=GRID)
+    aside = se3.exp([0.03, 0.01, 0.0, 0.0, 0.05, 0.0])
+    second = views(np.random.default_rng(1), se3.inverse(aside) @ se3.inverse(s.T), board=GRID)
+    bag = bag_of_tags(tmp_path / "tags.mcap", s, second=second)
+    (tmp_path / "grid.yaml").write_text(to_yaml(target_to_data(GRID)))
+    call = ["calibrate", str(bag), "--target", str(tmp_path / "grid.yaml"), "--tip", "panda_link8", "--geometry-only"]
+    call += ["--image-topic", "/detections", "--also-camera", "/second/detections", "--out", str(tmp_path / "out")]
+    assert run(call) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    (further,) = report["camera"]["further"]
+    assert (further["name"], further["mounting"]) == ("/second/detections", "tip")
+    assert further["images"]["used"] >= 10
+    assert further["lens"]["fx"]["value"] == pytest.approx(s.lens.values[0], rel=0.01)
+    assert TAGS_SAID in report["notes"]
+    assert "camera_matrix" in (tmp_path / "out" / "camera_2.yaml").read_text()
+    assert "Also /second/detections: camera on the tip" in capsys.readouterr().out
+    assert run([*call[:-2], "--also-camera", "/second/detections=nowhere.yaml"]) == 2
+    assert "names no file" in capsys.readouterr().err

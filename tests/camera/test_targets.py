@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
-from modcal_core.camera.target_file import read_target, target_from_data, target_to_data
+from modcal_core.camera.target_file import read_target, scale_of_rulers, target_from_data, target_to_data
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml
 
@@ -87,3 +87,9 @@ def test_a_chessboard_that_looks_the_same_turned_is_refused() -> None:
         PrintedTarget(CHESSBOARD, 9, 7, 0.03)
     assert len(PrintedTarget(CHESSBOARD, 9, 6, 0.03).points) == 40
     assert len(PrintedTarget(TAG, 1, 1, 0.1, dictionary="DICT_APRILTAG_36h11", first_id=3).points) == 4
+
+
+def test_rulers_of_different_lengths_are_known_differently() -> None:
+    """Each to 0.3 mm of its own length, independently of the other."""
+    scale = scale_of_rulers((0.21, 0.15), (0.2102, 0.1499), "rulers", 3e-4)
+    assert scale.covariance == pytest.approx(np.diag([3e-4 / 0.21, 3e-4 / 0.15]) ** 2)

@@ -79,7 +79,7 @@ def chosen_topic(listed: tuple[Listed, ...], asked: str | None, source: str, tag
         if len(roots) == 1:
             return min(found, key=lambda one: one.type_name == COMPRESSED)
         said = f"holds images of {len(found)} topics: {', '.join(one.topic for one in found)}"
-        raise BadRecording(source, said, "choose one with --image-topic")
+        raise BadRecording(source, said, "choose one with --image-topic, further ones with --also-camera")
     return found[0]
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.structure import choose_parameters
 from modcal_core.camera.beside import BesideRows, ReadingsBeside
 from modcal_core.camera.faults import ArmFaults, arm_faults
-from modcal_core.camera.further import FurtherCamera
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import Effect, prior_stds
@@ -30,6 +30,35 @@ from modcal_core.robots.kinematics import body_jacobian
 from modcal_core.robots.urdf_inertias import Inertias
 
 FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
+
+
+class OwnValues(Protocol):
+    """What a further camera has of its own among the values: see further.FurtherCamera."""
+
+    @property
+    def own(self) -> np.ndarray:
+        """Indices among what a fit of its own has."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of these."""
+        ...
+
+    @property
+    def start(self) -> Array:
+        """Their values to begin with."""
+        ...
+
+    @property
+    def expected(self) -> Array:
+        """What they are expected to be."""
+        ...
+
+    @property
+    def information(self) -> Array:
+        """Information of their prior."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -51,7 +80,7 @@ class ArmPoses:
     camera_on_tip: bool
     moments: ImageMoments = NOTHING_KNOWN
     beside: ReadingsBeside | None = None
-    further: tuple[FurtherCamera, ...] = ()
+    further: tuple[OwnValues, ...] = ()
     faults: ArmFaults | None = None
 
     def select(self, rows: np.ndarray) -> ArmPoses:

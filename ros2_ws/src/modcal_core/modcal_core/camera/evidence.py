@@ -18,6 +18,7 @@ from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.camera.corners import POSE
 from modcal_core.camera.fit import CameraFit, equations_at
+from modcal_core.diagnosis.banks import NumberBank
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers
@@ -66,6 +67,13 @@ class CameraScanner(Scanner):
         if self._known is None or self._known[0] is not fit:
             self._known = fit, _space(fit, self.drivers)
         return self._known[1]
+
+    def information(self, fit: WithModel, effect: Effect) -> float:
+        """What the images say of an effect's one amplitude, as the inverse of a variance, all else being fitted."""
+        space = self.space_of(fit)
+        keys, numbers = self._factor(effect)
+        gram, _ = self._gram(NumberBank((effect,), keys, numbers[None]), space)
+        return max(float(gram[0, 0, 0]), 0.0)
 
 
 def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:

@@ -9,11 +9,12 @@ import numpy as np
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import COMMON, READOUT, CornerTable, corner_rows, grams, residuals
 from modcal_core.camera.equations import Equations, OtherBlock, Sizes, SolvedEquations
-from modcal_core.camera.further import FurtherCamera, places_of
+from modcal_core.camera.further import FurtherCamera, further_cameras, places_of
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.priors import CLOCK_S, CommonPrior
 from modcal_core.camera.sizes import START, likeliest, usual
+from modcal_core.camera.state import CameraState as CameraState
 from modcal_core.geometry.so3 import Array
 
 _STEPS = 30  # at the same sizes
@@ -22,40 +23,6 @@ _ROUNDS = 4  # of fitting and finding the sizes; they settle in two or three
 _SETTLED = 0.05  # change of a size's logarithm
 _DAMPED = 1e6  # at which no step helps
 _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
-
-
-@dataclass(frozen=True)
-class CameraState:
-    """values: of the arm's parameters, (P,). offset_s: of the clock. lens, shape (5,): as elsewhere. readout_s: in
-    which a rolling shutter goes down an image.
-    """
-
-    values: Array
-    offset_s: float
-    lens: Lens
-    shape: Array
-    readout_s: float = 0.0
-
-    @property
-    def common(self) -> Array:
-        """Lens, shape and readout, (15,)."""
-        return np.r_[self.lens.values, self.shape, self.readout_s]
-
-    def moved(self, step: Array) -> CameraState:
-        """The state a step (P + 1 + 15,) farther."""
-        P = len(self.values)
-        common = step[P + 1 :]
-        return CameraState(
-            self.values + step[:P],
-            self.offset_s + float(step[P]),
-            self.lens.moved(common[:LENS]),
-            self.shape + common[LENS:READOUT],
-            self.readout_s + float(common[READOUT]),
-        )
-
-    def with_values(self, values: Array) -> CameraState:
-        """The same with other values of the arm's parameters."""
-        return replace(self, values=values)
 
 
 @dataclass(frozen=True)
@@ -151,8 +118,9 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
     information = np.zeros((P + 1 + COMMON, P + 1 + COMMON))
     information[:P, :P] = np.diag(poses.prior_std**-2)
-    places = places_of(poses.further, P)
-    for camera, first in zip(poses.further, places, strict=True):
+    further = further_cameras(poses)
+    places = places_of(further, P)
+    for camera, first in zip(further, places, strict=True):
         own = slice(first, first + len(camera.own))
         information[own, own] = camera.information
     information[P, P] = CLOCK_S**-2
@@ -170,7 +138,7 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
         np.r_[np.ones(P, bool), clocked, common_free],
         int((table.weight > 0.0).sum()),
         poses.rows_beside(state.values, P + 1),
-        tuple(_block(camera, poses, state, first) for camera, first in zip(poses.further, places, strict=True)),
+        tuple(_block(camera, poses, state, first) for camera, first in zip(further, places, strict=True)),
         poses.faults,
     )
 
@@ -195,7 +163,8 @@ def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Ar
 def _possible(poses: ArmPoses, state: CameraState) -> bool:
     """Whether all lenses have a focal length."""
     every = [state]
-    for camera, first in zip(poses.further, places_of(poses.further, len(state.values)), strict=True):
+    further = further_cameras(poses)
+    for camera, first in zip(further, places_of(further, len(state.values)), strict=True):
         every.append(camera.state(poses, state, state.values[first : first + len(camera.own)]))
     return all(bool((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all()) for s in every)
 

@@ -10,19 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import cast
 
 import numpy as np
 
-from modcal_core.camera.corners import BOW, COMMON, READOUT, SCALE, CornerTable
+from modcal_core.camera.arm_poses import ArmPoses
+from modcal_core.camera.corners import COMMON, READOUT, CornerTable
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.priors import CLOCK_S, CommonPrior
+from modcal_core.camera.state import CameraState
 from modcal_core.geometry.so3 import Array
-
-if TYPE_CHECKING:
-    from modcal_core.camera.arm_poses import ArmPoses
-    from modcal_core.camera.fit import CameraFit, CameraState
 
 
 @dataclass(frozen=True)
@@ -38,16 +36,6 @@ class FurtherCamera:
     begin: CameraState
     shared: np.ndarray
     moving: bool
-
-    @classmethod
-    def of(cls, name: str, fit: CameraFit, same_target: bool, same_side: bool) -> FurtherCamera:
-        """From a fit of its own. same_target: of the first camera's file. same_side: carried, or not, as that one."""
-        shared = np.zeros(COMMON, bool)
-        shared[SCALE] = same_target
-        shared[BOW] = same_target and same_side
-        moving = bool(fit.equations.free[fit.poses.count])
-        prior = replace(fit.prior, free=fit.prior.free & (moving | (np.arange(COMMON) != READOUT)))
-        return cls(name, fit.table, fit.poses, prior, fit.state, shared, moving)
 
     def select(self, rows: np.ndarray) -> FurtherCamera:
         """With some of its images only."""
@@ -128,6 +116,11 @@ class FurtherCamera:
         own = self.own
         out[np.where(own < P, own, own + effects)] = place + np.arange(len(own))
         return out
+
+
+def further_cameras(poses: ArmPoses) -> tuple[FurtherCamera, ...]:
+    """Those of a fit's poses."""
+    return cast(tuple[FurtherCamera, ...], poses.further)
 
 
 def places_of(further: Sequence[FurtherCamera], end: int) -> list[int]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.camera.changes import moved_half
+from modcal_core.camera.corners import BOW, COMMON, READOUT, SCALE
 from modcal_core.camera.fit import CameraFit, CameraState, missed_pixels
-from modcal_core.camera.further import FurtherCamera, places_of
+from modcal_core.camera.further import FurtherCamera, further_cameras, places_of
 from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare
 from modcal_core.camera.problems import MANY_OUT, moved_sentence
@@ -48,11 +49,9 @@ class _Further:
 
     def seen_by(self, fit: CameraFit) -> FurtherSeen:
         """What the fit of all makes of it."""
-        camera, first = next(
-            (camera, place)
-            for camera, place in zip(fit.poses.further, places_of(fit.poses.further, fit.poses.count), strict=True)
-            if camera.name == self.camera.name
-        )
+        further = further_cameras(fit.poses)
+        places = dict(zip((one.name for one in further), places_of(further, fit.poses.count), strict=True))
+        camera, first = self.camera, places[self.camera.name]
         state = camera.state(fit.poses, fit.state, fit.state.values[first : first + len(camera.own)])
         columns = camera.columns(fit.poses, first)[len(state.values) + 1 :]
         std = np.where(columns >= 0, np.sqrt(np.diag(fit.covariance))[columns], 0.0)
@@ -91,5 +90,15 @@ def further_of(
         out.append(moved_sentence(fit, moved, f" of {images.name}"))
     if len(ready.left_out) > MANY_OUT * len(images.views):
         out.append(f"{len(ready.left_out)} of {len(images.views)} images of {images.name} were left out.")
-    camera = FurtherCamera.of(images.name, fit, images.target == first.target, same_side)
+    camera = _camera(images.name, fit, images.target == first.target, same_side)
     return _Further(camera, images, ready, tuple(out))
+
+
+def _camera(name: str, fit: CameraFit, same_target: bool, same_side: bool) -> FurtherCamera:
+    """From a fit of its own. same_target: of the first camera's file. same_side: carried, or not, as that one."""
+    shared = np.zeros(COMMON, bool)
+    shared[SCALE] = same_target
+    shared[BOW] = same_target and same_side
+    moving = bool(fit.equations.free[fit.poses.count])
+    prior = replace(fit.prior, free=fit.prior.free & (moving | (np.arange(COMMON) != READOUT)))
+    return FurtherCamera(name, fit.table, fit.poses, prior, fit.state, shared, moving)

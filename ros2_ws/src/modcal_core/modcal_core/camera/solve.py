@@ -18,8 +18,8 @@ from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.beside import LEAST, ReadingsBeside
 from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf, moved_half
-from modcal_core.camera.contradicted import contradictions, doubts, in_doubt, is_stated
-from modcal_core.camera.decision import Decision, decide
+from modcal_core.camera.contradicted import SIZE, contradictions, doubts, in_doubt, is_stated
+from modcal_core.camera.decision import CANNOT_TELL, Decision, decide
 from modcal_core.camera.findings import CameraFinding, findings
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.held_out import held_out
@@ -27,6 +27,7 @@ from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import Mounting
+from modcal_core.camera.not_shown import HiddenSpring, hidden_springs
 from modcal_core.camera.prepared import CameraImages, first_fit, prepare
 from modcal_core.camera.priors import FREE, CommonPrior
 from modcal_core.camera.problems import metric_of, problems, size_open
@@ -59,6 +60,7 @@ class CameraSolution:
     camera are not as stated. causes: effects beyond geometry.
     left: what is significant and could not be turned into one. notes: what was done to the images, in sentences.
     rests_on: what the sheet's stated size is worth, where the images do not show it. further: of other cameras.
+    hidden: springs that these images would not show.
     """
 
     fit: CameraFit
@@ -83,6 +85,7 @@ class CameraSolution:
     notes: tuple[str, ...] = ()
     rests_on: RestsOn | None = None
     further: tuple[FurtherSeen, ...] = ()
+    hidden: tuple[HiddenSpring, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -175,6 +178,11 @@ def solve_camera(
     doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0]),)
     open_size = size_open(target, doubted, in_view, shared, arm_m)
     decision = decide(in_view, bool(metric), against, arm_m, doubtful, open_size)
+    if (
+        metric and decision.word == CANNOT_TELL and target.scale.measured
+    ):  # the size decides: what is said holds either way
+        in_view, anywhere = in_view.either_way(SIZE), anywhere.either_way(SIZE)
+        decision = decide(in_view, True, against, arm_m, doubtful, open_size)
     return CameraSolution(
         *(
             fit,
@@ -199,6 +207,7 @@ def solve_camera(
         left,
         rests_on=rests,
         further=tuple(one.seen_by(fit) for one in others),
+        hidden=hidden_springs(fit) if look_for_effects else (),
     )
 
 

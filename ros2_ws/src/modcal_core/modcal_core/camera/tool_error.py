@@ -6,8 +6,9 @@ covariance; each draw has one RMS, and the interval is that of the draws. Of the
 by the same images, the same draws say what it is off by, so that the two can be compared draw by draw. What each image
 has of its own, joints that do not repeat and whatever no parameter describes, is part of both.
 
-Every statement that may be wrong has draws of its own, which count by its chance: in the interval where it is in doubt,
-else the interval holds if it is right; in the chance of an arm made worse always, for that may be one in two hundred.
+Every statement that may be wrong has draws of its own. Where it is in doubt, the interval holds either way: from the
+lower of both lower ends to the upper of both upper ones; else it holds if the statement is right. In the chance of an
+arm made worse they always count, each by its chance, for that may be one in two hundred.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in 
 
 @dataclass(frozen=True)
 class ToolError:
-    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each in the
-    intervals, sum 1, (D,). whole: the same with all statements that may be wrong. of: which statement is wrong in each,
-    an index into ``wrong``, −1 for none, (D,). wrong: what these are.
+    """RMS errors at the tool over postures [m], of D draws. calibrated, nominal: (D,). weight: of each, every statement
+    being wrong by its chance, sum 1, (D,). of: which statement is wrong in each, an index into ``wrong``, −1 for none,
+    (D,). wrong: what these are. in_doubt: those that the intervals hold without as well.
 
     both_ends: whether the intervals leave out the same on either side.
     """
@@ -48,9 +49,9 @@ class ToolError:
     calibrated: Array
     nominal: Array
     weight: Array
-    whole: Array
     of: np.ndarray
-    wrong: tuple[str, ...]
+    wrong: tuple[str, ...] = ()
+    in_doubt: tuple[str, ...] = ()
     both_ends: bool = False
 
     @property
@@ -59,23 +60,25 @@ class ToolError:
 
         The interval is the shortest that holds 95 %, or leaves out the same on either side.
         """
-        return _interval(self.calibrated, self.weight, not self.both_ends)
+        return self._holding(self.calibrated)
 
     @property
     def nominal_interval(self) -> tuple[float, float, float]:
         """The same of the nominal arm."""
-        return _interval(self.nominal, self.weight, not self.both_ends)
+        return self._holding(self.nominal)
+
+    def _holding(self, values: Array) -> tuple[float, float, float]:
+        """The interval of these values (D,), whether the statements in doubt are right or wrong."""
+        every = [-1, *(self.wrong.index(what) for what in self.in_doubt)]
+        shortest = not self.both_ends and len(every) == 1
+        ends = [_interval(values[self.of == k], shortest) for k in every]
+        shares = np.array([self.weight[self.of == k].sum() for k in every])
+        return ends[int(shares.argmax())][0], min(low for _, low, _ in ends), max(high for *_, high in ends)
 
     @property
     def chance_worse(self) -> float:
         """Chance that the calibrated arm is no better than the nominal one, every statement wrong by its chance."""
-        return float(self.whole @ (self.calibrated >= self.nominal))
-
-    @property
-    def chance_worse_as_stated(self) -> float:
-        """The same if all that was stated is right."""
-        right = self.of < 0
-        return float((self.calibrated >= self.nominal)[right].mean())
+        return float(self.weight @ (self.calibrated >= self.nominal))
 
     def if_wrong(self, what: str) -> tuple[float, float, float]:
         """(median, lower, upper end of the 95 % interval) of the calibrated arm's error if this statement is wrong [m].
@@ -84,22 +87,23 @@ class ToolError:
         """
         if what not in self.wrong:
             return float("nan"), float("nan"), float("nan")
-        rows = self.of == self.wrong.index(what)
-        return _interval(self.calibrated[rows], np.full(int(rows.sum()), 1.0 / rows.sum()), shortest=False)
+        return _interval(self.calibrated[self.of == self.wrong.index(what)], shortest=False)
+
+    def either_way(self, what: str) -> ToolError:
+        """The same with intervals that hold also if this statement is wrong."""
+        return self if what in self.in_doubt else replace(self, in_doubt=(*self.in_doubt, what))
 
     @property
     def as_stated(self) -> ToolError:
         """What it is if all that was stated is right."""
         right = self.of < 0
         even = np.full(int(right.sum()), 1.0 / right.sum())
-        return ToolError(self.calibrated[right], self.nominal[right], even, even, self.of[right], (), self.both_ends)
+        return ToolError(self.calibrated[right], self.nominal[right], even, self.of[right], both_ends=self.both_ends)
 
 
-def _interval(values: Array, weight: Array, shortest: bool) -> tuple[float, float, float]:
-    values, weight = values[weight > 0.0], weight[weight > 0.0]
-    order = np.argsort(values)
-    ordered = values[order]
-    below = (np.cumsum(weight[order]) - 0.5 * weight[order]) / weight.sum()
+def _interval(values: Array, shortest: bool) -> tuple[float, float, float]:
+    ordered = np.sort(values)
+    below = (np.arange(len(ordered)) + 0.5) / len(ordered)
     outside = 1.0 - _INSIDE_INTERVAL
     starts = np.linspace(0.0, outside, _PLACES) if shortest else np.array([0.5 * outside])
     low, high = np.interp(starts, below, ordered), np.interp(starts + _INSIDE_INTERVAL, below, ordered)
@@ -109,16 +113,13 @@ def _interval(values: Array, weight: Array, shortest: bool) -> tuple[float, floa
 
 @dataclass(frozen=True)
 class ParameterDraws:
-    """D draws of what the arm's parameters are off by. values: (D, P). weight, whole, of, wrong: as of a ToolError.
-    in_doubt: whether some statement is.
-    """
+    """D draws of what the arm's parameters are off by. values: (D, P). The rest as of a ToolError."""
 
     values: Array
     weight: Array
-    whole: Array
     of: np.ndarray
     wrong: tuple[str, ...]
-    in_doubt: bool
+    in_doubt: tuple[str, ...]
 
 
 def parameter_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[Doubt] = ()) -> ParameterDraws:
@@ -127,19 +128,13 @@ def parameter_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[
     parts = [_draws(fit, fit.equations, fit.sizes, P, rng)]
     parts += [_draws(fit, d.equations, d.sizes, P, rng) for d in doubted]
     chance = np.array([1.0 - sum(d.chance for d in doubted), *(d.chance for d in doubted)])
-    shown = np.where(np.r_[True, [d.chance > IN_DOUBT for d in doubted]], chance, 0.0)
     counts = [len(part) for part in parts]
-
-    def spread(chances: Array) -> Array:
-        return np.repeat(chances / chances.sum() / counts, counts)
-
     return ParameterDraws(
         np.concatenate(parts),
-        spread(shown),
-        spread(chance),
+        np.repeat(chance / counts, counts),
         np.repeat(np.arange(len(parts)) - 1, counts),
         tuple(d.what for d in doubted),
-        bool((shown[1:] > 0.0).any()),
+        tuple(d.what for d in doubted if d.chance > IN_DOUBT),
     )
 
 
@@ -148,9 +143,8 @@ def tool_error(
 ) -> ToolError:
     """The errors over postures q (M, n).
 
-    nominal: of the same images, the arm held nominal. draws: of the fit; where a statement is in doubt, the intervals
-    leave out the same on either side, for the shortest might leave out that very doubt. both_ends: they do so in any
-    case, which suits postures that no image is near.
+    nominal: of the same images, the arm held nominal. draws: of the fit. both_ends: the intervals leave out the same on
+    either side, which suits postures that no image is near, and is so where a statement is in doubt.
     """
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
@@ -166,7 +160,7 @@ def tool_error(
     own = ((draws.values @ gram) * draws.values).sum(axis=1)
     calibrated = np.sqrt(np.maximum(own, 0.0) / len(q) + scatter)
     against = np.sqrt(np.maximum(own - 2.0 * draws.values @ cross + square, 0.0) / len(q) + scatter)
-    return ToolError(calibrated, against, draws.weight, draws.whole, draws.of, draws.wrong, both_ends or draws.in_doubt)
+    return ToolError(calibrated, against, draws.weight, draws.of, draws.wrong, draws.in_doubt, both_ends)
 
 
 def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:

@@ -24,6 +24,7 @@ _GRID = 8  # cells a side
 _JOINT = np.radians(20.0)  # range of a joint that shows what its axis does
 _RESTS = 3.0  # times better is the stated size known than the images show it: they say nothing against it
 _SLIDE = 0.05  # m, of a sliding joint
+ALL_BUT_IMAGES = "lens, sheet and clock"
 
 
 def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
@@ -122,8 +123,8 @@ def covered(table: CornerTable, size: tuple[int, int]) -> float:
 
 
 def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
-    """For lens, print scale, flatness and clock: (mean square error at the tool that is known [m²], the same if that
-    thing were known exactly), over postures q (M, n).
+    """For lens, print scale, flatness and clock, and for all of these at once: (mean square error at the tool that is
+    known [m²], the same if that thing were known exactly), over postures q (M, n).
     """
     J = flange_motions(fit, q)
     P = J.shape[2]
@@ -135,6 +136,7 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
         "flatness": lens[-1] + 3 + np.arange(3),
         "clock": np.array([P]),
         "readout": np.array([P + 1 + READOUT]),
+        ALL_BUT_IMAGES: np.r_[lens, lens[-1] + 1 + np.arange(5), P, P + 1 + READOUT],
     }
     whole = _mean_square(J, C[:P, :P])
     out = {}

@@ -19,6 +19,7 @@ from modcal_core.camera.lens import DISTORTIONS, Lens
 from modcal_core.camera.several import FurtherSeen
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
+from modcal_core.camera.weakness import ALL_BUT_IMAGES
 from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.registry import family
 from modcal_core.files import to_json, to_yaml
@@ -33,6 +34,7 @@ from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
 from modcal_core.verdict.tolerance import Tolerance
 
+_MOSTLY = 0.5  # of the squared error at the tool
 _WORTH = 0.1  # share of the squared error at the tool that knowing something exactly would take away, to be named
 
 
@@ -172,9 +174,15 @@ def camera_report(
             "readout_s": {"value": fit.state.readout_s, "std": float(std[-1])} if std[-1] > 0.0 else None,
             "moved": None if solution.moved is None else _moved(solution),
             "account_mm2": [
-                {"what": name, "value": 1e6 * (whole - known)} for name, (whole, known) in solution.shares.items()
+                {"what": name, "value": 1e6 * (whole - known)}
+                for name, (whole, known) in solution.shares.items()
+                if name != ALL_BUT_IMAGES
             ],
             "weak": list(solution.weak),
+            "springs_not_shown": [
+                {"place": one.place, "softer_than": 1.0 / one.least, "at_tool_mm": 1e3 * one.at_tool_m}
+                for one in solution.hidden
+            ],
             "further": [_further(one) for one in solution.further],
         },
         "parameters": [
@@ -194,7 +202,25 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
         said = solution.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
     out += solution.weak
+    if solution.hidden and solution.hidden[0].at_tool_m > _WORTH * solution.in_view.interval[0]:
+        one = solution.hidden[0]
+        chain = solution.fit.poses.model.serial
+        per = "N m/rad" if chain.revolute[chain.names.index(one.place)] else "N/m"
+        out.append(
+            f"Springs: these images show one in {one.place} only where it is softer than {1.0 / one.least:.2g} {per}, "
+            f"which moves the tool by {1e3 * one.at_tool_m:.2f} mm RMS; what a stiffer one does is taken up by the "
+            "geometry, which holds where the images are."
+        )
+    every, without = solution.shares.get(ALL_BUT_IMAGES, (0.0, 0.0))
+    if without > _MOSTLY * every:
+        out.append(
+            "Too few pixels or images are most of what is left: were lens, sheet and clock known exactly, the error at "
+            f"the tool would still be {1e3 * without**0.5:.2f} mm RMS and not {1e3 * every**0.5:.2f} mm. More images, "
+            "a larger target, a nearer camera or more pixels tell more."
+        )
     for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
+        if name == ALL_BUT_IMAGES:
+            continue
         if whole - known > _WORTH * whole:
             out.append(
                 f"{name.capitalize()}: were it known exactly, the error at the tool would be "

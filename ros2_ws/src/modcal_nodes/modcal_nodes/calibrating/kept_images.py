@@ -63,7 +63,12 @@ def read_images(folder: Path, target: PrintedTarget) -> KeptImages | None:
             arrays = {name: stored[name] for name in ("count", "ids", "pixels", "cov", "stamp", "q")}
         parts = np.split(np.arange(len(arrays["ids"])), np.cumsum(arrays["count"])[:-1])
         images = [
-            (BoardView(str(name), *(arrays[k][rows] for k in ("ids", "pixels", "cov")), stamp=float(stamp)), q)
+            (
+                BoardView(
+                    str(name), arrays["ids"][rows], arrays["pixels"][rows], arrays["cov"][rows], stamp=float(stamp)
+                ),
+                q,
+            )
             for name, rows, stamp, q in zip(about["names"], parts, arrays["stamp"], arrays["q"], strict=True)
         ]
         width, height = (int(side) for side in about["size"])
