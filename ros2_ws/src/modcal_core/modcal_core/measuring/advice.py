@@ -47,6 +47,7 @@ Ending = Literal["proven", "budget", "no_station_helps"]
 
 BATCH = 2  # stations between two fits: fewer cost time, more are chosen by an older model
 _GROWING = 6  # a batch is at least one in so many of the stations so far: a fit hardly changes by fewer
+_BEHIND = 1.5  # times the stations that a proof was to take; where errors are as expected one in ten takes longer
 _AHEAD = 6  # batches that are looked ahead
 _CAUTION = 0.3  # chance that the true noise is larger than what is taken for it
 # Error of readings now over that which all stations of the budget would leave: no more is worth having. The tool's own
@@ -236,7 +237,11 @@ class Advisor:
         worse = self._worse_than_expected(refitted, view, left)
         now = self._expected(refitted, view.error())
         begun, axes = self._look(session, refitted, left), self._axes(refitted)
-        alpha = share(1.0 - self.goal.confidence, len(session.looks))
+        if begun is None and len(left):  # what these stations say of a model is seen here: it has its share from now on
+            session, begun = self._looking(session, now, axes), Proof(left, now, self._share(len(session.looks)), axes)
+            if begun.holds(goal):
+                return self.advise(session)
+        alpha = self._share(len(session.looks))
         proof = begun or Proof(left, now, alpha, axes)
         prove = proof.more(goal, now * worse)
         after = []
@@ -244,11 +249,13 @@ class Advisor:
             then = self._expected(refitted, view.error(batch.after[k - 1]))
             after.append(k + Proof(left * then / now, then, alpha, axes).more(goal, then * worse))
         best = min(after, default=np.inf)
+        if self._turn_to_fit(session, proof, prove, goal) and batch.stations:
+            status = replace(status, needed=int(np.ceil(min(prove, best))) if np.isfinite(min(prove, best)) else None)
+            why = "stations for what the model lacks still"
+            return self._asked(session, batch.stations[:size], why, status, refitted)
         if prove <= best and np.isfinite(prove):
             if begun is None:
-                session = replace(session, looks=(*session.looks, Look(len(session.fitted), now, axes)))
-                if proof.holds(goal):
-                    return self.advise(session)
+                session = self._looking(session, now, axes)
             count = max(int(np.clip(np.ceil(prove), 1, size)), MIN_STATIONS - len(left))  # it never ends before these
             status = replace(status, needed=int(np.ceil(prove)))
             stations = proof_stations(self.pool, session, count)
@@ -257,6 +264,23 @@ class Advisor:
             status = replace(status, needed=int(np.ceil(best)))
             return self._asked(session, batch.stations[:size], "stations that lower the error most", status, refitted)
         return self._as_good_as_can_be(session, status, refitted, view, size, rng)
+
+    def _looking(self, session: Session, expected: float, axes: float) -> Session:
+        """The session with a look at this model noted."""
+        return replace(session, looks=(*session.looks, Look(len(session.fitted), expected, axes)))
+
+    def _share(self, version: int) -> float:
+        return share(1.0 - self.goal.confidence, version)
+
+    def _turn_to_fit(self, session: Session, proof: Proof, prove: float, goal: float) -> bool:
+        """Whether the proof takes so much more than the fit promised that the model seems to lack something.
+
+        Proof and fit then take turns: bad luck costs few stations, and what is missing is found.
+        """
+        if len(proof.errors) < MIN_STATIONS or session.stations[-1].role != PROOF:
+            return False
+        promised = Proof(np.zeros(0), proof.expected, proof.alpha, proof.axes).more(goal, proof.expected)
+        return len(proof.errors) + prove > _BEHIND * promised
 
     def _worse_than_expected(self, refitted: Refit, view: Outlook, left: Array) -> float:
         """Ratio of the error to that which the fit expects, the stations of the proof counted as well."""
