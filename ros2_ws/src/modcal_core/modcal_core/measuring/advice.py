@@ -302,10 +302,15 @@ class Advisor:
         hidden = repeat is None or spread > UNEXPLAINED * repeat
         searching = early or (hidden and self._effects and not self._stalled(session, refitted))
         if gain > _SETTLED or searching:
-            batch = fit_stations(self.pool, session, view, refitted, size, self._planned, rng)
-            if batch.stations:
+            # what nobody suspects no choice looks for: half of the stations of a long search are drawn at random
+            blind = size // 2 if searching and fitted >= _SEARCHED * self.least(session.kind) else 0
+            stations = fit_stations(self.pool, session, view, refitted, size - blind, self._planned, rng).stations
+            if blind:
+                also = session.asking(stations)
+                stations += fit_stations(self.pool, also, view, refitted, blind, False, rng).stations
+            if stations:
                 why = "stations for what the model lacks still" if searching else "stations that lower the error most"
-                return self._asked(session, batch.stations, why, status, refitted)
+                return self._asked(session, stations, why, status, refitted)
         assert status.expected is not None
         ended = no_station_helps(self.goal, status.expected, floor, refitted.spread)
         return self._settle_ties(session, status, refitted, ended)
