@@ -30,6 +30,7 @@ from recordings import REPEATABILITY, Cell  # noqa: E402
 from scenarios import Stations  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
+from modcal_core.calibration.store import Calibration  # noqa: E402
 from modcal_core.robot import Robot  # noqa: E402
 from modcal_core.robots.kinematics import forward, frames, link_frames  # noqa: E402
 from modcal_nodes.cli.main import run  # noqa: E402
@@ -41,6 +42,7 @@ GOAL = 0.2  # mm
 NOISE = 2e-5  # m, per axis
 TARGET, TRACKER = (0.05, 0.0, 0.1), (2.5, 0.3, 0.6)  # m, in the tip and in the base, as hall.yaml has them
 ARM, SEEN, PROOF = "#4a4a4a", "#1a5fb4", "#a15c00"
+POSTURES = 400
 FEW = 5  # rows of the table that are shown
 
 
@@ -56,13 +58,17 @@ class Hall:
     def reading(self, q: np.ndarray) -> np.ndarray:
         """What the tracker says [mm] while the arm stands at these joints [rad]."""
         stands = q + REPEATABILITY * self._rng.standard_normal(len(q))
-        exact = self._cell.poses(Stations(stands[None], np.zeros(1), np.ones((1, len(q)))), ()).p[0]
-        return 1e3 * (exact + NOISE * self._rng.standard_normal(3))
+        return self.exact(stands[None])[0] + 1e3 * NOISE * self._rng.standard_normal(3)
+
+    def exact(self, q: np.ndarray) -> np.ndarray:
+        """Where the reflector is in the tracker's frame at postures (m, n), (m, 3) [mm]."""
+        return 1e3 * self._cell.poses(Stations(q, np.zeros(len(q)), np.ones_like(q)), ()).p
 
 
-def measured(folder: Path) -> tuple[list[dict[str, Any]], list[list[str]]]:
+def measured(folder: Path, hall: Hall) -> tuple[list[dict[str, Any]], list[list[str]]]:
     """What the command said each time, and the first table as it was filled in."""
-    hall, said, first = Hall(), [], []
+    said: list[dict[str, Any]] = []
+    first: list[list[str]] = []
     command = ["measure", str(URDF), "--goal-mm", str(GOAL), "--by-hand", str(folder), "--site", str(SITE), "--json"]
     while True:
         out = io.StringIO()
@@ -114,7 +120,7 @@ def postures(rows: list[list[str]]) -> Figure:
     joints = [k for k, name in enumerate(rows[0]) if name.endswith("_joint_deg")]
     q = np.radians([[float(row[k]) for k in joints] for row in rows[1:4]])
     chain = Robot.from_urdf(URDF).mechanism
-    figure = Figure(figsize=(10.0, 3.3), facecolor="white", layout="constrained")
+    figure = Figure(figsize=(10.0, 2.0), facecolor="white", layout="constrained")
     for axes, one, row in zip(figure.subplots(1, 3), q, rows[1:4], strict=True):
         T = np.concatenate([link_frames(chain, frames(chain, one[None]))[0], forward(chain, one[None])])
         _side(axes, T, row[rows[0].index("note")] == "unseen")
@@ -138,49 +144,60 @@ def _side(axes: Axes, T: np.ndarray, unseen: bool) -> None:
     if unseen:
         axes.annotate("unseen", ball[[0, 2]], xytext=(8, 6), textcoords="offset points", fontsize=9, color=PROOF)
     axes.axhline(0.0, color="#bbbbbb", lw=1.0)
-    axes.set_xlim(-1.6, 2.8)
-    axes.set_ylim(-0.15, 1.9)
+    axes.set_xlim(-1.0, 2.9)
+    axes.set_ylim(-0.1, 1.6)
     axes.set_aspect("equal")
     axes.axis("off")
 
 
-def course(said: list[dict[str, Any]]) -> Figure:
-    """What was expected and proven each time that the command was given."""
-    figure = Figure(figsize=(8.0, 3.0), facecolor="white", layout="constrained")
+def result(folder: Path, said: dict[str, Any]) -> Figure:
+    """The error at the stations of the proof before and after, with what is proven."""
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    nominal, proof = report["error_mm"]["nominal"]["rms"], said["proof"]
+    figure = Figure(figsize=(8.0, 1.9), facecolor="white", layout="constrained")
     axes = figure.subplots()
-    known = [s for s in said if s["expected_rms_mm"] is not None]
-    x = [s["stations"]["measured"] for s in known]
-    axes.plot(x, [s["expected_rms_mm"] for s in known], color=SEEN, lw=2.2, marker="o", label="expected by the fit")
-    bound = [
-        (s["stations"]["measured"], s["proof"]["at_most_mm"]) for s in known if s["proof"]["at_most_mm"] is not None
-    ]
-    if bound:
-        axes.plot(*np.array(bound).T, color=PROOF, lw=0.0, marker="v", ms=9.0, label="at most, with 95 % confidence")
-    axes.axhline(GOAL, color="#b3261e", lw=1.2, ls="--")
-    axes.annotate(f"goal: {GOAL:g} mm", (x[0], GOAL), xytext=(0, 4), textcoords="offset points", color="#b3261e")
-    axes.set_yscale("log")
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("stations measured")
-    axes.set_ylabel("error at the tool, RMS [mm]")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False)
+    axes.barh(1, nominal, height=0.5, color="#b3261e", alpha=0.6)
+    axes.annotate(f"{nominal:.2f} mm", (nominal, 1), xytext=(5, 0), textcoords="offset points", va="center", fontsize=9)
+    axes.barh(0, proof["at_most_mm"], height=0.5, color=SEEN, alpha=0.3)
+    axes.barh(0, proof["rms_mm"], height=0.5, color=SEEN)
+    words = f"{proof['rms_mm']:.3f} mm, at most {proof['at_most_mm']:.3f} mm with 95 % confidence"
+    axes.annotate(words, (GOAL, 0), xytext=(5, 0), textcoords="offset points", va="center", fontsize=9)
+    for k, name in enumerate(("corrected arm", "nominal arm")):
+        axes.annotate(name, (0.0, k), xytext=(-6, 0), textcoords="offset points", ha="right", va="center", fontsize=10)
+    axes.axvline(GOAL, color="#2e7d32", lw=1.2, ls="--")
+    axes.annotate(
+        f"goal {GOAL:g} mm", (GOAL, 1.42), xytext=(4, 0), textcoords="offset points", color="#2e7d32", fontsize=9
+    )
+    axes.set_yticks([])
+    axes.set_ylim(-0.5, 1.75)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel(f"error at {said['stations']['proof']} random stations that no fit has seen, RMS [mm]", fontsize=9)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
     return figure
+
+
+def truth(folder: Path, hall: Hall) -> float:
+    """RMS distance [mm] between the written model and MuJoCo's arm, at random postures of the stations' ranges."""
+    calibration = Calibration.load(folder)
+    low, high = calibration.seen
+    q = np.random.default_rng(1).uniform(low, high, (POSTURES, len(low)))
+    return float(np.sqrt(np.mean(np.sum((1e3 * calibration.predict(q)[:, :3, 3] - hall.exact(q)) ** 2, axis=1))))
 
 
 def main() -> None:
     """Measure and draw."""
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(sys.argv[1] if len(sys.argv) > 1 else scratch) / "my_arm"
-        said, rows = measured(folder)
-    for s in said:
-        counts, next_ = s["stations"], s["next"] or {}
-        print(
-            counts, s["expected_rms_mm"], s["proof"], next_.get("why"), f"{s['seconds']:.1f} s, exit code {s['code']}"
-        )
-    print(said[-1]["sentence"])
+        folder, hall = Path(sys.argv[1] if len(sys.argv) > 1 else scratch) / "my_arm", Hall()
+        said, rows = measured(folder, hall)
+        for s in said:
+            next_ = s["next"] or {}
+            print(s["stations"], next_.get("why", "ended"), f"{s['seconds']:.1f} s, exit code {s['code']}")
+        print(said[-1]["sentence"])
+        print(f"against MuJoCo at {POSTURES} random postures: {truth(folder, hall):.3f} mm RMS")
+        figures = (("table", spreadsheet(rows)), ("postures", postures(rows)), ("result", result(folder, said[-1])))
     with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
-        for name, figure in (("table", spreadsheet(rows)), ("postures", postures(rows)), ("course", course(said))):
+        for name, figure in figures:
             figure.savefig(FOLDER / f"by_hand_{name}.svg", metadata={"Date": None})
 
 
