@@ -7,9 +7,9 @@ from textwrap import fill
 
 import numpy as np
 
-from modcal_core.report.page import Chart
-from modcal_core.report.palette import AFTER, BAD, INK, SOFT, WARN
-from modcal_core.report.panel import Panel, decades
+from modcal_core.report.figures import in_decades, label, small
+from modcal_core.report.page import Chart, chart
+from modcal_core.report.palette import AFTER, BAD, LIGHT, SOFT, WARN
 from modcal_core.verdict.verdict import Row, Verdict
 
 EFFECT = "effect:"
@@ -89,29 +89,44 @@ def _line(row: Row, total: float, known: bool) -> Line:
 
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
     """A bar a row on a logarithmic axis, hatched where negative, with whiskers for the interval."""
-    names = [fill(line.words, _LETTERS).split("\n") for line in lines]
-    height = 72.0 * (0.6 + 0.2 * len(lines) + 0.1 * sum(map(len, names)))
-    longest = max(len(part) for name in names for part in name)
+    names = [fill(line.words, _LETTERS) for line in lines]
+    rows = [name.count("\n") + 1 for name in names]
+    height = 0.6 + 0.2 * len(lines) + 0.1 * sum(rows)
+    longest = max(len(part) for name in names for part in name.split("\n"))
+    figure, axes = small(3.4 + 0.075 * longest, height, left=0.3 + 0.07 * longest)
     most = max(abs(line.value) for line in lines) or 1.0
     least = _MIN_DECADE * most
-    far = max([most, *(end for line in lines if line.ci95 is not None for end in line.ci95)])
-    ends = 0.5 * least, 2.0 * far
-    panel = Panel(ends, (len(lines) - 0.5, -0.5), height, 72.0 * (3.4 + 0.075 * longest), 21.6 + 5.04 * longest)
-    panel.logarithmic, panel.ruled = "x", False
-    # what stands beside a bar may take several lines
-    panel.ticks = {"x": decades(*ends), "y": [(k, name) for k, name in enumerate(map("\n".join, names))]}
     for k, line in enumerate(lines):
         if not line.value:
             continue
+        tone = LIGHT[line.colour]
         hatched = line.value < 0.0
-        across = np.array([[ends[0], max(abs(line.value), least)]])
-        panel.bars(across, np.array([[k + 0.31, k - 0.31]]), line.colour, hatched)
+        axes.barh(
+            k,
+            max(abs(line.value), least) - 0.5 * least,
+            left=0.5 * least,
+            height=0.62,
+            fill=not hatched,
+            hatch="////" if hatched else "",
+            facecolor=tone,
+            edgecolor=tone,
+            linewidth=0.8,
+        )
         if line.ci95 is not None and not hatched:
-            panel.whisker(*(max(end, least) for end in line.ci95), float(k), INK)
+            ends = [max(end, least) for end in line.ci95]
+            axes.plot(ends, [k, k], "|-", ms=5.0, lw=1.0, color=LIGHT["ink"])
+    axes.set_xscale("log")
+    axes.minorticks_off()
+    in_decades(axes.xaxis)
+    axes.set_yticks(range(len(lines)), names, fontsize=7.5)
+    axes.set_ylim(len(lines) - 0.5, -0.5)
+    axes.spines["left"].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    label(axes, f"squared error, {unit}²", "")
     said = "; ".join(f"{line.words} {line.value:.3g}" for line in lines)
     alt = f"Account of the squared error of the nominal model in {unit}²: {said}."
     words = (
         "Contributions to the squared error of the nominal model, on a logarithmic axis. Hatched: negative. "
         "Whiskers: 95 % interval."
     )
-    return panel.chart(f"account-{unit}", f"squared error, {unit}²", "", alt, words)
+    return chart(figure, f"account-{unit}", alt, words)

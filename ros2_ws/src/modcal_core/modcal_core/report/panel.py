@@ -1,14 +1,14 @@
-"""Charts of a page, written as SVG directly: one pair of axes, a few ticks, marks, lines and bars.
+"""Small charts of points against one number, written as SVG directly.
 
-A page has dozens of them. Matplotlib takes half a second to load, and some 30 ms for each, nearly all for ticks and the
-sizes of texts; as text they take one. They look as its charts do, beside which they stand: the same sizes, strokes,
-ticks and letters.
+A page has dozens of them, all alike: one pair of axes, a few ticks, a line at zero. Matplotlib takes some 30 ms for
+each, nearly all for ticks and the sizes of texts; as text they take one. They look as its charts do, beside which they
+stand: the same sizes, strokes, ticks and letters.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 
@@ -19,8 +19,8 @@ from modcal_core.report.page import Chart, framed
 from modcal_core.report.palette import LIGHT
 
 _WIDTH, _HEIGHT = 216.0, 126.0  # points
-_LEFT, _TOP = 44.64, 8.64  # of the axes
-_BELOW, _BESIDE = 30.24, 5.76  # points from the axes to the edge below and on the right
+_LEFT, _RIGHT, _TOP = 44.64, 210.24, 8.64  # of the axes
+_BELOW = 30.24  # points from the axis below to the edge
 _TICK, _PAD = 3.5, 3.5
 _SMALL, _LARGE = 7.5, 8.0  # print of ticks and of names
 _WIDE = {"−": 0.838, ".": 0.318}  # widths of letters in units of their size; digits have another
@@ -29,17 +29,6 @@ _OFF = 0.15  # points, an eighth of a line's width: what a drawn curve may be of
 _TICKS = 4  # about as many
 _ROOM = 1.08  # of the range of the points that are shown to scale
 _FONT = "'DejaVu Sans','Bitstream Vera Sans',Verdana,Geneva,Arial,Helvetica,sans-serif"
-_LETTER = 0.6  # usual width of a letter, in units of its size
-_LINE = 8.8  # points between lines of small print
-_LEGEND = 13.0  # points for a line of what colours and marks stand for
-_STEPS: tuple[tuple[float, ...], ...] = (  # of a decade, tried in turn until two numbers stand on the axis
-    (1.0,),
-    (1.0, 3.0),
-    (1.0, 2.0, 5.0),
-    (1.0, 1.5, 2.0, 3.0, 5.0, 7.0),
-)
-_MOST_DECADES = 6  # that are written
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _SHAPES = {  # around a point
     "circle": "M-1.4 0a1.4 1.4 0 1 0 2.8 0a1.4 1.4 0 1 0 -2.8 0z",
     "triangle": "M0 -1.4l-1.4 2.8h2.8z",
@@ -52,53 +41,37 @@ class Panel:
     """A chart of this range, (low, high) along either axis, to which marks are added.
 
     Numbers along x are in the unit that its name says, those along y in that of its own name. Colours are names of the
-    page's palette. height, width: of the chart [points]. left: room for what stands beside the axes. logarithmic: the
-    names of axes that are. ticks: (where, what is said) of axes whose ticks are not round numbers. ruled: whether there
-    is a line at zero. legend: what marks stand for, (mark about its middle, words), in a line above.
+    page's palette. height: of the chart [points].
     """
 
     x: tuple[float, float]
     y: tuple[float, float]
     height: float = _HEIGHT
-    width: float = _WIDTH
-    left: float = _LEFT
-    logarithmic: str = ""
-    ticks: Mapping[str, Sequence[tuple[float, str]]] = field(default_factory=dict)
-    ruled: bool = True
-    legend: Sequence[tuple[str, str]] = ()
     _drawn: list[str | tuple[str, int]] = field(default_factory=list)  # elements, or places of a mark and its number
     _marks: list[str] = field(default_factory=list)
 
     @classmethod
-    def to_scale(cls, x: Array, y: Array, height: float, width: float = _WIDTH) -> Panel:
+    def to_scale(cls, x: Array, y: Array, height: float) -> Panel:
         """A chart that shows these points (N,) with both axes to one scale."""
-        wide, high = width - _BESIDE - _LEFT, height - _BELOW - _TOP
+        wide, high = _RIGHT - _LEFT, height - _BELOW - _TOP
         scale = _ROOM * max(np.ptp(x) / wide, np.ptp(y) / high, 1e-9)  # units of a point of the chart
         across, along = (0.5 * (float(np.min(v)) + float(np.max(v))) for v in (x, y))
         half, tall = 0.5 * scale * wide, 0.5 * scale * high
-        return cls((across - half, across + half), (along - tall, along + tall), height, width)
+        return cls((across - half, across + half), (along - tall, along + tall), height)
 
     @property
     def _bottom(self) -> float:
         return self.height - _BELOW
 
-    @property
-    def _right(self) -> float:
-        return self.width - _BESIDE
-
-    @property
-    def _top(self) -> float:
-        return _TOP + _LEGEND * bool(self.legend)
-
     def dashes(self, x: Array, y: Array, colour: str, half: float, wide: float) -> None:
         """A dash of this half length, in units of the width, at every point (N,); a dot where it has none."""
-        length = half * (self._right - self.left)
+        length = half * (_RIGHT - _LEFT)
         drawn = f'<path d="M-{length:.3g} 0H{length:.3g}" style="stroke-linecap:round'
         self._mark(x, y, f'{drawn};stroke:var(--{colour});stroke-width:{wide:g}"/>')
 
     def hollow(self, x: Array, y: Array, colour: str, shape: str) -> None:
         """A hollow circle, triangle or square at every point (N,)."""
-        self._mark(x, y, hollow(colour, shape))
+        self._mark(x, y, f'<path d="{_SHAPES[shape]}" style="fill:none;stroke:var(--{colour});stroke-width:0.7"/>')
 
     def _mark(self, x: Array, y: Array, mark: str) -> None:
         """The same mark at every point (N,): drawn once, and set at the corners of a line that is not."""
@@ -118,41 +91,6 @@ class Panel:
         drawn = f"{_path(np.r_[above, below[::-1]])}z"
         self._drawn.append(f'<path d="{drawn}" style="fill:var(--{colour});fill-opacity:0.45"/>')
 
-    def strokes(self, begin: Array, end: Array, colour: str, wide: float) -> None:
-        """Straight strokes from points (N, 2) to others (N, 2)."""
-        from_x, from_y, to_x, to_y = (f(p) for p in (begin.T, end.T) for f in (self._x_of, self._y_of))
-        ends = zip(from_x.tolist(), from_y.tolist(), to_x.tolist(), to_y.tolist(), strict=True)
-        drawn = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for a, b, c, d in ends)
-        self._drawn.append(f'<path d="{drawn}" style="{_stroke(colour, wide)}"/>')
-
-    def crosses(self, x: Array, y: Array, colour: str, wide: float = 1.6) -> None:
-        """A cross at every point (N,)."""
-        self._mark(x, y, cross(colour, wide))
-
-    def level(self, y: float, colour: str) -> None:
-        """A dashed line across the chart."""
-        at = float(self._along(np.array(y)))
-        style = f"{_stroke(colour, 0.9)};stroke-dasharray:3.3 1.5"
-        self._drawn.append(f'<path d="M{self.left:g} {at:.1f}H{self._right:g}" style="{style}"/>')
-
-    def bars(self, x: Array, y: Array, colour: str, hatched: bool = False) -> None:
-        """Bars between the ends x (N, 2) and y (N, 2)."""
-        (a, b), (c, d) = self._across(x).T.tolist(), self._along(y).T.tolist()
-        corners = zip(a, b, c, d, strict=True)
-        drawn = "".join(f"M{e:.1f} {g:.1f}H{f:.1f}V{h:.1f}H{e:.1f}z" for e, f, g, h in corners)
-        self._drawn.append(f'<path d="{drawn}" style="{_filled(colour, hatched)};stroke-width:0.8"/>')
-
-    def whisker(self, low: float, high: float, y: float, colour: str) -> None:
-        """A line between two numbers along x, with its ends marked."""
-        (a, b), at = self._across(np.array([low, high])).tolist(), float(self._along(np.array(y)))
-        drawn = f"M{a:.1f} {at:.1f}H{b:.1f}M{a:.1f} {at - 2.5:.1f}v5M{b:.1f} {at - 2.5:.1f}v5"
-        self._drawn.append(f'<path d="{drawn}" style="{_stroke(colour, 1.0)}"/>')
-
-    def words(self, x: float, y: float, said: str) -> None:
-        """Small print that begins at a point."""
-        at = float(self._across(np.array(x))), float(self._along(np.array(y)))
-        self._drawn.append(f'<g style="font-family:{_FONT};fill:var(--ink)">{_text(said, *at, 7.0, "start")}</g>')
-
     def rug(self, x: Array, colour: str) -> None:
         """A short stroke on the axis below at each of these places (N,)."""
         drawn = "".join(f"M{a:.1f} {self._bottom - 4.0:g}v4" for a in self._across(x).tolist())
@@ -160,133 +98,44 @@ class Panel:
 
     def chart(self, name: str, x: str, y: str, alt: str, caption: str) -> Chart:
         """The chart for a page. x, y: what the axes show, with units. alt, caption: as of other charts."""
-        return Chart(name, framed(f"{self.body(name, x, y)}</svg>", self.width, self.height, alt), caption)
-
-    def body(self, name: str, x: str, y: str) -> str:
-        """What stands in the chart's element. name: unique on the page."""
+        zero = float(self._along(np.zeros(1))[0])
         ticks, texts, widest = [], [], 0.0
-        for value, said in self._ticks("x", self.x):
+        for value, said in _labelled(*self.x):
             at = float(self._across(np.array(value)))
             ticks.append(f"M{at:.2f} {self._bottom:g}v{_TICK}")
             texts.append(_text(said, at, self._bottom + 12.7, _SMALL))
-        for value, said in self._ticks("y", self.y):
+        for value, said in _labelled(*self.y):
             at = float(self._along(np.array(value)))
-            ticks.append(f"M{self.left:g} {at:.2f}h-{_TICK}")
-            lines = said.split("\n")
-            first = at + 2.85 - 0.5 * _LINE * (len(lines) - 1)
-            texts += [
-                _text(line, self.left - _TICK - _PAD, first + _LINE * k, _SMALL, "end") for k, line in enumerate(lines)
-            ]
+            ticks.append(f"M{_LEFT} {at:.2f}h-{_TICK}")
+            texts.append(_text(said, _LEFT - _TICK - _PAD, at + 2.85, _SMALL, "end"))
             widest = max(widest, _SMALL * sum(_WIDE.get(letter, _DIGIT) for letter in said))
-        texts.append(_text(x, 0.5 * (self.left + self._right), self._bottom + 24.58, _LARGE))
-        beside = self.left - _TICK - _PAD - widest - 5.92
-        texts += [_text(y, beside, 0.5 * (self._top + self._bottom), _LARGE, turned=True)] if y else []
+        texts.append(_text(x, 0.5 * (_LEFT + _RIGHT), self._bottom + 24.58, _LARGE))
+        beside = _LEFT - _TICK - _PAD - widest - 5.92
+        texts.append(_text(y, beside, 0.5 * (_TOP + self._bottom), _LARGE, turned=True))
         clip = f"{name}-inside"
         marks = "".join(_marker(f"{name}-mark{k}", mark) for k, mark in enumerate(self._marks))
         drawn = "".join(_at(*d, name) if isinstance(d, tuple) else d for d in self._drawn)
         ink = "fill:none;stroke:var(--ink);stroke-width:0.8"
-        size = f'width="{self._right - self.left:g}" height="{self._bottom - self._top:g}"'
-        zero = ""
-        if self.ruled:
-            at = float(self._along(np.zeros(1))[0])
-            zero = f'<path d="M{self.left:g} {at:.2f}H{self._right:g}" style="stroke:var(--line);stroke-width:0.8"/>'
-        legend = self._legend(texts)
-        hatches = "".join(_hatch(name, colour) for colour in LIGHT if f"@-{colour})" in drawn + legend)
-        return (
-            f'<rect width="{self.width:g}" height="{self.height:g}" style="fill:var(--paper)"/>'
-            f'{marks}<clipPath id="{clip}"><rect x="{self.left:g}" y="{self._top:g}" {size}/></clipPath>{hatches}'
-            f'<g clip-path="url(#{clip})">{zero}{drawn}</g>{legend}'
+        size = f'width="{_RIGHT - _LEFT:g}" height="{self._bottom - _TOP:g}"'
+        body = (
+            f'<rect width="{_WIDTH:g}" height="{self.height:g}" style="fill:var(--paper)"/>'
+            f'{marks}<clipPath id="{clip}"><rect x="{_LEFT}" y="{_TOP}" {size}/></clipPath>'
+            f'<g clip-path="url(#{clip})">'
+            f'<path d="M{_LEFT} {zero:.2f}H{_RIGHT}" style="stroke:var(--line);stroke-width:0.8"/>'
+            f"{drawn}</g>"
             f'<path d="{"".join(ticks)}" style="{ink}"/>'
-            f'<path d="M{self.left:g} {self._top:g}V{self._bottom:g}H{self._right:g}" '
-            f'style="{ink};stroke-linecap:square"/>'
-            f'<g style="font-family:{_FONT};fill:var(--ink)">{"".join(texts)}</g>'
-        ).replace("url(#@-", f"url(#{name}-hatch-")
-
-    def _legend(self, texts: list[str]) -> str:
-        """The marks of the legend; its words join the texts."""
-        wide = [22.0 + _LETTER * _SMALL * len(words) for _, words in self.legend]
-        at = max(0.5 * (self.left + self._right - sum(wide)), 2.0)
-        out = []
-        for (mark, words), room in zip(self.legend, wide, strict=True):
-            out.append(f'<g transform="translate({at + 5.0:.1f} {_TOP - 0.5:.1f})">{mark}</g>')
-            texts.append(_text(words, at + 13.0, _TOP + 2.1, _SMALL, "start"))
-            at += room
-        return "".join(out)
-
-    def _ticks(self, axis: str, ends: tuple[float, float]) -> Sequence[tuple[float, str]]:
-        if axis in self.ticks:
-            return self.ticks[axis]
-        return log_ticks(*ends) if axis in self.logarithmic else _labelled(*ends)
-
-    def _x_of(self, points: Array) -> Array:
-        return self._across(points[0])
-
-    def _y_of(self, points: Array) -> Array:
-        return self._along(points[1])
+            f'<path d="M{_LEFT} {_TOP}V{self._bottom:g}H{_RIGHT}" style="{ink};stroke-linecap:square"/>'
+            f'<g style="font-family:{_FONT};fill:var(--ink)">{"".join(texts)}</g></svg>'
+        )
+        return Chart(name, framed(body, _WIDTH, self.height, alt), caption)
 
     def _across(self, x: Array) -> Array:
-        return np.asarray(self.left + _share(x, self.x, "x" in self.logarithmic) * (self._right - self.left))
+        low, high = self.x
+        return np.asarray(_LEFT + (x - low) / (high - low) * (_RIGHT - _LEFT))
 
     def _along(self, y: Array) -> Array:
-        return np.asarray(self._bottom - _share(y, self.y, "y" in self.logarithmic) * (self._bottom - self._top))
-
-
-def _share(value: Array, ends: tuple[float, float], logarithmic: bool) -> Array:
-    """How far along an axis values are."""
-    low, high = ends
-    if logarithmic:
-        return np.asarray(np.log(np.maximum(value, 1e-300) / low) / np.log(high / low))
-    return np.asarray((value - low) / (high - low))
-
-
-def log_ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """Ticks of a logarithmic axis in plain numbers, at least two of them where it can be."""
-    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
-    for steps in _STEPS:
-        values = np.outer(decades, steps).ravel()
-        values = values[(values >= low * (1.0 - 1e-9)) & (values <= high * (1.0 + 1e-9))]
-        if len(values) > 1:
-            break
-    else:  # hardly a stretch of a decade: as a plain axis has them
-        values = round_numbers(low, high)[0]
-    return [(value, f"{value:g}") for value in values.tolist()]
-
-
-def decades(low: float, high: float) -> list[tuple[float, str]]:
-    """Ticks of a logarithmic axis as powers of ten."""
-    exponents = np.arange(np.ceil(np.log10(low) - 1e-9), np.floor(np.log10(high) + 1e-9) + 1.0).astype(int)
-    some = exponents[:: max(-(-len(exponents) // _MOST_DECADES), 1)].tolist()
-    return [(10.0**k, "10" + f"{k:d}".translate(_RAISED)) for k in some]
-
-
-def cross(colour: str, wide: float) -> str:
-    """A cross about its middle."""
-    return f'<path d="M-2.2 -2.2l4.4 4.4M-2.2 2.2l4.4 -4.4" style="{_stroke(colour, wide)}"/>'
-
-
-def hollow(colour: str, shape: str) -> str:
-    """A hollow circle, triangle or square about its middle."""
-    return f'<path d="{_SHAPES[shape]}" style="fill:none;stroke:var(--{colour});stroke-width:0.7"/>'
-
-
-def swatch(colour: str, hatched: bool) -> str:
-    """A small bar about its middle."""
-    return f'<path d="M-5 -2.6h10v5.2h-10z" style="{_filled(colour, hatched)};stroke-width:0.8"/>'
-
-
-def _stroke(colour: str, wide: float) -> str:
-    return f"fill:none;stroke:var(--{colour});stroke-width:{wide:g}"
-
-
-def _filled(colour: str, hatched: bool) -> str:
-    """The style of an area; the page's name of a hatching is not known yet."""
-    return f"fill:{f'url(#@-{colour})' if hatched else f'var(--{colour})'};stroke:var(--{colour})"
-
-
-def _hatch(name: str, colour: str) -> str:
-    size = 'width="4" height="4" patternUnits="userSpaceOnUse"'
-    drawn = f'<path d="M-1 1l2 -2M0 4l4 -4M3 5l2 -2" style="{_stroke(colour, 0.8)}"/>'
-    return f'<pattern id="{name}-hatch-{colour}" {size}>{drawn}</pattern>'
+        low, high = self.y
+        return np.asarray(self._bottom - (y - low) / (high - low) * (self._bottom - _TOP))
 
 
 def side_by_side(charts: Sequence[Chart], height: float) -> str:

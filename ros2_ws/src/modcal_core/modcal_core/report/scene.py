@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,18 +14,19 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.figures import thinned
-from modcal_core.report.page import Chart, framed
-from modcal_core.report.palette import AFTER, BEFORE, INK, SOFT
-from modcal_core.report.panel import Panel
+from modcal_core.report.figures import label, thinned
+from modcal_core.report.page import Chart, chart
+from modcal_core.report.palette import LIGHT
 from modcal_core.robots.delta import ARMS, Delta
 from modcal_core.robots.mechanism import tool_frames
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MOST_ARROWS = 300
 _MOST_POSTURES = 60
 _MOST_STILL = 120  # arrows of the still picture, which cannot be turned or zoomed
 _MOST_STAGES = 7
-_STILL = 532.8, 259.2  # points, of the still picture: as wide as the others that take a row
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,10 @@ def _arms(model: Model, samples: Samples) -> list[Array]:
 
 def still(drawn: ReportScene) -> Chart:
     """The same from the side and from above, for paper and where no script runs."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.4, 3.6))
+    places = ((0.085, 0.13, 0.41, 0.845), (0.58, 0.13, 0.41, 0.845))  # a layout that is found takes as long as drawing
     rows = thinned(len(drawn.points), _MOST_STILL)
     points = drawn.points[rows]
     before, after = 1e3 * drawn.stages[0][1][rows], 1e3 * drawn.stages[-1][1][rows]
@@ -108,35 +113,34 @@ def still(drawn: ReportScene) -> Chart:
     usual = float(np.percentile(np.linalg.norm(before, axis=1), 95)) or 1.0
     scale = float(f"{0.15e3 * reach / usual:.1g}")
     arm = drawn.paths[len(drawn.paths) // 2]
-    bodies = []
-    for k, (i, j, seen) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):
-        ends = [points + 1e-3 * scale * miss for miss in (before, after)]
-        every = np.concatenate([points, *ends, *arm])
-        panel = Panel.to_scale(every[:, i], every[:, j], _STILL[1], 0.5 * _STILL[0])
-        panel.ruled = False
+    for place, (i, j), seen in zip(places, ((0, 1), (0, 2)), ("from above", "from the side"), strict=True):
+        axes = figure.add_axes(place)
         for path in arm:
-            panel.line(path[:, i], path[:, j], INK, 2.0)
-            panel.dashes(path[:, i], path[:, j], INK, 0.0, 3.5)
-        for end, colour, wide in zip(ends, (BEFORE, AFTER), (0.8, 1.4), strict=True):
-            panel.strokes(points[:, [i, j]], end[:, [i, j]], colour, wide)
-        panel.dashes(points[:, i], points[:, j], SOFT, 0.0, 2.0)
-        _scale_bar(panel, scale)
-        bodies.append(panel.body(f"still{k}", f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m"))
-    both = "".join(f'<g transform="translate({0.5 * k * _STILL[0]:g} 0)">{body}</g>' for k, body in enumerate(bodies))
+            axes.plot(path[:, i], path[:, j], "-o", color=LIGHT["ink"], lw=2.0, ms=3.5)
+        for miss, colour, wide in ((before, "before", 0.8), (after, "after", 1.4)):
+            to = points + 1e-3 * scale * miss
+            ends = np.stack([points, to, np.full_like(to, np.nan)], axis=1).reshape(-1, 3)
+            axes.plot(ends[:, i], ends[:, j], color=LIGHT[colour], lw=wide)
+        axes.plot(points[:, i], points[:, j], ".", ms=2.0, color=LIGHT["soft"])
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.tick_params(labelsize=7.5)
+        label(axes, f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m")
+        _scale_bar(axes, scale)
     alt = f"The arm and the errors of {len(points)} held-out samples, from above and from the side."
     words = (
         f"Errors are drawn {scale:g} times as long as they are: thin grey lines with the nominal model, "
         "thick blue ones with the final."
     )
-    return Chart("still", framed(f"{both}</svg>", *_STILL, alt), words)
+    return chart(figure, "still", alt, words)
 
 
-def _scale_bar(panel: Panel, scale: float) -> None:
+def _scale_bar(axes: Axes, scale: float) -> None:
     """A stroke as long as a round error is drawn, in the lower left corner."""
-    (left, right), (low, high) = panel.x, panel.y
+    axes.autoscale_view()
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     room = 0.25 * (right - left) / scale * 1e3  # mm of error
     mm = 10.0 ** np.floor(np.log10(room))
     mm *= max(m for m in (1.0, 2.0, 5.0) if m * mm <= room)
     x, y = left + 0.04 * (right - left), low + 0.05 * (high - low)
-    panel.whisker(x, x + 1e-3 * scale * mm, y, INK)
-    panel.words(x, y + 0.03 * (high - low), f"{mm:g} mm of error")
+    axes.plot([x, x + 1e-3 * scale * mm], [y, y], "|-", color=LIGHT["ink"], lw=1.6, ms=5.0)
+    axes.text(x, y + 0.02 * (high - low), f"{mm:g} mm of error", fontsize=7)
