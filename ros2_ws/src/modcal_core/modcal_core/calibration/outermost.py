@@ -39,7 +39,7 @@ def geometry_is_better(
 ) -> bool:
     """Whether, of two models fitted to the inner postures, geometry alone misses the outer ones by less.
 
-    full, alone: fitted to all samples. fit: of the full one. False where there are no curves, or the readings do not say.
+    full, alone: fitted to all samples. fit: of the full one. False where no curves are, or readings do not say.
     """
     curved = curved_joints(full.effects, full.chain.names)
     if not curved.any():

@@ -63,8 +63,8 @@ class Calibration:
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
     clock: whether these are times. geometry_outside: whether the geometry alone counts where joints of curves go beyond
     what was seen. left_alone: RMS [m] of the geometry alone on its own recording, by which the full model is doubted
-    there otherwise; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that effects depend on.
-    typical: for each effect what it was on average, where a recording may lack its driver.
+    there otherwise; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that
+    effects depend on. typical: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
     where none was stated. converged: whether every fit reached its minimum.
     """

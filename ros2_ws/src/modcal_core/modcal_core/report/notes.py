@@ -59,6 +59,6 @@ def _spoken(samples: Samples, calibration: Calibration) -> str:
     if not count:
         return "Learned curves are not continued there."
     return (
-        f"Learned curves are not continued there: at {count} samples, where the full model is not known to be better, the "
-        "geometry that is best alone counts instead."
+        f"Learned curves are not continued there: at {count} samples, where the full model is not known to be better, "
+        "the geometry that is best alone counts instead."
     )
