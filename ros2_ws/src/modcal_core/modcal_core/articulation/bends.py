@@ -16,9 +16,8 @@ from modcal_core.geometry.so3 import Array
 
 _DEGREE = 5  # of the bend, a polynomial along the path: two waves, longer than what is alike within a hand's width
 _PARAMETERS = 6  # of a circle in space
-_WORTH = (
-    0.5  # of the usual play: what the joint must leave beside noise for a bend to be thought of, as for two motions
-)
+# of the usual play: what the joint must leave beside noise for a bend to be thought of, as for two motions
+_WORTH = 0.5
 _SURELY = 4.0  # deviations by which what is left must be more than noise
 _VANISHES = 0.04  # of its squares may stay: less than half of what the smoothest of 47 real tracks keeps
 _CAP = 0.03  # m: samples farther off are outliers

@@ -42,8 +42,8 @@ class Doubting(Protocol):
 class Fallback:
     """The model outside, with the same frames, and where that is.
 
-    low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,). doubt: how much
-    the full model should be doubted there; None: altogether.
+    low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,). doubt: how
+    much the full model should be doubted there; None: altogether.
     """
 
     model: Predicting
