@@ -129,7 +129,9 @@ def no_joint(kinds: list[str], seeds: int, online: bool, log: bool) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=("real", "beyond"), default=None)
-    parser.add_argument("--kinds", choices=("design", "kept", "later", "last", "all"), default="all")
+    parser.add_argument(
+        "--kinds", choices=("design", "kept", "later", "last", "shaping", "fresh", "all"), default="all"
+    )
     parser.add_argument("--variants", default="", help="comma-separated; default: all")
     parser.add_argument("--every", type=int, default=1, help="Of real tracks, every so many.")
     parser.add_argument("--seeds", type=int, default=5)
@@ -137,8 +139,9 @@ def main() -> int:
     parser.add_argument("--log", action="store_true", help="A line for every track.")
     chosen = parser.parse_args()
     if chosen.only != "real":
-        every = {**beyond.DESIGN, **beyond.KEPT, **beyond.LATER, **beyond.LAST}
-        sets = {"design": beyond.DESIGN, "kept": beyond.KEPT, "later": beyond.LATER, "last": beyond.LAST, "all": every}
+        sets = {"design": beyond.DESIGN, "kept": beyond.KEPT, "later": beyond.LATER, "last": beyond.LAST}
+        sets |= {"shaping": beyond.SHAPING, "fresh": beyond.FRESH}
+        sets["all"] = {kind: maker for some in sets.values() for kind, maker in some.items()}
         no_joint(list(sets[chosen.kinds]), chosen.seeds, chosen.online, chosen.log)
     if chosen.only != "beyond" and DATA.is_dir():
         real(chosen.every, chosen.online, [v for v in chosen.variants.split(",") if v], chosen.log)

@@ -83,6 +83,8 @@ def beside_truth(done: Solution, exact: Samples, cell: Cell) -> BesideTruth:
     rows = report.sets.held_out[kept[report.sets.held_out]]
     noise = report.samples.reading[rows] - exact.reading[rows]
     left = 1e3 * float(np.sqrt(np.mean(np.sum(noise**2, axis=1))))
+    assert report.judged is not None
+    assert report.judged.account_mm2 is not None
     estimation = {row.what: row.value for row in report.judged.account_mm2}["estimation"]
     final = _rms(fit, report.scored)
     return BesideTruth(

@@ -130,12 +130,13 @@ def main() -> None:
     """Both grids."""
     if not DATA.is_dir():
         sys.exit("no real recordings: ../shared/data is not beside this checkout")
-    wanted = sys.argv[1:] or ["ur5", "ipa"]
+    wanted = sys.argv[1:] or ["ur5", "ipa"]  # and "chosen": without the random ones beside them
     for name, make in (("ur5", ur5), ("ipa", ipa)):
         if name in wanted:
             grid = make()
             whole = replayed(grid, True, None)
-            replayed(grid, False, whole)
+            if "chosen" not in wanted:
+                replayed(grid, False, whole)
 
 
 if __name__ == "__main__":

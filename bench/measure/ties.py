@@ -7,7 +7,7 @@ import json
 import numpy as np
 from cells import Bench
 
-from modcal_core.measuring.choose import deciding_stations
+from modcal_core.measuring.choose import deciding_stations, one_motion
 from modcal_core.measuring.refit import Refit, refit
 from modcal_core.measuring.session import Session, Station
 
@@ -22,7 +22,7 @@ MOST, AT_ONCE = 12, 4
 
 def ties(count: int) -> None:
     """Go through cells until so many pairs were left open, and separate them."""
-    found = separated = 0
+    found = separated = one = 0
     seed = 0
     while found < count and seed < 40 * count:
         robot, fault = ARMS[seed % 3], FAULTS[(seed // 3) % len(FAULTS)]
@@ -44,13 +44,17 @@ def ties(count: int) -> None:
             used += len(stations)
             model = fitted(bench, session)
             stations, _ = deciding_stations(model, bench.pool, AT_ONCE, np.random.default_rng(seed + used))
-        one, _, other = between.partition(" or ")
-        decided = (one, other) not in open_pairs(model) and (other, one) not in open_pairs(model)
+        name, _, other = between.partition(" or ")
+        decided = (name, other) not in open_pairs(model) and (other, name) not in open_pairs(model)
         separated += decided
+        # a curve that was taken for an effect can be told from its rival, and the line that is left cannot
+        same = not decided and (name, other) in one_motion(model, bench.pool, np.random.default_rng(seed))
+        one += same
         print(
             json.dumps(
                 {
                     "cell": f"{robot} {fault} {500 + seed}", "between": between, "more": used, "decided": decided,
+                    "one_motion": same,
                     "open_before": len(before), "open_after": len(open_pairs(model)),
                     "effects": [e.label for e in model.calibration.calibrated.effects],
                     "true": [list(f.place) for f in bench.faults],
@@ -59,7 +63,8 @@ def ties(count: int) -> None:
             flush=True,
         )  # fmt: skip
     print(
-        f"ties: of {found} pairs that {RECORDED} stations left open, {separated} were separated by at most {MOST} more"
+        f"ties: of {found} pairs that {RECORDED} stations left open, {separated} were separated by at most {MOST} "
+        f"more; {one} turned out to be one motion, which is said"
     )
 
 

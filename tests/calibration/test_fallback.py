@@ -26,6 +26,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
 
 ELBOW, LOW, HIGH = 2, -1.6, 0.0
+WRIST, SWING = 3, 2e-3  # rad
 CURVE = Effect(
     "gear_harmonic",
     "elbow_joint",
@@ -34,6 +35,7 @@ CURVE = Effect(
     Shape("spline", {"low": LOW, "high": HIGH, "count": 12.0}),
 )
 
+TURNS = Effect("gear_harmonic", "wrist_1_joint", AXIS, "position:wrist_1_joint", Shape("sine", {"cycles": 5.0}))
 
 Curve = Callable[[Array], Array]
 
@@ -48,24 +50,28 @@ def bend(q: Array) -> Array:
     return np.asarray(4e-4 * np.cos(1.3 * q))
 
 
-def readings(rng: np.random.Generator, low: float, high: float, count: int, curve: Curve = ripple) -> Samples:
-    """Exact poses of an arm whose elbow is off by a curve, at random postures."""
+def readings(
+    rng: np.random.Generator, low: float, high: float, count: int, curve: Curve = ripple, wrist: float = 0.0
+) -> Samples:
+    """Exact poses of an arm whose elbow is off by a curve, and whose wrist by a sine [rad], at random postures."""
     chain = ur10()
     q = rng.uniform(-1.5, 1.5, (count, 6))
     q[:, ELBOW] = rng.uniform(low, high, count)
     bent = q.copy()
     bent[:, ELBOW] += curve(q[:, ELBOW])
+    bent[:, WRIST] += wrist * np.sin(5.0 * q[:, WRIST])
     base, tool = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]), se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
     return samples_of(chain, q, base @ forward(chain, bent) @ tool)
 
 
-def calibrated(curve: Curve) -> Calibration:
-    """The calibration with a curve over the elbow, of twelve functions, from half of its range."""
-    samples = readings(np.random.default_rng(0), LOW, HIGH, 150, curve)
+def calibrated(curve: Curve, wrist: float = 0.0) -> Calibration:
+    """The calibration with a curve over the elbow, of twelve functions, from half of its range; and with the wrist's."""
+    samples = readings(np.random.default_rng(0), LOW, HIGH, 150, curve, wrist)
     nominal = fit_cell(ur10(), samples, Cell())
     choice = choose_parameters(nominal.model, views_of(samples))
     choice = replace(choice, parameters=free_cell(choice.parameters, Cell()))
-    start = nominal.model.with_effects((CURVE.started(np.zeros(12)),))
+    effects = (CURVE.started(np.zeros(12)), *((TURNS.with_values(np.array([wrist, 0.0, 5.0])),) if wrist else ()))
+    start = nominal.model.with_effects(effects)
     return finalise(samples, ur10(), choice, Cell(), None, identify(start, samples, choice.parameters))
 
 
@@ -94,10 +100,22 @@ def test_outside_geometry_alone_counts_where_it_is_better(made: Calibration, rng
 
 
 def test_elsewhere_the_full_model_goes_on(rng: np.random.Generator) -> None:
-    bent, outside = calibrated(bend), readings(rng, HIGH + BLEND + 0.01, 1.5, 60, bend)
-    assert not bent.geometry_outside
-    alone = missed(bent.geometric.predict_samples(outside), outside)
-    assert missed(bent.predict(outside.q), outside) < 0.5 * alone
+    """What it knows of the wrist is worth more beyond the elbow's range than what its curve for the elbow lacks there."""
+    both, outside = calibrated(bend, SWING), readings(rng, HIGH + BLEND + 0.01, 1.5, 60, bend, SWING)
+    assert not both.geometry_outside
+    alone = missed(both.geometric.predict_samples(outside), outside)
+    assert missed(both.predict(outside.q), outside) < 0.5 * alone
+
+
+def test_where_the_full_model_hardly_knows_itself_geometry_speaks(made: Calibration) -> None:
+    """The ends of this recording do not tell, for its curve is as loose there as outside."""
+    assert not made.geometry_outside
+    full, q = made.calibrated, np.tile([0.3, -1.2, 0.0, 0.4, 0.8, 0.1], (3, 1))
+    q[:, ELBOW] = [HIGH - 0.1, HIGH + 0.3, LOW - 0.3]
+    doubted = made.fallback(full, made.geometric)
+    assert doubted is not None
+    np.testing.assert_allclose(doubted.share(samples_of(ur10(), q, made.predict(q))), [0.0, 1.0, 1.0])
+    assert replace(made, left_alone=0.0).fallback(full, made.geometric) is None  # files of before say nothing of it
 
 
 def test_nothing_jumps_on_the_way_out(made: Calibration) -> None:
@@ -128,11 +146,16 @@ def test_commands_follow_the_same_models(made: Calibration, frame: str) -> None:
 
 
 def test_what_is_better_outside_is_kept_with_the_calibration(made: Calibration) -> None:
-    other = replace(made, geometry_outside=False)
     q = np.array([[0.3, -1.2, 1.0, 0.4, 0.8, 0.1]])
-    np.testing.assert_allclose(other.predict(q), made.calibrated.predict(q), atol=1e-12)
-    assert not from_data(to_data(other)).geometry_outside
-    assert from_data(to_data(made)).geometry_outside
+    unknown = replace(made, left_alone=0.0)
+    np.testing.assert_allclose(unknown.predict(q), made.calibrated.predict(q), atol=1e-12)
+    alone = replace(unknown, geometry_outside=True)
+    np.testing.assert_allclose(alone.predict(q), made.geometric.predict(q), atol=1e-12)
+    for calibration in (made, unknown, alone):
+        kept = from_data(to_data(calibration))
+        assert kept.geometry_outside == calibration.geometry_outside
+        assert kept.left_alone == calibration.left_alone
+        np.testing.assert_allclose(kept.predict(q), calibration.predict(q), atol=1e-12)
 
 
 def test_models_without_curves_go_on(made: Calibration) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from modcal_core.calibration.distances_together import contradicted_together
 from modcal_core.calibration.identify import Fit, identify
 from modcal_core.calibration.known_distances import distances_of
 from modcal_core.calibration.locate_instruments import Known
+from modcal_core.calibration.scale import scale_without_distances
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.starts import fit_geometry
@@ -28,7 +30,7 @@ from modcal_core.robots.urdf import read_chain
 from modcal_nodes.io.inputs import read_cell
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "bench" / "fits"))
-from hard_cells import DISTANCE, Fitted, cube, sockets
+from hard_cells import DISTANCE, KINDS, Fitted, cube, sockets
 
 MOST = 1.1  # times the floor
 
@@ -104,6 +106,35 @@ def test_fixed_points_say_nothing_of_scale(socketed: Fitted, stated: float) -> N
     (alone,) = distances_of(fitted(socketed, single, train), train, single.distances)
     assert abs(alone.found - DISTANCE) < 3.0 * alone.std < 0.1 * DISTANCE
     assert alone.contradicted == (stated != 1.0)
+
+
+@pytest.fixture(scope="module")
+def good() -> Fitted:
+    """The same of an arm whose bodies are within half a millimetre of the drawing."""
+    return sockets(np.random.default_rng(300), placements=4, error=1.0)
+
+
+@pytest.mark.parametrize("stated", [1.0, 1.015, 0.985])
+def test_how_far_the_lengths_are_off_tells_how_well_the_drawing_knows_the_scale(good: Fitted, stated: float) -> None:
+    """Three quarters of a millimetre on fifty, of an arm that is else as it is drawn: its lengths are not 1.5 % off."""
+    known = tuple(Distance(pair, stated * DISTANCE) for pair in good.distances)
+    cell = Cell(known, sockets=tuple(name for pair in good.distances for name in pair))
+    train, _ = halves(good, cell)
+    fit = fitted(good, cell, train)
+    scale = scale_without_distances(fit, train, known)
+    assert scale is not None
+    assert abs(stated * (1.0 + scale.longer) - 1.0) < 3.0 * scale.std < 0.01  # wherever the fit had its base
+    assert bool(contradicted_together(fit, train, known)) == (stated != 1.0)
+
+
+@pytest.mark.parametrize("seed", [104, 115])
+def test_a_long_valley_ends_where_the_readings_show_no_more(seed: int) -> None:
+    """A tool that turns by the arm's errors alone: where it is trades with these, far and along a bend."""
+    made = KINDS["cube_one_orientation"](np.random.default_rng([zlib.crc32(b"cube_one_orientation"), seed]))
+    train, rest = halves(made, Cell())
+    fit = fitted(made, Cell(), train)
+    assert fit.converged
+    assert missed(fit, rest) < 1.2 * made.floor_mm
 
 
 def test_a_stated_tool_is_held_within_its_tolerance() -> None:

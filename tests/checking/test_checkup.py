@@ -125,6 +125,65 @@ def test_a_size_lies_in_its_interval(cell: tuple[Recorded, Calibration]) -> None
     assert inside >= 8  # of ten intervals of 95 %, fewer once in ninety times
 
 
+def test_what_is_known_of_a_repair_is_what_it_misses_by(cell: tuple[Recorded, Calibration]) -> None:
+    move = twist(2e-4, (1, -1, 1, 0.5, 1, -0.5))
+    told, true = [], []
+    fresh = np.random.default_rng(79).uniform(-2.5, 2.5, (100, 6))
+    truth = move @ cell[0].world.tool_in_tracker(fresh)
+    for seed in range(8):
+        found, _, _ = checked(cell, lambda q, world: move @ world(q), seed)
+        assert found.accuracy is not None
+        assert found.repaired is not None
+        told.append(found.accuracy.repaired)
+        true.append(rms(found.repaired.predict(fresh), truth))
+        assert found.accuracy.before < found.accuracy.repaired
+        assert found.accuracy.more > 0  # six numbers by ten stations, the others by eighty
+        assert f"{found.accuracy.more} more stations" in found.accuracy.sentence
+    assert 0.7 < np.sqrt(np.mean(np.square(true))) / np.sqrt(np.mean(np.square(told))) < 1.4
+
+
+def test_neighbours_are_not_ten_witnesses(cell: tuple[Recorded, Calibration]) -> None:
+    """An error that all stations of one place share, as large as what the model leaves elsewhere, is no change."""
+    rng = np.random.default_rng(6)
+    for seed in range(3):
+        q = rng.uniform(-2.0, 2.0, 6) + 0.03 * rng.standard_normal((10, 6))
+        for size, status in ((2.0, "unchanged"), (100.0, None)):
+            own = np.zeros((10, 6))
+            own[:, 3] = size * NOISE_M * (1.0 + 0.1 * np.sin(20.0 * q[:, 3]))  # [rad], at a metre or less
+            T = cell[0].world.tool_in_tracker(q + own)
+            found = check(cell[1], readings(q, T, np.random.default_rng([seed, 12])))
+            assert (found.status == "unchanged") == (status == "unchanged"), (size, found.sentence)
+            assert any("stand close together" in note for note in found.notes)
+            assert min(n.mm for n in found.noticed if n.label == "base") > 5e3 * FLOOR
+
+
+def test_of_two_curves_of_one_gear_the_one_that_grew_is_repaired(cell: tuple[Recorded, Calibration]) -> None:
+    waves = [
+        Effect(
+            "gear_harmonic", "elbow_joint", "axis", "position:elbow_joint", shape, values, 1e-6 * np.ones(len(values))
+        )
+        for shape, values in (
+            (Shape("turn", {"cycles": 1.0}), np.array([1e-3, 0.0])),
+            (Shape("turn", {"cycles": 2.0}), np.array([5e-4, 2e-4])),
+        )
+    ]
+    known = cell[1].uncertainty
+    assert known is not None
+    known = replace(known, covariance=np.pad(known.covariance, (0, 4)))
+    two = replace(cell[1], calibrated=cell[1].calibrated.with_effects(tuple(waves)), rivals=((), ()), uncertainty=known)
+
+    def seen(q: Array, world: Poses) -> Array:
+        turn = 1e-3 * np.sin(q[:, 2]) + 1.8 * (5e-4 * np.sin(2.0 * q[:, 2]) + 2e-4 * np.cos(2.0 * q[:, 2]))
+        return world(q + np.outer(turn, np.eye(6)[2]))
+
+    found, _, _ = checked((cell[0], two), seen)
+    assert names(found) == {("gear", "elbow_joint")}
+    assert found.repaired is not None
+    grown = [np.linalg.norm(e.amplitudes) for e in found.repaired.calibrated.effects]
+    assert grown[0] == pytest.approx(1e-3)
+    assert grown[1] == pytest.approx(1.8 * np.hypot(5e-4, 2e-4), rel=0.1)
+
+
 def test_a_zero_about_the_base_axis_may_as_well_be_the_base(cell: tuple[Recorded, Calibration]) -> None:
     found, _, _ = checked(cell, lambda q, world: world(q + 5e-4 * np.eye(6)[0]))
     assert names(found) == {("joint_zero", "shoulder_pan_joint")}

@@ -12,7 +12,7 @@ import pytest
 from cells import record, ur10
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.checking.history import series_of
+from modcal_core.checking.history import series_of, values_of
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.public import calibrate
@@ -54,6 +54,20 @@ def test_of_noise_alone_few_series_have_a_trend() -> None:
                for i in range(4)]  # fmt: skip
         found += any(s.trend is not None for s in series_of(own))
     assert found <= 9  # 1 % of 300 is three; more than nine once in two thousand
+
+
+def test_the_size_of_a_curve_scatters_as_it_says(calibration: Calibration) -> None:
+    """Amplitudes that are off by their standard deviations, as two calibrations of one arm are."""
+    rng = np.random.default_rng(3)
+    (wave,) = calibration.calibrated.effects
+    std = np.array([3e-5, 3e-5])
+    sizes = []
+    for _ in range(200):
+        drawn = replace(wave, values=wave.values + std * rng.standard_normal(2), std=std)
+        values = values_of(replace(calibration, calibrated=calibration.calibrated.with_effects((drawn,))))
+        sizes.append(values["curve of elbow_joint"][1:3])
+    value, told = np.array(sizes).T
+    assert 0.8 < value.std() / np.sqrt(np.mean(told**2)) < 1.25
 
 
 def test_what_stands_once_has_no_trend() -> None:

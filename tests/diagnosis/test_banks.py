@@ -91,3 +91,24 @@ def test_a_clear_answer_ends_the_trials_and_is_the_same(fitted: tuple[Fit, Drive
         assert draws[-1] == again.random()
     assert flips <= {FIRST_FLIPS, FLIPS}
     assert FIRST_FLIPS in flips
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_squares_of_sums_are_those_of_the_sums(rng: np.random.Generator, kind: type) -> None:
+    """Of a wave with itself, and of one with that of twice as many cycles, without a sum being kept."""
+    angle, columns = rng.uniform(-3.0, 3.0, 150), rng.normal(size=(150, 130)).astype(kind)
+    spectrum = Spectrum(angle, 0.25, 301)
+    waves = spectrum.sums(columns.astype(float))
+    squares = spectrum.squares(columns)
+    size = (1e-9 if kind is np.float64 else 1e-5) * np.sum(np.abs(waves) ** 2, axis=1).max()
+    parts = waves.imag, waves.real
+    for found, (one, other) in (
+        (squares.sine, (0, 0)),
+        (squares.cosine, (1, 1)),
+        (squares.both, (0, 1)),
+    ):
+        np.testing.assert_allclose(found, np.sum(parts[one] * parts[other], axis=1), atol=size)
+    for i in range(2):
+        for k in range(2):
+            expected = np.sum(parts[i][:151] * parts[k][::2], axis=1)
+            np.testing.assert_allclose(squares.doubled[i, k], expected, atol=size)

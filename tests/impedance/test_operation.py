@@ -145,7 +145,7 @@ def test_a_force_beyond_the_limit_is_let_go_and_not_left_standing() -> None:
     done = pull(Toy(door(), locked=True), Operation(PANDA, TASK, limits(force=20.0)))
     assert done.stop is not None
     assert "20 N is the limit" in done.stop.why
-    assert 20.0 < done.forces.max() < 1.2 * 20.0
+    assert 19.5 < done.forces.max() < 1.2 * 20.0  # felt with noise, and crept up to
     assert done.forces[-1] < 1.0
     assert_smooth(done)
 
@@ -171,7 +171,7 @@ def test_a_door_that_ends_early_is_noticed() -> None:
 @pytest.mark.parametrize("wrong", [drawer(), door(0.2)], ids=["a drawer", "a door of half the width"])
 def test_a_wrong_model_harms_nothing(wrong: JointModel) -> None:
     """The way that it expects is not the way that the door goes: the pull ends below the limit, or gets there gently."""
-    done = pull(Toy(door()), Operation(PANDA, TASK, LIMITS), model=wrong)
+    done = pull(Toy(door()), Operation(PANDA, TASK, LIMITS), model=wrong, seconds=50.0)
     assert done.stop is not None
     assert done.forces.max() < ABORT
     assert_smooth(done)

@@ -7,7 +7,7 @@ import pytest
 from impedance.toy import PERIOD, T_READY, door, drawer
 
 from modcal_core.articulation.models.registry import joint
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.impedance.path_model import Exploration, PathModel
 
 BACK = T_READY[:3, :3].T @ np.array([-1.0, 0.0, 0.0])  # towards −x of the base, seen from the tool
@@ -85,3 +85,19 @@ def test_a_model_from_positions_turns_the_tool_with_it() -> None:
     while course.left(course.at) > 0.0:
         T = course.advance(0.01)
     assert np.abs(T - truth.pose(course.opened(course.at))).max() < 1e-9
+
+
+def test_a_hand_is_not_turned_on_by_what_its_servos_yield() -> None:
+    """A ball grasp has no moment; the pull turns the measured hand by 3° against the servos, however it is sent."""
+    sags = se3.transform(so3.exp([0.0, np.radians(3.0), 0.0]))
+    kept, followed = Exploration(T_READY, BACK), Exploration(T_READY, BACK)
+    for _ in range(1000):
+        kept.advance(1e-5, kept.pose @ sags, PERIOD, kept.pose)
+        followed.advance(1e-5, followed.pose @ sags, PERIOD)
+    turned = [float(np.linalg.norm(so3.log(T_READY[:3, :3].T @ e.pose[:3, :3]))) for e in (kept, followed)]
+    assert turned[0] < 1e-9
+    assert turned[1] > np.radians(20.0)
+    led = Exploration(T_READY, BACK)  # by a hinge: the moment is given way to, and the setpoint turns
+    for _ in range(500):
+        led.advance(1e-5, T_READY @ sags, PERIOD, T_READY @ sags)
+    assert np.linalg.norm(so3.log(T_READY[:3, :3].T @ led.pose[:3, :3])) == pytest.approx(np.radians(3.0), rel=0.05)

@@ -22,6 +22,7 @@ from modcal_core.measuring.choose import fit_stations, return_stations
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import chance_seen, outlook
 from modcal_core.measuring.pool import of_robot
+from modcal_core.measuring.proof import Proof
 from modcal_core.measuring.record import from_data, to_data, to_table, with_table
 from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station
 from modcal_core.planning.site import Site, site_from_data
@@ -292,6 +293,32 @@ def test_the_proofs_errors_are_those_of_the_model_that_is_written(whole: Whole) 
     assert advice.refitted is not None
     e = errors(advice.refitted.calibration.calibrated, advice.session.samples(rows)).position_norm
     assert advice.status.seen == pytest.approx(float(np.sqrt(np.mean(e**2))))
+
+
+def test_where_the_proof_falls_behind_proof_and_fit_take_turns(whole: Whole) -> None:
+    """Errors twice as large as expected: stations for the fit, and after them for the proof again."""
+    advice, by = whole
+    session, goal, advising = advice.session, 1.2e-4, advisor(Goal(1.2e-4))
+    bad, good = (Proof(np.full(8, e), 4e-5, 0.03, 1.5) for e in (8e-5, 4e-5))
+    assert session.stations[-1].role == PROOF
+    assert advising._turn_to_fit(session, bad, bad.more(goal, 8e-5), goal)
+    assert not advising._turn_to_fit(session, good, good.more(goal, 4e-5), goal)
+    early = replace(bad, errors=bad.errors[:5])
+    assert not advising._turn_to_fit(session, early, early.more(goal, 8e-5), goal)
+    after = session.asking([Station(session.stations[0].asked + 0.1)])
+    after = after.with_station(len(session.stations), by.measure(after.stations[-1]))
+    assert not advising._turn_to_fit(after, bad, bad.more(goal, 8e-5), goal)
+
+
+def test_every_model_that_the_proof_has_judged_takes_a_share(whole: Whole) -> None:
+    """Fitted again after the proof has begun: whether it is good enough is seen, so it counts as a further look."""
+    advice, by = whole
+    session, looks = advice.session, advice.session.looks
+    again = session.asking([Station(session.stations[0].asked + 0.1)])
+    again = again.with_station(len(session.stations), by.measure(again.stations[-1]))
+    step = advisor(Goal(6e-5)).advise(again)
+    assert step.session.looks[: len(looks)] == looks
+    assert [look.fitted for look in step.session.looks[len(looks) :]] == [len(again.fitted)]
 
 
 def test_a_recording_is_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

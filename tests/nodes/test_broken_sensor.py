@@ -17,7 +17,8 @@ from nodes.pulling import PANDA
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.simulation.furniture import draw
-from modcal_nodes.simulation.pulling import Pulling
+from modcal_nodes.simulation.furniture_mjcf import Servo
+from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = PANDA.read_text()
 CHAIN = read_chain(URDF)
@@ -36,6 +37,17 @@ class Stuck:
         return w if self._last is None else self._last
 
 
+class StuckWithNoise(Stuck):
+    """The same, and its noise goes on: nothing repeats itself."""
+
+    def __call__(self, w: Array) -> Array:
+        said = super().__call__(w)
+        if self._last is None:
+            return said
+        self._rng = getattr(self, "_rng", np.random.default_rng(0))
+        return said + self._rng.normal(0.0, [0.2] * 3 + [0.01] * 3)
+
+
 class Unconnected:
     """Says what it said at first, with its noise: it hangs beside what is held."""
 
@@ -47,11 +59,14 @@ class Unconnected:
         return self._first + self._rng.normal(0.0, [0.2] * 3 + [0.01] * 3)
 
 
-def pulled(sensed: Callable[[Array], Array], seed: int, **chosen: object) -> tuple[Pull, float]:
-    """A pull at a door or drawer, and the force that is left in the hand [N]."""
+def pulled(
+    sensed: Callable[[Array], Array], seed: int, servo: float = 4000.0, stated: float = 100e3, **chosen: object
+) -> tuple[Pull, float]:
+    """A pull at a door or drawer, and the force that is left in the hand [N]. servo: of the joints [N m/rad]."""
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
-    world = Pulling.of(URDF, CHAIN, scene, np.random.default_rng(1))
-    done = pull(world, URDF, sensed)
+    servos = Servo(effort_limits(URDF, CHAIN.names), servo)
+    world = Pulling.of(URDF, CHAIN, scene, np.random.default_rng(1), servos)
+    done = pull(world, URDF, sensed, arm_stiffness_n_m=stated)
     for _ in range(50):  # as the arm stands where it was sent last
         world.forget()
         world.advance(0.004)
@@ -59,7 +74,9 @@ def pulled(sensed: Callable[[Array], Array], seed: int, **chosen: object) -> tup
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensed", [Stuck(0.0), Stuck(3.0), Stuck(12.0), Unconnected()])
+@pytest.mark.parametrize(
+    "sensed", [Stuck(0.0), Stuck(3.0), Stuck(12.0), StuckWithNoise(3.0), StuckWithNoise(12.0), Unconnected()]
+)
 @pytest.mark.parametrize(("kind", "grasp", "seed"), [("door", "weld", 1), ("door", "weld", 2), ("drawer", "ball", 1)])
 def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
     kind: str, grasp: str, seed: int, sensed: Callable[[Array], Array]
@@ -70,6 +87,16 @@ def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
     assert done.peak < 60.0
     assert left < 10.0
     assert not done.done
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensed", [Stuck(0.0), StuckWithNoise(3.0), Unconnected()])
+def test_servos_three_times_as_stiff_let_go_below_60_n_where_that_is_stated(sensed: Callable[[Array], Array]) -> None:
+    """Along an outstretched arm; 228 N where neither was stated nor learned how little it yields."""
+    done, left = pulled(copy.deepcopy(sensed), 1, 12e3, 300e3, kind="drawer", grasp="weld", stop=0.0)
+    assert "the setpoint leads the tool" in done.said, done.said
+    assert done.peak < 60.0
+    assert left < 15.0
 
 
 @pytest.mark.slow

@@ -62,6 +62,8 @@ def everything() -> Report:
             0.01,
             0.64,
             (FoundPayload(1.7e9, 2.5, 0.1, np.array([0.0, 0.0, 0.06]), np.full(3, 0.004)),),
+            centre=np.array([0.0, 0.02, 0.06]),
+            centre_std=np.full(3, 0.003),
         ),
         dropped=(("readings outside the time of the joint states", 12),),
         trace=Trace(date=iso_date(1.7e9), bag_sha256="ab" * 32, robot="ur10", instrument="pose on /tracker/pose"),

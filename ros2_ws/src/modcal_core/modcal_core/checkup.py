@@ -244,6 +244,11 @@ def _notes(
         out.append(f"{gone} of {samples.stations} stations were left out: learned curves have not been seen there.")
     if part.stations < inside.stations:
         out.append(f"{part.stations} of {inside.stations} stations, evenly along the recording, were looked at.")
+    if 2.0 * (far := found.start.null.weight * part.stations) < part.stations:
+        out.append(
+            f"These {part.stations} stations stand close together and say as much as {far:.1f} far apart: only larger "
+            "changes are named. Spread them over the ranges of all joints."
+        )
     if found.aside:
         out.append("A reading that no change explains was set aside as wrong.")
     return tuple(out)

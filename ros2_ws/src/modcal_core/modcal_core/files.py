@@ -61,10 +61,15 @@ def replace_folder(folder: Path, files: Mapping[str, bytes]) -> None:
 
 def write_file(path: Path, text: str) -> None:
     """Write one file, its folder made if need be; on failure what stood there stays."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """The same of bytes. Two processes may write it at once."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.write_text(text, encoding="utf-8")
+        part.write_bytes(content)
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)

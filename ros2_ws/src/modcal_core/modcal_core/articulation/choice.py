@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from modcal_core.articulation.bends import bend_explains
 from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.held_out import predicted
@@ -157,9 +158,16 @@ def _weighed(
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
         doubt = predicted(used, kind, rivals, own, by_name, left).doubt
         doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
+        doubt = doubt or _bent(used, fits[kind])
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
     return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)
+
+
+def _bent(track: Track, found: JointFit) -> str:
+    """Whether a smooth bend explains what a fit leaves, for a person."""
+    a = found.motion.configurations(track, scales(found))
+    return bend_explains(track, found.motion.residuals(track, a)[:, :3], a)
 
 
 def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:

@@ -21,7 +21,7 @@ from modcal_core.articulation.track import Track
 
 _FITTED = 0.7  # of the path
 _LEAST_FITTED, _LEAST_ASKED = 8, 3  # samples
-_MAY_MISS = 0.03  # of the path that was travelled
+MAY_MISS = 0.03  # of the path that was travelled
 _MISSES = 4e-3  # m: twice the usual play, which no prediction does without
 _NOISE = 3.0  # deviations of white noise beside it
 _BETTER, _BY = 1.5, 1e-3  # times and m by which another joint type predicts plainly better
@@ -49,7 +49,7 @@ class Predicted:
     @property
     def doubt(self) -> str:
         """Why the joint type is not to be relied on, for a person; empty where it predicts."""
-        much = float(np.hypot(max(_MISSES, _MAY_MISS * self.path), _NOISE * self.noise))
+        much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _NOISE * self.noise))
         if self.left > much:
             return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"
         if self.loose:

@@ -24,6 +24,7 @@ from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.nodes import Nodes
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
+from modcal_core.articulation.share_check import ShareCheck
 from modcal_core.articulation.track import FARTHEST, FEWEST, RIGID, Track
 from modcal_core.articulation.travel import Travel
 from modcal_core.articulation.two_motions import TwoMotions
@@ -89,7 +90,6 @@ _SPARSE = 0.6  # of the distance ahead, from one pose to the next: fewer than tw
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
 _RECOVERY = 2  # rounds of evaluation that a model gets to follow a handle that has left its path
-_KEEPS = 0.5  # of what the positions' hinge turns by may a hand turn that keeps its orientation
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
@@ -99,7 +99,6 @@ class Tracker:
     def __init__(self, settings: TrackerSettings | None = None, oriented: bool | None = None) -> None:
         self.settings = TrackerSettings() if settings is None else settings
         self._wanted = oriented
-        self._turn: int | None = None  # of two trackers that think by turns
         self.reset()
 
     def reset(self, changes: int = 0) -> None:
@@ -109,13 +108,12 @@ class Tracker:
         self._nodes: Nodes | None = None
         self._selector = ModelSelector()
         self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)
+        self._share = ShareCheck(chosen.tolerance_m)
         self._travel = Travel()
         self._two = TwoMotions()
-        self._positions: Tracker | None = None
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
-        self._held: Array | None = None  # rotation of the hand at first
         self._moved = 0.0
         self._known: tuple[Array, Array | None] | None = None  # the last pose that was learned from
         self._waiting: tuple[Array, Array | None] | None = None  # one that jumped, and waits for another
@@ -143,10 +141,6 @@ class Tracker:
         self._recent.append((p, R))
         if self._first is None or self._nodes is None:
             self._first, self._nodes = p, Nodes(bool(self._oriented), self.settings.nodes)
-            if self._oriented:
-                self._positions = Tracker(self.settings, False)
-                self._positions._turn = 1
-            self._held = R
         motion = self._selector.motion
         a, off, twisted, event = self._compare(p, R)
         accepted = self._accepted(p, R, off, twisted)
@@ -156,37 +150,17 @@ class Tracker:
             self._moved = max(self._moved, math.dist(q, self._first))
             self._travel.come(q, self._selector.scale[0])
             self._two.come(q, self._selector.scale[0])
+            self._share.come(q, motion, self._selector.scale[0])
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
-            for _ in range(self._travel.thoughts(self._least()) if self._nodes.k >= FEWEST else 0):
+            for _ in range(self._travel.thoughts() if self._nodes.k >= FEWEST else 0):
                 self._two.think(self._selector.scale[0])
                 if self._selector.think(self._nodes):
                     self._check.begin(*self._reached())
         self._judge()
         if self._two.found and (motion is None or motion.flat):
             self._check.lose()
-        state = self._state(p, R, off, event or self._stuck(p, stamp, pulled))
-        return state if self._positions is None or R is None else self._weighed(state, p, R, stamp, pulled)
-
-    def _weighed(self, state: TrackerState, p: Array, R: Array, stamp: float, pulled: bool) -> TrackerState:
-        """This state, or the one of positions alone where that predicts, this does not, and the hand hardly turns."""
-        if state.trusted:
-            self._positions = None
-            return state
-        assert self._positions is not None
-        assert self._held is not None
-        alone = self._positions.update(p, None, stamp, pulled)
-        if not alone.trusted or alone.model is None or not alone.model.turns or self._two.found:
-            return state
-        turned = _between(p, self._held, p, R)[1]
-        if turned > _KEEPS * abs(alone.configuration):
-            return state
-        return replace(alone, samples=state.samples, follows=False)
-
-    def _least(self) -> int:
-        """How many thoughts a pose has that pays for none: one, which two trackers have by turns."""
-        turn = 0 if self._positions is not None else self._turn
-        return 1 if turn is None or self._samples % 2 == turn else 0
+        return self._state(p, R, off, event or self._stuck(p, stamp, pulled))
 
     def _checked(self, position: ArrayLike, rotation: ArrayLike | None, stamp: float) -> tuple[Array, Array | None]:
         p = np.array(position, dtype=float)
@@ -262,10 +236,8 @@ class Tracker:
         """Begin anew from here: what came before was another object, another grasp, or no joint."""
         samples, stamp, oriented, latest = self._samples, self._stamp, self._oriented, list(self._recent)
         two = self._two  # the whole path counts there: two joints, one after the other, are no joint
-        alone, held = self._positions, self._held  # which goes on: it may be the rotations that left the path
         self.reset(self._changes + 1)
         self._samples, self._stamp, self._oriented, self._two = samples, stamp, oriented, two
-        self._positions, self._held = alone, held
         self._recent.extend(latest)
         self._first, self._nodes = latest[0][0], Nodes(bool(oriented), self.settings.nodes)
 
@@ -328,7 +300,7 @@ class Tracker:
         model, seen = self._zero[1], p
         if R is not None and selector.follows:
             seen = posed(R, p)
-        trusted = self._check.trusted
+        trusted = self._check.trusted and not self._share.fails
         a = float(model.configuration(seen))
         return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
                      selector.follows, apart, sparse, left)  # fmt: skip

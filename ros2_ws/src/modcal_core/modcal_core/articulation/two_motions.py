@@ -2,7 +2,7 @@
 
 A mechanism of two joints looks like one for a stretch, and predicts there. What tells it from furniture is the whole
 path since the start: a cut into two lines or circles leaves nothing of what one leaves. The path is kept as the means
-of short stretches; when there are too many, neighbours are pooled and stretches are twice as long.
+of short stretches (``stretches``).
 """
 
 from __future__ import annotations
@@ -12,11 +12,9 @@ import math
 import numpy as np
 
 from modcal_core.articulation.phases import LEAST_PATH, vanishes
+from modcal_core.articulation.stretches import Stretches
 from modcal_core.geometry.so3 import Array
 
-_STRETCH = 4e-3  # m, at first; less would be play
-_NOISE = 4.0  # deviations of noise on an axis that a stretch is long, where that is more
-_MOST = 64  # stretches: of a metre some 2 cm each, of which ``LEAST_PATH`` still has two
 _LEAST = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
 _CUTS = 16  # tried along the path
 _FINER = (-0.6, -0.3, 0.3, 0.6)  # of the way from cut to cut, tried beside the best
@@ -30,10 +28,7 @@ class TwoMotions:
 
     def __init__(self) -> None:
         self.found = False
-        self._sums, self._counts, self._k = np.zeros((_MOST, 3)), np.zeros(_MOST), 0
-        self._stretch = _STRETCH
-        self._begin: Array | None = None  # of the stretch that is under way
-        self._path = 0.0
+        self._stretches = Stretches()
         self._asked = 0.0
         self._snapshot: Array | None = None
         self._noise = 0.0  # variance on an axis of a point of the snapshot [m²]
@@ -43,41 +38,24 @@ class TwoMotions:
 
     def come(self, p: Array, noise: float) -> None:
         """Take a position (3,) [m] that was believed. noise: of one position, on an axis [m]."""
-        if self._begin is None:
-            self._begin, self._k = p, 1
-        far = math.dist(p, self._begin)
-        if far >= max(self._stretch, _NOISE * noise):
-            self._begin = p
-            self._path += far
-            if self._k == _MOST:
-                self._pool()
-            self._k += 1
-        self._sums[self._k - 1] += p
-        self._counts[self._k - 1] += 1.0
+        self._stretches.come(p, noise)
 
     def think(self, noise: float) -> None:
         """Try one cut, or ask anew where the path has grown. noise: of one position, on an axis [m]."""
         if self._snapshot is not None:
             self._try(self._snapshot)
-        elif self._path - self._asked >= _ANEW and self._path >= 2.0 * LEAST_PATH and self._k > 2 * _LEAST:
+            return
+        path, k = self._stretches.path, self._stretches.k
+        if path - self._asked >= _ANEW and path >= 2.0 * LEAST_PATH and k > 2 * _LEAST:
             self._ask(noise)
-
-    def _pool(self) -> None:
-        """Neighbours together."""
-        half = _MOST // 2
-        self._sums[:half] = self._sums[0::2] + self._sums[1::2]
-        self._counts[:half] = self._counts[0::2] + self._counts[1::2]
-        self._sums[half:], self._counts[half:] = 0.0, 0.0
-        self._k, self._stretch = half, 2.0 * self._stretch
 
     def _ask(self, noise: float) -> None:
         """Begin to try cuts of the path as it is now."""
-        counts = self._counts[: self._k]
-        points = self._sums[: self._k] / counts[:, None]
-        self._snapshot, self._asked, self._fine = points, self._path, False
-        self._noise = noise**2 * float(np.mean(1.0 / counts))
-        ends = max(_LEAST, math.ceil(LEAST_PATH * self._k / self._path))
-        first, last = ends, self._k - ends
+        path, k = self._stretches.path, self._stretches.k
+        self._snapshot, self._asked, self._fine = self._stretches.points, path, False
+        self._noise = noise**2 * float(np.mean(1.0 / self._stretches.counts))
+        ends = max(_LEAST, math.ceil(LEAST_PATH * k / path))
+        first, last = ends, k - ends
         if last <= first:
             self._snapshot = None
             return

@@ -2,7 +2,9 @@
 
 The geometry beside curves is not the best without them. Whether the geometry that is best alone does better where no
 curve was seen is read from the calibration's own recording, the outermost postures of which are left out of a fit of
-either (:mod:`modcal_core.calibration.outermost`). It comes in over a twentieth of a radian, so that no command jumps.
+either (:mod:`modcal_core.calibration.outermost`); and wherever outside the full model hardly knows itself, geometry
+alone speaks too (:mod:`modcal_core.calibration.doubt`). It comes in over a twentieth of a radian, so that no command
+jumps.
 """
 
 from __future__ import annotations
@@ -28,27 +30,41 @@ class Predicting(Protocol):
         ...
 
 
+class Doubting(Protocol):
+    """Says how much a model should be doubted."""
+
+    def share(self, samples: Samples) -> Array:
+        """How much geometry alone should count instead at these samples, in [0, 1], (N,)."""
+        ...
+
+
 @dataclass(frozen=True)
 class Fallback:
     """The model outside, with the same frames, and where that is.
 
-    low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,).
+    low, high: ends of the joint ranges that were seen, (n,). curved: joints that curves depend on, (n,). doubt: how
+    much the full model should be doubted there; None: altogether.
     """
 
     model: Predicting
     low: Array
     high: Array
     curved: np.ndarray
+    doubt: Doubting | None = None
 
-    def share(self, q: Array) -> Array:
-        """How much of it counts at postures (N, n), in [0, 1], (N,): none inside, all of it from BLEND beyond."""
-        beyond = np.maximum(np.maximum(self.low - q, q - self.high), 0.0)[:, self.curved]
+    def share(self, samples: Samples) -> Array:
+        """How much of it counts at samples, in [0, 1], (N,): none inside, from BLEND beyond as much as is doubted."""
+        beyond = np.maximum(np.maximum(self.low - samples.q, samples.q - self.high), 0.0)[:, self.curved]
         u = np.clip(beyond.max(axis=1, initial=0.0) / BLEND, 0.0, 1.0)
-        return np.asarray(u * u * (3.0 - 2.0 * u))
+        out = np.asarray(u * u * (3.0 - 2.0 * u))
+        rows = np.flatnonzero(out > 0.0)
+        if self.doubt is not None and len(rows):
+            out[rows] *= self.doubt.share(samples.select(rows))
+        return out
 
     def blended(self, T: Array, samples: Samples) -> Array:
         """Poses (N, 4, 4) of the full model, replaced by this one as far as the samples lie outside."""
-        share = self.share(samples.q)
+        share = self.share(samples)
         rows = np.flatnonzero(share > 0.0)
         if not len(rows):
             return T

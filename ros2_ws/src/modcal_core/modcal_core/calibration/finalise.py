@@ -13,7 +13,7 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.outermost import geometry_is_better
-from modcal_core.calibration.score import typical_scatter
+from modcal_core.calibration.score import errors, typical_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.calibration.typical import driver_ranges, typical_sizes
@@ -72,10 +72,17 @@ def finalise(
         scatter=typical_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,
-        geometry_outside=geometry_is_better(tidy, geometric, samples, choice, cell),
+        left_alone=_left(geometric, samples),
+        geometry_outside=geometry_is_better(tidy, geometric, samples, choice.parameters, last, cell.distances),
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
     )
+
+
+def _left(model: Model, samples: Samples) -> float:
+    """RMS [m] that a model leaves of positions; 0 where readings show none, or everything is met."""
+    square = errors(model, samples).position_norm ** 2
+    return float(np.sqrt(np.mean(square))) if np.isfinite(square).all() else 0.0
 
 
 def _geometry(start: Model, samples: Samples, choice: ParameterChoice, cell: Cell, at: Fit | None, reject: bool) -> Fit:

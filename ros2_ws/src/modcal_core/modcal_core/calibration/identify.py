@@ -46,7 +46,8 @@ FITTED = 1e-2  # the same for models with effects, some of which have many value
 _NEAR = 1e-4
 _SHRINKING = 0.3
 # With effects, whose curvature takes far longer than their gradient, steps are taken with the same one while each is
-# shorter than so much of the last: robust weights alone let them shrink by a factor of 2 to 10, whatever the curvature
+# shorter than so much of the last, or shrinks as the last with a curvature of its own did: robust weights alone let
+# them shrink by a factor of 1.1 to 10, whatever the curvature
 _LEADING, _CLOSE = 0.7, 10.0  # the latter in standard deviations
 _SURE = 0.1  # of the tolerance; what is expected to be left
 _LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
@@ -190,7 +191,7 @@ def _minimum(
     least = _DAMPING  # from which a step is damped that leads uphill
     gained: list[float] = []
     flat = False
-    moved = 0.0  # since the curvature was computed
+    moved, leading = 0.0, _LEADING  # since the curvature was computed
     at = equations.residuals(values)
     for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
@@ -246,10 +247,13 @@ def _minimum(
         if ended or begun or flat:
             break
         moved = max(moved, float(np.abs(step).max()))
-        near = equations.quick_gradient and damping == 0.0 and length <= (_LEADING if fitted else _SHRINKING) * last
-        near = near and (
-            length <= _CLOSE if fitted else float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
-        )
+        if fitted:
+            if not near and length < last < np.inf:
+                leading = max(_LEADING, length / last)
+            near = length <= leading * last and length <= _CLOSE
+        else:
+            near = length <= _SHRINKING * last and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
+        near = near and damping == 0.0 and equations.quick_gradient
         damping = 0.0 if damping < 1e-3 else damping / 10.0
     if looked and not rough:  # else these are of the same residuals
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modcal_core.calibration.doubt import Doubt
 from modcal_core.calibration.fallback import Fallback, curved_joints
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
@@ -61,8 +62,9 @@ class Calibration:
     scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
     where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
     clock: whether these are times. geometry_outside: whether the geometry alone counts where joints of curves go beyond
-    what was seen. ranges: smallest and largest value of each temperature and signal that effects depend on.
-    typical: for each effect what it was on average, where a recording may lack its driver.
+    what was seen. left_alone: RMS [m] of the geometry alone on its own recording, by which the full model is doubted
+    there otherwise; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that
+    effects depend on. typical: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
     where none was stated. converged: whether every fit reached its minimum.
     """
@@ -82,6 +84,7 @@ class Calibration:
     converged: bool = True
     clock: bool = True
     geometry_outside: bool = False
+    left_alone: float = 0.0
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     typical: tuple[TypicalDriver | None, ...] = ()
 
@@ -140,9 +143,18 @@ class Calibration:
     def fallback(self, model: Model, alone: Model) -> Fallback | None:
         """What counts outside the joint ranges that were seen, of a model and geometry alone with the same frames."""
         curved = curved_joints(model.effects, self.nominal.chain.names)
-        if not (self.geometry_outside and curved.any()):
+        doubt = None if self.geometry_outside else self._doubt
+        if not curved.any() or not (self.geometry_outside or doubt):
             return None
-        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved)
+        return Fallback(alone.with_effects(()), self.seen[0], self.seen[1], curved, doubt)
+
+    @property
+    def _doubt(self) -> Doubt | None:
+        """How much the full model should be doubted where it was not seen; None where that was not kept."""
+        if self.uncertainty is None or not self.left_alone > 0.0:
+            return None
+        arm = replace(self.calibrated.arm or NominalArm(self.nominal.chain), limits=self.driver_limits)
+        return Doubt(replace(self.calibrated, arm=arm, fallback=None), self.uncertainty, self.left_alone**2)
 
     @property
     def driver_limits(self) -> DriverLimits:
@@ -221,6 +233,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             **({"stamps": floats(np.array(calibration.watched))} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
             **({"geometry_outside": True} if calibration.geometry_outside else {}),
+            **({"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}),
             **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
@@ -260,6 +273,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
         alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
         clock, outside = bool(recorded.get("clock", True)), bool(recorded.get("geometry_outside", False))
+        left_alone = float(recorded.get("left_alone_m", 0.0))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
@@ -272,7 +286,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
-        *(watched, alone, converged, clock, outside, ranges, typical),
+        *(watched, alone, converged, clock, outside, left_alone, ranges, typical),
     )
 
 

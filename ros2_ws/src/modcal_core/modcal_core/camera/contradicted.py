@@ -43,7 +43,7 @@ _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "cen
 
 
 @dataclass(frozen=True)
-class Doubt:
+class DoubtedStatement:
     """A statement taken back. what: size, bow or lens. prior: without it. equations, sizes: with that prior, at the
     state of the fit. misfit: −2 log likelihood there. chance: that the statement is wrong, given the images.
     """
@@ -56,7 +56,7 @@ class Doubt:
     chance: float
 
 
-def doubts(fit: CameraFit, lens: Lens, stated: str | None, arm: float | None) -> tuple[Doubt, ...]:
+def doubts(fit: CameraFit, lens: Lens, stated: str | None, arm: float | None) -> tuple[DoubtedStatement, ...]:
     """Each of the statements taken back, with the chance that it is wrong.
 
     lens: as stated. stated: what became of its values, None where nobody stated any. arm: as in the fit.
@@ -64,12 +64,12 @@ def doubts(fit: CameraFit, lens: Lens, stated: str | None, arm: float | None) ->
     weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in _wider(fit.prior, lens, stated).items()]
     odds = np.array([_WRONG * np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
     chances = odds / (1.0 + odds.sum())
-    return tuple(Doubt(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
+    return tuple(DoubtedStatement(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
 
 
 def contradictions(
     fit: CameraFit,
-    doubted: Sequence[Doubt],
+    doubted: Sequence[DoubtedStatement],
     lens: Lens,
     scale: PrintScale,
     arm: float | None,
@@ -95,7 +95,7 @@ def contradictions(
     return tuple(out)
 
 
-def in_doubt(fit: CameraFit, doubted: Sequence[Doubt], scale: PrintScale) -> tuple[str, ...]:
+def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintScale) -> tuple[str, ...]:
     """What the images leave in doubt of what was stated, in sentences."""
     out = []
     for doubt in doubted:

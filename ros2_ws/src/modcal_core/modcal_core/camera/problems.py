@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.camera.beside import ReadingsBeside
 from modcal_core.camera.changes import MovedHalf
-from modcal_core.camera.contradicted import SIZE, Doubt
+from modcal_core.camera.contradicted import SIZE, DoubtedStatement
 from modcal_core.camera.decision import APPLY, decide
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
@@ -80,7 +80,7 @@ def metric_of(target: PrintedTarget, arm_m: float | None, beside: ReadingsBeside
 
 def size_open(
     target: PrintedTarget,
-    doubted: Sequence[Doubt],
+    doubted: Sequence[DoubtedStatement],
     error: ToolError,
     shared: dict[str, tuple[float, float]],
     arm_m: float | None,

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.at_tool import at_flange, flange_in_tool
-from modcal_core.camera.contradicted import IN_DOUBT, Doubt
+from modcal_core.camera.contradicted import IN_DOUBT, DoubtedStatement
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
@@ -122,7 +122,9 @@ class ParameterDraws:
     in_doubt: tuple[str, ...]
 
 
-def parameter_draws(fit: CameraFit, rng: np.random.Generator, doubted: Sequence[Doubt] = ()) -> ParameterDraws:
+def parameter_draws(
+    fit: CameraFit, rng: np.random.Generator, doubted: Sequence[DoubtedStatement] = ()
+) -> ParameterDraws:
     """Draws by a fit, and by each of the statements being wrong."""
     P = fit.poses.count
     parts = [_draws(fit, fit.equations, fit.sizes, P, rng)]

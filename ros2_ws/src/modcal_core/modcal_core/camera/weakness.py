@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.camera.at_tool import flange_motions
-from modcal_core.camera.contradicted import SIZE, Doubt
+from modcal_core.camera.contradicted import SIZE, DoubtedStatement
 from modcal_core.camera.corners import READOUT, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
@@ -88,7 +88,7 @@ class RestsOn:
         )
 
 
-def rests_on(fit: CameraFit, doubted: Sequence[Doubt], q: Array, error: ToolError) -> RestsOn | None:
+def rests_on(fit: CameraFit, doubted: Sequence[DoubtedStatement], q: Array, error: ToolError) -> RestsOn | None:
     """The sheet's stated size, where the images by themselves hardly show it, and what it is worth at the tool over
     postures q (M, n); None where they show it as well. error: over these postures.
     """

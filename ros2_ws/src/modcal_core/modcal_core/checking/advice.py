@@ -89,13 +89,14 @@ def noticed(judge: ChangeJudge, state: CheckState) -> tuple[Noticed, ...]:
     asked = hypotheses(state.model, state.samples)
     prior = log_priors(asked)
     N, n = len(state.samples), len(state.null.residual)
+    member = judge.null.reference if judge.null.widest < 0 else judge.null.widest
     worst: dict[str, float] = {}
     for h, p in zip(asked, prior, strict=True):
         if h.kind in (NOISE, GEAR) or not h.sizes or h.kind not in (BASE, FRAME, TOOL, ZERO, "tracker_scale"):
             continue
         A = state.columns(h)
         need = _needed(A.shape[1], n, float(p), judge.null.weight)
-        whitened = np.linalg.norm(judge.whitened(A, judge.null.reference), axis=0)
+        whitened = np.linalg.norm(judge.whitened(A, member), axis=0)
         moved = np.sqrt(np.sum(A[: 3 * N] ** 2, axis=0) / N)
         seen = whitened > 0.0
         if seen.any():

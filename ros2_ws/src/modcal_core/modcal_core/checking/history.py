@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.effects.curve import curve
-from modcal_core.effects.effect import AXIS
+from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.geometry.so3 import Array
 
 _TAIL = 0.01  # chance that a trend is said while there is none, over all series together
@@ -88,10 +88,8 @@ def values_of(calibration: Calibration) -> Values:
         curves = [e for e in own if e.driver == f"position:{name}"]
         if curves:
             low, high = calibration.seen[:, j]
-            _, size, error = curve(curves, float(low), float(high), _POINTS)
-            rms = float(np.sqrt(np.mean((size - size.mean()) ** 2)))
-            unit = "mrad" if chain.revolute[j] else "mm"
-            out[f"curve of {name}"] = (unit, 1e3 * rms, 1e3 * float(np.sqrt(np.mean(error**2) / _POINTS)), True)
+            rms, std = _size_of(curves, float(low), float(high))
+            out[f"curve of {name}"] = ("mrad" if chain.revolute[j] else "mm", 1e3 * rms, 1e3 * std, True)
         loads = [e for e in own if e.driver == f"load:{name}" and e.shape.kind == "linear"]
         if loads:
             soft, std = sum(float(e.values[0]) for e in loads), float(np.hypot.reduce([e.std[0] for e in loads]))
@@ -104,6 +102,16 @@ def values_of(calibration: Calibration) -> Values:
     if calibration.kind in ("pose", "point"):
         out["spread of the readings about the model"] = ("mm", spread, _SPREAD * spread, True)
     return out
+
+
+def _size_of(curves: Sequence[Effect], low: float, high: float) -> tuple[float, float]:
+    """RMS about its mean of what these curves do together from low to high, and its standard deviation."""
+    x, size, _ = curve(curves, low, high, _POINTS)
+    size = size - size.mean()
+    rms = float(np.sqrt(np.mean(size**2)))
+    by_amplitude = [e.shape.basis(x) @ size / (len(x) * max(rms, _LEAST)) for e in curves]
+    variance = sum(float(np.sum((g * e.std[: len(g)]) ** 2)) for g, e in zip(by_amplitude, curves, strict=True))
+    return rms, float(np.sqrt(variance))
 
 
 def series_of(entries: Sequence[tuple[str, float, Values]]) -> tuple[Series, ...]:

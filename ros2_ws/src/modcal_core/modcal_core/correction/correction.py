@@ -92,7 +92,7 @@ class Correction:
         T = self._full.poses(postures, around, target, self.base_in(frame) if frame else None)
         if self._fallback is None:
             return T
-        share = self._fallback.share(postures)
+        share = self._fallback.share(around.samples)
         rows = np.flatnonzero(share > 0.0)
         if not len(rows):
             return T
@@ -128,7 +128,7 @@ class Correction:
         """Where the joints truly stand when they report q (n,): with what effects turn them about their own axes."""
         around = self._around(q[None], at)
         out = self._full.joints(q, around)
-        if self._fallback is not None and (share := float(self._fallback.share(q[None])[0])) > 0.0:
+        if self._fallback is not None and (share := float(self._fallback.share(around.samples)[0])) > 0.0:
             out += share * (self._outside.joints(q, around) - out)
         return out
 
@@ -136,10 +136,10 @@ class Correction:
         """Where the arm truly is now: pose (4, 4), its covariance (6, 6) and the joints (n,), as pose, covariance and
         joints give them, with what the three have in common computed once.
         """
-        share = 0.0 if self._fallback is None else float(self._fallback.share(at.q[None])[0])
+        around = self._around(at.q[None], at)
+        share = 0.0 if self._fallback is None else float(self._fallback.share(around.samples)[0])
         if share > 0.0 or not is_serial_arm(self.chain):
             return self.pose(at.q, at, target), self.covariance(at.q, at, target), self.joints(at.q, at)
-        around = self._around(at.q[None], at)
         twists, _ = motion(self._full.of_arm, around)
         f = frames(self.chain, at.q[None], twists)
         T = self._full.behind(f.transform(-1), around, target)[0]

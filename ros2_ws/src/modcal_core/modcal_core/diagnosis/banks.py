@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from modcal_core.diagnosis.spectra import Spectrum
+from modcal_core.diagnosis.spectra import Spectrum, SquaredSums
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
@@ -59,6 +60,7 @@ class Spectra:
 
     def __init__(self) -> None:
         self._known: dict[tuple[int, int], tuple[Array, Array]] = {}
+        self._squares: dict[tuple[int, int], tuple[Array, SquaredSums]] = {}
 
     def of(self, spectrum: Spectrum, columns: Array) -> Array:
         """Sums of columns (N, k) times the waves of a spectrum, (K + 1, k)."""
@@ -66,6 +68,13 @@ class Spectra:
         if key not in self._known:
             self._known[key] = columns, spectrum.sums(columns)  # kept, so that no other takes its number
         return self._known[key][1]
+
+    def squares_of(self, spectrum: Spectrum, columns: Array) -> SquaredSums:
+        """Products of the sums with columns (N, k), summed over these."""
+        key = id(spectrum), id(columns)
+        if key not in self._squares:
+            self._squares[key] = columns, spectrum.squares(columns)
+        return self._squares[key][1]
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ class NumberBank:
 
     def sums(self, of: Sequence[Array], spectra: Spectra, rows: slice = ALL) -> Array:
         """See :class:`Bank`."""
-        numbers = self.numbers[rows]
+        numbers = (self._lean if of[0].dtype == np.float32 else self.numbers)[rows]
         C, m, N = numbers.shape
         groups = self._groups()
         if len(groups) == 1:
@@ -87,6 +96,10 @@ class NumberBank:
         for some in groups:
             out[:, some] = (numbers[:, some].reshape(-1, N) @ of[some[0]]).reshape(C, len(some), -1)
         return out
+
+    @cached_property
+    def _lean(self) -> np.ndarray:
+        return self.numbers.astype(np.float32)
 
     def _groups(self) -> list[list[int]]:
         """The columns of each key."""
@@ -117,7 +130,8 @@ class NumberBank:
 
 @dataclass(frozen=True)
 class WaveBank:
-    """Sines and cosines along one driver, m/2 of either a candidate. which: their numbers in the spectrum, (C, m/2).
+    """Sines and cosines along one driver, m/2 of either a candidate: of one wave, or of one and that of twice as many
+    cycles. which: their numbers in the spectrum, (C, m/2).
 
     squares: the spectrum up to twice the highest of them.
     """
@@ -152,16 +166,15 @@ class WaveBank:
 
     def gram_of_sums(self, of: Sequence[Array], spectra: Spectra) -> Array:
         """See :class:`Bank`."""
-        waves = spectra.of(self.spectrum, of[0])
+        known = spectra.squares_of(self.spectrum, of[0])
         out = np.empty((len(self.which), len(self.keys), len(self.keys)))
         for a in range(self.which.shape[1]):
-            for b in range(a, self.which.shape[1]):
-                first, second = waves[_range(self.which[:, a])], waves[_range(self.which[:, b])]
-                for i, one in enumerate((first.imag, first.real)):
-                    for k, other in enumerate((second.imag, second.real)):
-                        if a < b or i <= k:
-                            both = np.einsum("ck,ck->c", one, other)
-                            out[:, 2 * a + i, 2 * b + k] = out[:, 2 * b + k, 2 * a + i] = both
+            rows = _range(self.which[:, a])
+            out[:, 2 * a, 2 * a], out[:, 2 * a + 1, 2 * a + 1] = known.sine[rows], known.cosine[rows]
+            out[:, 2 * a, 2 * a + 1] = out[:, 2 * a + 1, 2 * a] = known.both[rows]
+        if self.which.shape[1] > 1:  # of a wave and that of twice as many cycles
+            out[:, :2, 2:] = known.doubled[:, :, _range(self.which[:, 0])].transpose(2, 0, 1)
+            out[:, 2:, :2] = out[:, :2, 2:].transpose(0, 2, 1)
         return out
 
 
@@ -202,7 +215,7 @@ class StepBank:
         """Sums of the rows of a matrix (N, k) on the one side of each time, (C, k)."""
         edges = np.unique(np.r_[0, self.before[self.before < len(matrix)]])
         running = np.zeros((len(edges) + 1, matrix.shape[1]))
-        np.cumsum(np.add.reduceat(matrix[self.order], edges, axis=0), axis=0, out=running[1:])
+        np.cumsum(np.add.reduceat(matrix[self.order], edges, axis=0, dtype=float), axis=0, out=running[1:])
         before = running[np.searchsorted(edges, self.before)]
         return np.asarray(running[-1] - before if self.after else before)
 

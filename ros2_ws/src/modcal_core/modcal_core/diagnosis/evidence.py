@@ -106,6 +106,7 @@ class Scanner:
                 factors = [(effect, *self._factor(effect)) for effect in alike]
                 single += [NumberBank((effect,), keys, numbers[None]) for effect, keys, numbers in factors]
         self.banks: list[Bank] = sorted([*several, *gathered(single)], key=lambda bank: len(bank.keys))
+        self._keys = dict.fromkeys(key for bank in self.banks for key in bank.keys)
         self.effects = tuple(effect for bank in self.banks for effect in bank.effects)
         self.complexity = np.array([complexity(effect) for effect in self.effects], dtype=int)
         ends = np.cumsum([0, *(len(bank.effects) for bank in self.banks)])
@@ -293,8 +294,10 @@ class Scanner:
 
     def _against(self, key: Key, space: Space, part: Directions) -> Array:
         """Contraction, sample by sample, of a column with directions, (N, P)."""
-        if key not in part.against:
-            part.against[key] = np.einsum("cN,cNp->Np", self._column(key, space)[: space.rows], part.Q)
+        if key not in part.against:  # of all banks at once: what there is to read of directions is read once
+            keys = [key] if key not in self._keys else [k for k in self._keys if k not in part.against]
+            known = part.contract([self._column(one, space) for one in keys])
+            part.against.update(zip(keys, known, strict=True))
         return part.against[key]
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize, nnls
 
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.carried import Carried
@@ -53,15 +52,20 @@ class LoadHypothesis:
     arm: as it is known. tilts: whether weight pulls another way, by two turns [rad] across the known one. until: stamps
     [s] between recordings. carries: whether the tip carries more than is known, in each recording something else: mass
     [kg] and mass times place in the tip [kg m], four numbers each; of an arm without masses only how much more than in
-    the last, one for each other recording. places: whether what a recorded number says is carried has its centre beside
-    the tip, by three numbers [m]; of an arm with masses, and without ``carries``.
+    the last, one for each other recording. told: the recorded number that says how many kg are carried, where their
+    centre is asked, three numbers [m]; of an arm with masses, and without ``carries``.
     """
 
     arm: NominalArm
     tilts: bool = False
     until: tuple[float, ...] = ()
     carries: bool = False
-    places: bool = False
+    told: str = ""
+
+    @property
+    def places(self) -> bool:
+        """Whether it is asked where the centre of a stated payload is."""
+        return bool(self.told)
 
     @property
     def recordings(self) -> int:
@@ -131,10 +135,15 @@ class LoadHypothesis:
             prior = float(np.sum((x / self.prior_std) ** 2))
             return prior - _explained(M, before @ v)
 
-        known, total = missed(np.zeros(self.size)), float(np.sum(space.residual**2))
+        total = float(np.sum(space.residual**2))
         most = _all_explained(A.reshape(S * n, S * n), v.ravel())  # each part at each joint for itself
+        if most < worth * (total - most):  # whatever the arm as it is known explains of it
+            return None
+        known = missed(np.zeros(self.size))
         if known + most < worth * (total - most):
             return None
+        from scipy.optimize import minimize  # slow to import, and of most arms not asked for
+
         starts = sorted(self._starts(), key=missed)[:2]
         found = [minimize(missed, x, method="Nelder-Mead" if self.size <= 2 else "BFGS") for x in starts]
         best = min(found, key=lambda result: float(result.fun))
@@ -144,6 +153,8 @@ class LoadHypothesis:
     def _starts(self) -> list[Array]:
         if self.tilts:
             return [np.r_[turn, np.zeros(self.size - 2)] for turn in _ways()]
+        if self.places:
+            return [np.zeros(self.size)]
         out = []
         for kg in _STARTS_KG:
             x = np.zeros(self.size)
@@ -171,6 +182,11 @@ class LoadHypothesis:
             arms = (replace(self.arm, inertias=inertias.pulled(way)) for way in np.eye(3))
             return [load(Drivers(drivers.samples, arm)) for arm in arms]
         at = Drivers(drivers.samples, self.arm)
+        if self.places:
+            mass = at.values(self.told)
+            each = (at.payload, *at.offset)
+            parts = [unit[rows, along] * mass for unit in each]
+            return [load(at) + parts[0], *parts[1:]]
         bare = Drivers(drivers.samples, replace(self.arm, earlier=None))
         which = np.searchsorted(np.array(self.until), drivers.samples.stamps, side="right")
         units = [bare.payload, *(bare.offset if weighed else ())]
@@ -200,6 +216,8 @@ def _with(inertias: Inertias, arm: NominalArm, carried: Array) -> Inertias:
 
 def _explained(M: Array, v: Array) -> float:
     """The most of a square that columns with these products explain without a negative share."""
+    from scipy.optimize import nnls  # slow to import
+
     unit = float(np.trace(M)) / max(len(M), 1)
     if not unit > 0.0:
         return 0.0

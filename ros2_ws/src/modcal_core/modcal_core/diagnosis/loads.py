@@ -9,7 +9,7 @@ determined. What pulls is fitted to the end together with the arm and all effect
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,23 +17,21 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.identify import FITTED, Fit, identify, row_weights
-from modcal_core.calibration.linearise import RowView, linearise
+from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis, Suspicion
+from modcal_core.diagnosis.load_step import by_weight, step_of
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN
 from modcal_core.diagnosis.search import Diagnosis
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.effects.effect import Effect, Term, motion, prior_stds
 from modcal_core.effects.families.compliance import KILOGRAMS, carrying
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import is_serial_arm
 
 _MOST_ASKED = 400  # samples that a suspicion rests on; more are thinned
-_MOST_FITTED = 1000  # samples that what pulls is fitted to, for time
 _SUSPICIOUS = 20.0  # gain for each number, in units of what is left for each row: chance makes one, other causes some
 _WORTH = 0.2  # gain as a share of what is left: less is not worth another search, nor a word on how an arm stands
 _SURE = 5.0  # standard deviations from which another way of weight or a mass is believed
@@ -100,10 +98,9 @@ def weighed(
         return search(geometric), None
     at = _Weighing(geometric, train, explain, search, cell.distances)
     best: Diagnosis | None = None
-    told = any(track.name.endswith(KILOGRAMS) for track in train.signals)  # a topic says what is carried
-    stated = {True: cell.gravity is not None, False: bool(cell.payloads) or told}
+    told = [track.name for track in train.signals if track.name.endswith(KILOGRAMS)]  # topics say what is carried
+    stated = {True: cell.gravity is not None, False: bool(cell.payloads or told)}
     kept = LoadHypothesis(arm, until=cell.between)
-    placed = told and not cell.payloads and arm.weighed
     for tilts in (True, False):
         if stated[tilts]:
             continue
@@ -117,11 +114,16 @@ def weighed(
         if (tried := at.tried(asked, suspicion.x, best)) is not None:
             best = tried
             kept = replace(kept, tilts=kept.tilts or tilts, carries=not tilts)
-    if placed:
-        best = best or search(geometric)
-        asked = replace(kept, arm=_arm_of(best), tilts=False, places=True)
-        if (tried := at.placed(asked, best)) is not None:
-            best, kept = tried, replace(kept, places=True)
+    if told and not cell.payloads and arm.weighed:
+        asked = replace(kept, arm=arm if best is None else _arm_of(best), tilts=False, told=told[0])
+        suspicion = at.suspicion(asked)
+        placed = at.placed(asked, suspicion.x, best) if suspicion else None
+        if placed is None:  # other causes may hide it until they are found
+            best = best or search(geometric)
+            x = at.beside(asked, best)
+            placed = None if x is None else at.placed(asked, x, best)
+        if placed is not None:
+            best, kept = placed, replace(kept, told=told[0])
     nothing = Loads(arm, arm, unknown=True) if at.undetermined else None
     if best is None or not kept.size:
         return best or search(geometric), nothing
@@ -158,7 +160,7 @@ class _Weighing:
         if not asked.size:
             return None
         space, drivers = self.seen
-        found = asked.suspected(space, Drivers(drivers.samples, asked.arm), _WORTH)
+        found = asked.suspected(space, Drivers(drivers.samples, asked.arm), 0.0 if asked.places else _WORTH)
         chance = 0.0 if found is None else _SUSPICIOUS * asked.size * found.left / max(space.freedom, 1)
         return None if found is None or found.gain < chance else found
 
@@ -176,14 +178,15 @@ class _Weighing:
         if best is None:
             return new
         before, after = self.missed(best, best), self.missed(new, best)
-        plainer = (
-            (asked.carries or asked.places) and _count(new) + asked.size <= _count(best) and after < _NEARLY * before
-        )
+        plainer = asked.carries and _count(new) + asked.size <= _count(best) and after < _NEARLY * before
         least = _WORTH if asked.tilts else LEAST_GAIN
         return new if after < (1.0 - least) * before or plainer else None
 
-    def placed(self, asked: LoadHypothesis, best: Diagnosis) -> Diagnosis | None:
-        """The diagnosis with one centre of what is carried in place of what each joint would have of it, else None."""
+    def beside(self, asked: LoadHypothesis, best: Diagnosis) -> Array | None:
+        """Where the effects found have the centre of a stated payload (3,), None where they do not show it.
+
+        It is asked of them all with one centre in place of what each joint would have of it.
+        """
         effects = carrying(best.fit.model.effects)
         if not any(e.shape.kind == "carried" for e in effects):
             return None
@@ -193,7 +196,28 @@ class _Weighing:
             tolerance=FITTED, begin=best.fit.values, reject=False,
         )  # fmt: skip
         fitted = self.fitted(alone, asked, np.zeros(asked.size))
-        return self.tried(asked, fitted.x, best) if fitted.sure(asked) else None
+        return fitted.x if fitted.sure(asked) else None
+
+    def placed(self, asked: LoadHypothesis, x: Array, best: Diagnosis | None) -> Diagnosis | None:
+        """The diagnosis with the centre of a stated payload, None where it predicts no better than with the tip's.
+
+        best: to compare it with; None: the same effects with the centre at the tip.
+        """
+        new = self.search(with_arm(self.geometric, asked.pulled(x)))
+        if not any(e.shape.kind in ("carried", "product") for e in new.fit.model.effects):
+            return None
+        fitted = self.fitted(new.fit, asked, x)
+        if not fitted.sure(asked):
+            return None
+        new = replace(new, fit=fitted.fit)
+        if best is None:
+            tip = with_arm(fitted.fit, asked.arm)
+            start = tip.start.with_effects(tip.model.effects)
+            alone = identify(start, self.train, tip.parameters, self.distances, tolerance=FITTED, begin=tip.values)
+            best = replace(new, fit=alone)
+        before, after = self.missed(best, best), self.missed(new, best)
+        plainer = _count(new) + asked.size <= _count(best) and after < _NEARLY * before
+        return new if after < (1.0 - LEAST_GAIN) * before or plainer else None
 
     @cached_property
     def seen(self) -> tuple[Space, Drivers]:
@@ -213,7 +237,7 @@ class _Weighing:
         """What pulls, fitted together with the arm and its effects from these numbers on."""
         covariance = np.diag(asked.prior_std**2)
         for _ in range(_ROUNDS):
-            step, covariance = _step(fit, self.train, asked, x)
+            step, covariance = step_of(fit, self.train, asked, x)
             x = x + step
             moved = with_arm(fit, asked.pulled(x))
             start = moved.start.with_effects(fit.model.effects)
@@ -257,8 +281,8 @@ class _Fitted:
             if asked.arm.weighed and mass.max() <= 0.0:  # nothing hangs upwards
                 return False
         if asked.places:
-            beside, std = self.x[-3:], self.std[-3:]
-            return bool((np.abs(beside) > _SURE * std).any() and np.linalg.norm(beside) < _MOST_BESIDE)
+            beside = self.x[-3:]
+            return bool((np.abs(beside) > _SURE * self.std[-3:]).any() and np.linalg.norm(beside) < _MOST_BESIDE)
         return True
 
     def _masses(self, asked: LoadHypothesis) -> tuple[Array, Array]:
@@ -340,51 +364,5 @@ def _by_weight(model: Model) -> bool:
     return any(by_weight(effect) for effect in model.effects)
 
 
-def by_weight(effect: Effect) -> bool:
-    """Whether an effect goes by a load that is computed from weight."""
-    return effect.driver.partition(":")[0] in ("load", "payload", "moment") or effect.driver.startswith("offset_")
-
-
 def _thinned(samples: Samples, most: int) -> Samples:
     return samples.select(np.unique(np.linspace(0, len(samples) - 1, min(len(samples), most)).astype(int)))
-
-
-def _step(fit: Fit, samples: Samples, asked: LoadHypothesis, x: Array) -> tuple[Array, Array]:
-    """A step of Gauss and Newton (k,) of what pulls, the arm and its effects free, and the covariance (k, k)."""
-    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_FITTED)).astype(int))
-    few, model, P = samples.select(rows), fit.model, len(fit.parameters)
-    weight = row_weights(fit.weights[rows] * (len(samples) / len(rows)), fit.noise, few)
-    drivers = model.drivers(few)
-    values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
-    now = linearise(model, fit.parameters, values, few, drivers=drivers)
-    view = RowView.of(model, few, drivers)
-    J = np.concatenate([now.J, _load_rows(view, model.effects, few, asked, x)])
-    prior = np.concatenate(
-        [[p.prior_std for p in fit.parameters], *(prior_stds(e, drivers) for e in model.effects), asked.prior_std]
-    )
-    JW = J * weight
-    H = JW @ J.T + np.diag(prior**-2.0)
-    g = JW @ now.residual
-    k = len(H) - asked.size
-    g[:k] = 0.0  # the fit is where its own gradient ends
-    g[k:] -= x / asked.prior_std**2
-    scale = 1.0 / np.sqrt(np.diag(H))
-    covariance = np.linalg.pinv(H * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
-    return (covariance @ g)[k:], covariance[k:, k:]
-
-
-def _load_rows(view: RowView, effects: Sequence[Effect], samples: Samples, asked: LoadHypothesis, x: Array) -> Array:
-    """Motion of the tool per unit of each number, (k, 3 N + 3 M)."""
-    springs = tuple(effect for effect in effects if by_weight(effect))
-    rows = []
-    for i, step in enumerate(asked.steps):
-        d = step * (np.arange(asked.size) == i)
-        up, down = (motion(springs, Drivers(samples, asked.pulled(x + s * d)))[0] for s in (1.0, -1.0))
-        terms = [
-            Term(place, direction, (up[place][direction] - down[place][direction]) / (2.0 * step))
-            for place in up
-            for direction in range(6)
-            if (up[place][direction] != down[place][direction]).any()
-        ]
-        rows.append(view.moved_by(terms))
-    return np.stack(rows)

@@ -5,11 +5,12 @@ Each sample has six rows, weighted; what is fitted is projected out of the resid
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy.linalg
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import RowView, linearise
@@ -20,6 +21,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 ROUNDING = 1e-12  # of the square of a column, added to what is inverted
+_MANY = 200_000  # numbers of directions; of fewer, double precision costs nothing worth saving
 _FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
 
 
@@ -54,6 +56,22 @@ class Directions:
     grams: dict[int, Array] = field(default_factory=dict)
     spectra: Spectra = field(default_factory=Spectra)
 
+    def contract(self, columns: Sequence[Array]) -> list[Array]:
+        """Contractions of columns (6, N) with the directions, sample by sample, (N, P) each.
+
+        Of many they are in single precision: what lies along them is known to a millionth of a column's square, and
+        of that less than 0.0025 is never asked for.
+        """
+        if self.Q.size < _MANY:
+            return [np.einsum("cN,cNp->Np", column[: len(self.Q)], self.Q) for column in columns]
+        units = np.stack([column[: len(self.Q)] for column in columns]).astype(np.float32)
+        out = np.ascontiguousarray(units.transpose(2, 0, 1)) @ self._lean
+        return [out[:, i] for i in range(len(columns))]
+
+    @cached_property
+    def _lean(self) -> np.ndarray:
+        return np.ascontiguousarray(self.Q.transpose(1, 0, 2), dtype=np.float32)
+
 
 @dataclass(frozen=True)
 class Space:
@@ -83,7 +101,7 @@ class Space:
 
     @classmethod
     def with_factor(cls, fit: Fit, drivers: Drivers) -> tuple[Space, Array]:
-        """Those of a fit at these drivers' samples, and the triangle L (P, P) of ``Q = L⁻¹ J``, J at unit size."""
+        """The same, and the triangle L (P, P) by which ``Q = L⁻¹ J``, the columns J at unit size."""
         samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
@@ -91,11 +109,13 @@ class Space:
         view = RowView.of(fit.model, samples, drivers)
         held = np.zeros(len(now.J))  # of a frozen model without effects nothing is fitted
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
-        J = by_component(now.J, view) * weight[: _rows(view)]
-        P, rows, N = J.shape
+        N, P, rows = len(samples), len(now.J), _rows(view)
         Q = np.zeros((6, N, P))
-        orthonormal, L = _orthonormal(J.reshape(P, rows * N), held)
-        Q[:rows] = orthonormal.reshape(P, rows, N).transpose(1, 2, 0)
+        Q[:3] = now.J[:, : 3 * N].reshape(P, 3, N).transpose(1, 2, 0)
+        if rows > 3:
+            Q[3:, view.pose] = now.J[:, 3 * N :].reshape(P, 3, len(view.pose)).transpose(1, 2, 0)
+        Q[:rows] *= weight[:rows, :, None]
+        L = _make_orthonormal(Q[:rows].reshape(rows * N, P), held)
         residual = drawn_in(by_sample(now.residual, view) * weight)
         # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
         # join the noise and hide how uneven that is.
@@ -136,15 +156,19 @@ def equations(fit: Fit, samples: Samples) -> int:
     return round(Groups.of(samples, bool(fit.model.instruments)).rows)
 
 
-def _orthonormal(J: Array, held: Array) -> tuple[Array, Array]:
-    """Orthonormal rows of J (P, m) with the columns diag(held) beside it, those columns left out again, (P, m).
+def _make_orthonormal(J: Array, held: Array) -> Array:
+    """Make the columns of J (m, P), with the rows diag(held) below them, orthonormal, in their place.
 
-    And the triangle whose inverse makes them of the rows of J at unit size, (P, P).
+    Those rows are left out. Returns the triangle L (P, P) whose inverse makes them of the columns at unit size.
     """
-    size = np.maximum(np.sqrt(np.einsum("ij,ij->i", J, J) + held**2), 1e-300)
-    J, held = J / size[:, None], held / size
-    L = np.linalg.cholesky(J @ J.T + np.diag(held**2 + ROUNDING))
-    return np.asarray(solve_triangular(L, J, lower=True, check_finite=False)), L
+    size = np.maximum(np.sqrt(np.einsum("ij,ij->j", J, J) + held**2), 1e-300)
+    J /= size
+    L = np.linalg.cholesky(J.T @ J + np.diag((held / size) ** 2 + ROUNDING))
+    if J.size:
+        out = scipy.linalg.blas.dtrsm(1.0, np.asfortranarray(L), J.T, lower=1, overwrite_b=1).T
+        if not np.may_share_memory(out, J):
+            J[:] = out
+    return L
 
 
 def drawn_in(residual: Array) -> Array:

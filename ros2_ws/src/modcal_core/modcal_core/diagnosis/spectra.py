@@ -8,7 +8,9 @@ Klinteberg, SIAM J. Sci. Comput. 2019). Directly, N angles and K waves take 4 N 
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import fft, sparse
@@ -19,6 +21,20 @@ _WIDTH = 10  # points of the grid that an angle is spread over: one decimal each
 _STEEP = 2.30 * _WIDTH  # of the kernel, for a grid twice as fine as the highest wave needs
 _NODES = 40  # of the quadrature for the kernel's transform
 _AT_ONCE = 64  # columns, whose grids then stay near the processor
+
+
+@dataclass(frozen=True)
+class SquaredSums:
+    """Products of sums with many columns, summed over the columns, for every wave.
+
+    sine, cosine: of a wave's sums with themselves, (K + 1,). both: of the one with the other. doubled: of sine and
+    cosine (first index) with sine and cosine (second) of the wave of twice the number, (2, 2, K // 2 + 1).
+    """
+
+    sine: Array
+    cosine: Array
+    both: Array
+    doubled: Array
 
 
 class Spectrum:
@@ -40,12 +56,41 @@ class Spectrum:
     def sums(self, columns: Array) -> Array:
         """Complex sums (most + 1, m) of columns (N, m) times each wave."""
         out = np.empty((self.most + 1, columns.shape[1]), complex)
-        for first in range(0, columns.shape[1], _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            grid = np.asarray(self._spread @ np.ascontiguousarray(columns[:, some]), dtype=float)
-            np.conj(fft.rfft(grid, axis=0, overwrite_x=True)[: self.most + 1], out=out[:, some])
+        for some, waves in self._portions(columns):
+            np.conj(waves, out=out[:, some])
         out *= self._share[:, None]
         return out
+
+    def squares(self, columns: Array) -> SquaredSums:
+        """Products of the sums with columns (N, m), summed over these; without keeping a sum."""
+        own, doubled = np.zeros((3, self.most + 1)), np.zeros((4, self.most // 2 + 1))
+        for _, waves in self._portions(columns):
+            sine, cosine = waves.imag, waves.real
+            for out, one, other in zip(own, (sine, cosine, sine), (sine, cosine, cosine), strict=True):
+                out += np.einsum("km,km->k", one, other)
+            few = slice(self.most // 2 + 1)
+            pairs = [(one[few], other[::2]) for one in (sine, cosine) for other in (sine, cosine)]
+            for out, (one, other) in zip(doubled, pairs, strict=True):
+                out += np.einsum("km,km->k", one, other)
+        share = self._share
+        own *= share**2
+        doubled *= share[: doubled.shape[1]] * share[::2]
+        own[2] *= -1.0  # the transform turns the other way
+        doubled[1:3] *= -1.0
+        return SquaredSums(*own, doubled.reshape(2, 2, -1))
+
+    def _portions(self, columns: Array) -> Iterator[tuple[slice, Array]]:
+        """Transforms (most + 1, some) of some columns at a time, which turn the other way."""
+        single = columns.dtype == np.float32
+        spread = self._lean if single else self._spread
+        for first in range(0, columns.shape[1], _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            grid = np.asarray(spread @ np.ascontiguousarray(columns[:, some]))
+            yield some, fft.rfft(grid, axis=0, overwrite_x=True)[: self.most + 1]
+
+    @cached_property
+    def _lean(self) -> sparse.csr_array:
+        return self._spread.astype(np.float32)
 
 
 def _kernel(z: Array) -> Array:

@@ -8,6 +8,12 @@ stiffness depends on the posture, and is largest along an outstretched arm; what
 does not make it less, as the tool is measured. So the stiffest that an arm may be is what counts, and the lead may be
 some tenths of a millimetre. A sensor that says the same to the last digit while the arm is
 moved may be stuck, or coarse: what it says explains nothing.
+
+A sensor that is stuck while its noise goes on repeats nothing. But by how much the servos yield to a newton is learned
+from what it said while it followed: whenever the felt force has changed by half a newton, the lead and the force of
+that moment are noted, and from then on the force explains that lead and not what the softest stack would take. The arm
+yields in another posture, and to another moment of the hand, by as much more or less as its levers say: by J Jᵀ w of
+the felt wrench w, for joints that are alike.
 """
 
 from __future__ import annotations
@@ -30,6 +36,11 @@ _SOFTER = 3.0  # times softer than a contact may an arm be that is felt
 _SHARE = 0.5  # of the force that may go unfelt, for as much again comes until the arm stands
 _LAG_OFF = 0.5  # of the servo's lag by which that may be misstated, in what the setpoint moves meanwhile
 _IN_A_ROW = 2  # measurements, for one may be late
+_CHANGES = 0.5  # N by which a force must change to show that the sensor follows: three deviations of a usual noise
+_FALLS = 2.0  # N by which a force must have fallen lately for its lead to be on its way back, and not to be noted
+_STEADY, _GROWS = 1.3, 2.0  # times what was noted may a force take, and one that grew since: joints are not all alike
+_RECALL = 3.0  # servo lags for which a force that has gone still explains a lead: a servo unwinds by its lag
+_CREEP_SHARE = 0.2  # of the force that may come, in what a misstated lag hides of a setpoint that creeps
 _SETTLES = 0.15e-3  # m that a setpoint has gone, up to which what it leads by is how the arm sags, and no force
 
 
@@ -69,6 +80,8 @@ class LeadCheck:
         self._gone, self._sag = 0.0, np.zeros(3)
         self._beyond = 0
         self._looked = -math.inf
+        self._felt: deque[tuple[float, float, float]] = deque()  # stamp [s], force [N], what it moved [N m²]
+        self._noted = (0.0, math.inf)  # what moved the levers [N m²], and the lead [m] per N m² that it came with
 
     def sent(self, p: Array, now: float) -> None:
         """Note where the setpoint (3,) [m] is at time ``now`` [s]."""
@@ -95,10 +108,18 @@ class LeadCheck:
         """Whether the sensor says the same again and again while the arm is moved."""
         return self._same >= _SAME and self._way >= _SAME_WAY
 
-    def unfelt(self, tool: Array, force: float, stamp: float, most: float) -> float:
+    def creep(self, most: float) -> float:
+        """The speed [m/s] at which what a misstated lag hides is a small share of a force [N]; inf where none is."""
+        known = self.stiffness
+        hides = _LAG_OFF * known.lag * known.stiffest
+        return _CREEP_SHARE * most / hides if hides > 0.0 else math.inf
+
+    def unfelt(self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
+               ) -> float:  # fmt: skip
         """The force [N] by which the setpoint pulls and that is not felt; 0 where a servo's lag may be all of it.
 
-        tool (3,): measured at ``stamp`` [s]. force: that is felt; most: that may go unfelt [N].
+        tool (3,): measured at ``stamp`` [s]. force: that is felt; most: that may go unfelt [N]. moved: how far the
+        felt wrench moves the tool of an arm whose joints yield by 1 rad to 1 N m, and one newton of it at most [N m²].
         """
         known = self.stiffness
         since = stamp - _LAGS * known.lag
@@ -108,22 +129,50 @@ class LeadCheck:
         if known.stiffest and self._gone <= _SETTLES:
             self._sag = tool - lately[-1]
         tool = tool - self._sag
-        explained = 0.0 if self.repeats else force / known.softest
-        left = min(math.dist(p, tool) for p in lately) - explained
         if known.stiffest:
             slack = _LAG_OFF / _LAGS * sum(map(math.dist, lately[1:], lately[:-1]))
-            return known.stiffest * max(left - slack, 0.0)
+            left = min(math.dist(p, tool) for p in lately)
+            explained = self._explained(left + slack, force, moved or (force, 1.0), stamp)
+            return known.stiffest * max(left - explained - slack, 0.0)
+        explained = 0.0 if self.repeats else force / known.softest
+        left = min(math.dist(p, tool) for p in lately) - explained
         least = min(_LEAST_LEAD, _LEAST_SHARE * most / known.contact)
         if left <= least:
             return 0.0
         return known.contact * (math.dist(self._sent[-1][1], tool) - explained)  # as it will be, with no more lag
 
-    def refused(self, tool: Array, force: float, stamp: float, most: float) -> BadCommand | None:
-        """Why to let go: more than ``most`` [N] is not felt; None where all is well."""
+    def _explained(self, lead: float, force: float, moved: tuple[float, float], stamp: float) -> float:
+        """The lead [m] that a felt force [N] takes, by what was noted of the servos; at most what the softest do.
+
+        The largest of the last moments counts, for what lets go (a magnet) is felt at once and unwinds by the servo's
+        lag. lead: that is there, with what the lag may be of it [m]. moved: as of :meth:`unfelt`.
+        """
+        by, newton = moved
+        self._felt.append((stamp, force, by))
+        while self._felt[0][0] < stamp - _RECALL * self.stiffness.lag:
+            self._felt.popleft()
+        if self.repeats:
+            return 0.0
+        noted, per = self._noted
+        fell = max(f for _, f, _ in self._felt) > force + _FALLS
+        if abs(by - noted) >= _CHANGES * newton and by > 0.0 and not fell:
+            self._noted = noted, per = by, min(lead, force / self.stiffness.softest) / by
+        return max(self._takes(f, b, noted, per) for _, f, b in self._felt)
+
+    def _takes(self, force: float, by: float, noted: float, per: float) -> float:
+        most = force / self.stiffness.softest
+        if not math.isfinite(per):
+            return most
+        return min(per * (_STEADY * min(by, noted) + _GROWS * max(by - noted, 0.0)), most)
+
+    def refused(
+        self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
+    ) -> BadCommand | None:
+        """Why to let go: more than ``most`` [N] is not felt; None where all is well. moved: as of :meth:`unfelt`."""
         if stamp <= self._looked:
             return None
         self._looked = stamp
-        hidden, stiff = self.unfelt(tool, force, stamp, most), self.stiffness.stiffest > 0.0
+        hidden, stiff = self.unfelt(tool, force, stamp, most, moved), self.stiffness.stiffest > 0.0
         self._beyond = self._beyond + 1 if hidden > (_SHARE if stiff else 1.0) * most else 0
         if self._beyond < (_IN_A_ROW if stiff else 1):
             return None

@@ -214,7 +214,8 @@ class Operation:
         self.lead_check.felt(sensor.raw, sensor.stamp)
         if refused is None and self.phase in _MOVING:
             felt = math.sqrt(self.force[:3] @ self.force[:3])
-            refused = self.lead_check.refused(T[:3, 3], felt, joints.stamp, self.limits.force)
+            moved = self.setpoint_filter.moved_by(self.force)
+            refused = self.lead_check.refused(T[:3, 3], felt, joints.stamp, self.limits.force, moved)
         if refused is not None and self.phase != "release":
             self._let_go(str(refused), now)
         self._tell[self.phase](h, T, state)
@@ -239,25 +240,29 @@ class Operation:
         pull, now = self._pull, self._last + h
         assert pull is not None
         ds = self._go(self._unknown_speed(pull.progress(T)), h)
-        self.expected = pull.advance(ds, T, h)
+        sent = self.setpoint_filter.pose if self.task.mode == "admittance" else None
+        self.expected = pull.advance(ds, T, h, sent)
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
             self._enter("check", now)
         elif self.governor.stuck(pull.progress(T), pull.way - pull.progress(T), self.force, now):
             self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
-        elif pull.way > self.task.max_exploration:
+        elif pull.way - math.dist(self.expected[:3, 3], T[:3, 3]) > self.task.max_exploration:
             said = state.event or "no model predicts it"
             self._let_go(f"motion not identified after {100.0 * pull.progress(T):.0f} cm ({said})", now)
 
     def _unknown_speed(self, progress: float) -> float:
         """The speed [m/s] at which to go on into the unknown, with the tool so far [m] from where it began.
 
-        A force sensor that has not told of anything may be stuck: until it has, little may come of that.
+        A force sensor that has not told of anything may be stuck, and so may one that told of little: until the hand
+        has come some way, and until the sensor has told, little may come of that.
         """
         felt = math.sqrt(self.force[:3] @ self.force[:3])
         self._answered = (self._answered or felt >= _TOLD) and not self.lead_check.repeats
-        speed = self.task.exploration_speed
-        return speed if self._answered else min(speed, _CREEP if progress < _FREE else max(_CREEP, _UNTOLD * speed))
+        speed, creep = self.task.exploration_speed, min(_CREEP, self.lead_check.creep(self.limits.force))
+        if progress < _FREE:
+            return min(speed, creep)
+        return speed if self._answered else min(speed, max(creep, _UNTOLD * speed * creep / _CREEP))
 
     def _check(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand, and walk along the way in thought."""

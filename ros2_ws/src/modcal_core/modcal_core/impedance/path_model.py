@@ -52,11 +52,15 @@ class Exploration:
         self._line = self.start[:3, 3].copy()
         self._aside, self._turn = np.zeros(3), np.zeros(3)
 
-    def advance(self, ds: float, T_measured: Array, h: float) -> Array:
-        """The expected pose (4, 4) after ds [m] more, with the tool measured at a pose (4, 4), h seconds later."""
+    def advance(self, ds: float, T_measured: Array, h: float, T_sent: Array | None = None) -> Array:
+        """The expected pose (4, 4) after ds [m] more, with the tool measured at a pose (4, 4), h seconds later.
+
+        T_sent (4, 4): where the tool was sent, which gives way to moments; None where the stack that follows does. By
+        what servos yield to a force the tool is turned as well, and to go on with that would turn it ever farther.
+        """
         share = h / (h + _LED_AFTER)
         R0 = self.start[:3, :3]
-        turn = rotation_vector(T_measured[:3, :3] @ R0.T)
+        turn = rotation_vector((T_measured if T_sent is None else T_sent)[:3, :3] @ R0.T)
         self._turn = self._turn + share * (_TURNED * turn - self._turn)
         R = turned(self._turn) @ R0
         d = self._towards(T_measured[:3, 3], share)

@@ -82,6 +82,14 @@ class SetpointFilter:
         self._rates = np.concatenate([self.pose[:3, 3] - before[:3, 3], rotation_vector(D)]) / h
         self._h = h
 
+    def moved_by(self, wrench: Array) -> tuple[float, float]:
+        """How far a wrench (6,) on the tool, in its axes, moves it where every joint yields by 1 rad to 1 N m, and how
+        far one newton does at most [N m²].
+        """
+        J = self._J
+        way = J[:3] @ (J.T @ wrench)
+        return math.sqrt(way @ way), float(np.linalg.eigvalsh(J[:3] @ J[:3].T)[-1])
+
     def lag(self, goal: Array) -> float:
         """How far the tool has stayed behind a pose (4, 4) [m]."""
         return float(np.linalg.norm(goal[:3, 3] - self.pose[:3, 3]))

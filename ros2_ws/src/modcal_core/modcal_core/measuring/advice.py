@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -30,9 +29,11 @@ from modcal_core.measuring.choose import (
     first_stations,
     fit_stations,
     in_order,
+    one_motion,
     proof_stations,
     return_stations,
 )
+from modcal_core.measuring.ending import UNEXPLAINED, End, no_station_helps, proven, spent
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import Outlook, outlook
 from modcal_core.measuring.pool import Pool
@@ -43,29 +44,20 @@ from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.verdict.floor import Floor, floors
 
-Ending = Literal["proven", "budget", "no_station_helps"]
-
 BATCH = 2  # stations between two fits: fewer cost time, more are chosen by an older model
 _GROWING = 6  # a batch is at least one in so many of the stations so far: a fit hardly changes by fewer
+_BEHIND = 1.5  # times the stations that a proof was to take; where errors are as expected one in ten takes longer
+_UNHURRIED = 4  # where nothing is to be proven a batch is at least one in so many: a few more stations do no harm
 _AHEAD = 6  # batches that are looked ahead
 _CAUTION = 0.3  # chance that the true noise is larger than what is taken for it
 # Error of readings now over that which all stations of the budget would leave: no more is worth having. The tool's own
 # error, without the instrument's, falls by up to twice as much
 _SETTLED = 1.025
-_UNEXPLAINED = 1.5  # mean square left over that of the floor, from which something is to be found still
 _SEARCHED = 4.0  # times the first stations, from which it may be said that a search has stalled
 _BROUGHT = 0.9  # of what the model from half of the stations leaves; more is left where the other half brought little
 _DECIDING = 4, 12  # stations to separate explanations: at once, and altogether
 _RETURNS_FROM = 2.0  # times the first stations; a model of fewer may lack what makes the goal seem out of reach
 _MOST_RETURNS = 12  # beyond, the floor is known to a tenth
-
-
-@dataclass(frozen=True)
-class End:
-    """How it ended, and why, in a sentence."""
-
-    ending: Ending
-    sentence: str
 
 
 @dataclass(frozen=True)
@@ -155,9 +147,9 @@ class Advisor:
         if self.goal.rms is not None and (proof := self._look(session, refitted, left)) is not None:
             status = replace(status, bound=proof.bound)
             if proof.holds(self.goal.rms):
-                return self._settle_ties(session, status, refitted, self._proven(proof, status))
+                return self._settle_ties(session, status, refitted, proven(self.goal, proof, status.measured))
         if self._gone(session, elapsed):
-            return Advice(session, "", status, self._spent(status), refitted)
+            return Advice(session, "", status, spent(self.goal, status.measured, status.expected), refitted)
         return self._next(session, status, refitted, view, left)
 
     # the model so far
@@ -236,7 +228,11 @@ class Advisor:
         worse = self._worse_than_expected(refitted, view, left)
         now = self._expected(refitted, view.error())
         begun, axes = self._look(session, refitted, left), self._axes(refitted)
-        alpha = share(1.0 - self.goal.confidence, len(session.looks))
+        if begun is None and len(left):  # what these stations say of a model is seen here: it has its share from now on
+            session, begun = self._looking(session, now, axes), Proof(left, now, self._share(len(session.looks)), axes)
+            if begun.holds(goal):
+                return self.advise(session)
+        alpha = self._share(len(session.looks))
         proof = begun or Proof(left, now, alpha, axes)
         prove = proof.more(goal, now * worse)
         after = []
@@ -244,11 +240,13 @@ class Advisor:
             then = self._expected(refitted, view.error(batch.after[k - 1]))
             after.append(k + Proof(left * then / now, then, alpha, axes).more(goal, then * worse))
         best = min(after, default=np.inf)
+        if self._turn_to_fit(session, proof, prove, goal) and batch.stations:
+            status = replace(status, needed=int(np.ceil(min(prove, best))) if np.isfinite(min(prove, best)) else None)
+            why = "stations for what the model lacks still"
+            return self._asked(session, batch.stations[:size], why, status, refitted)
         if prove <= best and np.isfinite(prove):
             if begun is None:
-                session = replace(session, looks=(*session.looks, Look(len(session.fitted), now, axes)))
-                if proof.holds(goal):
-                    return self.advise(session)
+                session = self._looking(session, now, axes)
             count = max(int(np.clip(np.ceil(prove), 1, size)), MIN_STATIONS - len(left))  # it never ends before these
             status = replace(status, needed=int(np.ceil(prove)))
             stations = proof_stations(self.pool, session, count)
@@ -257,6 +255,23 @@ class Advisor:
             status = replace(status, needed=int(np.ceil(best)))
             return self._asked(session, batch.stations[:size], "stations that lower the error most", status, refitted)
         return self._as_good_as_can_be(session, status, refitted, view, size, rng)
+
+    def _looking(self, session: Session, expected: float, axes: float) -> Session:
+        """The session with a look at this model noted."""
+        return replace(session, looks=(*session.looks, Look(len(session.fitted), expected, axes)))
+
+    def _share(self, version: int) -> float:
+        return share(1.0 - self.goal.confidence, version)
+
+    def _turn_to_fit(self, session: Session, proof: Proof, prove: float, goal: float) -> bool:
+        """Whether the proof takes so much more than the fit promised that the model seems to lack something.
+
+        Proof and fit then take turns: bad luck costs few stations, and what is missing is found.
+        """
+        if len(proof.errors) < MIN_STATIONS or session.stations[-1].role != PROOF:
+            return False
+        promised = Proof(np.zeros(0), proof.expected, proof.alpha, proof.axes).more(goal, proof.expected)
+        return len(proof.errors) + prove > _BEHIND * promised
 
     def _worse_than_expected(self, refitted: Refit, view: Outlook, left: Array) -> float:
         """Ratio of the error to that which the fit expects, the stations of the proof counted as well."""
@@ -271,6 +286,7 @@ class Advisor:
         self, session: Session, status: Advance, refitted: Refit, view: Outlook, size: int, rng: np.random.Generator
     ) -> Advice:
         """No proof is in reach: know the floor, then measure until more stations would change nothing."""
+        size = max(size, len(session.fitted) // _UNHURRIED)
         floor = self._floor(refitted)
         returned = len(session.rows(RETURN))
         goal = self.goal.rms
@@ -283,14 +299,20 @@ class Advisor:
         fitted, model = len(session.fitted), view.error()
         gain = self._improvement(refitted, model, fitted)
         spread, repeat = refitted.spread**2, None if floor is None else 1e-6 * floor.interval[1]
-        hidden = repeat is None or spread > _UNEXPLAINED * repeat
+        hidden = repeat is None or spread > UNEXPLAINED * repeat
         searching = early or (hidden and self._effects and not self._stalled(session, refitted))
         if gain > _SETTLED or searching:
-            batch = fit_stations(self.pool, session, view, refitted, size, self._planned, rng)
-            if batch.stations:
+            # what nobody suspects no choice looks for: half of the stations of a long search are drawn at random
+            blind = size // 2 if searching and fitted >= _SEARCHED * self.least(session.kind) else 0
+            stations = fit_stations(self.pool, session, view, refitted, size - blind, self._planned, rng).stations
+            if blind:
+                also = session.asking(stations)
+                stations += fit_stations(self.pool, also, view, refitted, blind, False, rng).stations
+            if stations:
                 why = "stations for what the model lacks still" if searching else "stations that lower the error most"
-                return self._asked(session, batch.stations, why, status, refitted)
-        ended = self._no_station_helps(status, floor, refitted)
+                return self._asked(session, stations, why, status, refitted)
+        assert status.expected is not None
+        ended = no_station_helps(self.goal, status.expected, floor, refitted.spread)
         return self._settle_ties(session, status, refitted, ended)
 
     def _stalled(self, session: Session, refitted: Refit) -> bool:
@@ -317,6 +339,9 @@ class Advisor:
             stations, between = deciding_stations(refitted, self.pool, _DECIDING[0], rng)
             if stations:
                 return self._asked(session, stations, f"stations that decide: {between}", status, refitted)
+            same = {f"{one} or {other}" for one, other in one_motion(refitted, self.pool, rng)}
+            named = (f"{tie} (one motion: no posture separates them)" if tie in same else tie for tie in status.ties)
+            status = replace(status, ties=tuple(named))
         return Advice(session, "", status, ended, refitted)
 
     def _asked(
@@ -325,7 +350,7 @@ class Advisor:
         room = self.goal.stations - status.measured
         stations = stations[: max(room, 0)]
         if not stations:
-            return Advice(session, "", status, self._spent(status), refitted)
+            return Advice(session, "", status, spent(self.goal, status.measured, status.expected), refitted)
         if len(stations) > 1 and stations[0].role not in (RETURN, DECIDE):
             last = next((s.q for s in reversed(session.stations) if s.q is not None), None)
             q = np.array([s.asked for s in stations])
@@ -335,47 +360,3 @@ class Advisor:
     def _gone(self, session: Session, elapsed: float) -> bool:
         late = self.goal.seconds is not None and elapsed >= self.goal.seconds
         return late or len(session.rows()) >= self.goal.stations
-
-    # how it ended
-
-    def _said(self, rms: float) -> str:
-        """An RMS error of readings [m] as the statistic of the tool's that was asked for."""
-        name = "95th percentile" if self.goal.statistic == "p95" else "RMS error"
-        return f"{name} {1e3 * self.goal.of_tool(rms):.3f} mm"
-
-    def _proven(self, proof: Proof, status: Advance) -> End:
-        assert self.goal.accuracy is not None
-        assert proof.rms is not None
-        bound = proof.bound or 0.0
-        return End(
-            "proven",
-            f"{1e3 * self.goal.accuracy:g} mm is proven: at {len(proof.errors)} random stations that no fit has seen "
-            f"the {self._said(proof.rms)}, at most {1e3 * self.goal.of_tool(bound):.3f} mm with "
-            f"{100 * self.goal.confidence:g} % confidence, from {status.measured} stations in all.",
-        )
-
-    def _spent(self, status: Advance) -> End:
-        said = f"The budget is gone after {status.measured} stations"
-        if status.expected is None:
-            return End("budget", f"{said}: too few for a fit.")
-        return End("budget", f"{said}: {self._said(status.expected)} is expected, and not proven.")
-
-    def _no_station_helps(self, status: Advance, floor: Floor | None, refitted: Refit) -> End:
-        assert status.expected is not None
-        reached = self._said(status.expected)
-        if floor is None:
-            cause = "what is left does not get smaller with more stations; no posture was visited twice to tell why"
-        elif refitted.spread**2 > _UNEXPLAINED * 1e-6 * floor.interval[1]:
-            left = f"{1e3 * refitted.spread:.3f} mm is left, {floor.rms:.3f} mm of it does not repeat"
-            cause = f"{left}; the rest has no known cause"
-        else:
-            many = f"{floor.returns} returns" if floor.returns else "what was stated"
-            low, high = np.sqrt(floor.interval)
-            sized = f"{floor.rms:.3f} mm ({low:.3f} to {high:.3f})" if floor.returns else f"{floor.rms:.3f} mm"
-            cause = f"{sized} is what this arm repeats and this instrument reads, by {many}"
-        if self.goal.accuracy is None:
-            return End("no_station_helps", f"No further station helps: {reached}; {cause}.")
-        goal = f"{1e3 * self.goal.accuracy:g} mm"
-        below = floor is not None and self.goal.rms is not None and 1e3 * self.goal.rms < floor.rms
-        said = f"{goal} is below what can be reached" if below else f"{goal} is not in reach"
-        return End("no_station_helps", f"{said}: {cause}; reached: {reached}.")

@@ -163,6 +163,21 @@ def deciding_stations(refitted: Refit, pool: Pool, count: int, rng: np.random.Ge
     return [], ""
 
 
+def one_motion(refitted: Refit, pool: Pool, rng: np.random.Generator) -> set[tuple[str, str]]:
+    """Names of explanations that are one motion of the tool within what the arm may do: no posture separates them."""
+    calibration = refitted.calibration
+    out = set()
+    for i, rivals in enumerate(calibration.rivals):
+        for j in range(len(rivals)):
+            try:
+                found = propose(calibration, i, j, 1, rng, pool.allowed)
+            except NotPlannable:
+                continue
+            if found.same:
+                out.add((found.effect.label, found.rival.label))
+    return out
+
+
 def in_order(q: Array, chosen: Sequence[int] | np.ndarray, begin: Array | None) -> list[int]:
     """The chosen postures' numbers, each the nearest to the one before it."""
     left = [int(j) for j in chosen]

@@ -14,6 +14,7 @@ for returns (verdict/floor.py), by how the fit's own residuals vary (Satterthwai
 error that is rare and large, which no few stations can exclude.
 
 Each new model is proven anew on all of these stations, with a share of α of its own, so that all shares add up to α.
+They fall slowly, 1/k(k + 1) of what the first leaves: to fit again costs the proof a station or two.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 
-_FIRST = 2.0 / 3.0  # of α for the first model that is tried, the same of what is left for each further one
+_FIRST = 2.0 / 3.0  # of α for the first model that is tried, which is mostly the last
 MIN_STATIONS = 6  # at random; what is wrong at two fifths of all postures shows at one of six with 95 %
 _LARGER = np.array([1.0, 1.3, 1.7])  # times what is expected: fits of few stations expect too little more often
 _WEIGHTS = np.array([0.5, 0.3, 0.2])  # of these: what the fit expects is mostly right
@@ -33,7 +34,7 @@ _LEAST_RATIO = 1.05  # goal over expected error; nearer to 1 a proof takes hundr
 
 def share(alpha: float, version: int) -> float:
     """The share of α that is spent on the version-th model (0, 1, …) that a proof is tried of."""
-    return float(alpha * _FIRST * (1.0 - _FIRST) ** version)
+    return float(alpha * (_FIRST if version == 0 else (1.0 - _FIRST) / (version * (version + 1))))
 
 
 def axes_of(squares: Array) -> float:

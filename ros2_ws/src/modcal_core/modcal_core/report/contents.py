@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -126,8 +127,14 @@ class ReportContents:
         """95 % interval of the RMS position error of a stage [mm], by drawing held-out units again."""
         if stage not in self.errors or not len(self.scored):
             return None
-        low, high = interval(1e3 * self.errors[stage].position_norm, self.units(), "rms")
-        return None if low is None or high is None else (low, high)
+        if stage not in self._intervals:  # page, data and command ask for the same
+            low, high = interval(1e3 * self.errors[stage].position_norm, self.units(), "rms")
+            self._intervals[stage] = None if low is None or high is None else (low, high)
+        return self._intervals[stage]
+
+    @cached_property
+    def _intervals(self) -> dict[str, tuple[float, float] | None]:
+        return {}
 
     def with_tolerance(self, asked: Asked | None) -> Self:
         """The report with the result for a tolerance; the same where none is asked for."""

@@ -10,7 +10,8 @@ import numpy as np
 from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import errors
-from modcal_core.diagnosis.loads import Loads, by_weight
+from modcal_core.diagnosis.load_step import by_weight
+from modcal_core.diagnosis.loads import Loads
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import ALL
 from modcal_core.effects.families import payload

@@ -48,12 +48,17 @@ def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0)
     ]
     return (
         f"{int(out.any(axis=1).sum())} of {len(samples)} samples lie outside the joint ranges that were calibrated: "
-        f"{', '.join(worst)}. {_spoken(calibration)}",
+        f"{', '.join(worst)}. {_spoken(samples, calibration)}",
     )
 
 
-def _spoken(calibration: Calibration) -> str:
+def _spoken(samples: Samples, calibration: Calibration) -> str:
     """What is done outside the ranges."""
-    if calibration.fallback(calibration.calibrated, calibration.geometric) is None:
+    instead = calibration.fallback(calibration.calibrated, calibration.geometric)
+    count = 0 if instead is None else int((instead.share(samples) > 0.0).sum())
+    if not count:
         return "Learned curves are not continued there."
-    return "Learned curves are not continued there: the geometry that is best alone counts instead."
+    return (
+        f"Learned curves are not continued there: at {count} samples, where the full model is not known to be better, "
+        "the geometry that is best alone counts instead."
+    )

@@ -194,7 +194,8 @@ def is_mosaic(grey: np.ndarray) -> bool:
     h, w = (s - s % 2 for s in grey.shape)
     if not h or not w:
         return False
-    phases = grey[:h, :w].reshape(h // 2, 2, w // 2, 2).mean(axis=(0, 2))
+    usual = np.minimum(grey[:h, :w], np.percentile(grey, _BRIGHT))  # a stuck pixel is no colour
+    phases = usual.reshape(h // 2, 2, w // 2, 2).mean(axis=(0, 2))
     return bool(np.ptp(phases) > _MOSAIC * max(float(phases.mean()), 1.0))
 
 

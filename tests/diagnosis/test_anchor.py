@@ -1,0 +1,86 @@
+"""What is weighed beside an anchor is what is weighed anew, as long as the fit is near it; else there is a new one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration.test_identify import fit_all
+from cells import record, ur10
+
+from modcal_core.calibration.identify import Fit
+from modcal_core.diagnosis.anchor import Anchor
+from modcal_core.diagnosis.evidence import Scanner
+from modcal_core.diagnosis.space import Directions
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import Effect, columns
+from modcal_core.effects.registry import candidates
+
+CHAIN = ur10()
+SAMPLES = record(3, 60, "pose").samples
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[Fit, Drivers, list[Effect]]:
+    """A fit of geometry, its samples, and some candidates of several kinds."""
+    fit = fit_all(CHAIN, SAMPLES)
+    drivers = fit.model.drivers(SAMPLES)
+    return fit, drivers, list(candidates(drivers))[::40]
+
+
+def with_some(fit: Fit, effects: list[Effect], which: list[int]) -> Fit:
+    """The fit with some of the candidates in its model, at nothing: it bends no columns."""
+    linear = [e for e in effects if not e.refined]
+    chosen = tuple(linear[i].started(np.zeros(len(columns(linear[i], fit.model.drivers(SAMPLES))))) for i in which)
+    return replace(fit, model=fit.model.with_effects(chosen))
+
+
+@pytest.mark.parametrize(("before", "after"), [([], [0, 2]), ([0, 2, 4], [0]), ([0, 2], [2, 4, 5])])
+def test_effects_come_and_go(scene: tuple[Fit, Drivers, list[Effect]], before: list[int], after: list[int]) -> None:
+    """Shares, amplitudes and freedom are those of rows made anew."""
+    fit, drivers, effects = scene
+    one, other = with_some(fit, effects, before), with_some(fit, effects, after)
+    assert len(one.model.effects) != len(other.model.effects)
+    beside, anew = Scanner(effects, drivers), Scanner(effects, drivers)
+    beside.evidence(one)
+    seen, expected = beside.evidence(other), anew.evidence(other)
+    assert beside.space_of(other).changes
+    assert not anew.space_of(other).changes
+    np.testing.assert_allclose(seen.explained, expected.explained, atol=1e-8)
+    assert seen.freedom == expected.freedom
+    for effect in effects[::60]:
+        np.testing.assert_allclose(
+            beside.amplitudes(other, effect), anew.amplitudes(other, effect), rtol=1e-4, atol=1e-9
+        )
+
+
+def test_far_away_there_is_a_new_anchor(scene: tuple[Fit, Drivers, list[Effect]]) -> None:
+    """Where geometry moved, where positions weigh more against orientations, and where noise is far less."""
+    fit, drivers, _ = scene
+    anchor = Anchor.of(fit, drivers)
+    assert anchor.beside(replace(fit, values=fit.values + 1e-4), drivers) is not None
+    assert anchor.beside(replace(fit, values=fit.values + 1e-2), drivers) is None
+    for position, rotation, near in ((0.95, 0.95, True), (0.97, 1.0, False), (0.8, 0.8, False)):
+        noise = replace(fit.noise, position=position * fit.noise.position, rotation=rotation * fit.noise.rotation)
+        assert (anchor.beside(replace(fit, noise=noise), drivers) is not None) == near
+
+
+def test_an_effect_with_other_settings_is_another(scene: tuple[Fit, Drivers, list[Effect]]) -> None:
+    """A wave of 5 cycles has not the columns of one of 6."""
+    fit, drivers, _ = scene
+    waves = [e for e in candidates(drivers) if e.shape.kind == "sine"][:200:100]
+    assert waves[0].key == waves[1].key
+    five, six = (replace(fit, model=fit.model.with_effects((e.started(np.full(2, 1e-6)),))) for e in waves)
+    changes = Anchor.of(five, drivers).beside(six, drivers).changes  # type: ignore[union-attr]
+    assert [part.sign for part in changes] == [-1.0, 1.0]
+
+
+def test_many_directions_are_contracted_in_single_precision(rng: np.random.Generator) -> None:
+    """To a millionth of what they are made of."""
+    Q, some = rng.normal(size=(6, 400, 100)), rng.normal(size=(3, 6, 400))
+    part = Directions(Q)
+    for column, found in zip(some, part.contract(list(some)), strict=True):
+        assert found.dtype == np.float32
+        exact = np.einsum("cN,cNp->Np", column, Q)
+        assert np.abs(found - exact).max() < 1e-6 * np.linalg.norm(column) * np.linalg.norm(Q)
