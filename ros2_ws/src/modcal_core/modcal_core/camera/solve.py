@@ -60,7 +60,7 @@ class CameraSolution:
     camera are not as stated. causes: effects beyond geometry.
     left: what is significant and could not be turned into one. notes: what was done to the images, in sentences.
     rests_on: what the sheet's stated size is worth, where the images do not show it. further: of other cameras.
-    hidden: springs that these images would not show.
+    hidden: springs that these images would not show. alone: as in_view, the frame put where it suits best.
     """
 
     fit: CameraFit
@@ -86,6 +86,7 @@ class CameraSolution:
     rests_on: RestsOn | None = None
     further: tuple[FurtherSeen, ...] = ()
     hidden: tuple[HiddenSpring, ...] = ()
+    alone: ToolError | None = None
 
     @property
     def model(self) -> Model:
@@ -166,6 +167,7 @@ def solve_camera(
     draws = parameter_draws(fit, rng, doubted)
     in_view = tool_error(fit, nominal, near, draws)
     anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), draws, both_ends=True)
+    alone = tool_error(fit, nominal, near, draws, arm_alone=True)
     corners_out = 1.0 - float(table.weight.mean())
     metric = metric_of(target, arm_m, beside)
     other_length = arm_m is not None or (beside is not None and beside.metric)
@@ -181,7 +183,7 @@ def solve_camera(
     if (
         metric and decision.word == CANNOT_TELL and target.scale.measured
     ):  # the size decides: what is said holds either way
-        in_view, anywhere = in_view.either_way(SIZE), anywhere.either_way(SIZE)
+        in_view, anywhere, alone = (error.either_way(SIZE) for error in (in_view, anywhere, alone))
         decision = decide(in_view, True, against, arm_m, doubtful, open_size)
     return CameraSolution(
         *(
@@ -208,6 +210,7 @@ def solve_camera(
         rests_on=rests,
         further=tuple(one.seen_by(fit) for one in others),
         hidden=hidden_springs(fit) if look_for_effects else (),
+        alone=alone,
     )
 
 

@@ -24,7 +24,7 @@ from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.sizes import usual
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
@@ -141,12 +141,18 @@ def parameter_draws(
 
 
 def tool_error(
-    fit: CameraFit, nominal: CameraFit, q: Array, draws: ParameterDraws, both_ends: bool = False
+    fit: CameraFit,
+    nominal: CameraFit,
+    q: Array,
+    draws: ParameterDraws,
+    both_ends: bool = False,
+    arm_alone: bool = False,
 ) -> ToolError:
     """The errors over postures q (M, n).
 
     nominal: of the same images, the arm held nominal. draws: of the fit. both_ends: the intervals leave out the same on
-    either side, which suits postures that no image is near, and is so where a statement is in doubt.
+    either side, which suits postures that no image is near, and is so where a statement is in doubt. arm_alone: what is
+    left once the frame of the other half is put where it suits best, which is the lens's matter and no arm's.
     """
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
@@ -156,6 +162,11 @@ def tool_error(
     drawn, _ = nominal.poses.at_postures(q).tool_motions(nominal.state.values)
     apart = (se3.apply(drawn, point) - se3.apply(T, point)).reshape(-1)
     rows = J.reshape(len(apart), -1)
+    if arm_alone:
+        at_frame = se3.apply(T, point)
+        placed = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -so3.hat(at_frame)], axis=2)
+        basis = np.linalg.qr(placed.reshape(len(apart), -1))[0]
+        rows, apart = rows - basis @ (basis.T @ rows), apart - basis @ (basis.T @ apart)
     gram, cross, square = rows.T @ rows, rows.T @ apart, float(apart @ apart)
     throw = at_flange(T, point, at.joint_motions(fit.state.values, T))
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2

@@ -153,7 +153,11 @@ def camera_report(
             "target": solution.target.label,
             "images": {"given": images, "used": fit.table.views, "left_out": out},
             "corners": {"used": int(fit.table.weight.sum()), "left_out_share": solution.corners_out},
-            "tool_error_mm": {"in_view": _errors(solution.in_view), "anywhere": _errors(solution.anywhere)},
+            "tool_error_mm": {
+                "in_view": _errors(solution.in_view),
+                "anywhere": _errors(solution.anywhere),
+                "arm_alone": None if solution.alone is None else _errors(solution.alone),
+            },
             "held_out_px": {
                 "nominal": _finite(solution.held_out_px[0]),
                 "calibrated": _finite(solution.held_out_px[1]),
@@ -241,6 +245,7 @@ def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) ->
             for one in solution.further
         ),
         _line("Where the target is in view", solution.in_view),
+        *(() if solution.alone is None else (_line(_alone(solution), solution.alone),)),
         _line("Anywhere within the joint limits", solution.anywhere),
         f"Held-out images: {solution.held_out_px[0]:.2f} px nominal, {solution.held_out_px[1]:.2f} px calibrated "
         "(pixels are no accuracy).",
@@ -328,6 +333,11 @@ def _left(solution: CameraSolution) -> dict[str, Any]:
         "p_value": choice.p_value,
         "same_as": list(choice.same_as),
     }
+
+
+def _alone(solution: CameraSolution) -> str:
+    what = "target" if solution.fit.poses.camera_on_tip else "camera"
+    return f"There, the arm by itself, wherever the {what} stands"
 
 
 def _line(where: str, error: ToolError) -> str:
