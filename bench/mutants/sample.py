@@ -303,7 +303,7 @@ NODES = _all(
     ("calibrator.Calibrator._solved", "a result of what was forgotten is taken",
      "if then != self._buffer.forgotten:", "if False:"),
     ("calibrator.Calibrator._trusted", "trusted model not kept on disk",
-     "write_state(self._folder, State(solved.calibration, solved.files))", "pass"),
+     "self._folder.keep(solved.calibration, solved.files)", "pass"),
     ("calibrator.Calibrator._recognise", "model of another robot goes on",
      "restored.calibration.require_robot(self._arm.chain)", "pass"),
     ("calibrator.Calibrator._begin_solve", "two solves at once",
