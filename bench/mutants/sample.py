@@ -89,7 +89,7 @@ CALIBRATION = _all(
     ("noise.excess_sigma", "known deviation not squared", "v = s2 + known**2", "v = s2 + known"),
     ("noise.standard_score", "mean of the cube root forgotten", "(np.cbrt(square / dimensions) - (1.0 - c))",
      "(np.cbrt(square / dimensions) - 1.0)"),
-    ("normal_equations._add", "half of a block is not mirrored", "if one is not part:", "if False:"),
+    ("normal_equations._add", "half of a block is not mirrored", "if one is not piece:", "if False:"),
     ("normal_equations.blocks", "last sample of a block left out",
      "np.arange(first, min(first + BLOCK, N))", "np.arange(first, min(first + BLOCK - 1, N))"),
     ("split._deal", "shares go by a block's end", "np.cumsum(sizes) - 0.5 * sizes", "np.cumsum(sizes) - 0.0 * sizes"),

@@ -98,19 +98,19 @@ def _add(
         seen = view.products(JW, group.unit).T
         weighted = (group.unit * weight)[None]
         missed = view.products(weighted, residual)[0]
-        for part in group.parts:
-            cross = part.numbers @ seen
-            _put(H, part.index, dense, cross)
-            _put(H, dense, part.index, cross.T)
-            g[part.index] += part.numbers @ missed
+        for piece in group.parts:
+            cross = piece.numbers @ seen
+            _put(H, piece.index, dense, cross)
+            _put(H, dense, piece.index, cross.T)
+            g[piece.index] += piece.numbers @ missed
         for other in groups[a:]:
             both = view.products(weighted, other.unit)[0]
-            for i, part in enumerate(group.parts):
+            for i, piece in enumerate(group.parts):
                 for one in other.parts[i if other is group else 0 :]:
-                    block = _product(part.numbers, both, one.numbers)
-                    _put(H, part.index, one.index, block)
-                    if one is not part:
-                        _put(H, one.index, part.index, block.T)
+                    block = _product(piece.numbers, both, one.numbers)
+                    _put(H, piece.index, one.index, block)
+                    if one is not piece:
+                        _put(H, one.index, piece.index, block.T)
 
 
 def _put(H: Array, rows: Index, columns: Index, block: Array) -> None:

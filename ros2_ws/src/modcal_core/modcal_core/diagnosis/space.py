@@ -163,7 +163,7 @@ def _make_orthonormal(J: Array, held: Array) -> Array:
     """
     size = np.maximum(np.sqrt(np.einsum("ij,ij->j", J, J) + held**2), 1e-300)
     J /= size
-    L = np.linalg.cholesky(J.T @ J + np.diag((held / size) ** 2 + ROUNDING))
+    L = np.asarray(np.linalg.cholesky(J.T @ J + np.diag((held / size) ** 2 + ROUNDING)), dtype=float)
     if J.size:
         out = scipy.linalg.blas.dtrsm(1.0, np.asfortranarray(L), J.T, lower=1, overwrite_b=1).T
         if not np.may_share_memory(out, J):

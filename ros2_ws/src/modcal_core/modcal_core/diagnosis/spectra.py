@@ -77,7 +77,7 @@ class Spectrum:
         doubled *= share[: doubled.shape[1]] * share[::2]
         own[2] *= -1.0  # the transform turns the other way
         doubled[1:3] *= -1.0
-        return SquaredSums(*own, doubled.reshape(2, 2, -1))
+        return SquaredSums(own[0], own[1], own[2], doubled.reshape(2, 2, -1))
 
     def _portions(self, columns: Array) -> Iterator[tuple[slice, Array]]:
         """Transforms (most + 1, some) of some columns at a time, which turn the other way."""
