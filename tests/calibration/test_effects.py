@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from robots.test_kinematics import urdf
 from scipy.interpolate import BSpline
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.identify import _CLOSE, FITTED, Fit, identify
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.system import PlainSystem
 from modcal_core.effects.effect import ALL, AXIS, JOINTS, LENGTH, RADIAL, Effect
 from modcal_core.effects.shapes import Shape, periodic
 from modcal_core.geometry import se3
@@ -168,6 +170,38 @@ def test_normal_equations_are_those_of_the_whole_jacobian(
     size = np.sqrt(np.diag(expected))
     assert np.abs((H - expected) / np.outer(size, size)).max() < 1e-12
     assert np.abs(g - (at.J * weight) @ at.residual).max() < 1e-9 * np.abs(g).max()
+    alone = PlainSystem(model, parameters, samples, model.drivers(samples)).gradient(values, weight)
+    assert np.abs(alone - g).max() < 1e-9 * np.abs(g).max()
+
+
+def test_a_curvature_that_is_kept_leads_to_the_same_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the tolerance, with the same covariance, and with fewer normal equations than one a step."""
+    samples = recorded(100)
+    model = cell(samples, tuple(started(name) for name in ("gear", "compliance", "bump")))
+    rng = np.random.default_rng(2)
+    scattered = samples.reading + rng.standard_t(3, samples.reading.shape) * 5e-5
+    moved_by = model.with_effects(tuple(e.with_values(1.3 * e.values) for e in model.effects))
+    noisy = replace(samples, reading=scattered)
+    parameters = choose_parameters(model, views_of(samples)).parameters
+    fits, counted = [], []
+    for close in (_CLOSE, 0.0):
+        monkeypatch.setattr("modcal_core.calibration.identify._CLOSE", close)
+        asked: list[int] = []
+
+        def count(*given: Any, asked: list[int] = asked) -> tuple[Array, Array]:
+            asked.append(1)
+            return normal_equations(*given)
+
+        monkeypatch.setattr("modcal_core.calibration.system.normal_equations", count)
+        fits.append(identify(moved_by, noisy, parameters, tolerance=FITTED, begin=np.zeros(len(parameters))))
+        counted.append(len(asked))
+    kept, anew = fits
+    assert counted[0] < counted[1]
+    assert np.abs((kept.values - anew.values) / anew.std).max() < 5.0 * FITTED
+    for one, other in zip(kept.model.effects, anew.model.effects, strict=True):
+        assert np.abs((one.values - other.values) / other.std).max() < 5.0 * FITTED
+        np.testing.assert_allclose(one.std, other.std, rtol=1e-2)
+    np.testing.assert_allclose(kept.std, anew.std, rtol=1e-2)
 
 
 def gear_in_mujoco(seed: int) -> tuple[Fit, float, float]:
