@@ -15,6 +15,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
 import argparse  # noqa: E402
+import json  # noqa: E402
 import sys  # noqa: E402
 import tempfile  # noqa: E402
 from collections import Counter  # noqa: E402
@@ -143,8 +144,6 @@ def main() -> None:
 
 
 def _share(folder: Path) -> float:
-    import json
-
     share = json.loads((folder / "report.json").read_text())["predictable"]
     return pattern_of(None if share is None else share["share"])
 

@@ -368,7 +368,7 @@ def judged(row: str, seed: int) -> Outcome:
     line = (
         f"{row} {seed} {planted.robot}: {size.rms:.4f} mm, {ratio:.2f} x the floor, "
         f"{'named' if named else 'NOT NAMED'}{'' if clean else ', NOT THERE'}, {len(samples)} samples"
-        f"{' in motion' if samples.moving.any() else ''}, {spent:.0f} s; {beside.words if beside else ''}: {said}"
+        f"{' in motion' if samples.moving.any() else ''}, {spent:.0f} s{'; ' + beside.words if beside else ''}: {said}"
     )
     return Outcome(ratio, beside, named, clean, line)
 

@@ -89,7 +89,7 @@ CALIBRATION = _all(
     ("noise.excess_sigma", "known deviation not squared", "v = s2 + known**2", "v = s2 + known"),
     ("noise.standard_score", "mean of the cube root forgotten", "(np.cbrt(square / dimensions) - (1.0 - c))",
      "(np.cbrt(square / dimensions) - 1.0)"),
-    ("normal_equations._add", "half of a block is not mirrored", "if other is not group:", "if False:"),
+    ("normal_equations._add", "half of a block is not mirrored", "if one is not part:", "if False:"),
     ("normal_equations.blocks", "last sample of a block left out",
      "np.arange(first, min(first + BLOCK, N))", "np.arange(first, min(first + BLOCK - 1, N))"),
     ("split._deal", "shares go by a block's end", "np.cumsum(sizes) - 0.5 * sizes", "np.cumsum(sizes) - 0.0 * sizes"),
@@ -126,7 +126,7 @@ CALIBRATION = _all(
 
 DIAGNOSIS = _all(
     "diagnosis",
-    ("space.Space.of", "what is fitted stays in the residual",
+    ("space.Space.with_factor", "what is fitted stays in the residual",
      """residual - Q @ np.einsum("cNp,cN->p", Q, residual)""", "residual"),
     ("evidence.Scanner.__init__", "samples of a station get signs of their own",
      "independent_unit(drivers.samples)", "np.arange(len(drivers.samples))"),
@@ -303,7 +303,7 @@ NODES = _all(
     ("calibrator.Calibrator._solved", "a result of what was forgotten is taken",
      "if then != self._buffer.forgotten:", "if False:"),
     ("calibrator.Calibrator._trusted", "trusted model not kept on disk",
-     "write_state(self._folder, State(solved.calibration, solved.files))", "pass"),
+     "self._folder.keep(solved.calibration, solved.files)", "pass"),
     ("calibrator.Calibrator._recognise", "model of another robot goes on",
      "restored.calibration.require_robot(self._arm.chain)", "pass"),
     ("calibrator.Calibrator._begin_solve", "two solves at once",

@@ -137,7 +137,7 @@ def test_what_is_known_of_a_repair_is_what_it_misses_by(cell: tuple[Recorded, Ca
         told.append(found.accuracy.repaired)
         true.append(rms(found.repaired.predict(fresh), truth))
         assert found.accuracy.before < found.accuracy.repaired
-        assert found.accuracy.more > 0  # six numbers by ten stations, the others by eighty
+        assert found.accuracy.more  # six numbers by ten stations, the others by eighty
         assert f"{found.accuracy.more} more stations" in found.accuracy.sentence
     assert 0.7 < np.sqrt(np.mean(np.square(true))) / np.sqrt(np.mean(np.square(told))) < 1.4
 

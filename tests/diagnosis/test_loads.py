@@ -224,3 +224,13 @@ def _telling(samples: Samples, kg: float) -> Samples:
     """The samples with a topic of what is carried."""
     told = SignalTrack("signal:/payload_kg", samples.stamps, np.full((len(samples), 1), kg), "/payload_kg")
     return replace(samples, signals=(told,))
+
+
+def test_a_compliance_in_many_samples_comes_without_a_payload() -> None:
+    """Of more samples than choices are weighed against each other for, too."""
+    done = calibrated(recorded(np.random.default_rng(1), 600))
+    assert {(e.family, e.place) for e in done.report.effects} == {
+        ("compliance", joint) for joint in ("shoulder_lift_joint", "elbow_joint", "wrist_1_joint")
+    }
+    assert done.report.loads is None
+    assert left(done) < 1.05 * np.sqrt(3.0) * 0.02

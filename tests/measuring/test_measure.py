@@ -14,11 +14,12 @@ import pytest
 from nodes.processes import ROOT
 
 from modcal_core.calibration.score import errors
+from modcal_core.effects.registry import candidates
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.measuring.advice import Advice, Advisor
-from modcal_core.measuring.choose import fit_stations, return_stations
+from modcal_core.measuring.choose import fit_stations, one_motion, return_stations
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import chance_seen, outlook
 from modcal_core.measuring.pool import of_robot
@@ -319,6 +320,29 @@ def test_every_model_that_the_proof_has_judged_takes_a_share(whole: Whole) -> No
     step = advisor(Goal(6e-5)).advise(again)
     assert step.session.looks[: len(looks)] == looks
     assert [look.fitted for look in step.session.looks[len(looks) :]] == [len(again.fitted)]
+
+
+def test_explanations_that_are_one_motion_are_told_from_those_that_stations_separate(whole: Whole) -> None:
+    """A spring at the UR10's lift and at its pan's bearing, both by the lift's torque: their axes are parallel, and what
+    their distance makes is taken up by geometry. A spring at the elbow is another thing."""
+    refitted = whole[0].refitted
+    assert refitted is not None
+    model = refitted.calibration.calibrated
+    lines = [
+        e for e in candidates(model.drivers(refitted.samples)) if (e.family, e.shape.kind) == ("compliance", "linear")
+    ]
+    lift, bearing, elbow = (
+        next(e for e in lines if e.label == label).started(np.array([4e-6]))
+        for label in (
+            "shoulder_lift_joint axis by load:shoulder_lift_joint",
+            "shoulder_pan_joint across by load:shoulder_pan_joint",
+            "elbow_joint axis by load:elbow_joint",
+        )
+    )
+    calibration = replace(refitted.calibration, calibrated=model.with_effects((lift,)), rivals=((bearing, elbow),))
+    pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0), 100)
+    found = one_motion(replace(refitted, calibration=calibration), pool, np.random.default_rng(0))
+    assert found == {(lift.label, bearing.label)}
 
 
 def test_a_recording_is_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

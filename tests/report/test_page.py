@@ -320,11 +320,11 @@ def test_compiled_templates_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("sys.dont_write_bytecode", False)
     made = []
     for damage in (b"", b"no code"):
-        for file in tmp_path.rglob("*.pyc"):
+        for file in tmp_path.rglob("templates/*.pyc"):
             file.write_bytes(damage)
         module._environment.cache_clear()
         made.append(module.plain_page("Title", "Done.", ["One line."], [], []))
-        kept = [file.read_bytes() for file in tmp_path.rglob("*.pyc")]
+        kept = [file.read_bytes() for file in tmp_path.rglob("templates/*.pyc")]
         assert kept
         assert all(len(content) > 100 for content in kept)
     monkeypatch.setattr("sys.pycache_prefix", "/proc/none")

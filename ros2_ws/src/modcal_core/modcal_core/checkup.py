@@ -136,7 +136,7 @@ def checkup(
         ),
         accuracy=None
         if fixed is None
-        else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples),
+        else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MOST),
     )
 
 

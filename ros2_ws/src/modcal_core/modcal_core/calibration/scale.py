@@ -31,7 +31,7 @@ from modcal_core.robots.mechanism import is_serial_arm, tool_frames
 
 _STEP = 0.02  # of all distances; of the order in which an arm's drawing tells its scale
 _FARTHEST = 0.1  # of all distances, in one round: beyond, a parabola through the three is no guide
-_TRIED = np.geomspace(0.8, 1.25, 23).tolist()  # factors that are begun from, as far apart as steps are
+_TRIED = np.geomspace(0.8, 1.25, 12).tolist()  # factors that are begun from, twice as far apart as steps are
 _ROUNDS = 8  # iterations; where the distances are right the first ones are the last
 _SETTLED = 0.1  # standard deviations of the scale, and as a share of that deviation
 _GOOD = 1e-3  # m; of the order in which arms are off as they leave their maker

@@ -57,11 +57,13 @@ class PlainSystem:
         return Linearised(view.position, view.rotation, np.zeros((0, view.position.size + view.rotation.size)))
 
     def _view(self, values: Array) -> RowView:
-        """Readings and frames at these values; those asked for last are kept."""
-        if self._last_view is None or not np.array_equal(self._last_view[0], values):
-            now = model_at(self._start, self._parameters, values)
-            self._last_view = np.array(values), RowView.of(now, self._samples, self._around)
-        return self._last_view[1]
+        """Readings and frames at these values; those asked for last are kept where the gradient asks for them again."""
+        if self._last_view is not None and np.array_equal(self._last_view[0], values):
+            return self._last_view[1]
+        view = RowView.of(model_at(self._start, self._parameters, values), self._samples, self._around)
+        if self.quick_gradient:
+            self._last_view = np.array(values), view
+        return view
 
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""

@@ -27,28 +27,32 @@ ALIKE = 1.3  # times the error before: what a repair should cost at most, since 
 class RepairAccuracy:
     """before, repaired: RMS error [m] of predicted positions at the recorded postures, by the covariances of the
     calibration before the change and of the repaired one. more: stations like these, beside them, with which the
-    repaired one would be within :data:`ALIKE` times the other.
+    repaired one would be within :data:`ALIKE` times the other; None where that is more than a check looks at.
     """
 
     before: float
     repaired: float
-    more: int
+    more: int | None
 
     @property
     def sentence(self) -> str:
         """For a person."""
         said = f"By its covariance the repaired model is known to {1e3 * self.repaired:.3f} mm RMS at the recorded "
         said += f"postures, the calibration before to {1e3 * self.before:.3f} mm."
-        if not self.more:
+        if self.more == 0:
             return said
+        if self.more is None:
+            return f"{said} To know it as well again takes a new calibration."
         return f"{said} {self.more} more stations like these would bring it within {ALIKE:g} times that."
 
 
 def accuracy_of(
-    before: tuple[Calibration, Model], repaired: tuple[Calibration, Model], samples: Samples
+    before: tuple[Calibration, Model], repaired: tuple[Calibration, Model], samples: Samples, most: int
 ) -> RepairAccuracy | None:
-    """How well both are known. before, repaired: calibrations with their models for these samples. None where either
-    keeps no covariance or no postures, or where their effects depend on what is not known there.
+    """How well both are known.
+
+    before, repaired: calibrations with their models for these samples. most: stations that a check looks at. None where
+    either keeps no covariance or no postures, or where their effects depend on what is not known there.
     """
     known = [expected_error(*one, samples, before[0].postures) for one in (before, repaired)]
     if known[0] is None or known[1] is None:
@@ -57,7 +61,7 @@ def accuracy_of(
     added = max(now - old, 0.0)
     wanted = (ALIKE**2 - 1.0) * max(old, 1e-300)
     more = 0 if added <= wanted else int(np.ceil(samples.stations * (added / wanted - 1.0)))
-    return RepairAccuracy(known[0], known[1], more)
+    return RepairAccuracy(known[0], known[1], more if samples.stations + more <= most else None)
 
 
 def expected_error(calibration: Calibration, model: Model, samples: Samples, q: Array) -> float | None:

@@ -301,7 +301,7 @@ class Operation:
         ds = self._go(wanted, h)
         self.expected = course.advance(ds)
         self._untrusted = 0.0 if state.trusted else self._untrusted + ds
-        if left <= -_SURELY * course.way:
+        if left <= -_SURELY * course.way - self._yields():
             self.expected = self.setpoint_filter.pose
             self._enter("arrive", now)
         elif self._untrusted > 0.05:
@@ -411,6 +411,10 @@ class Operation:
         opened = self._opened(T)
         turns = self.course is not None and self.course.turns
         return f"{math.degrees(opened):.0f}°" if turns else f"{100.0 * opened:.0f} cm"
+
+    def _yields(self) -> float:
+        """The way [m] that fingers and object may stay behind the tool, under the force that is felt."""
+        return math.sqrt(self.force[:3] @ self.force[:3]) / self.task.governor.contact_stiffness
 
     def _pushed(self) -> str:
         return f"{math.sqrt(self.force[:3] @ self.force[:3]):.0f} N"
