@@ -34,6 +34,10 @@ from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
 from modcal_core.verdict.tolerance import Tolerance
 
+_TOLD_BY = {
+    "lens": " Images of the board tilted, near, and in every corner of the image tell it.",
+    "print scale": " A calliper on its rulers tells it.",
+}
 _MOSTLY = 0.5  # of the squared error at the tool
 _WORTH = 0.1  # share of the squared error at the tool that knowing something exactly would take away, to be named
 
@@ -228,7 +232,7 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
         if whole - known > _WORTH * whole:
             out.append(
                 f"{name.capitalize()}: were it known exactly, the error at the tool would be "
-                f"{1e3 * known**0.5:.2f} mm RMS and not {1e3 * whole**0.5:.2f} mm."
+                f"{1e3 * known**0.5:.2f} mm RMS and not {1e3 * whole**0.5:.2f} mm.{_TOLD_BY.get(name, '')}"
             )
     return tuple(out)
 
