@@ -318,8 +318,8 @@ class Advisor:
     def _stalled(self, session: Session, refitted: Refit) -> bool:
         """Whether twice the stations have brought nothing: neither an effect, nor a smaller rest."""
         rows = session.fitted
-        if len(rows) < _SEARCHED * self.least(session.kind):
-            return False
+        if self.pool.recorded or len(rows) < _SEARCHED * self.least(session.kind):
+            return False  # what is recorded costs nothing more
         samples = session.samples(rows[: len(rows) // 2])
         half = refit(samples, self.chain, self._seed, self._cell, self._inertias, self._effects)
         e = errors(half.calibration.calibrated, refitted.samples).position_norm
