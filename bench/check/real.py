@@ -43,7 +43,7 @@ DATA = ROOT.parent / "shared" / "data"
 CALIBRATED = 662  # stations
 STATIONS = 10
 MOVED = 3.0  # times the spread, RMS at the tool
-Change = Callable[[Samples], Samples]
+Change = Callable[[Samples], tuple[Samples, str]]
 
 
 def series(letter: str, folder: Path) -> tuple[Robot, Samples]:
@@ -66,10 +66,10 @@ def drawn(count: int, rng: np.random.Generator, neighbours: bool) -> np.ndarray:
 
 
 def moved(calibration: Calibration, kind: str, spread: float, rng: np.random.Generator) -> Change:
-    """A change that moves the tool by three times the spread, put into readings."""
+    """A change that moves the tool by three times the spread, put into readings; with what it is to be called."""
     chain = calibration.nominal.serial
 
-    def change(samples: Samples) -> Samples:
+    def change(samples: Samples) -> tuple[Samples, str]:
         T = se3.transform(samples.R, samples.reading)
         way = rng.normal(size=6) * np.r_[np.ones(3), 2.0 * np.ones(3)]
         joint = int(rng.integers(chain.n))
@@ -89,15 +89,19 @@ def moved(calibration: Calibration, kind: str, spread: float, rng: np.random.Gen
             size *= MOVED * spread / max(float(rms), 1e-9)
             size = float(np.clip(size, -0.05, 0.05))  # a zero that hardly moves the tool
         new = after(size)
-        return replace(samples, reading=new[:, :3, 3], R=new[:, :3, :3])
+        label = f"zero of {chain.names[joint]}" if kind == "joint_zero" else kind
+        return replace(samples, reading=new[:, :3, 3], R=new[:, :3, :3]), label
 
     return change
 
 
-def said(found: Checked) -> str:
-    """What was named."""
+def said(found: Checked, label: str) -> str:
+    """What was named, and whether it, or what explains as much, is what was planted."""
     names = " + ".join(" | ".join((c.label, *c.same_as)) for c in found.changes)
-    return f"{found.status}: {names}" if names else found.status
+    if not names:
+        return found.status
+    right = any(label in (c.label, *c.same_as) for c in found.changes)
+    return f"{'right, ' if right else 'another, ' if label else ''}{found.status}: {names}"
 
 
 def main() -> None:
@@ -126,9 +130,10 @@ def main() -> None:
                 each = asked.each if kind == "nothing" else max(asked.each // 5, 1)
                 table: Counter[str] = Counter()
                 for _ in range(each):
-                    rows = others[drawn(len(others), rng, neighbours)]
-                    samples = a.select(rows)
-                    table[_checked(calibration, samples if change is None else change(samples), share)] += 1
+                    samples, label = a.select(others[drawn(len(others), rng, neighbours)]), ""
+                    if change is not None:
+                        samples, label = change(samples)
+                    table[_checked(calibration, samples, share, label)] += 1
                 print(f"\n{'neighbours' if neighbours else 'random'}, {kind}:")
                 for words, count in table.most_common():
                     print(f"  {count:4d}  {words}")
@@ -148,9 +153,9 @@ def _share(folder: Path) -> float:
     return pattern_of(None if share is None else share["share"])
 
 
-def _checked(calibration: Calibration, samples: Samples, share: float) -> str:
+def _checked(calibration: Calibration, samples: Samples, share: float, label: str = "") -> str:
     try:
-        return said(modcal.check(calibration, samples, pattern=share))
+        return said(modcal.check(calibration, samples, pattern=share), label)
     except ModcalError as error:
         return f"refused: {str(error)[:100]}"
 

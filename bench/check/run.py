@@ -30,6 +30,7 @@ import modcal_core as modcal  # noqa: E402
 from modcal_core.checking.accuracy import expected_error  # noqa: E402
 from modcal_core.checking.known import pattern_of  # noqa: E402
 from modcal_core.checkup import Checked  # noqa: E402
+from modcal_core.errors import ModcalError  # noqa: E402
 
 ROBOTS = ("ur10", "panda", "xarm7")
 SETUPS = ("tracker", "points", "camera")
@@ -79,7 +80,11 @@ def one(
     calibration, share = before.calibration, pattern(before)
     begin = time.process_time()
     samples = samples_of(place, seen, 1.71e9)
-    found = modcal.check(calibration, samples, pattern=share)
+    try:
+        found = modcal.check(calibration, samples, pattern=share)
+    except ModcalError as error:
+        none: Result = {"named": False, "first": False, "others": 0, "same_as": [], "status": "refused", "changes": []}
+        return {**none, "seconds": time.process_time() - begin, "right": sorted(map(list, right)), "said": str(error)}
     seconds = time.process_time() - begin
     result: Result = {"seconds": seconds, "right": sorted(map(list, right)), **said(found)}
     labels = {(c.kind, c.place): (c.label, *c.same_as) for c in found.changes}
