@@ -38,7 +38,7 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.kinds.rows import dimensions
 from modcal_core.measurements.samples import Samples
 
-MAX_ITERATIONS = 150  # a fit that needs more says that it did not converge
+MAX_ITERATIONS = 60  # a fit that needs more says that it did not converge
 CONVERGED = 1e-5  # standard deviations: the last step of a fit, far below anything a report shows
 FITTED = 1e-2  # the same for models with effects, some of which have many values
 # Where no value [m, rad] changes by more, and steps become shorter, the curvature is left as it is, which changes with
@@ -53,6 +53,7 @@ _SURE = 0.1  # of the tolerance; what is expected to be left
 _LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
 _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
 _FLAT, _SHOWN = 30, 1.0  # iterations that together gain less of the cost than readings can show
+_LONGER = 2.5  # times as many iterations of geometry alone, whose valleys are long; each of them is cheap
 _ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses is of the order of its square
 _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
 # A large fit begins with a few of its samples, so many at most, one in so many, and so many for each parameter at least
@@ -193,7 +194,7 @@ def _minimum(
     flat = False
     moved, leading = 0.0, _LEADING  # since the curvature was computed
     at = equations.residuals(values)
-    for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 (reported in the fit)
+    for iteration in range(1, int(MAX_ITERATIONS * (1.0 if fitted else _LONGER)) + 1):  # noqa: B007 (reported in the fit)
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
         row_weight = _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
         if near:
