@@ -23,7 +23,7 @@ from modcal_nodes.cli.main import run
 ROOT = Path(__file__).resolve().parents[1]
 
 
-FEWER = 16  # times as few poses of the long series
+FEWER = 10  # times as few poses of the long series
 
 
 @pytest.fixture(scope="session")

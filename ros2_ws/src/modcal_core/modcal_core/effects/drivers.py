@@ -15,7 +15,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from modcal_core.effects.carried import Carried
 from modcal_core.effects.driver_limits import DriverLimits
@@ -312,8 +311,10 @@ def _smoothed(x: Array, keep: float) -> Array:
 
     What SciPy has for it lies in a package that takes half a second to load.
     """
+    from scipy.linalg.lapack import dtbtrs  # only lagging drivers need it
+
     bands = np.stack([np.ones(len(x)), np.full(len(x), -keep)])
-    y, failed = scipy.linalg.lapack.dtbtrs(bands, (1.0 - keep) * x, uplo="L", diag="U")
+    y, failed = dtbtrs(bands, (1.0 - keep) * x, uplo="L", diag="U")
     assert not failed
     return np.asarray(y).ravel()
 
