@@ -55,7 +55,7 @@ class Exploration:
     def advance(self, ds: float, T_measured: Array, h: float, T_sent: Array | None = None) -> Array:
         """The expected pose (4, 4) after ds [m] more, with the tool measured at a pose (4, 4), h seconds later.
 
-        T_sent (4, 4): where the tool was sent, which gives way to moments; None where the stack that follows does. By
+        T_sent (4, 4): where the tool was sent, which yields to moments; None where the stack that follows does. By
         what servos yield to a force the tool is turned as well, and to go on with that would turn it ever farther.
         """
         share = h / (h + _LED_AFTER)
