@@ -73,8 +73,8 @@ def pulled(
     return done, float(np.linalg.norm(world.peak()[:3]))
 
 
-# Noise alone may look as if the sensor followed, the later the more of the lead is then taken for what 12 N do.
-_NOT_YET = pytest.mark.xfail(reason="66 N: what the noise of a sensor stuck at 12 N hides at this door")
+# The one that is not held below the limit yet. Why at this door is not known; what else must hold there: below.
+_NOT_YET = pytest.mark.xfail(raises=AssertionError, reason="66 N at this door, by a sensor stuck at 12 N with noise")
 _SENSED = [Stuck(0.0), Stuck(3.0), Stuck(12.0), StuckWithNoise(3.0), StuckWithNoise(12.0), Unconnected()]
 _LOCKED = [("door", "weld", 1), ("door", "weld", 2), ("drawer", "ball", 1)]
 
@@ -95,6 +95,14 @@ def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
     done, left = pulled(copy.deepcopy(sensed), seed, kind=kind, grasp=grasp, stop=0.0)
     assert "the setpoint leads the tool" in done.said, done.said
     assert done.peak < 60.0
+    assert left < 10.0
+    assert not done.done
+
+
+@pytest.mark.slow
+def test_where_the_limit_is_passed_it_is_let_go_all_the_same() -> None:
+    done, left = pulled(StuckWithNoise(12.0), 2, kind="door", grasp="weld", stop=0.0)
+    assert "the setpoint leads the tool" in done.said, done.said
     assert left < 10.0
     assert not done.done
 
