@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,19 +96,28 @@ def test_what_a_tracker_would_show_is_what_the_fitted_model_says(name: str, rng:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "outside", [{}, {"geometry_outside": True}, {"left_alone": 1e-3}], ids=["inside", "geometry", "doubted"]
+)
 @pytest.mark.parametrize("target", ["tip", "tool"])
-def test_what_is_computed_together_is_what_is_computed_apart(target: Target, rng: np.random.Generator) -> None:
-    """With an uncertainty, and with effects of the arm, of the tool and of the load."""
+def test_what_is_computed_together_is_what_is_computed_apart(
+    target: Target, outside: dict[str, Any], rng: np.random.Generator
+) -> None:
+    """With an uncertainty, with effects of the arm, of the tool and of the load, and beyond what was seen."""
     model = true_model(*(started(name) for name in ("gear", "compliance", "bump", "settling")))
     made = calibration_of(model)
     parameters = choose_parameters(made.nominal, views_of(as_samples(np.zeros(6), moment(np.zeros(6), rng)))).parameters
     size = len(parameters) + sum(len(e.values) for e in model.effects)
     spread = rng.standard_normal((size, size))
-    correction = Correction(replace(made, uncertainty=Uncertainty(parameters, 1e-9 * spread @ spread.T)))
+    made = replace(made, uncertainty=Uncertainty(parameters, 1e-9 * spread @ spread.T), **outside)
+    full = Correction(replace(made, geometry_outside=False, left_alone=0.0))
     for _ in range(5):
         q = rng.uniform(-2, 2, 6)
         at = moment(q, rng)
+        # 0.02 rad beyond: the two models are blended
+        correction = Correction(replace(made, seen=np.array([q - 1.0, q - 0.02])) if outside else made)
         T, C, joints = correction.corrected(at, target)
+        assert np.array_equal(T, full.pose(q, at, target)) == (not outside), "geometry counts outside, and only there"
         assert np.array_equal(T, correction.pose(q, at, target))
         assert np.array_equal(C, correction.covariance(q, at, target))
         assert np.array_equal(joints, correction.joints(q, at))

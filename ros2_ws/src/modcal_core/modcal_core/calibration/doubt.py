@@ -4,12 +4,14 @@ parameters may be so uncertain that geometry alone is the safer one, whatever th
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.typical import outside_drivers
 from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.geometry.so3 import Array
@@ -50,6 +52,13 @@ class Doubt:
 
         What a free curve itself is not known there counts nothing, for geometry alone lacks it as well.
         """
+        of = self._told
+        J = linearise(of.model, of.parameters, of.values, samples).J[:, : 3 * len(samples)]
+        return np.minimum(_spread(J, of.covariance), _spread(J[of.stated], of.covariance_stated))
+
+    @functools.cached_property
+    def _told(self) -> _Told:
+        """The part of model and uncertainty that postures alone tell: the same for every posture."""
         parameters, effects = self.known.parameters, self.model.effects
         kept = [k for k, p in enumerate(parameters) if p.instrument < 0]
         rows = list(kept)
@@ -59,13 +68,33 @@ class Doubt:
                 told.append(effect)
                 rows += range(first, first + len(effect.values))
             first += len(effect.values)
-        model = replace(self.model.with_effects(tuple(told)), instruments=())
-        values = np.concatenate([np.zeros(len(kept)), *(e.values for e in told)])
-        J = linearise(model, [parameters[k] for k in kept], values, samples).J[:, : 3 * len(samples)]
         C = self.known.covariance[np.ix_(rows, rows)]
         free = np.concatenate([np.zeros(len(kept), bool), *(np.full(len(e.values), e.shape.is_free) for e in told)])
-        both = (_spread(J[part], C[np.ix_(part, part)]) for part in (np.arange(len(J)), np.flatnonzero(~free)))
-        return np.minimum(*both)
+        stated = np.flatnonzero(~free)
+        return _Told(
+            model=replace(self.model.with_effects(tuple(told)), instruments=()),
+            parameters=[parameters[k] for k in kept],
+            values=np.concatenate([np.zeros(len(kept)), *(e.values for e in told)]),
+            covariance=C,
+            stated=stated,
+            covariance_stated=C[np.ix_(stated, stated)],
+        )
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A model whose parameters and effects postures alone drive, and their covariance.
+
+    values: of parameters and effects, (K,). covariance: (K, K). stated: which of them belong to no free curve, and
+    covariance_stated: theirs.
+    """
+
+    model: Model
+    parameters: list[ModelParameter]
+    values: Array
+    covariance: Array
+    stated: np.ndarray
+    covariance_stated: Array
 
 
 def _spread(J: Array, C: Array) -> Array:

@@ -96,14 +96,19 @@ class Correction:
         rows = np.flatnonzero(share > 0.0)
         if not len(rows):
             return T
+        other = self._poses_outside(postures[rows], self._around(postures[rows], at), target, frame)
+        return between(T, rows, share[rows], other)
+
+    def _poses_outside(self, postures: Array, around: Drivers, target: Target, frame: str = "") -> Array:
+        """Poses (N, 4, 4) by the calibration's other model."""
         bases = self._outside.model.T_frame_base
         base = bases[self.model.frames.index(frame)] if frame else None
-        other = self._outside.poses(postures[rows], self._around(postures[rows], at), "tool", base)
+        other = self._outside.poses(postures, around, "tool", base)
         if base is None:  # both bases are where the first frame sees them
             other = se3.inverse(self.model.T_frame_base[0]) @ bases[0] @ other
         if target == "tip":  # what is measured is the tool; the tip is where the full model has it on the tool
             other = other @ se3.inverse(self.model.T_tip_tool)
-        return between(T, rows, share[rows], other)
+        return other
 
     def controlled(self, desired: Array) -> Array:
         """What of an error (6,), seen from the target at a pose (4, 4), the robot's joints can do away with, (k, 6).
@@ -136,14 +141,18 @@ class Correction:
         """Where the arm truly is now: pose (4, 4), its covariance (6, 6) and the joints (n,), as pose, covariance and
         joints give them, with what the three have in common computed once.
         """
-        around = self._around(at.q[None], at)
-        share = 0.0 if self._fallback is None else float(self._fallback.share(around.samples)[0])
-        if share > 0.0 or not is_serial_arm(self.chain):
+        if not is_serial_arm(self.chain):
             return self.pose(at.q, at, target), self.covariance(at.q, at, target), self.joints(at.q, at)
+        around = self._around(at.q[None], at)
         twists, _ = motion(self._full.of_arm, around)
         f = frames(self.chain, at.q[None], twists)
-        T = self._full.behind(f.transform(-1), around, target)[0]
-        return T, self._of_serial(f, around, T, target), self._full.turned(at.q, twists)
+        T = self._full.behind(f.transform(-1), around, target)
+        C, q = self._of_serial(f, around, T[0], target), self._full.turned(at.q, twists)
+        share = np.zeros(1) if self._fallback is None else self._fallback.share(around.samples)
+        if share[0] > 0.0:
+            T = between(T, np.arange(1), share, self._poses_outside(at.q[None], around, target))
+            q += share[0] * (self._outside.joints(at.q, around) - q)
+        return T[0], C, q
 
     def covariance(self, q: Array, at: ArmState, target: Target = "tip") -> Array:
         """Covariance (6, 6) of a pose in the base link: x y z [m], turns about its x y z [rad].
