@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup setup-test build demo week test suite quick fuzz mutants lint ruff mypy format bench undeclared imports verdict camera checks constants closed-loop \
+.PHONY: help setup setup-test build demo week test suite quick fleet-workers fuzz mutants lint ruff mypy format bench undeclared imports verdict camera checks constants closed-loop \
 	soak chaos kills live long-bag doors hard-doors articulation control-tick synthesis modular planning measure limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
@@ -103,6 +103,9 @@ soak: setup-test build  ## ten minutes of 1 kHz joint states and 200 Hz poses: l
 
 live: setup-test build  ## what nodes cost at 1 kHz above one that discards the messages; BENCH_ARGS="--only recorder" narrows
 	@$(PY) bench/live/run.py $(BENCH_ARGS)
+
+fleet-workers: setup-test build  ## 100 recordings over Dask on one and on two workers; BENCH_ARGS="--recordings 20" narrows
+	@$(PY) bench/fleet.py $(BENCH_ARGS)
 
 kills: setup-test build  ## the recorder killed twenty times at 1 kHz: was it recording, and what was lost? BENCH_ARGS="--kills 5"
 	@$(PY) bench/kills.py $(BENCH_ARGS)
