@@ -134,7 +134,7 @@ modular: setup-test build  ## calibration after re-assembly, with and without wh
 real-arms: setup-test build  ## whole recordings of real arms, as in the README's table; needs ../shared/data
 	@$(PY) bench/real_arms.py $(BENCH_ARGS)
 
-outside: setup-test build  ## the outer fifth of real arms' postures, frozen, by blocks; needs ../shared/data
+outside: setup-test build  ## the outer fifth of real arms' postures and positions, frozen, by blocks; needs ../shared/data
 	@$(PY) bench/outside.py $(BENCH_ARGS)
 
 planning: setup-test build  ## planned stations against random ones, on arms of MuJoCo

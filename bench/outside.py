@@ -1,9 +1,10 @@
-"""Real arms outside what the fit has seen: the outer fifth of a recording's postures, frozen, in blocks of joint space.
+"""Real arms outside what the fit has seen: the outer fifth of a recording, frozen, in blocks.
 
-The grids of a UR5 and of a Barrett WAM (../shared/data/serial_robots). A posture's distance from the middle counts each
-joint by its own spread; the farthest fifth is held out and parted into blocks about the two directions in which it
-extends most. In no block may the full model be worse than the geometry that was fitted beside it: the lower end of the
-95 % interval of the difference of their mean squares, from resampled postures, must not lie above zero.
+The grids of a UR5 and of a Barrett WAM (../shared/data/serial_robots), regular grids of positions. The outer fifth is
+taken twice: by joint angles, and by measured positions. The distance from the middle counts each joint, or axis, by its
+own spread; the farthest fifth is held out and parted into blocks about the two directions in which it extends most. In
+no block may the full model be worse than the geometry that was fitted beside it: the lower end of the 95 % interval of
+the difference of their mean squares, from resampled postures, must not lie above zero.
 
 And a UR10's long series (../shared/data/ipa_ur10): calibrated where one joint is in the lower, or in the upper three
 fifths of its postures, frozen, and judged where that joint is beyond all that was seen.
@@ -23,7 +24,9 @@ from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from modcal_core.measurements.recording import Recording
+    from modcal_core.measurements.samples import Samples
     from modcal_core.report.report import Report
+    from modcal_core.robots.chain import Chain
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data" / "serial_robots"
@@ -90,9 +93,9 @@ def unseen_ranges(every: int) -> int:
     return worse
 
 
-def outer_fifth(q: np.ndarray) -> np.ndarray:
-    """The block of each posture of the outer fifth, −1 for those inside, (N,)."""
-    away = (q - np.median(q, axis=0)) / q.std(axis=0)
+def outer_fifth(places: np.ndarray) -> np.ndarray:
+    """The block of each row of the outer fifth, −1 for those inside, (N,). Rows are joint angles or positions."""
+    away = (places - np.median(places, axis=0)) / places.std(axis=0)
     far = np.linalg.norm(away, axis=1)
     outside = far > np.quantile(far, 0.8)
     away = away - away[outside].mean(axis=0)
@@ -118,10 +121,31 @@ def say(what: str, report: Report, end: str, rms: bool = False) -> None:
     print(f"{what:<28}{len(missed[-1]):>10}{sizes}  {end}", flush=True)
 
 
-def main() -> None:
-    """Print a row for the inner part, for the outer fifth, and for each of its blocks."""
+def outer(name: str, split: str, samples: Samples, block: np.ndarray, chain: Chain) -> int:
+    """Calibrate on what lies inside, print its row, the outer fifth's and its blocks'; how many are worse."""
     from modcal_core.evaluation import evaluate
     from modcal_core.loop import calibrate
+
+    rng, worse = np.random.default_rng(0), 0
+    done = calibrate(samples.select(np.flatnonzero(block < 0)), chain, np.random.default_rng(0))
+    say(f"{name} {split}, inside", done.report, done.report.judged.status)
+    for which in (None, *range(BLOCKS)):
+        chosen = np.flatnonzero(block >= 0 if which is None else block == which)
+        report = evaluate(done.calibration, samples.select(chosen), np.random.default_rng(0))
+        final, geometric = (report.errors[stage].position_norm for stage in ("final", "geometric"))
+        low, high = difference(final, geometric, rng)
+        bad = low > 0.0
+        worse += bad
+        say(
+            f"{name} {split}, outer" if which is None else f"  block {which + 1}",
+            report,
+            report.judged.status if which is None else f"{low:+.4f} … {high:+.4f} mm²{'  WORSE' if bad else ''}",
+        )
+    return worse
+
+
+def main() -> None:
+    """Print the rows of each robot, split both ways, and those of the UR10."""
     from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording
     from modcal_core.preprocess import prepare
     from modcal_nodes.cli.robot import read_robot
@@ -133,7 +157,7 @@ def main() -> None:
     only = asked.only
     if not DATA.is_dir():
         sys.exit("no real recordings: ../shared/data is not beside this checkout")
-    rng, worse = np.random.default_rng(0), 0
+    worse = 0
     heads = "".join(f"{head:>10}" for head in ("postures", *STAGES))
     print(f"{'mean error, mm':<28}{heads}  status, or final² − geometric²")
     for name in (name for name in ROBOTS if only in name):
@@ -145,22 +169,8 @@ def main() -> None:
         readings = ReadingTrack("point", "tracker", stamps, p, stamps)
         recording = Recording((joints,), (readings,), warnings=(ORDER_ONLY,))
         samples = prepare(recording, chain).samples
-        block = outer_fifth(samples.q)
-        done = calibrate(samples.select(np.flatnonzero(block < 0)), chain, np.random.default_rng(0))
-
-        say(f"{name}, inside", done.report, done.report.judged.status)
-        for which in (None, *range(BLOCKS)):
-            chosen = np.flatnonzero(block >= 0 if which is None else block == which)
-            report = evaluate(done.calibration, samples.select(chosen), np.random.default_rng(0))
-            final, geometric = (report.errors[stage].position_norm for stage in ("final", "geometric"))
-            low, high = difference(final, geometric, rng)
-            bad = low > 0.0
-            worse += bad
-            say(
-                f"{name}, outer fifth" if which is None else f"  block {which + 1}",
-                report,
-                report.judged.status if which is None else f"{low:+.4f} … {high:+.4f} mm²{'  WORSE' if bad else ''}",
-            )
+        for places, which_fifth in ((samples.q, "by joints"), (samples.reading, "by position")):
+            worse += outer(name, which_fifth, samples, outer_fifth(places), chain)
     if only in "ur10":
         print("UR10, RMS, mm")
         worse += unseen_ranges(asked.every)
