@@ -73,7 +73,8 @@ def pulled(
     return done, float(np.linalg.norm(world.peak()[:3]))
 
 
-# The one that is not held below the limit yet. Why at this door is not known; what else must hold there: below.
+# The one that is not held below the limit yet: what was learned of a lead sideways explains one along the stiff
+# direction (docs/articulation.md). What else must hold there: below.
 _NOT_YET = pytest.mark.xfail(raises=AssertionError, reason="66 N at this door, by a sensor stuck at 12 N with noise")
 _SENSED = [Stuck(0.0), Stuck(3.0), Stuck(12.0), StuckWithNoise(3.0), StuckWithNoise(12.0), Unconnected()]
 _LOCKED = [("door", "weld", 1), ("door", "weld", 2), ("drawer", "ball", 1)]
