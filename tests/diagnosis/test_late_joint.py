@@ -10,11 +10,13 @@ from cells import record, samples_of, ur10
 
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.evaluation import evaluate
+from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 
 ELBOW = 2
 SHARE = 0.8
+LATE, AHEAD = 12e-3, 30e-3  # s; the log behind the arm, and the commands before it
 
 
 def late(seed: int, count: int, share: float) -> Samples:
@@ -28,6 +30,40 @@ def late(seed: int, count: int, share: float) -> Samples:
     T = np.tile(np.eye(4), (count, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = made.samples.R, made.samples.reading
     return replace(samples_of(ur10(), q, T), following=apart)
+
+
+def in_motion(seed: int, count: int, *, by_share: bool) -> Samples:
+    """An arm that never stops. The elbow's log is late by a time; or by a share of what is left to its command, which
+    goes its own way.
+    """
+    rng = np.random.default_rng(seed)
+    rate, phase = rng.uniform(0.6, 1.2, (2, 6)), rng.uniform(0.0, 2.0 * np.pi, (2, 6))
+    size = 0.5
+
+    def course(t: np.ndarray, order: int = 0) -> np.ndarray:
+        """The course of all joints at times (N,), or its derivative of some order, (N, 6)."""
+        angle = t[:, None, None] * rate + phase + 0.5 * np.pi * order
+        return np.asarray((size * rate**order * np.sin(angle)).sum(axis=1))
+
+    t = 0.05 * np.arange(count)
+    lag = np.zeros(6)
+    lag[ELBOW] = 0.0 if by_share else LATE
+    q, velocity, acceleration = (
+        np.stack([course(t - lag[j], order)[:, j] for j in range(6)], axis=1) for order in range(3)
+    )
+    following = course(t + AHEAD) - q
+    if by_share:
+        following[:, ELBOW] *= 1.0 + 0.5 * np.sin(3.0 * t)
+        q[:, ELBOW] -= SHARE * following[:, ELBOW] / (1.0 - SHARE)
+        following[:, ELBOW] /= 1.0 - SHARE
+    made = record(seed, 1)
+    T = made.world.tool_in_tracker(course(t))
+    T[:, :3, 3] += 5e-5 * rng.standard_normal((count, 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((count, 3)))
+    return replace(
+        samples_of(ur10(), q, T), stamps=1.7e9 + t, velocity=velocity, acceleration=acceleration,
+        following=following, moving=np.ones(count, bool),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +116,22 @@ def test_a_joint_that_is_farther_from_its_command_than_it_says_is_not_called_lat
     assert report.effects
     assert all(effect.family != "joint_lag" for effect in report.effects)
     assert {effect.driver for effect in report.effects} == {"following:elbow_joint"}
+
+
+@pytest.mark.slow
+def test_a_delay_in_motion_is_a_time_and_no_gear_ratio_stands_beside_it() -> None:
+    """A share of commanded − measured is nearly a delay; what it leaves follows the acceleration, and so the position."""
+    (effect,) = calibrate(in_motion(4, 600, by_share=False), ur10(), np.random.default_rng(0)).report.effects
+    assert (effect.family, effect.place, effect.driver) == ("joint_lag", "elbow_joint", "velocity")
+    delay, std, unit = effect.parameters["delay"]
+    assert abs(delay - LATE) < 4.0 * std < 1e-3
+    assert unit == "s"
+
+
+@pytest.mark.slow
+def test_a_share_in_motion_stays_a_share() -> None:
+    """Where the command goes its own way, a time is not what the log is late by."""
+    (effect,) = calibrate(in_motion(5, 600, by_share=True), ur10(), np.random.default_rng(0)).report.effects
+    assert (effect.family, effect.place, effect.driver) == ("joint_lag", "elbow_joint", "following:elbow_joint")
+    share, std, _ = effect.parameters["stale_share"]
+    assert abs(share - SHARE) < 4.0 * std < 0.1

@@ -22,6 +22,7 @@ from modcal_core.diagnosis.chance import FLIPS
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import LEAST_FREEDOM, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
+from modcal_core.diagnosis.forms import other_forms
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN, joint_size, needless
 from modcal_core.effects.drivers import Drivers
@@ -201,9 +202,10 @@ class _Search:
         """Whether the effect, fitted with all others to *train*, predicts *explain* better."""
         before, causes = self.fit, list(self.causes)
         missed = self._mean_square(before)
-        self.fit = self._with(self.fit, choice.effect)
-        of_scan = choice.p_value, choice.same_as, choice.rivals
-        self.causes.append(Cause(choice.effect, *of_scan, self.fit, choice.flips))
+        effect, self.fit = self._in_best_form(choice.effect)
+        rivals = tuple(rival for rival in choice.rivals if rival.key != effect.key)
+        same = tuple(name for name in choice.same_as if name != effect.label)
+        self.causes.append(Cause(effect, choice.p_value, same, rivals, self.fit, choice.flips))
         better = self._mean_square(self.fit) < (1.0 - LEAST_GAIN) * missed
         if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MOST_REVISITED:
             self._exchange()
@@ -213,6 +215,17 @@ class _Search:
         if not better:
             self.fit, self.causes = before, causes
         return better
+
+    def _in_best_form(self, effect: Effect) -> tuple[Effect, Fit]:
+        """The effect, or another form of it with as many amplitudes that leaves less of all but the held-out set."""
+        fit = self._with(self.fit, effect)
+        forms = other_forms(effect, self.scanner.effects)
+        if not forms:
+            return effect, fit
+        seen = self.train.join(self.explain)
+        fits = [(effect, fit), *((form, self._with(self.fit, form)) for form in forms)]
+        likely = [(e, f) for e, f in fits if family(e.family).plausible(f.model.effects[-1])]
+        return min(likely or fits, key=lambda pair: self._mean_square(pair[1], seen))
 
     def _with(self, fit: Fit, effect: Effect) -> Fit:
         started = effect.started(self.scanner.amplitudes(fit, effect))
@@ -318,10 +331,11 @@ class _Search:
             self.causes = [*kept[:stay], *later]
         return pruned
 
-    def _mean_square(self, fit: Fit) -> float:
-        """Mean squared error on *explain*, each sample's drawn in so that none rules alone."""
+    def _mean_square(self, fit: Fit, samples: Samples | None = None) -> float:
+        """Mean squared error on *explain*, or on other samples, each sample's drawn in so that none rules alone."""
         # what readings scatter by themselves counts too: the spread is what is left beside it, and may be nothing
-        square = squared_residuals(errors(fit.model, self.explain), self.explain, self._geometric.noise)
+        samples = self.explain if samples is None else samples
+        square = squared_residuals(errors(fit.model, samples), samples, self._geometric.noise)
         return float(np.mean(np.minimum(square, DRAWN_IN * np.median(square) + 1e-300)))
 
 
