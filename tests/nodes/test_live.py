@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
 from nodes.cell import call
 from nodes.processes import ROOT, Process, fresh_domain, listener, running
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -71,16 +72,18 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
         states: list[JointState] = []
         heard: dict[str, object] = {}
         node.create_subscription(JointState, "joint_states", states.append, 10)
+        node.create_subscription(PoseStamped, "tracker/pose", lambda m: None, 10)  # as many as of joint states
         node.create_subscription(Float64, "calibrator/residual", lambda m: heard.update(residual=m.data), LATCHED)
         node.create_subscription(String, "calibrator/report", lambda m: heard.update(report=m.data), LATCHED)
         node.create_subscription(String, "calibrator/robot_description", lambda m: heard.update(urdf=m.data), LATCHED)
         drive = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         # the calibrator's subscription, and our own
         wait(lambda: node.count_subscribers("joint_states") >= 2 and "recording into" in recorder.output, 60.0)
-        # the others are there and known to the cell before it speaks, so both hear all of it
+        # the others are there and known to the cell before it speaks, so both hear all of it: of each topic the
+        # recorder, the calibrator and this test
         cell = Process(
             "simulated_cell", domain, tmp_path, urdf=URDF, seed=SEED,
-            start_delay_s=1.0 * FACTOR, min_subscribers=2, publish_clock="true", clock_rate_hz=50.0,
+            start_delay_s=1.0 * FACTOR, min_subscribers=3, publish_clock="true", clock_rate_hz=50.0,
             time_factor=FACTOR, joint_rate_hz=50.0, tracker_rate_hz=25.0,
         )  # fmt: skip
         with running(cell):
