@@ -14,7 +14,8 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.report.effect_tables import number
 from modcal_core.report.figures import MOST_POINTS, label, small, thinned
-from modcal_core.report.page import Chart, PageTable, chart, render
+from modcal_core.report.object_scene import ObjectScene, object_scene
+from modcal_core.report.page import Chart, PageTable, as_script_data, chart, render
 from modcal_core.report.palette import LIGHT, OF_AXES
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ def _joint_data(fit: JointFit) -> dict[str, Any]:
 def to_html(found: Articulation) -> str:
     """The page as HTML text."""
     data = to_json_data(found)
+    drawn = _scene(found, data)
     return render(
         "articulation.html.j2",
         title=f"{found.source}: articulation",
@@ -116,7 +118,25 @@ def to_html(found: Articulation) -> str:
         kind=data["kind"] if data["kind"] == data["best"] else f"{data['kind']}; the best is {data['best']}",
         tables=_tables(data),
         charts=_charts(found, data),
+        scene=as_script_data(drawn.to_data()),
+        scene_alt=drawn.alt,
+        places=len(drawn.path),
     )
+
+
+def _scene(found: Articulation, data: dict[str, Any]) -> ObjectScene:
+    """The object in three dimensions, over what was seen of its motion."""
+    fit = found.choice.fit
+    good = _trusted(fit)
+    scale = _UNITS[fit.model.unit][1]
+    seen = found.track.positions[good]
+    return object_scene(fit.model, fit.configurations[good], seen, data["joint"], scale, found.frame)
+
+
+def _trusted(fit: JointFit) -> np.ndarray:
+    """The samples to draw: no outliers, unless hardly any are left."""
+    good = fit.weights > 0.2
+    return good if good.sum() > 2 else np.ones(len(good), dtype=bool)
 
 
 def _tables(data: dict[str, Any]) -> list[PageTable]:
@@ -206,8 +226,7 @@ def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
 
 def _draw_path(axes: Axes, found: Articulation) -> None:
     fit, p = found.choice.fit, found.track.positions
-    good = fit.weights > 0.2
-    good = good if good.sum() > 2 else np.ones(len(p), dtype=bool)
+    good = _trusted(fit)
     middle = p[good].mean(axis=0)
     plane = np.linalg.svd(p[good] - middle, full_matrices=False)[2][:2].T
     flat = (p - middle) @ plane

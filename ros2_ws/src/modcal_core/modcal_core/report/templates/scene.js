@@ -10,9 +10,10 @@
   const turning = new Map();
 
   const size = (v) => Math.hypot(v[0], v[1], v[2]);
-  const cloud = data.cloud || [], marks = data.marks || [], stages = data.stages;
+  const cloud = data.cloud || [], marks = data.marks || [], lines = data.lines || [], stages = data.stages;
   const chosenStage = () => (stage ? stage.selectedIndex : 0);
-  const points = [[0, 0, 0], ...data.points, ...data.arms.flat(2), ...cloud, ...marks.map((m) => m.at)];
+  // local: the frame's origin may be far away, so the grid lies below what is shown
+  const points = [...(data.local ? [] : [[0, 0, 0]]), ...data.points, ...data.arms.flat(2), ...cloud, ...marks.map((m) => m.at), ...lines.flatMap((l) => l.path)];
   const low = [0, 1, 2].map((k) => Math.min(...points.map((p) => p[k])));
   const high = [0, 1, 2].map((k) => Math.max(...points.map((p) => p[k])));
   const middle = low.map((a, k) => (a + high[k]) / 2);
@@ -46,18 +47,20 @@
     const text = (p, words) => { const [x, y] = at(p); pen.fillStyle = colour("soft"); pen.fillText(words, x + 4, y - 3); };
     pen.font = "12px system-ui, sans-serif"; pen.lineCap = pen.lineJoin = "round";
 
-    const step = nice(radius / 2), floor = 0;
+    const step = nice(radius / 2), from = data.local ? [...middle.slice(0, 2).map((v) => step * Math.round(v / step)), low[2]] : [0, 0, 0];
+    const off = (...by) => from.map((v, k) => v + by[k]);
     for (let k = -4; k <= 4; k++) {
-      line([[-4 * step, k * step, floor], [4 * step, k * step, floor]], "line", 1);
-      line([[k * step, -4 * step, floor], [k * step, 4 * step, floor]], "line", 1);
+      line([off(-4 * step, k * step, 0), off(4 * step, k * step, 0)], "line", 1);
+      line([off(k * step, -4 * step, 0), off(k * step, 4 * step, 0)], "line", 1);
     }
     [["x", "bad"], ["y", "good"], ["z", "after"]].forEach(([name, tone], k) => {
-      const end = [0, 0, 0]; end[k] = 0.25 * radius; line([[0, 0, 0], end], tone, 2); text(end, name);
+      const end = [...from]; end[k] += 0.25 * radius; line([from, end], tone, 2); text(end, name);
     });
-    cloud.forEach((p) => dot(p, "before", 1));
-    if (data.route) line(data.points, "after", 0.8);
+    lines.forEach((l) => { line(l.path, "ink", 1.5, [6, 4]); text(l.path[1], l.name); });
+    cloud.forEach((p) => dot(p, "before", data.local ? 2.5 : 1));
+    if (data.route) line(data.points, "after", data.local ? 1.6 : 0.8);
     const shown = stages.length ? stages[chosenStage()].arrows : null, factor = 1e-3 * scale(), chosen = Number(posture.value);
-    if (!shown) data.points.forEach((p, k) => dot(p, data.shown[chosen] === k ? "warn" : "after", data.shown[chosen] === k ? 5 : 2.5));
+    if (!shown && !data.local) data.points.forEach((p, k) => dot(p, data.shown[chosen] === k ? "warn" : "after", data.shown[chosen] === k ? 5 : 2.5));
     if (shown) data.points.forEach((p, k) => {
       const tip = p.map((v, i) => v + factor * shown[k][i]), here = data.shown[chosen] === k;
       line([p, tip], here ? "warn" : chosenStage() ? "after" : "bad", here ? 3 : 1.6);
