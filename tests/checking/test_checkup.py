@@ -102,6 +102,14 @@ def test_a_change_is_named_and_repaired(
             assert after < 0.8 * FLOOR
 
 
+def test_a_turn_that_moves_nothing_is_told_in_degrees(cell: tuple[Recorded, Calibration]) -> None:
+    found, q, T = checked(cell, lambda q, world: world(q) @ twist(2e-3, (0, 0, 0, 0, 0, 1)))
+    (change,) = found.changes
+    assert change.turned_deg is not None
+    assert change.turned_deg == pytest.approx(np.degrees(2e-3), rel=0.1)
+    assert f"{change.turned_deg:.3f}° RMS at the tool" in change.sentence
+
+
 def scaled(T: Array, factor: float) -> Array:
     """The poses with their positions times a factor."""
     out = T.copy()

@@ -14,6 +14,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
 from modcal_core.checking.advice import advise, noticed, same_everywhere
 from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
+from modcal_core.checking.looked_at import spread_out
 from modcal_core.checking.naming import named
 from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, Status
 from modcal_core.checking.recognise import recognised
@@ -29,7 +30,7 @@ from modcal_core.report.report import Report
 from modcal_core.verdict.not_applied import applicable
 
 LEAST = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
-MOST = 48  # stations that are looked at, evenly along a longer recording
+MOST = 48  # stations of a longer recording that are looked at
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def checkup(
     begin = frozen(calibration, applied.model, samples, pattern)
     samples, convention = recognised(begin.model, samples, calibration.noise)
     inside = _where_curves_are_known(calibration, samples)
-    part = calibration.with_scatter(_thinned(inside))
+    part = calibration.with_scatter(spread_out(inside, MOST))
     found = search(begin.model, part, begin.known)
     fixed = None if found.more else repaired(calibration, found, begin.index)
     everywhere = [same_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
@@ -149,14 +150,6 @@ def known_frames(calibration: Calibration, samples: Samples) -> None:
                 f"the calibration knows only {', '.join(calibration.frames)}",
                 "give the frame its name of then; for another instrument use modcal evaluate --refit-base",
             )
-
-
-def _thinned(samples: Samples) -> Samples:
-    stations = np.unique(samples.station)
-    if len(stations) <= MOST:
-        return samples
-    kept = stations[np.linspace(0, len(stations) - 1, MOST).astype(int)]
-    return samples.select(np.flatnonzero(np.isin(samples.station, kept)))
 
 
 def _where_curves_are_known(calibration: Calibration, samples: Samples) -> Samples:
@@ -243,7 +236,7 @@ def _notes(
         gone = samples.stations - inside.stations
         out.append(f"{gone} of {samples.stations} stations were left out: learned curves have not been seen there.")
     if part.stations < inside.stations:
-        out.append(f"{part.stations} of {inside.stations} stations, evenly along the recording, were looked at.")
+        out.append(f"{part.stations} of {inside.stations} stations, spread over time and postures, were looked at.")
     if 2.0 * (far := found.start.null.weight * part.stations) < part.stations:
         out.append(
             f"These {part.stations} stations stand close together and say as much as {far:.1f} far apart: only larger "

@@ -25,6 +25,7 @@ from modcal_core.measurements.other_joints import other_joints
 from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import Mechanism, forward
 
 _ROUNDS = 5  # iterations
@@ -205,7 +206,7 @@ def _delays(samples: Samples, chain: Mechanism) -> Array:
         rows = np.flatnonzero((samples.frame == f) & samples.moving & np.isfinite(samples.velocity).all(axis=1))
         if not len(rows) or not is_direct(np.unique(samples.kind[rows]).tolist()):
             continue
-        few = samples.select(rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))])
+        few = samples.select(rows[spread_rows(len(rows), _MOST)])
         few = replace(few, frames=(samples.frames[f],), frame=np.zeros(len(few), int))
         late = latency.late().started(np.zeros(1))
         try:

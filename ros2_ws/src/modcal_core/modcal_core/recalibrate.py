@@ -19,6 +19,7 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.dropped import Dropped, together
 from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.preprocess import prepare_pieces
 from modcal_core.report.report import Report
 from modcal_core.report.trace import Trace, iso_date
@@ -137,6 +138,6 @@ def thinned(samples: Samples, most: int) -> Samples:
     if len(samples) <= most:
         return samples
     recent = most // 2
-    older = np.linspace(0, len(samples) - recent - 1, most - recent).astype(int)
+    older = spread_rows(len(samples) - recent, most - recent)
     rows: Sequence[int] = [*older, *range(len(samples) - recent, len(samples))]
     return samples.select(np.array(rows))

@@ -20,6 +20,7 @@ from modcal_core.calibration.typical import driver_ranges, typical_sizes
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.effects.effect import is_move
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
@@ -65,7 +66,7 @@ def finalise(
         fits += [fit, settled]
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     kind = str(samples.kind[0])
-    few = samples.q[np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_KEPT)).astype(int))]
+    few = samples.q[spread_rows(len(samples), _MOST_KEPT)]
     covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
     return Calibration(
         *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),

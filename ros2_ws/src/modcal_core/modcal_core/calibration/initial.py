@@ -16,13 +16,13 @@ import numpy as np
 
 from modcal_core.calibration.instruments import new_instruments
 from modcal_core.calibration.locate_instruments import (
+    MOST_ROWS,
     Known,
     find_tool,
     leaders,
     place_instruments,
     require_placeable,
     require_readings,
-    spread_rows,
 )
 from modcal_core.calibration.model import Model
 from modcal_core.errors import NotEnoughData
@@ -30,6 +30,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import forward
 
 _DEAR = 1e-3  # how much smaller the tool is preferred to be, where base and tool can stand for each other
@@ -87,7 +88,8 @@ def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) 
         tool, T_frame_base = _fixed_points(samples, T_base_tip, order, T_frame_base)
         order = []
     for f in order:
-        rows = spread_rows(np.flatnonzero(samples.frame == f))
+        rows = np.flatnonzero(samples.frame == f)
+        rows = rows[spread_rows(len(rows), MOST_ROWS)]
         A = T_base_tip[rows]
         if samples.is_pose[rows].all():
             base, found = _pose_tool(A, se3.transform(samples.R[rows], samples.reading[rows]))

@@ -19,6 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import PLANE, POSE_OF_FRAME, scene_in
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 
 MOST_ROWS = 500  # a start needs no more; spread over the recording
 _GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
@@ -50,11 +51,6 @@ def leaders(frames: Sequence[str], known: Sequence[Known]) -> tuple[int, ...]:
     for _ in known:  # what is known relative to something known
         out = [out[f] for f in out]
     return () if out == list(range(len(frames))) else tuple(out)
-
-
-def spread_rows(rows: np.ndarray) -> np.ndarray:
-    """At most MOST_ROWS of these, evenly spread."""
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), MOST_ROWS)).astype(int)]
 
 
 def require_placeable(known: Sequence[Known], samples: Samples) -> None:
@@ -104,7 +100,8 @@ def place_instruments(
         if instrument.frame in relative:
             poses[f] = relative[instrument.frame].T_frame_base(samples.frames, poses)
             placed.add(f)
-        rows = spread_rows(instrument.rows(samples))
+        rows = instrument.rows(samples)
+        rows = rows[spread_rows(len(rows), MOST_ROWS)]
         poses[f], values = instrument.of_kind.place(
             instrument.at_target(T_base_tool[rows]), samples.reading[rows], poses[f] if f in placed else None
         )
@@ -129,7 +126,8 @@ def residuals(instruments: Sequence[Instrument], samples: Samples, T_base_tool: 
     """What placed instruments miss by [m at the tool], all rows of all of them, three components each."""
     out = []
     for instrument in instruments:
-        rows = spread_rows(instrument.rows(samples))
+        rows = instrument.rows(samples)
+        rows = rows[spread_rows(len(rows), MOST_ROWS)]
         scene = scene_in(T_frame_base[samples.frames.index(instrument.frame)], instrument.at_target(T_base_tool[rows]))
         sight = instrument.of_kind.see(scene, instrument.values, samples.reading[rows])
         out.append((sight.residual * sight.lever).ravel())

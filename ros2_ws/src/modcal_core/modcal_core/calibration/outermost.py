@@ -22,6 +22,7 @@ from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.effect import prior_stds
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 
 _OUTER = 0.2  # share of the postures, as much as is held out of a usual recording
 _LEAST_JUDGED = 12  # samples; fewer say nothing
@@ -44,7 +45,7 @@ def geometry_is_better(
     curved = curved_joints(full.effects, full.chain.names)
     if not curved.any():
         return False
-    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
+    rows = spread_rows(len(samples), _MOST)
     few = samples.select(rows)
     q = few.q[:, curved]
     away = np.abs(q - 0.5 * (q.max(axis=0) + q.min(axis=0))) / np.maximum(np.ptp(q, axis=0), 1e-12)

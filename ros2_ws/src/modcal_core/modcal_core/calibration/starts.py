@@ -30,6 +30,7 @@ from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import forward, is_serial_arm
 
 _AROUND = (0.1, 0.4)  # of the arm's reach; tools are between nothing and half as long as the arm
@@ -114,7 +115,7 @@ def _some(samples: Samples, parameters: int) -> Samples:
         return samples
     share = most / len(samples)
     rows = [np.flatnonzero(samples.frame == f) for f in range(len(samples.frames))]
-    few = [r[np.linspace(0, len(r) - 1, max(3, round(share * len(r)))).astype(int)] for r in rows if len(r)]
+    few = [r[spread_rows(len(r), max(3, round(share * len(r))))] for r in rows if len(r)]
     return samples.select(np.sort(np.concatenate([np.unique(r) for r in few])))
 
 

@@ -31,15 +31,17 @@ def named(change: FittedChange, columns: Array, positions: int, everywhere: bool
     h = change.hypothesis
     sizes = _sizes(change)
     moved = (0.0, 0.0, 0.0) if h.kind == NOISE else _moved(change, columns[:positions])
+    turned = None if h.kind == NOISE or len(columns) <= positions else _turned(change, columns[positions:])
     repairable = h.kind == NOISE or bool(h.sizes)
     same_as = tuple(dict.fromkeys(j.label for j in change.same_as))
     return NamedChange(
         h.kind,
         h.place,
         h.label,
-        _sentence(h, sizes, moved, same_as, everywhere),
+        _sentence(h, sizes, _at_the_tool(moved, turned), same_as, everywhere),
         sizes,
         moved,
+        turned,
         change.probability,
         same_as,
         everywhere,
@@ -110,6 +112,16 @@ def _moved(change: FittedChange, columns: Array) -> tuple[float, float, float]:
     return 1e3 * rms, max(1e3 * (rms - _95 * std), 0.0), 1e3 * (rms + _95 * std)
 
 
+def _turned(change: FittedChange, columns: Array) -> float:
+    """RMS of the tool's turn [deg], at the readings that have an orientation."""
+    return float(np.degrees(np.sqrt(np.sum((columns @ change.sizes) ** 2) / (len(columns) / 3))))
+
+
+def _at_the_tool(moved: tuple[float, float, float], turned: float | None) -> str:
+    turn = "" if turned is None else f" and {turned:.3f}°"
+    return f"{moved[0]:.3f} mm ({moved[1]:.3f} … {moved[2]:.3f}){turn} RMS at the tool"
+
+
 def _said(size: SizeFound) -> str:
     return f"{size.value:+.3g} {size.unit} ({size.low:.3g} … {size.high:.3g})"
 
@@ -117,11 +129,10 @@ def _said(size: SizeFound) -> str:
 def _sentence(
     h: CellChange,
     sizes: tuple[SizeFound, ...],
-    moved: tuple[float, float, float],
+    rms: str,
     same_as: tuple[str, ...],
     everywhere: bool,
 ) -> str:
-    rms = f"{moved[0]:.3f} mm RMS at the tool ({moved[1]:.3f} … {moved[2]:.3f})"
     if h.kind == NOISE:
         what = " and ".join(f"{s.value:.1f} times in {s.name}" for s in sizes)
         out = f"The readings scatter more than when the calibration was made: {what}."

@@ -28,7 +28,8 @@ class SizeFound:
 class NamedChange:
     """One change. kind, place: as in :mod:`modcal_core.checking.hypotheses`. label: for people. sizes: of it.
 
-    moved_mm: how far it moves the tool over these stations, RMS, with its 95 % interval. probability: of this one
+    moved_mm: how far it moves the tool over these stations, RMS, with its 95 % interval. turned_deg: how far it turns
+    it, RMS; None where no orientation is read. probability: of this one
     among all that were looked for. same_as: others that explain the readings as well. everywhere: whether these make
     the same motion at every recorded posture, so that no station can tell them apart. repairable: whether the sizes
     are enough to correct the model.
@@ -40,6 +41,7 @@ class NamedChange:
     sentence: str
     sizes: tuple[SizeFound, ...]
     moved_mm: tuple[float, float, float]
+    turned_deg: float | None
     probability: float
     same_as: tuple[str, ...]
     everywhere: bool

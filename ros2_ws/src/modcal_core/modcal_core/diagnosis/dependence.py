@@ -20,6 +20,7 @@ from modcal_core.diagnosis.dependence_pairs import pairs
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import is_serial_arm
 
 WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
@@ -103,7 +104,7 @@ def dependence(
 
 def asked_of(samples: Samples) -> np.ndarray:
     """The samples that are asked, (k,): all, or a part of many."""
-    return np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int))
+    return spread_rows(len(samples), _MOST)
 
 
 def _by_motion(model: Model, view: RowView, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:

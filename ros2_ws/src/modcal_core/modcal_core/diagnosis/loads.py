@@ -29,6 +29,7 @@ from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.families.compliance import KILOGRAMS, carrying
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import is_serial_arm
 
 _MOST_ASKED = 400  # samples that a suspicion rests on; more are thinned
@@ -365,4 +366,4 @@ def _by_weight(model: Model) -> bool:
 
 
 def _thinned(samples: Samples, most: int) -> Samples:
-    return samples.select(np.unique(np.linspace(0, len(samples) - 1, min(len(samples), most)).astype(int)))
+    return samples.select(spread_rows(len(samples), most))

@@ -17,6 +17,7 @@ from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.effects.families import unknown
 from modcal_core.effects.registry import candidates
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
 _NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve
@@ -28,7 +29,7 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
 
     Constant errors are looked for where the fit has no parameters of its own.
     """
-    rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_SCANNED)).astype(int))
+    rows = spread_rows(len(samples), _MOST_SCANNED)
     drivers = fit.model.drivers(samples.select(rows))
     constant = () if fit.parameters else unknown.constants(drivers)
     scanner = Scanner([*candidates(drivers), *constant], drivers)

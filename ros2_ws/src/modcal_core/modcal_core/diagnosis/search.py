@@ -31,6 +31,7 @@ from modcal_core.effects.family import FREE, USUAL
 from modcal_core.effects.registry import candidates, complexity, family
 from modcal_core.measurements.posture_order import joints_instead
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 
 SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes is judged on *explain* (sweep)
 MOST_EFFECTS = 30  # for time
@@ -345,4 +346,4 @@ def _linear(effect: Effect) -> Effect:
 
 
 def _evenly(rows: np.ndarray, most: int) -> np.ndarray:
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int))]
+    return rows[spread_rows(len(rows), most)]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 
 NOISE_FACTOR = 6.0  # standard deviations of encoder noise that are standstill: range of a window of noise and some room
 # Median size of the second difference of Gaussian noise, in units of its deviation: 0.6745 times √(1 + 4 + 1)
@@ -161,7 +162,7 @@ def inliers(position: Array) -> np.ndarray:
     median lies between both places, where nothing ever was.
     """
     n, least = len(position), (len(position) + 1) // 2
-    some = position[np.unique(np.linspace(0, n - 1, min(n, _ASKED)).round().astype(int))]
+    some = position[spread_rows(n, _ASKED)]
     apart = np.sort(np.linalg.norm(some[:, None] - some[None], axis=2), axis=1)
     first = some[int(np.argmin(apart[:, (len(some) - 1) // 2]))]
     near = np.argsort(np.linalg.norm(position - first, axis=1), kind="stable")[:least]

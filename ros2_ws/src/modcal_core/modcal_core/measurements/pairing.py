@@ -29,6 +29,7 @@ from modcal_core.measurements.recording import (
     joint_stamps_and_positions,
 )
 from modcal_core.measurements.settled import dwells_of
+from modcal_core.measurements.thinning import spread_rows
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -168,7 +169,7 @@ def _interpolated(track: ReadingTrack, t: Array, q: Array, rules: StationRules) 
     after = np.searchsorted(t, track.stamps)
     rows = np.flatnonzero((after > 0) & (after < len(t)))
     rows = rows[t[after[rows]] - t[after[rows] - 1] <= _widest(t, q, rules)]
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), rules.most)).astype(int)]
+    rows = rows[spread_rows(len(rows), rules.most)]
     course, at = _course(t, q), track.stamps[rows] - t[0]
     return _as_is(track, rows, course(at), course(at, 1), course(at, 2), moving=True)
 

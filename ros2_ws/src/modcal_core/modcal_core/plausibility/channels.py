@@ -21,6 +21,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_pl
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import ANGLE, OF_REACH, Disagreement
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
@@ -309,7 +310,7 @@ class _Channels:
 
     def turn(self) -> Disagreement | None:
         """One joint's axis, or the turn of its origin, that is another than in the description."""
-        few = np.unique(np.linspace(0, len(self.samples) - 1, _FEW).astype(int))
+        few = spread_rows(len(self.samples), _FEW)
         R, q, M = self.samples.R[few], self.samples.q[few], self.chain.origins[:, :3, :3]
         joints = [j for j in range(self.chain.n) if self.chain.revolute[j]]
         left = {j: self.before[j][few] @ M[j] for j in joints}

@@ -15,6 +15,7 @@ import numpy as np
 
 from modcal_core.geometry import se3, so3
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import Disagreement, Placed
 from modcal_core.plausibility.consensus import CLEARLY, Consensus
 from modcal_core.plausibility.joint_search import EXPLAINED, JointSearch
@@ -52,7 +53,7 @@ def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:
     if len(rows) < 2 * _LEAST or samples.frames[f] in samples.sockets:
         return None
     rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
+    rows = rows[spread_rows(len(rows), _MOST)]
     try:
         return _Search(samples.select(rows), chain).found()
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all

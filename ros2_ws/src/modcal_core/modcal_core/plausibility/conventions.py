@@ -24,6 +24,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.consensus import placed_by_most
 from modcal_core.plausibility.mistakes import (
     Mistake,
@@ -195,7 +196,7 @@ def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[M
 def thinned(samples: Samples, most: int) -> Samples:
     """No more than so many of the samples, evenly along the recording."""
     order = np.argsort(samples.stamps, kind="stable")
-    return samples.select(order[np.unique(np.linspace(0, len(order) - 1, min(len(order), most)).astype(int))])
+    return samples.select(order[spread_rows(len(order), most)])
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.joint_columns import LEAST_ROWS, likely_orders
 from modcal_core.plausibility.most_seen import most_seen
@@ -118,7 +119,7 @@ def _some(samples: Samples, chain: Mechanism) -> Samples | None:
     part = most_seen(samples, chain, LEAST_ROWS, 10 * _MOST)
     if part is None:
         return None
-    return part.select(np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST)).astype(int)))
+    return part.select(spread_rows(len(part), _MOST))
 
 
 def _missed(chain: Chain, q: Array, samples: Samples) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from math import factorial, perm
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
@@ -51,7 +52,7 @@ def likely_orders(
     N, M = len(values), len(pool)
     if N < LEAST_ROWS or chain.n > M or not triples:
         return []
-    rows = np.unique(np.linspace(0, N - 1, min(N, _ROWS)).astype(int))
+    rows = spread_rows(N, _ROWS)
     search = _Search(chain, scale * values[rows], values[rows], triples)
     windows = [tuple(pool[first : first + chain.n]) for first in range(M - chain.n + 1)]
     found = search.all(windows)

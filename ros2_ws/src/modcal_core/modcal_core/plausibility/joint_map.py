@@ -18,6 +18,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_pos
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import ANGLE, Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake
 from modcal_core.plausibility.most_seen import most_seen
@@ -44,7 +45,7 @@ def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
     part = most_seen(samples, chain, _LEAST, 10 * _MOST)
     if part is None or not is_serial_arm(chain):
         return None
-    part = part.select(np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST)).astype(int)))
+    part = part.select(spread_rows(len(part), _MOST))
     moved = part.q.std(axis=0) > 0.0
     starts = [_Map(np.eye(chain.n), np.zeros(chain.n)), *_likely(part, chain)]
     try:

@@ -16,6 +16,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, turns_left
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import ANGLE, Disagreement, Placed
 from modcal_core.plausibility.consensus import CLEARLY, Consensus
 from modcal_core.robots.kinematics import spatial_jacobian
@@ -61,7 +62,7 @@ class JointSearch:
         """The rest with the positions of two joints unknown, which four of the six numbers of a pose then prove."""
         if not self._among.poses:
             return None
-        few = rest[np.unique(np.linspace(0, len(rest) - 1, min(len(rest), _FEW)).astype(int))]
+        few = rest[spread_rows(len(rest), _FEW)]
         part = self._among.samples.select(few)
         for pair in combinations(self._joints(), 2):
             q = self._solved_two(list(pair), placed, part)

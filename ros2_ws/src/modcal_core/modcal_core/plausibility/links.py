@@ -15,6 +15,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_pos
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
@@ -34,7 +35,7 @@ def other_link(samples: Samples, chain: Mechanism) -> Disagreement | None:
     part = most_seen(samples, chain, _LEAST, 10 * _MOST)
     if part is None or not is_serial_arm(chain) or chain.n < 2:
         return None
-    part = part.select(np.unique(np.linspace(0, len(part) - 1, min(len(part), _MOST)).astype(int)))
+    part = part.select(spread_rows(len(part), _MOST))
     angle, distance = limits(chain)
     spread = np.linalg.norm(part.reading - np.median(part.reading, axis=0), axis=1)
     if float(np.median(spread)) < _MOVES * distance:

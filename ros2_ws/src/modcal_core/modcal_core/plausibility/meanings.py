@@ -19,6 +19,7 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_pl
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.conventions import BEYOND_DOUBT, Match, match, points_match, rough_scores, thinned
 from modcal_core.plausibility.mistakes import Mistake
 from modcal_core.plausibility.turning import Turning, turnings
@@ -112,7 +113,7 @@ def rivals(found: Sequence[Judged]) -> list[Judged]:
 
 
 def _judged_point(chain: Chain, choice: Postures, c: int, position: Array, unit: str) -> Judged:
-    rows = _spread(len(position), _MOST)
+    rows = spread_rows(len(position), _MOST)
     p = LENGTHS[unit] * position[rows]
     fit = points_match(chain, choice.q[rows], p, 3.0 * float(np.log(LENGTHS[unit])))
     return Judged(Meaning(c, unit, None), fit, np.tile(np.eye(3), (len(rows), 1, 1)), p)
@@ -182,10 +183,6 @@ def _samples(q: Array, position: Array) -> Samples:
         velocity=np.zeros_like(q),
         moving=np.zeros(N, bool),
     )
-
-
-def _spread(count: int, most: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
 def _same(one: Judged, other: Judged, choices: Sequence[Postures]) -> bool:

@@ -19,6 +19,7 @@ from modcal_core.calibration.score import errors
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.other_joints import moving_beside
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
@@ -68,7 +69,7 @@ def require_plausible(
     missed = _miss(fitted, samples)
     if missed <= limit:
         return
-    rows = np.linspace(0, len(samples) - 1, min(len(samples), _MOST)).astype(int)
+    rows = spread_rows(len(samples), _MOST)
     few = samples.select(np.unique(rows))
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
     if distances:

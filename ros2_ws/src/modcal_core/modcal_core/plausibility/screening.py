@@ -12,6 +12,7 @@ import numpy as np
 
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake, of_joints, of_several_joints
 from modcal_core.robots.chain import Chain
@@ -51,7 +52,7 @@ def most_likely(samples: Samples, chain: Chain, mistakes: Sequence[Mistake], cou
 
 def _missed(samples: Samples, chain: Chain, mistakes: Sequence[Mistake]) -> list[float]:
     """Median distances [m] that a nominal arm misses by with each mistake of joints undone."""
-    samples = samples.select(np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _FEW)).astype(int)))
+    samples = samples.select(spread_rows(len(samples), _FEW))
     missed: list[float] = []
     for first in range(0, len(mistakes), _AT_ONCE):
         some = mistakes[first : first + _AT_ONCE]

@@ -17,6 +17,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import scene_in
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.conventions import BEYOND_DOUBT
 from modcal_core.plausibility.meanings import ARM_SHARE, OF_MOTION
 from modcal_core.robots.chain import Chain
@@ -66,7 +67,7 @@ def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volu
 
     log_volume: of one row, by how much the readings' volume was shrunk to have them in m and rad, in logarithm.
     """
-    rows = np.unique(np.linspace(0, len(q) - 1, min(len(q), _MOST)).astype(int))
+    rows = spread_rows(len(q), _MOST)
     samples = _samples(q[rows], [Sighting(s.frame, s.kind, s.values[rows]) for s in sightings])
     tip = forward(chain, samples.q)
     instruments = new_instruments(samples)

@@ -39,6 +39,7 @@ from modcal_core.geometry.twists import error_values
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.posture_order import explained_by_posture
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.regimes.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
@@ -70,7 +71,7 @@ def find_regimes(
         return None
     stated = [move for move in stated if samples.stamps.min() < move.at < samples.stamps.max()]
     if len(samples) > _MOST:
-        samples = samples.select(np.unique(np.linspace(0, len(samples) - 1, _MOST).astype(int)))
+        samples = samples.select(spread_rows(len(samples), _MOST))
     nominal = fit_cell(chain, samples, cell, inertias)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))

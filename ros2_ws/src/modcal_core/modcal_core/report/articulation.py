@@ -12,8 +12,9 @@ from modcal_core.articulation.fit import JointFit
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.effect_tables import number
-from modcal_core.report.figures import MOST_POINTS, label, small, thinned
+from modcal_core.report.figures import MOST_POINTS, label, small
 from modcal_core.report.object_scene import ObjectScene, object_scene
 from modcal_core.report.page import Chart, PageTable, as_script_data, chart, render
 from modcal_core.report.palette import LIGHT, OF_AXES
@@ -206,7 +207,7 @@ def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
     figure, axes = small(3.4, 2.9)
     for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
         x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
-        rows = thinned(len(x), MOST_POINTS // 3)
+        rows = spread_rows(len(x), MOST_POINTS // 3)
         axes.plot(x[rows], y[rows], marker, ms=2.8, mfc="none", mew=0.7, color=LIGHT[colour], label="xyz"[k])
     if shown.any():  # a few gross outliers do not stretch it
         reach = 1.15e3 * max(float(np.percentile(np.abs(left[shown]), 99.5)), 1e-6)
@@ -230,7 +231,7 @@ def _draw_path(axes: Axes, found: Articulation) -> None:
     middle = p[good].mean(axis=0)
     plane = np.linalg.svd(p[good] - middle, full_matrices=False)[2][:2].T
     flat = (p - middle) @ plane
-    seen = flat[good][thinned(int(good.sum()), MOST_POINTS)]
+    seen = flat[good][spread_rows(int(good.sum()), MOST_POINTS)]
     axes.plot(*(1e3 * seen).T, ".", ms=3.0, color=LIGHT["before"], label="seen")
     a = fit.configurations[good]
     path = (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane

@@ -6,7 +6,7 @@ import numpy as np
 
 from modcal_core.camera.clean import distances_of_views
 from modcal_core.camera.fit import CameraFit
-from modcal_core.report.figures import thinned
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.page import Chart
 from modcal_core.report.palette import AFTER
 from modcal_core.report.panel import Panel
@@ -17,7 +17,7 @@ _DRAWN = 4000  # corners in a picture; more only make the page heavy
 def camera_charts(fit: CameraFit) -> list[Chart]:
     """Coverage of the image by corners, and the distance of each image's target from where the arm has it."""
     used = np.flatnonzero(fit.table.weight > 0.0)
-    rows = used[thinned(len(used), _DRAWN)]
+    rows = used[spread_rows(len(used), _DRAWN)]
     w, h = fit.state.lens.size
     covered = Panel((0.0, float(w)), (-float(h), 0.0))
     covered.hollow(fit.table.pixels[rows, 0], -fit.table.pixels[rows, 1], AFTER, "circle")

@@ -93,6 +93,7 @@ def _change(c: NamedChange) -> dict[str, Any]:
         "sentence": c.sentence,
         "sizes": [{"name": s.name, "value": s.value, "ci95": [s.low, s.high], "unit": s.unit} for s in c.sizes],
         "moved_mm": {"rms": c.moved_mm[0], "ci95": [c.moved_mm[1], c.moved_mm[2]]},
+        "turned_deg": c.turned_deg,
         "probability": c.probability,
         "same_as": list(c.same_as),
         "same_at_every_posture": c.everywhere,

@@ -8,8 +8,8 @@ from modcal_core.effects.curve import curve
 from modcal_core.effects.effect import AXIS, JOINTS, LENGTH, RADIAL, Effect
 from modcal_core.effects.sizes import component_names
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.figures import thinned
 from modcal_core.report.page import Chart
 from modcal_core.report.palette import AFTER, BEFORE, SOFT
 from modcal_core.report.panel import Panel
@@ -65,7 +65,7 @@ def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, c
     panel = Panel(_limits(float(x.min()), float(x.max())), _limits(float(low.min()), float(high.max())))
     panel.band(x, low, high, BEFORE)
     panel.line(x, 1e3 * size, AFTER, 1.1)
-    panel.rug(np.sort(at)[thinned(len(at), _MOST_TICKS)], SOFT)
+    panel.rug(np.sort(at)[spread_rows(len(at), _MOST_TICKS)], SOFT)
     title = f"{effect.place}, {direction}: {effect.family.replace('_', ' ')}"
     if shown != slice(None):
         title += ", a part of its range"

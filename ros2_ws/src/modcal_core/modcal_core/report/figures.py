@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.counted import counted
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
@@ -96,11 +97,6 @@ def _at(ticks: Array) -> Locator:
     return FixedLocator(list(ticks))
 
 
-def thinned(count: int, most: int) -> np.ndarray:
-    """At most so many of this many rows, evenly."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)) if count else np.empty(0, int)
-
-
 def error_histogram(report: ReportContents) -> Chart | None:
     """How often the tool misses by how much on the held-out set, before and after, on a logarithmic axis."""
     norms = {stage: 1e3 * report.errors[stage].position_norm for stage in ("nominal", "final")}
@@ -172,7 +168,7 @@ def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
     for name, marker, colour in _SETS:
         rows = getattr(report.sets, name)
         rows = rows[~wrong[rows]]
-        rows = rows[thinned(len(rows), int(share * MOST_POINTS / 6.0))]
+        rows = rows[spread_rows(len(rows), int(share * MOST_POINTS / 6.0))]
         said = f"{name.replace('_', '-')} ({sizes[name]})"
         if len(rows):
             axes.semilogy(time[rows], miss[rows], marker, ms=3.0, color=LIGHT[colour], mfc="none", label=said)

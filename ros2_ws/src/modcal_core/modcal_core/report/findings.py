@@ -26,6 +26,7 @@ from modcal_core.effects.families import outliers
 from modcal_core.effects.registry import family
 from modcal_core.effects.sizes import Quantity
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.verdict.contributions import resampled
 
@@ -107,7 +108,7 @@ def findings(
         key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
         groups.setdefault(key, []).append(i)
     known = _known_of(diagnosis.fit, train, distances) if groups and len(scored) else None
-    few = samples.select(np.unique(np.linspace(0, len(samples) - 1, min(len(samples), _MOST_SEEN)).astype(int)))
+    few = samples.select(spread_rows(len(samples), _MOST_SEEN))
     entries = []
     for numbers in groups.values():
         effects = tuple(shipped.effects[i] for i in numbers)
@@ -140,7 +141,7 @@ def findings(
 
 def _known_of(fit: Fit, train: Samples, distances: Sequence[AnyDistance]) -> Uncertainty:
     """The covariance of the final fit, from a part of *train* where that is long."""
-    rows = np.unique(np.linspace(0, len(train) - 1, min(len(train), _MOST_FITTED)).astype(int))
+    rows = spread_rows(len(train), _MOST_FITTED)
     weights = fit.weights[rows] * (len(train) / max(len(rows), 1))
     part = replace(fit, weights=weights)
     return uncertainty(fit.model, train.select(rows), fit.parameters, part, distances)

@@ -21,6 +21,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.base_and_tool import base_and_tool_motions, parameter_motions, twists, without
 from modcal_core.robots.mechanism import is_serial_arm
 
@@ -72,7 +73,7 @@ def joint_offsets(model: Model, q: Array, turns: bool, known: Uncertainty | None
     """
     if model.arm is None or not is_serial_arm(model.chain) or not is_serial_arm(model.arm.chain) or not len(q):
         return None
-    q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), _MOST)).astype(int))]
+    q = q[spread_rows(len(q), _MOST)]
     part = slice(6 if turns else 3)
     bare = replace(model, effects=(), T_frame_base=np.tile(np.eye(4), (len(model.frames), 1, 1)), instruments=())
     nominal = bare.with_chain(model.arm.chain)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.counted import counted, percent
-from modcal_core.report.figures import thinned
 from modcal_core.report.limits import LimitsFound
 from modcal_core.report.page import PageTable, plain_page
 from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
@@ -96,7 +96,7 @@ def _span(low: float, high: float) -> str:
 def _robot(found: LimitsFound) -> RobotScene:
     """The arm in its postures, every joint as large as the share of its torque that is needed at most."""
     chain = found.arm.chain
-    rows = thinned(len(found.q), MOST_POSTURES)
+    rows = spread_rows(len(found.q), MOST_POSTURES)
     paths = arm_paths(chain, found.q[rows])
     said = []
     for row in rows:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.articulation.joints import PlacedJoint
 from modcal_core.geometry.so3 import Array
-from modcal_core.report.figures import thinned
+from modcal_core.measurements.thinning import spread_rows
 
 _MOST_SEEN, _MOST_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it
@@ -87,5 +87,5 @@ def object_scene(
     )
     alt = f"The measured places of the handle, the path of a {model.kind} joint"
     alt += ", its axis, and the handle on it" if axis is not None else ", and the handle on it"
-    few = seen[thinned(len(seen), _MOST_SEEN)]
+    few = seen[spread_rows(len(seen), _MOST_SEEN)]
     return ObjectScene(few, path, T, bool(model.oriented), axis, feet, said, frame or "the track's frame", alt)

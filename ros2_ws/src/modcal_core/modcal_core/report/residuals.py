@@ -8,8 +8,9 @@ import numpy as np
 
 from modcal_core.calibration.score import Errors
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.figures import MOST_POINTS, thinned
+from modcal_core.report.figures import MOST_POINTS
 from modcal_core.report.page import Chart
 from modcal_core.report.palette import AFTER, BEFORE, OF_AXES
 from modcal_core.report.panel import Panel
@@ -49,7 +50,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
     pairs = _pairs(report)
     most = max(min(MOST_POINTS // 3, _MOST_DRAWN // (6 * len(along) * len(pairs))), 40)
     most = max(int(share * most), 20)
-    rows = thinned(len(report.scored), most)
+    rows = spread_rows(len(report.scored), most)
     out = []
     for k, (added, before, after) in enumerate(pairs):
         sizes = f"{_rms(before):.3f} to {_rms(after):.3f} mm RMS"
@@ -57,7 +58,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
         charts = tuple(_before_after(a, before, after, rows, f"step{k}-{i}", added) for i, a in enumerate(along))
         out.append(ChartGroup(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
     final = report.errors["final"]
-    rows = thinned(len(report.scored), max(int(share * MOST_POINTS / 3.0), 20))
+    rows = spread_rows(len(report.scored), max(int(share * MOST_POINTS / 3.0), 20))
     charts = tuple(_left(a, final, rows, f"left-{i}") for i, a in enumerate(along))
     text = (
         "The residual of the final model: x as circles, y as triangles, z as squares. "

@@ -13,8 +13,9 @@ from modcal_core.effects.effect import motion
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.figures import label, thinned
+from modcal_core.report.figures import label
 from modcal_core.report.page import Chart, chart
 from modcal_core.report.palette import LIGHT
 from modcal_core.robots.delta import ARMS, Delta
@@ -64,14 +65,14 @@ def scene(report: ReportContents, share: float = 1.0) -> ReportScene | None:
     model, scored = report.model, report.scored
     if model is None or not len(scored):
         return None
-    rows = thinned(len(scored), int(share * MOST_ARROWS))
+    rows = spread_rows(len(scored), int(share * MOST_ARROWS))
     samples = scored.select(rows)
     indirect = indirect_rows(samples)
     named = [("nominal model", report.errors["nominal"]), *((s.added, s.errors) for s in report.steps)]
     named = [*named[: _MOST_STAGES - 1], *named[-1:]] if len(named) > _MOST_STAGES else named
     stages = tuple((name, _in_base(model, samples, e, rows, indirect)) for name, e in named)
     places = _arms(model, samples)
-    shown = thinned(len(samples), max(int(share * _MOST_POSTURES), 8))
+    shown = spread_rows(len(samples), max(int(share * _MOST_POSTURES), 8))
     paths = tuple(tuple(path[k] for path in places) for k in shown)
     names = tuple(f"station {int(s)}" for s in samples.station)
     return ReportScene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()), model.chain.base)
@@ -106,7 +107,7 @@ def still(drawn: ReportScene) -> Chart:
 
     figure = Figure(figsize=(7.4, 3.6))
     places = ((0.085, 0.13, 0.41, 0.845), (0.58, 0.13, 0.41, 0.845))  # a layout that is found takes as long as drawing
-    rows = thinned(len(drawn.points), _MOST_STILL)
+    rows = spread_rows(len(drawn.points), _MOST_STILL)
     points = drawn.points[rows]
     before, after = 1e3 * drawn.stages[0][1][rows], 1e3 * drawn.stages[-1][1][rows]
     reach = float(np.ptp(points, axis=0).max()) or 1.0

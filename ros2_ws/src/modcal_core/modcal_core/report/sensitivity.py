@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.planning.gain import NAMED
 from modcal_core.planning.study import Study
 from modcal_core.report.counted import percent
-from modcal_core.report.figures import label, thinned
+from modcal_core.report.figures import label
 from modcal_core.report.page import PageTable, chart, plain_page, svg
 from modcal_core.report.palette import LIGHT
 from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
@@ -203,7 +204,7 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
 def _robot(study: Study) -> RobotScene:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
     chain, share = study.closed.chain, study.joint.before.share
-    rows = thinned(len(study.q), MOST_POSTURES)
+    rows = spread_rows(len(study.q), MOST_POSTURES)
     paths = arm_paths(chain, study.q[rows])
     of_joint = [
         sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint)

@@ -16,6 +16,7 @@ from modcal_core.calibration.score import ErrorSize
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.typical import outside_drivers
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.base_and_tool import base_and_tool_motions as taken_by
 from modcal_core.report.base_and_tool import parameter_motions, poses_at, twists, without
 
@@ -54,7 +55,7 @@ def tool_difference(first: Calibration, second: Calibration) -> ToolDifference |
     if not kept:
         return None
     q = np.concatenate(kept)
-    q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), _MOST)).astype(int))]
+    q = q[spread_rows(len(q), _MOST)]
     turns = first.kind == second.kind == "pose"
     (one, left_one), (two, left_two) = _standing(first), _standing(second)
     # one tool for both, so that the point that is compared is the same on the arm

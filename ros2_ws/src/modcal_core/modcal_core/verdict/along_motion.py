@@ -13,6 +13,7 @@ import numpy as np
 from modcal_core.calibration.linearise import RowView
 from modcal_core.effects.effect import place_index
 from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case
 
@@ -50,7 +51,7 @@ def along_motion(case: Case) -> AlongMotion | None:
     chain = case.model.chain
     if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
+    rows = rows[spread_rows(len(rows), _MOST)]
     samples = case.samples.select(rows)
     view = RowView.of(case.model, samples, case.model.drivers(samples))
     velocity = np.zeros((3, len(samples)))

@@ -9,6 +9,7 @@ import numpy as np
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.verdict import Interval
 
@@ -44,7 +45,7 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
     effects = case.model.effects
     if not effects or not len(case.held_out):
         return ()
-    rows = case.held_out[np.unique(np.linspace(0, len(case.held_out) - 1, min(len(case.held_out), _MOST)).astype(int))]
+    rows = case.held_out[spread_rows(len(case.held_out), _MOST)]
     scored = case.samples.select(rows)
     with_all = errors(case.model, scored)
     out = []

@@ -17,6 +17,7 @@ from modcal_core.calibration.linearise import RowView
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case
@@ -54,7 +55,7 @@ def one_place(case: Case) -> OnePlace | None:
     """The base or the tool, where most of what a case leaves is its scatter; None where neither does."""
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     rows = rows[~case.samples.moving[rows] & case.samples.is_pose[rows]]
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))] if len(rows) else rows
+    rows = rows[spread_rows(len(rows), _MOST)]
     chain = case.model.chain
     if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None

@@ -16,6 +16,7 @@ from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.runs import station_numbers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import RANGE
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.case import Case, weights
 
 _LEAST = 50  # readings of an instrument
@@ -68,7 +69,7 @@ def one_topic(case: Case) -> OneTopic | None:
     sizes: dict[int, float] = {}
     for f in frames:
         rows = np.flatnonzero(all_of.frame == f)
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
+        rows = rows[spread_rows(len(rows), _MOST)]
         size = float(np.median(np.abs(residual[rows])))
         r = np.clip(residual[rows], -_FARTHEST * size, _FARTHEST * size)
         sizes[f] = float(np.sqrt(np.mean(r**2)))

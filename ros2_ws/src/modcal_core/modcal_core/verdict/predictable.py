@@ -23,6 +23,7 @@ from modcal_core.calibration.distributions import gumbel_of
 from modcal_core.calibration.split import block_length
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.features import groups, on_the_way, single_waves
 from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regressor, Ridge
@@ -59,7 +60,7 @@ def predictable(case: Case) -> Predictable:
     frozen one on those that are scored.
     """
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
+    rows = rows[spread_rows(len(rows), _MOST)]
     samples = case.samples.select(rows)
     if samples.stations < _LEAST_STATIONS:
         return Predictable()

@@ -19,6 +19,7 @@ from modcal_core.calibration.linearise import RowView
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case, weights
@@ -70,7 +71,7 @@ class _Motion:
 def two_groups(case: Case) -> TwoGroups | None:
     """Two groups that most of what a case leaves falls into, None where there are none."""
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))] if len(rows) else rows
+    rows = rows[spread_rows(len(rows), _MOST)]
     chain = case.model.chain
     if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None

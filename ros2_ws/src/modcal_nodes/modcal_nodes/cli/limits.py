@@ -15,6 +15,7 @@ from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording, joint_stamps_and
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.limits import LimitsFound, joint_limits, to_json_data
 from modcal_core.report.limits_page import to_html
 from modcal_core.robots.chain import Chain
@@ -223,7 +224,7 @@ def _recorded(arm: LoadedArm, recording: Recording, most: int) -> tuple[Array, A
         count = f"{int(fast.sum())} of {len(q)}"
         notes.append(f"{count} joint states move faster than the URDF allows ({said}): they are left out.")
         q, v = q[~fast], v[~fast]
-    rows = np.unique(np.linspace(0, len(q) - 1, most).round().astype(int))
+    rows = spread_rows(len(q), most)
     return q[rows], np.nan_to_num(v[rows]), tuple(notes)
 
 

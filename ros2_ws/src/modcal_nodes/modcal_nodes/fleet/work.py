@@ -14,6 +14,7 @@ import numpy as np
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.as_json import to_json_data
 from modcal_core.result import Result
 from modcal_nodes.fleet.task import DONE, FAILED, REFUSED, Outcome, Task
@@ -85,7 +86,7 @@ def _effect_values(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def _kept(samples: Samples) -> bytes:
     """The samples as the bytes of an .npz, thinned; signals only where they are few enough."""
     if len(samples) > _MOST_KEPT:
-        samples = samples.select(np.unique(np.linspace(0, len(samples) - 1, _MOST_KEPT).astype(int)))
+        samples = samples.select(spread_rows(len(samples), _MOST_KEPT))
     signals = samples.signals if sum(s.values.size for s in samples.signals) <= _MOST_NUMBERS else ()
     arrays: dict[str, Any] = {f"of_{name}": getattr(samples, name) for name in _ARRAYS}
     arrays |= {"names": np.array(samples.names), "frames": np.array(samples.frames)}

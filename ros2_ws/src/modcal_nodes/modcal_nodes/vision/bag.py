@@ -23,6 +23,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.recording import Listed, Recording
+from modcal_core.measurements.thinning import spread_rows
 from modcal_msgs_py.images import (
     TAGS,
     RawImage,
@@ -192,7 +193,7 @@ def chosen_stamps(stamps: Array, log: JointLog) -> tuple[Array, bool]:
 
 
 def _evenly(rows: np.ndarray) -> np.ndarray:
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), _MOST)).astype(int))]
+    return rows[spread_rows(len(rows), _MOST)]
 
 
 def _boards(bag: Path, topic: Listed, target: PrintedTarget) -> Iterator[tuple[float, _Look]]:

@@ -19,6 +19,7 @@ from modcal_core.camera.views import BoardView
 from modcal_core.camera.weakness import covered, tilt_and_distance
 from modcal_core.errors import ModcalError
 from modcal_core.measurements.recording import Recording
+from modcal_core.measurements.thinning import spread_rows
 from modcal_msgs_py.images import chosen_topic, raw_image, read_messages, stamps_of
 from modcal_nodes.vision.bag import JointLog, chosen_stamps
 from modcal_nodes.vision.detect import detect
@@ -70,7 +71,7 @@ def images_worth(
             wanted, _ = chosen_stamps(stamps, JointLog.of(recording, names))
         except ModcalError:
             wanted = stamps
-    wanted = wanted[np.unique(np.linspace(0, len(wanted) - 1, min(len(wanted), _LOOKED_AT)).astype(int))]
+    wanted = wanted[spread_rows(len(wanted), _LOOKED_AT)]
     keep, views, reasons = set(wanted.tolist()), [], Counter[str]()
     size: tuple[int, int] | None = None
     for received, message in read_messages(bag, topic.topic):
