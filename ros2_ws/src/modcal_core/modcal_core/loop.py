@@ -80,7 +80,7 @@ def calibrate(
     """The calibration of this arm from these samples, scored on samples that it has not seen.
 
     cell: what is known of the surroundings and what must stay as it is. block: stations that the split keeps together;
-    None decides. inertias: of the arm's bodies, for effects of load. progress: hears of each effect that is tried.
+    None decides. inertias: of the arm's bodies, for effects of load. progress: called with each effect that is tried.
     look_for_effects: go beyond geometry. changed: stamp [s] about which something is known to have happened.
     Raises ModcalError for data that cannot carry a fit.
     """

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def quiet(stage: str) -> None:
-    """What hears of stages when nobody does."""
+    """The progress callback that is used where none is given: it does nothing."""
 
 
 def calibrate(

@@ -21,7 +21,7 @@ _CLOCK_LIMIT = 0.5  # s
 
 
 def _quiet(share: float) -> None:
-    """What hears of progress when nobody does."""
+    """The progress callback that is used where none is given: it does nothing."""
 
 
 @dataclass(frozen=True)

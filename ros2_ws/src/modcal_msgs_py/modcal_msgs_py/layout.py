@@ -49,7 +49,7 @@ class Column:
 class MessageLayout:
     """Where everything stands in messages of ``size`` bytes. columns, texts: by path, such as ``pose/position/x``.
 
-    counts: how many there are of what is no number (texts, messages), by path.
+    counts: how many fields that are not numbers (texts, messages) there are, by path.
     """
 
     size: int

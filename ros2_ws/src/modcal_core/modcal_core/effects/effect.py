@@ -122,7 +122,7 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
         lengths[0] -= settings["known_radius"]
         arms = [chain.first_place + i for i in range(effect.shape.size)]
         return [[Term(i, RODS, x), *(Term(i, RODS + 1 + d, size * x) for d, size in enumerate(lengths))] for i in arms]
-    if effect.driver.startswith("moment:"):  # a bearing gives way in the direction it is bent
+    if effect.driver.startswith("moment:"):  # a bearing deflects in the direction it is bent
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
     basis = drivers.basis(effect.driver, effect.lag, effect.shape)
     return [

@@ -1,4 +1,4 @@
-"""The impedance law M ẍ + B ẋ + K x = F: how far the tool gives way, from where it is expected, under a force.
+"""The impedance law M ẍ + B ẋ + K x = F: how far the tool yields, from where it is expected, under a force.
 
 x = (way, rotation vector) is where the commanded tool is, seen from the expected one, ``T_cmd = T_expected · (exp(x_ω),
 x_v)``; F is what the environment exerts on the tool. Both are seen from the tool, so gains stay with it as it turns.

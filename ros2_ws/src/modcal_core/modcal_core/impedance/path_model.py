@@ -103,7 +103,7 @@ class PathModel:
         """model: of the tool's poses in the base. closed, now (4, 4): the tool when it was closed and as it is.
 
         ahead (3,): the direction in the base in which it opens. goal_rad, goal_m: from closed, for what turns and what
-        slides. over: way [m] beyond the goal to which it may be expected, to make up for what the pull gives way.
+        slides. over: way [m] beyond the goal to which it may be expected, to make up for what the hand yields.
         Raises BadCommand for a model of something that does not move.
         """
         self._closed, self._goals, self._over = closed, (goal_rad, goal_m), over

@@ -1,7 +1,7 @@
 """How fast to go on along a path, and whether anything moves at all.
 
 A force that rises slows the pace down before it becomes too much: full speed up to ``slowdown``, none from ``stop`` on.
-With the damping B of the impedance law, something that does not give way is then pushed with the force at which B times
+With the damping B of the impedance law, something rigid is then pushed with the force at which B times
 the pace is that force, whatever the arm's stiffness.
 
 At a hard stop that comes too late: there the force grows by K v, stiffness of hand and arm times speed, and goes on
@@ -67,7 +67,7 @@ class ForcePrediction:
     def ahead(self, F: Array, stamp: float, seconds: float) -> Array:
         """Force and moment (6,) some seconds after F (6,), felt at ``stamp`` [s], if it goes on rising as it does.
 
-        It keeps its direction, and what falls is taken as it is: what is about to give way need not be trusted to.
+        It keeps its direction, and what falls is taken as it is: what is about to move need not be trusted to.
         """
         sizes = np.array([math.sqrt(F[:3] @ F[:3]), math.sqrt(F[3:] @ F[3:])])
         rising = np.maximum(sizes - self._past.take(sizes, stamp), 0.0) / self.lag
@@ -104,7 +104,7 @@ class SpeedGovernor:
         return 0.5 * self.speed / self._brake
 
     def stand(self, now: float) -> None:
-        """Stand; patience begins anew."""
+        """Stand; patience starts from zero."""
         self.speed = 0.0
         self._mark = now, self._mark[1]
 

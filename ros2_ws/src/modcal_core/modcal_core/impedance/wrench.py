@@ -53,7 +53,7 @@ class Tare:
         self._begun = math.nan
 
     def add(self, wrench: Array, stamp: float, at_rest: bool) -> bool:
-        """Take one reading (6,) of a time [s]; whether there are enough. An arm that moves begins anew."""
+        """Take one reading (6,) of a time [s]; whether there are enough. An arm that moves starts the tare again."""
         if not at_rest or not self._readings:
             self._readings, self._begun = [], stamp
         self._readings.append(np.array(wrench, dtype=float))

@@ -121,7 +121,7 @@ class FixedLinearisation:
 def _twists(now: Model, parameters: Sequence[ModelParameter], errors: Deviations, frame: int) -> Array:
     """The twist that each parameter makes per unit, in the frame of its place, (P, 7 (n + 1)); for readings in a frame.
 
-    Behind each place's six directions stands a zero, for what goes along with them in :func:`_carried`.
+    Behind each place's six directions stands a zero, for what moves with them in :func:`_carried`.
     """
     of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
     out = np.zeros((len(parameters), now.serial.n + 1, 7))

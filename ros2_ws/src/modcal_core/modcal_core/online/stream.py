@@ -110,7 +110,7 @@ class SampleStream:
             readings.last = -np.inf
 
     def joint_state(self, stamp: float, q: Array, effort: Array | None = None) -> None:
-        """Take one joint state, q (n,) [rad, m]. Raises BadRecording for a position that is no number."""
+        """Take one joint state, q (n,) [rad, m]. Raises BadRecording for a position that is not finite."""
         if not (np.isfinite(q).all() and np.isfinite(stamp)):
             worst = self.names[int(np.argmin(np.isfinite(q)))]
             raise BadRecording(f"joint {worst}", "position is not finite", "fix the driver; the message is left out")

@@ -86,7 +86,7 @@ def _held_against(reference: Calibration, folder: Path, base: bool, tool: bool) 
 
 
 def in_words(found: Drift) -> str:
-    """What a maintenance engineer wants to hear."""
+    """The summary for maintenance."""
     since, until = (iso(t)[:10] for t in (found.since, found.until))
     named = found.named
     if named is None:

@@ -37,7 +37,7 @@ class Calibrated:
 def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watch: Watch = silent) -> Calibrated:
     """The calibration of the arm in a bag, and in more bags of its cell. Raises ModcalError for unusable ones.
 
-    watch: hears of the stages.
+    watch: called with the name of each stage.
     """
     tolerance_asked(options.tolerance_mm, options.tolerance_of)
     cell = read_cell(options.cell_file, options.fixed, stated_from(asdict(options)))

@@ -121,7 +121,7 @@ class SimulatedCell(GuardedNode):
         return all(topic.get_subscription_count() >= self._least for topic in (self._joints, self._tracker))
 
     def _jump(self, now: float) -> None:
-        """Go on at another time, the arm as it is; postures of its own begin again when time moves backwards."""
+        """Go on at another time, the arm as it is; postures of its own restart when time moves backwards."""
         self._plant.jump(self._done, now)
         for grid in (self._joint_grid, self._tracker_grid, self._temperature_grid, self._clock_grid):
             grid.start(now)

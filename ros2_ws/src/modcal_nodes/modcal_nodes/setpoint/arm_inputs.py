@@ -1,4 +1,4 @@
-"""What ``impedance_setpoint`` hears of one arm: its joints, the wrench at its wrist, and where its tool is."""
+"""Inputs of ``impedance_setpoint`` from one arm: its joints, the wrench at its wrist, and where its tool is."""
 
 from __future__ import annotations
 

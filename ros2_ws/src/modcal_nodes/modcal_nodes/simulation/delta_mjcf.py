@@ -44,7 +44,7 @@ def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0
         rods = []
         for side in (-1, 1):
             name = f"rod_{i}_{'left' if side < 0 else 'right'}"
-            # as drawn, each arm turned by ``at`` about its y: the rod leads from the elbow towards the platform
+            # nominal, each arm turned by ``at`` about its y: the rod leads from the elbow towards the platform
             here = np.array([L1[i], side * ROD_SPACING, 0.0])
             drawn = so3.exp([0.0, at, 0.0])
             towards = np.array([-true.constants[OFFSET, i], side * ROD_SPACING, height])

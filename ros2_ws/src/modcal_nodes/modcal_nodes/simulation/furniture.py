@@ -42,7 +42,7 @@ class Furniture:
     """One object and the arm that holds its handle.
 
     kind: door (a hinge), drawer (a slide), screw (a hinge whose slide is coupled to it), folding (a hinge that ends
-    after 20° where a second one, nearer to the handle and stiffer, gives way: no single joint describes it).
+    after 20° where a second one, nearer to the handle and stiffer, opens: no single joint describes it).
     axis (3,), point (3,) [m]: of its motion in the arm's base. pitch: of a screw [m/rad].
     T_base_handle: the closed handle, which is where the tool is. q: the arm's posture then (n,).
     friction: dry [N m; a drawer's N], damping [N m s/rad; N s/m], spring: that closes it [N m/rad; N/m].
@@ -93,7 +93,7 @@ class Furniture:
         return way / np.linalg.norm(way)
 
     def handle(self, opened: float) -> Array:
-        """The pose (4, 4) of the handle in the base when its joint stands at ``opened``, as drawn; not when folded."""
+        """The pose (4, 4) of the handle in the base when its joint stands at ``opened``, nominal; not when folded."""
         return se3.exp(self.twist * opened) @ self.T_base_handle
 
     @property

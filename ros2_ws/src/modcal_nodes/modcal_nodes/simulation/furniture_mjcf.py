@@ -22,7 +22,7 @@ _WIDEST = (np.radians(110.0), 0.6)  # where doors and drawers end [rad, m]
 _HANDLE_MASS = 1e-3  # kg, so that the sensor behind it feels the grasp and nothing else
 _SECOND_FRICTION = 4.0  # of a folding door, times that of the first hinge
 _STIFF = 'solref="0.004 1" solimp="0.95 0.99 0.001"'  # of grasp, stops, couplings; 4 ms is as hard as 1 kHz allows
-# fingers, their pads and the panel behind a handle give way before that does
+# fingers, their pads and the panel behind a handle deflect before that does
 GRASP_STIFFNESS, GRASP_TURNING = 20e3, 200.0  # N/m, N m/rad
 _FINGERS, _FINGERS_GYRATION, _GRASP_DAMPING = 0.15, 0.08, 0.3  # kg, m, share of critical
 

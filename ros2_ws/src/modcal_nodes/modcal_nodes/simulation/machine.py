@@ -48,7 +48,7 @@ class Machine(ABC):
         return self.T_tracker_base @ self.tool_in_base(q)
 
     def tool_in_base(self, q: ArrayLike) -> Array:
-        """True poses (..., 4, 4) of the tool in the base link, the joints at q (..., n) before springs give way."""
+        """True poses (..., 4, 4) of the tool in the base link, the joints at q (..., n) before springs deflect."""
         q = np.asarray(q, dtype=float)
         flat = q.reshape(-1, q.shape[-1])
         T = np.zeros((len(flat), 4, 4))

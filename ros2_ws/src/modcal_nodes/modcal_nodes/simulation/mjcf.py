@@ -1,4 +1,4 @@
-"""MJCF text of a chain: what MuJoCo is told of the true arm."""
+"""MJCF text of a chain: the true arm as MuJoCo simulates it."""
 
 from __future__ import annotations
 

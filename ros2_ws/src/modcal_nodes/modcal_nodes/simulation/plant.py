@@ -98,7 +98,7 @@ class Plant:
             self._program.extend(legs, done)
 
     def jump(self, before: float, now: float) -> None:
-        """Go on at another time, the arm as it is; postures of its own begin again when time moves backwards."""
+        """Go on at another time, the arm as it is; postures of its own restart when time moves backwards."""
         here, missed = self._program.at(before), self._miss.at(before)
         if now < before:
             self._program, self._miss = Program(here), Program(missed)
@@ -129,7 +129,7 @@ class Plant:
         return out
 
     def _sent_to(self, t: float) -> Array:
-        """Where motors and gears bring the joints (n,) at a time, before springs give way."""
+        """Where motors and gears bring the joints (n,) at a time, before springs deflect."""
         reported = self._program.at(t)
         q = reported + self._miss.at(t)
         if (j := self._gear) is not None:

@@ -1,4 +1,4 @@
-"""An arm in MuJoCo whose bodies are not where its drawing puts them, and that gives way where its joints are elastic.
+"""An arm in MuJoCo whose bodies are not where its drawing puts them, and that deflects where its joints are elastic.
 
 The truth of a test must not come from the model under test: here it comes from another engine. Every body is displaced
 and turned by a random amount in all six directions, which is not how modcal writes errors (four directions at a joint).

@@ -1,4 +1,4 @@
-"""A node that only listens: to /diagnostics, and to what the nodes it hears of publish under their own names."""
+"""A node that only listens: to /diagnostics, and to what the nodes named there publish under their own names."""
 
 from __future__ import annotations
 
