@@ -103,7 +103,7 @@ def test_a_change_is_named_and_repaired(
 
 
 def test_a_turn_that_moves_nothing_is_told_in_degrees(cell: tuple[Recorded, Calibration]) -> None:
-    found, q, T = checked(cell, lambda q, world: world(q) @ twist(2e-3, (0, 0, 0, 0, 0, 1)))
+    found, _, _ = checked(cell, lambda q, world: world(q) @ twist(2e-3, (0, 0, 0, 0, 0, 1)))
     (change,) = found.changes
     assert change.turned_deg is not None
     assert change.turned_deg == pytest.approx(np.degrees(2e-3), rel=0.1)

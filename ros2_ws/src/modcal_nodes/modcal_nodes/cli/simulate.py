@@ -16,7 +16,7 @@ from modcal_core.robots.urdf import other_tips
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.robot import chain_line
-from modcal_nodes.ros.declaring import Parameter
+from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded

@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
 
 from modcal_core.errors import ModcalError
-
-if TYPE_CHECKING:  # `modcal simulate` takes the cell's parameters, and needs no ROS
-    from rcl_interfaces.msg import SetParametersResult
-    from rclpy.node import Node
-
-    from modcal_nodes.ros.guarded import GuardedNode
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """default: also gives the type. low, high: bounds of a number, both or neither.
-
-    live: whether it may be changed while the node runs, and then takes effect; every other one is read-only.
-    """
-
-    default: Any
-    description: str
-    low: float | None = None
-    high: float | None = None
-    live: bool = False
+from modcal_nodes.ros.aliases import OLD_NAMES, said_under_old_name
+from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.parameter import Parameter
+from modcal_nodes.ros.parameters import NODES
 
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
@@ -35,10 +21,6 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
 
     A value under a name of release 0.1 counts, and is warned of (:mod:`aliases`).
     """
-    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-
-    from modcal_nodes.ros.aliases import said_under_old_name
-
     for name, parameter in parameters.items():
         descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
         if parameter.low is not None and parameter.high is not None:
@@ -59,9 +41,6 @@ def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
     A file may be shared by several nodes: what another one knows is not spoken of, and the rest is no reason to refuse
     the start.
     """
-    from modcal_nodes.ros.aliases import OLD_NAMES
-    from modcal_nodes.ros.parameters import NODES
-
     known = {*OLD_NAMES.values(), *(name for parameters in NODES.values() for name in parameters)}
     given = getattr(node, "_parameter_overrides", {})
     strange = [name for name in given if not name.startswith("qos_overrides.") and name not in known]
@@ -92,7 +71,6 @@ def follow(
     check: raises ModcalError for values that cannot be, given all of them as they would be. take: called after a
     change.
     """
-    from rcl_interfaces.msg import SetParametersResult
 
     def judge(changed: list[Any]) -> SetParametersResult:
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from modcal_core.planning.returns import RETURNS
-from modcal_nodes.ros.declaring import Parameter
+from modcal_nodes.ros.parameter import Parameter
 
 RECORDER = {
     "out": Parameter("", "Folder of the bag; must not exist. Empty: modcal_ and the time of day."),

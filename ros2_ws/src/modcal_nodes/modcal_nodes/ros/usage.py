@@ -11,7 +11,7 @@ from typing import Any
 
 from rclpy.utilities import remove_ros_args
 
-from modcal_nodes.ros.declaring import Parameter
+from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import NODES
 
 _WIDTH = 120
