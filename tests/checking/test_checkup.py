@@ -19,6 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.public import calibrate, check
 from modcal_core.robot import Robot
+from modcal_nodes.simulation.world import World
 
 pytestmark = pytest.mark.slow
 FLOOR = np.sqrt(3.0) * NOISE_M
@@ -331,3 +332,75 @@ def test_stations_where_a_learned_curve_was_not_seen_are_left_out(cell: tuple[Re
     assert found.stations == int((np.abs(q[:, 2]) < 1.05).sum()) < 30
     assert any("learned curves have not been seen" in note for note in found.notes)
     assert any("keeps no covariance" in note for note in found.notes)
+
+
+def test_a_gear_that_moves_readings_as_far_as_another_robot_is_named(cell: tuple[Recorded, Calibration]) -> None:
+    """Five degrees of a gear, which base and tool fitted again leave more of than any arm of the same make."""
+    for joint in (0, 5):
+
+        def seen(q: Array, world: Poses, j: int = joint) -> Array:
+            return world(q + np.outer(np.radians(5.0) * np.sin(100 * q[:, j] + 0.3), np.eye(6)[j]))
+
+        found, q, T = checked(cell, seen)
+        assert names(found) == {("gear", ur10().names[joint])}, found.sentence
+        moved = rms(cell[0].world.tool_in_tracker(q), T)
+        assert found.changes[0].moved_mm[0] == pytest.approx(1e3 * moved, rel=0.05)
+
+
+def test_zeros_that_were_set_anew_are_named(cell: tuple[Recorded, Calibration]) -> None:
+    found, _, _ = checked(cell, lambda q, world: world(q + np.radians(3.0) * (np.eye(6)[1] + np.eye(6)[4])))
+    assert names(found) == {("joint_zero", "shoulder_lift_joint"), ("joint_zero", "wrist_2_joint")}
+
+
+def test_angles_that_are_none_are_refused_with_their_joint(cell: tuple[Recorded, Calibration]) -> None:
+    wander = np.random.default_rng(3)
+
+    def seen(q: Array, world: Poses) -> Array:
+        return world(q + np.outer(0.25 * wander.standard_normal(len(q)), np.eye(6)[5]))
+
+    with pytest.raises(BadRecording, match="angles of wrist_3_joint: differ from those of the calibrated arm by 1"):
+        checked(cell, seen)
+
+
+@pytest.mark.parametrize("kind", ["pose", "point"])
+def test_an_arm_of_other_lengths_in_the_same_cell_is_refused(cell: tuple[Recorded, Calibration], kind: str) -> None:
+    """Base and tool stand where they stood; the forearm is five centimetres longer, or all links a tenth."""
+    rng = np.random.default_rng(3)
+    base, tool = se3.exp(rng.normal(size=6)), se3.exp(np.r_[0.05, 0.03, 0.12, rng.normal(size=3)])
+    q = np.random.default_rng(21).uniform(-2.5, 2.5, (10, 6))
+    for stretch in (np.where(np.arange(7) == 3, 1.09, 1.0), np.full(7, 1.1)):
+        origins = ur10().origins.copy()
+        origins[:, :3, 3] *= stretch[:, None]
+        other = World(ur10().with_origins(origins), np.random.default_rng(22), T_tracker_base=base, T_tip_tool=tool)
+        seen = readings(q, other.tool_in_tracker(q), np.random.default_rng(23))
+        if kind == "point":
+            seen = Samples.from_arrays(q, points=seen.reading, names=ur10().names, stamps=seen.stamps)
+        with pytest.raises(BadRecording, match="misses them by"):
+            check(cell[1], seen)
+
+
+def test_stations_at_one_posture_are_one(cell: tuple[Recorded, Calibration]) -> None:
+    q = np.repeat(np.random.default_rng(1).uniform(-2.5, 2.5, (4, 6)), 3, axis=0)
+    jitter = 1e-5 * np.random.default_rng(2).standard_normal(q.shape)
+    with pytest.raises(NotEnoughData, match="12 stations at 4 postures"):
+        check(cell[1], readings(q + jitter, cell[0].world.tool_in_tracker(q), np.random.default_rng(0)))
+
+
+def test_stations_close_together_do_not_say_that_nothing_changed(cell: tuple[Recorded, Calibration]) -> None:
+    rng = np.random.default_rng(8)
+    q = rng.uniform(-2.0, 2.0, 6) + 0.05 * rng.standard_normal((10, 6))
+    found = check(cell[1], readings(q, cell[0].world.tool_in_tracker(q), rng))
+    assert found.status == "unchanged"
+    assert found.sentence == "No change is seen, by 10 stations that say as much as 1.0 far apart."
+
+
+def test_a_recording_that_is_not_later_is_said(cell: tuple[Recorded, Calibration]) -> None:
+    q = np.random.default_rng(5).uniform(-2.5, 2.5, (10, 6))
+    seen = readings(q, cell[0].world.tool_in_tracker(q), np.random.default_rng(6))
+    watched = cell[1].watched
+    assert watched is not None
+    for begin, said in ((watched[0] - 1e5, "is older"), (watched[0] + 1.0, "own recording"), (watched[1] + 1e5, "")):
+        found = check(cell[1], replace(seen, stamps=begin + np.arange(10.0)))
+        notes = [note for note in found.notes if note.startswith("By its stamps")]
+        assert bool(notes) == bool(said)
+        assert not said or said in notes[0]

@@ -11,6 +11,7 @@ from modcal_core.calibration.fallback import BLEND, curved_joints
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.store import Calibration
+from modcal_core.checking.accounted import require_accounted
 from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
 from modcal_core.checking.advice import advise, noticed, same_everywhere
 from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
@@ -30,6 +31,7 @@ from modcal_core.report.report import Report
 from modcal_core.verdict.not_applied import applicable
 
 LEAST = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
+_SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
 MOST = 48  # stations of a longer recording that are looked at
 
 
@@ -44,6 +46,7 @@ class Checked:
     it cannot be. report: of the frozen or, where there is one, the repaired model at these stations, each of them
     predicted by the others. joints: names, in the order of the stations' columns. station_errors: distances [m] before
     and with what changed, of every reading that was used. accuracy: how well the repaired model is known; None without.
+    far_apart: how many stations far apart say as much.
     """
 
     status: Status
@@ -63,11 +66,19 @@ class Checked:
     notes: tuple[str, ...] = ()
     station_errors: tuple[Array, Array] | None = None
     accuracy: RepairAccuracy | None = None
+    far_apart: float = np.inf
+
+    @property
+    def alike(self) -> bool:
+        """Whether the stations say less than half of what as many far apart would."""
+        return 2.0 * self.far_apart < self.stations
 
     @property
     def sentence(self) -> str:
         """The answer, for a person."""
         seen = f"{self.stations} station{'s' if self.stations != 1 else ''}"
+        if self.status == "unchanged" and self.alike:
+            return f"No change is seen, by {seen} that say as much as {self.far_apart:.1f} far apart."
         if self.status == "unchanged":
             return f"Nothing has changed, by {seen}."
         said = " ".join(change.sentence for change in self.changes)
@@ -93,17 +104,23 @@ def checkup(
     """
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
-    if samples.stations < LEAST:
+    if (count := distinct_postures(samples)) < LEAST:
+        again = "" if count == samples.stations else f" at {count} posture{'s' if count > 1 else ''}"
         raise NotEnoughData(
-            f"{samples.stations} stations", f"at least {LEAST} are needed to tell changes apart", "measure ten stations"
+            f"{samples.stations} stations{again}",
+            f"at least {LEAST} postures are needed to tell changes apart",
+            "measure ten stations, spread over the ranges of all joints",
         )
     known_frames(calibration, samples)
     applied = applicable(calibration, samples)
     begin = frozen(calibration, applied.model, samples, pattern)
-    samples, convention = recognised(begin.model, samples, calibration.noise)
+    known = recognised(begin.model, samples, calibration.noise)
+    samples = known.samples
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MOST))
     found = search(begin.model, part, begin.known)
+    if known.doubt is not None:
+        require_accounted(found, known.doubt)
     fixed = None if found.more else repaired(calibration, found, begin.index)
     everywhere = [same_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
     N = len(found.samples)
@@ -129,16 +146,32 @@ def checkup(
         repaired=fixed,
         report=report,
         joints=samples.names,
-        convention=convention,
-        notes=(*_notes(begin, samples, inside, part, found), *unseen_note(found.samples, calibration), *applied.notes),
+        convention=known.undone,
+        notes=(
+            *_notes(begin, samples, inside, part, found),
+            *_dated(calibration, samples),
+            *unseen_note(found.samples, calibration),
+            *applied.notes,
+        ),
         station_errors=(
             errors(begin.model, found.samples).position_norm,
             errors(found.state.model, found.samples).position_norm,
         ),
+        far_apart=found.start.null.weight * part.stations,
         accuracy=None
         if fixed is None
         else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MOST),
     )
+
+
+def distinct_postures(samples: Samples) -> int:
+    """At how many postures the stations stand: those within a milliradian, or a millimetre, are one."""
+    left = samples.q[np.unique(samples.station, return_index=True)[1]]
+    count = 0
+    while len(left):
+        left = left[np.abs(left - left[0]).max(axis=1) > _SAME_POSTURE]
+        count += 1
+    return count
 
 
 def known_frames(calibration: Calibration, samples: Samples) -> None:
@@ -245,3 +278,15 @@ def _notes(
     if found.aside:
         out.append("A reading that no change explains was set aside as wrong.")
     return tuple(out)
+
+
+def _dated(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
+    """A sentence for a recording that is not later than the calibration's own, by the stamps of both."""
+    if calibration.watched is None or not (calibration.clock and samples.clock):
+        return ()
+    first, last = calibration.watched
+    if samples.stamps.max() < first:
+        return ("By its stamps this recording is older than the calibration's: what changed was otherwise before.",)
+    if samples.stamps.min() >= first and samples.stamps.max() <= last:
+        return ("By its stamps this is a part of the calibration's own recording, which cannot show a change.",)
+    return ()

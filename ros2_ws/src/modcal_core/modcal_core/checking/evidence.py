@@ -105,13 +105,15 @@ class ChangeJudge:
         squares = np.where(kept, squares, 1.0)
         along = (np.swapaxes(vectors, 1, 2) @ (np.swapaxes(A, 1, 2) @ z[..., None]))[..., 0]
         seen = np.where(kept, along**2 / squares, 0.0)  # of z, along each direction
-        rest = np.sum(z**2, axis=1) - seen.sum(axis=1)
+        square = np.sum(z**2, axis=1)  # about the angles of a large curve another one than without it
+        rest = square - seen.sum(axis=1)
         if candidate.free:
             total = np.where(kept, squares, 0.0)
             spread = SIZES[:, None, None] ** 2 * (total * (n / np.maximum(total.sum(axis=1, keepdims=True), 1e-300)))
             share = spread / (1.0 + spread)
-            logs = (-0.5 * np.log1p(spread).sum(axis=2) + 0.5 * (share * seen).sum(axis=2)).T
-            left = (self._square - ((2.0 * share - share**2) * seen).sum(axis=2)).T
+            bent = 0.5 * (self._square - square)
+            logs = (bent - 0.5 * np.log1p(spread).sum(axis=2) + 0.5 * (share * seen).sum(axis=2)).T
+            left = (square - ((2.0 * share - share**2) * seen).sum(axis=2)).T
         else:
             k = kept.sum(axis=1)[:, None]
             gain = np.maximum(self._square - rest, 0.0)[:, None]

@@ -17,6 +17,7 @@ from modcal_core.measurements.samples import Samples
 
 _STEPS = 15  # of a fit; of changes that are small one is enough
 _END = 1e-3  # standard deviations, all rows together; the last step of a fit
+_LARGE = 30.0  # squared standard deviations a row, beyond which each change is fitted by itself before it is compared
 _LONGEST = 0.5  # rad; a longer turn is taken in parts
 _WIDE = 4.0  # times its own size: what a change that was taken up may still be off by
 
@@ -28,7 +29,8 @@ def taken_up(
     begin = CheckState(model, samples, known)
     if not picked:
         return begin, []
-    fits, now = fitted([p.candidate.hypothesis for p in picked], begin, ChangeJudge(begin.null))
+    judge = ChangeJudge(begin.null)
+    fits, now = fitted([p.candidate.hypothesis for p in picked], begin, judge, bends(judge))
     opened = begin.null
     for judged, candidate in zip(picked, fits, strict=True):
         if is_noise(judged):
@@ -47,38 +49,54 @@ def taken_up(
             scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
         opened = opened.with_more(now.residual, columns, scale)
     opened = replace(opened, residual=now.residual)
-    return CheckState(now.model, samples, known, opened), fits
+    return CheckState(now.model, samples, known, opened, now.curves), fits
+
+
+def bends(judge: ChangeJudge) -> bool:
+    """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
+    return judge.square > _LARGE * len(judge.null.residual)
 
 
 def fitted(
-    asked: Sequence[CellChange], state: CheckState, judge: ChangeJudge
+    asked: Sequence[CellChange], state: CheckState, judge: ChangeJudge, bent: bool = False
 ) -> tuple[list[ChangeCandidate], CheckState]:
     """These changes fitted together by Gauss-Newton steps, and the state with them put in.
 
-    Curves that may take any course, noise and wrong readings have no sizes to put in.
+    Curves that may take any course, noise and wrong readings have no sizes to put in. bent: linearise curves about
+    their angles at the stations.
     """
     sized = [h for h in asked if h.sizes]
+    curves = [h.curve for h in asked if h.curve >= 0] if bent else []
     totals = [np.zeros(h.sizes) for h in sized]
     model, now = state.model, state
     member = state.null.reference
+    angles = {j: np.zeros(len(np.unique(state.samples.station))) for j in curves}
     before = np.inf
-    for _ in range(_STEPS if sized else 0):
-        z = judge.whitened(now.residual, member)
+    for _ in range(_STEPS if sized or curves else 0):
+        turned = {j: now.turned(j) for j in curves}
+        z = judge.whitened(now.residual - sum((turned[j] @ angles[j] for j in curves), np.zeros(1)), member)
         square = float(z @ z)
-        blocks = [now.columns(h) for h in sized]
-        A = judge.whitened(np.concatenate(blocks, axis=1), member)
+        A = judge.whitened(np.concatenate([*(now.columns(h) for h in sized), *turned.values()], axis=1), member)
+        if angles:  # of a station at which the joint moves nothing no angle follows
+            so_far = np.concatenate(list(angles.values()))
+            A = np.concatenate([A, np.eye(len(so_far), A.shape[1], A.shape[1] - len(so_far)) / _LONGEST])
+            z = np.r_[z, -so_far / _LONGEST]
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         step = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
         gain = float(np.linalg.norm(A @ step))
         if gain < _END or square > 4.0 * before:
             break
         before = square
-        parts = np.split(step, np.cumsum([len(t) for t in totals])[:-1])
+        ends = np.cumsum([len(t) for t in totals] + [len(a) for a in angles.values()])[:-1]
+        pieces = np.split(step, ends)
+        parts = pieces[: len(sized)]
+        for j, turn in zip(curves, pieces[len(sized) :], strict=True):
+            angles[j] = angles[j] + np.clip(turn, -_LONGEST, _LONGEST)
         shorter = min([1.0, *(_LONGEST / max(float(np.linalg.norm(p[3:])), 1e-9) for p in parts if len(p) == 6)])
         for i, (h, part) in enumerate(zip(sized, parts, strict=True)):
             model = put_in(h, model, shorter * part)
             totals[i] = composed(h, totals[i], shorter * part)
-        now = CheckState(model, state.samples, state.known, state.null)
+        now = CheckState(model, state.samples, state.known, state.null, {**state.curves, **angles})
     by_key = {id(h): t for h, t in zip(sized, totals, strict=True)}
     return [
         ChangeCandidate(h, now.residual, now.columns(h) if h.kind != NOISE else np.zeros((len(now.residual), 0)),

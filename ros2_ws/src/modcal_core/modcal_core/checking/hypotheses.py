@@ -152,7 +152,7 @@ def _unsized(effect: Effect) -> Effect:
 
 
 def hypothesis_columns(hypothesis: CellChange, model: Model, view: RowView, drivers: Drivers) -> Array:
-    """What readings move by per unit of each size, (3 N + 3 M, k); of a free curve see :func:`curve_columns`.
+    """What readings move by per unit of each size, (3 N + 3 M, k); of a free curve see :func:`curve_root`.
 
     model: with the change put in so far, so that these are the derivatives there.
     """
@@ -182,21 +182,12 @@ def hypothesis_columns(hypothesis: CellChange, model: Model, view: RowView, driv
     return np.stack([view.moved_by(terms) for terms in columns(hypothesis.effect, drivers)], axis=1)
 
 
-def curve_columns(joint: int, model: Model, view: RowView) -> Array:
-    """Columns (3 N + 3 M, r) whose random sums are curves of one joint's position: half smooth, half of any course.
+def curve_root(joint: int, model: Model, samples: Samples) -> Array:
+    """A root (S, r) of the covariance of one joint's curve at the S stations: random sums of its columns are curves of
+    the joint's position, half smooth, half of any course.
 
     A curve that hardly varies is a joint's zero, which is plainer.
     """
-    chain, samples = model.chain, view.samples
-    root = curve_root(joint, model, samples)
-    at = np.unique(samples.station, return_inverse=True)[1]
-    unit = view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
-    sample = np.concatenate([np.tile(np.arange(len(samples)), 3), np.tile(view.pose, 3)]).astype(int)
-    return np.asarray(unit[:, None] * root[at[sample]])
-
-
-def curve_root(joint: int, model: Model, samples: Samples) -> Array:
-    """A root (S, r) of the covariance of such a curve at the S stations: random sums of its columns are curves."""
     first = np.unique(samples.station, return_index=True)[1]
     course = varying(samples.q[first, joint], bool(model.chain.revolute[joint]))
     values, vectors = np.linalg.eigh((1.0 - _MEAN) * course + _MEAN)

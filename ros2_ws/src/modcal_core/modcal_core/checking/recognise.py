@@ -1,8 +1,10 @@
 """Whether a small recording is one of the calibrated robot at all, in the convention of the calibration.
 
 A base or a tool that was moved by any amount leaves a recording that the calibrated arm still explains, with base and
-tool fitted again. One of another robot, in other units or in another convention does not, and is refused: a change that
-is fitted to it would be calm and wrong. An inverse pose is undone, as calibrate does.
+tool fitted again. One in other units or in another convention does not, and is refused where undoing the mistake
+explains it: a change that is fitted to it would be calm and wrong. What then still misses by far is doubted: it is of
+another robot, unless the search finds changes that explain it (:mod:`accounted`). An inverse pose is
+undone, as calibrate does.
 """
 
 from __future__ import annotations
@@ -49,11 +51,26 @@ class ArmMiss:
         return self.position + reach * self.rotation
 
 
-def recognised(model: Model, samples: Samples, noise: NoiseModel) -> tuple[Samples, str | None]:
-    """The samples with an inverse pose undone, and what was undone. Raises BadRecording for what is not of this arm."""
+@dataclass(frozen=True)
+class Recognised:
+    """samples: with an inverse pose undone. undone: what was, None where nothing was. doubt: the refusal of readings
+    that base and tool fitted again leave far from the arm, unless changes of a joint or two account for them; None
+    where they are near.
+    """
+
+    samples: Samples
     undone: str | None = None
+    doubt: BadRecording | None = None
+
+
+def recognised(model: Model, samples: Samples, noise: NoiseModel) -> Recognised:
+    """What these samples are to the calibrated arm. Raises BadRecording, with the mistake, where undoing a mistake of
+    recording explains them.
+    """
+    undone: str | None = None
+    doubt: BadRecording | None = None
     if not is_serial_arm(model.chain):
-        return samples, undone
+        return Recognised(samples)
     plain = model.with_effects(())
     for f, frame in enumerate(samples.frames):
         rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == POINT)))
@@ -64,10 +81,12 @@ def recognised(model: Model, samples: Samples, noise: NoiseModel) -> tuple[Sampl
         near = float(np.median(off.position_norm)) < max(_NEAR * noise.position, 1e-4)
         if near and (not part.is_pose.any() or float(np.median(off.rotation_norm)) < max(_NEAR * noise.rotation, 1e-3)):
             continue
-        mistake = _mistaken(plain, part, frame)
-        if mistake is not None:
-            samples, undone = _undone(samples, rows, mistake), INVERTED
-    return samples, undone
+        found = _mistaken(plain, part, frame)
+        if isinstance(found, Mistake):
+            samples, undone = _undone(samples, rows, found), INVERTED
+        else:
+            doubt = doubt or found
+    return Recognised(samples, undone, doubt)
 
 
 def _undone(samples: Samples, rows: np.ndarray, mistake: Mistake) -> Samples:
@@ -77,8 +96,10 @@ def _undone(samples: Samples, rows: np.ndarray, mistake: Mistake) -> Samples:
     return replace(samples, reading=reading, R=R)
 
 
-def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | None:
-    """The inverse pose, where it is that; None where the arm explains the readings. Raises BadRecording otherwise."""
+def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | BadRecording | None:
+    """The inverse pose, where it is that; the refusal where the arm does not explain the readings, None where it does.
+    Raises BadRecording where another mistake does.
+    """
     chain = model.serial
     reach = chain.reach()
     poses = bool(part.is_pose.all())
@@ -107,9 +128,10 @@ def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | None:
         return None
     said = (
         f"the calibrated arm misses them by {1e3 * as_is.position:.3g} mm and {np.degrees(as_is.rotation):.3g}° at the "
-        f"median with base and tool fitted again, {1e3 * _OF_THIS_ARM * reach:.3g} mm in all is allowed"
+        f"median with base and tool fitted again, {1e3 * _OF_THIS_ARM * reach:.3g} mm in all is allowed, and no change "
+        "of a joint or two explains it"
     )
-    raise BadRecording(
+    return BadRecording(
         f"readings in frame '{frame}'", said, "check that this is the calibrated robot, and calibrate it again if so"
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, JudgedChange, e_value, is_noise, log_priors
-from modcal_core.checking.fitting import fitted, taken_up
+from modcal_core.checking.fitting import bends, fitted, taken_up
 from modcal_core.checking.hypotheses import NOISE, READING, CellChange, hypotheses
 from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.rivals import FittedChange, most_probable, with_rivals
@@ -25,7 +25,6 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
-_LARGE = 30.0  # squared standard deviations a row, beyond which each change is fitted by itself before it is compared
 _BEAM = 5  # changes that a pair is begun with
 
 
@@ -192,13 +191,13 @@ def _judge_all(
     judge: ChangeJudge, state: CheckState, asked: Sequence[CellChange], bent: bool = False
 ) -> tuple[list[JudgedChange], Array]:
     """What speaks for each. bent: fit each by itself where changes are so large that their motions bend."""
-    large = bent and judge.square > _LARGE * len(state.null.residual)
+    large = bent and bends(judge)
     out = []
     for hypothesis in asked:
         if hypothesis.kind == NOISE:
             out.append(judge.noisier(hypothesis))
-        elif large and hypothesis.sizes:
-            out.append(judge.judged(fitted([hypothesis], state, judge)[0][0]))
+        elif large and (hypothesis.sizes or hypothesis.curve >= 0):
+            out.append(judge.judged(fitted([hypothesis], state, judge, bent=True)[0][0]))
         else:
             columns = state.columns(hypothesis)
             out.append(

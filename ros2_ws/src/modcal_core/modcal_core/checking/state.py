@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -11,19 +12,36 @@ from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.checking.hypotheses import NOISE, CellChange, curve_columns, hypothesis_columns
+from modcal_core.checking.hypotheses import NOISE, CellChange, curve_root, hypothesis_columns
 from modcal_core.checking.noise import FrozenKnowledge, NullModel, null, parameter_rows
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 
 class CheckState:
-    """A model beside the samples, what its readings scatter by, and its derivatives."""
+    """A model beside the samples, what its readings scatter by, and its derivatives.
 
-    def __init__(self, model: Model, samples: Samples, known: FrozenKnowledge, of: NullModel | None = None) -> None:
+    curves: by joint, angles (S,) at the stations about which a large curve is linearised; it is none of the model's,
+    so the residual is what it would be if readings moved in proportion to it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        samples: Samples,
+        known: FrozenKnowledge,
+        of: NullModel | None = None,
+        curves: Mapping[int, Array] | None = None,
+    ) -> None:
         self.model, self.samples, self.known = model, samples, known
-        self.drivers = model.drivers(samples)
-        self.view = RowView.of(model, samples, self.drivers)
+        self.curves = dict(curves or {})
+        self._station = np.unique(samples.station, return_inverse=True)[1]
+        q = samples.q.copy()
+        for joint, angles in self.curves.items():
+            q[:, joint] += angles[self._station]
+        bent = replace(samples, q=q) if self.curves else samples
+        self.drivers = model.drivers(bent)
+        self.view = RowView.of(model, bent, self.drivers)
         self._of = of
 
     @cached_property
@@ -37,15 +55,27 @@ class CheckState:
 
     @property
     def residual(self) -> Array:
-        """Of the rows of a linearisation, (n,)."""
-        return np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
+        """Of the rows of a linearisation, (n,): what the readings miss the model by."""
+        out = np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
+        for joint, angles in self.curves.items():
+            out = out + self.turned(joint) @ angles
+        return out
+
+    def turned(self, joint: int) -> Array:
+        """What readings move by per unit of a joint's angle or travel at each station, (n, S)."""
+        chain, view = self.model.chain, self.view
+        unit = view.unit_column(chain.first_place + joint, 5 if chain.revolute[joint] else 2)
+        sample = np.concatenate([np.tile(np.arange(len(self.samples)), 3), np.tile(view.pose, 3)]).astype(int)
+        out = np.zeros((len(unit), int(self._station.max()) + 1))
+        out[np.arange(len(unit)), self._station[sample]] = unit
+        return out
 
     def columns(self, hypothesis: CellChange) -> Array:
         """Of a change, at this model; none of noise, which has no size."""
         if hypothesis.kind == NOISE:
             return np.zeros((len(self.residual), 0))
         if hypothesis.curve >= 0:
-            return curve_columns(hypothesis.curve, self.model, self.view)
+            return self.turned(hypothesis.curve) @ curve_root(hypothesis.curve, self.model, self.samples)
         return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
 
 

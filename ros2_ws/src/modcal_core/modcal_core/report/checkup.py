@@ -147,6 +147,8 @@ def _row(change: NamedChange, s: SizeFound) -> tuple[str, ...]:
 def to_html(found: Checked, title: str, files: Sequence[str]) -> str:
     """The page. files: names of those beside it."""
     heading, tone = _HEADINGS[found.status]
+    if found.status == "unchanged" and found.alike:
+        heading, tone = "No change is seen", "warn"
     lines = [
         f"What to do: {found.advice.sentence}",
         f"The error at these {found.stations} stations is {_pair(found.before)} by the model as it was calibrated; "
