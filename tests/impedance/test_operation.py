@@ -267,11 +267,73 @@ def test_it_waits_for_what_is_late_and_goes_on_from_rest() -> None:
 def test_it_does_not_wait_for_ever() -> None:
     still = Still(Operation(PANDA, TASK, LIMITS))
     still.until("explore")
-    outs = [still.tick(joints_age=0.5) for _ in range(400)]
-    assert isinstance(outs[100], Wait)
+    outs = [still.tick(joints_age=0.5) for _ in range(int(6.0 / PERIOD))]
+    assert all(isinstance(out, Wait) for out in outs[: int(4.5 / PERIOD)])
     assert isinstance(outs[-1], Stop)
     assert "joint_states" in outs[-1].why
     assert isinstance(still.tick(), Stop)  # and stays so
+
+
+def test_an_arm_that_is_heard_again_lets_go_and_is_not_led_on() -> None:
+    """After more than a second without joint states the pull is over; what the servos hold on to is let go."""
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    for _ in range(400):
+        still.tick()
+    before = forward(PANDA, still.q)[:3, 3]
+    lost = [still.tick(joints_age=0.5) for _ in range(int(2.0 / PERIOD))]
+    assert all(isinstance(out, Wait) for out in lost)
+    outs = [still.tick() for _ in range(300)]
+    sent = [out for out in outs if isinstance(out, ArmSetpoint)]
+    assert sent
+    assert {s.why for s in sent} == {"release"}
+    assert np.linalg.norm([s.pose[:3, 3] - before for s in sent], axis=1).max() < 1e-3
+    assert isinstance(outs[-1], Stop)
+    assert "joint_states" in outs[-1].why
+
+
+@pytest.mark.parametrize("gap", [0.5, 2.0])
+def test_a_release_that_is_interrupted_is_finished(gap: float) -> None:
+    """Joint states pause in the middle of it: the rest of its time, and the same word, are still to come."""
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    for _ in range(400):
+        still.tick()
+    still.operation.release("stopped as asked", still.now)
+    sent = [still.tick() for _ in range(25)]
+    assert {out.why for out in sent if isinstance(out, ArmSetpoint)} == {"release"}
+    lost = [still.tick(joints_age=0.5) for _ in range(int(gap / PERIOD))]
+    assert all(isinstance(out, Wait) for out in lost)
+    outs = [still.tick() for _ in range(300)]
+    again = [out for out in outs if isinstance(out, ArmSetpoint)]
+    assert 0.45 <= len(again) * PERIOD <= 0.65
+    assert isinstance(outs[-1], Stop)
+    assert outs[-1].why == "stopped as asked"
+
+
+@pytest.mark.parametrize("phase", ["explore", "follow"])
+def test_without_its_estimator_a_pull_ends(phase: str) -> None:
+    """The model that it had, or was to get, is nobody's any more: it lets go within the patience for any input."""
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.until("explore")
+    if phase == "follow":
+        still.belief.model, still.belief.trusted = drawer(forward(PANDA, still.q)), True
+        still.until("follow")
+    for _ in range(int(1.5 / PERIOD)):
+        assert isinstance(still.tick(), ArmSetpoint)
+    still.belief.silent, still.belief.trusted = True, False
+    outs = [still.tick() for _ in range(int(1.0 / PERIOD))]
+    assert still.operation.phase == "release"
+    assert isinstance(outs[-1], Stop)
+    assert "articulation_estimator" in outs[-1].why
+
+
+def test_a_model_that_is_trusted_already_is_followed() -> None:
+    """As from an earlier pull at the same object: it is checked in its own time, and followed."""
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.belief.model, still.belief.trusted = drawer(), True
+    still.until("check")
+    still.until("follow")
 
 
 def test_where_nothing_is_felt_any_more_it_lets_go() -> None:

@@ -138,9 +138,9 @@ def open_it(
         scenery = Process(WORLD, domain, folder, urdf=PANDA, **world)
         until_over.enter_context(running(scenery))
         wait(lambda: told.forces and told.opened, 30.0)
-        _until_heard(node, wait)
+        until_heard(node, wait)
         begun = told.forces[-1][0]
-        _begin(node, wait)
+        begin(node, wait)
         wait(lambda: health.value(PULL, "phase"), 30.0)
         try:
             wait(lambda: not health.value(PULL, "phase"), patience)
@@ -162,7 +162,7 @@ def open_it(
     return Opening(pull, forces, opened, ended - begun, float(np.diff(moving).max(initial=0.0)))
 
 
-def _begin(node: Node, wait: Wait) -> None:
+def begin(node: Node, wait: Wait) -> None:
     """Ask for a pull until it begins: at first the arm may not be known yet."""
     for _ in range(20):
         answer = call(node, wait, Trigger, f"{SETPOINT}/pull", Trigger.Request())
@@ -173,7 +173,7 @@ def _begin(node: Node, wait: Wait) -> None:
     raise AssertionError(answer.message)
 
 
-def _until_heard(node: Node, wait: Wait) -> None:
+def until_heard(node: Node, wait: Wait) -> None:
     """Wait until everybody has found whom to talk to: what is said before is lost."""
     for topic, listeners in (("joint_references", 2), ("joint_states", 2), ("wrench", 1)):
         wait(lambda topic=topic, least=listeners: node.count_subscribers(topic) >= least, 30.0)

@@ -129,4 +129,9 @@ class ObjectInput:
     @property
     def trusted(self) -> bool:
         """Whether the model is trusted at the time of :meth:`at`."""
-        return self._trusted and self.model is not None and abs(self._now - self._stamp) <= self._stale
+        return self._trusted and self.model is not None and not self.silent
+
+    @property
+    def silent(self) -> bool:
+        """Whether no status was received for ``stale`` [s] before the time of :meth:`at`."""
+        return not abs(self._now - self._stamp) <= self._stale

@@ -78,6 +78,11 @@ class TrackerState:
     sparse: bool = False
     left: tuple[float, float] = (math.nan, math.nan)
 
+    @property
+    def silent(self) -> bool:
+        """Whether it is too old to be used: never, for it is of the pose that was taken last."""
+        return False
+
 
 _EYE = np.eye(3)
 _JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier, or a handle that is flung

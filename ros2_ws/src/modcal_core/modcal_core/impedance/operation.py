@@ -20,6 +20,7 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.impedance import Impedance
+from modcal_core.impedance.input_watch import InputWatch
 from modcal_core.impedance.lead_check import LeadCheck, Stiffness
 from modcal_core.impedance.path_check import PathCheck, Reach
 from modcal_core.impedance.path_model import Exploration, PathModel
@@ -75,7 +76,7 @@ class Operation:
         self._last = -math.inf
         self._ticks = 0
         self._at: float | None = None
-        self._late, self._caution = math.nan, 1.0
+        self._watch, self._caution = InputWatch(limits.timeout), 1.0
         self._before: tuple[float, Array] | None = None
         self._stop: Stop | None = None
         self._tell: dict[str, Callable[[float, Array, ObjectModel], None]] = {
@@ -119,7 +120,7 @@ class Operation:
         if why:
             kept = self.limits
             limits = replace(limits, displacement=kept.displacement, rotation=kept.rotation, gain=kept.gain)
-        self.limits = limits
+        self.limits, self._watch.timeout = limits, limits.timeout
         self.monitor.restrict(limits, now)
         self.setpoint_filter.limits = limits
         if why and self.phase != "release":
@@ -135,12 +136,21 @@ class Operation:
         if self._stop is not None:
             return self._stop
         try:
-            late = self._late_input(now, sensor, joints)
-            if late and self.phase != "tare" and self._fresh(joints.stamp, now) and self._waited_long(now):
-                self._let_go(late, now)  # which needs to know where the arm is, not what it feels
+            needed = {"joint_states": joints.stamp, "wrench": sensor.stamp}
+            late = self._watch.late(now, {"joint_states": joints.stamp} if self.phase == "release" else needed)
+            if late and self.phase != "tare" and self._watch.waited(now, self.task.input_timeout_s):
+                if self._watch.fresh(joints.stamp, now):  # which is enough to let go
+                    self._let_go(late, now)
+                elif self._watch.recoverable(now):
+                    self._watch.pending = self._why or late
+                    return Wait(f"{late}; what is held is let go when they return")
+                else:
+                    return self.stop(late)
             elif late:
                 return self._wait(late, now)
-            self._late = math.nan
+            elif self._watch.pending:
+                self._let_go(self._watch.pending, now)
+            self._watch.all_fresh()
             if self.phase == "tare":
                 return self._weigh(now, T_base_tool, sensor, joints)
             return self._go_on(now, T_base_tool, sensor, joints, state)
@@ -151,25 +161,11 @@ class Operation:
 
     # before anything moves
 
-    def _late_input(self, now: float, sensor: WrenchSensor, joints: JointPositions) -> str:
-        needed = [("joint_states", joints.stamp), ("wrench", sensor.stamp)]
-        for what, stamp in needed[:1] if self.phase == "release" else needed:
-            if not self._fresh(stamp, now):
-                return f"{what}: no message in the last {self.limits.timeout:g} s: check that its publisher is alive"
-        return ""
-
-    def _fresh(self, stamp: float, now: float) -> bool:
-        return abs(now - stamp) <= self.limits.timeout
-
     def _wait(self, why: str, now: float) -> Wait | Stop:
         """Stand until it comes, but not for ever."""
-        if math.isnan(self._late):
-            self._late = now
-        return self.stop(why) if self._waited_long(now) else Wait(why)
-
-    def _waited_long(self, now: float) -> bool:
+        self._watch.wait(now)
         patience = self.task.input_timeout_s if self.phase != "tare" else _TARE_PATIENCE
-        return not math.isnan(self._late) and not 0.0 <= now - self._late <= patience
+        return self.stop(why) if self._watch.waited(now, patience) else Wait(why)
 
     def _weigh(self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions) -> Wait | Stop:
         if math.isnan(self._since):
@@ -188,6 +184,7 @@ class Operation:
         self.monitor.open(T, joints.q, now)
         self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)
         self.expected = T
+        self._watch.start_motion(now)
         self._enter("explore", now)
         return Wait("the wrench is tared")
 
@@ -204,6 +201,7 @@ class Operation:
             self.impedance.halt()
             self.governor.stand(now)
             h = self.limits.period
+            self._resume(now - h)
         self._measured = T
         age = max(now - joints.stamp, now - sensor.stamp)
         self._heed(age, h)
@@ -216,8 +214,9 @@ class Operation:
             felt = math.sqrt(self.force[:3] @ self.force[:3])
             moved = self.setpoint_filter.moved_by(self.force)
             refused = self.lead_check.refused(T[:3, 3], felt, joints.stamp, self.limits.force, moved)
-        if refused is not None and self.phase != "release":
-            self._let_go(str(refused), now)
+        lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
+        if (refused is not None or lost) and self.phase != "release":
+            self._let_go(str(refused or lost), now)
         self._tell[self.phase](h, T, state)
         if self._stop is not None:
             return self._stop
@@ -235,6 +234,14 @@ class Operation:
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
         heard = SensorReadings(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
         return self.monitor.check(self._setpoint(), heard, now)
+
+    def _resume(self, before: float) -> None:
+        """Go on from a time [s] as if it were that of the last tick: of a phase's time, a pause is none."""
+        if self._since <= self._last:
+            self._since += before - self._last
+        self._last = before
+        if self.phase == "release":
+            self.monitor.allow_release(before)
 
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h

@@ -33,6 +33,10 @@ class ObjectModel(Protocol):
     def event(self) -> str | None:
         """What has happened to it."""
 
+    @property
+    def silent(self) -> bool:
+        """Whether no recent status of it was received."""
+
 
 @dataclass(frozen=True)
 class JointPositions:
