@@ -210,15 +210,9 @@ def _status(found: FoundChanges, everywhere: list[bool]) -> Status:
 def _motions(found: FoundChanges, i: int) -> np.ndarray:
     """Motions of the readings per unit of each size of a change; of a curve, per unit of each station's angle."""
     h = found.changes[i].hypothesis
-    if h.curve < 0:
-        return found.state.columns(h) if h.sizes else np.zeros((0, 0))
-    chain, view, samples = found.state.model.chain, found.state.view, found.samples
-    unit = view.unit_column(chain.first_place + h.curve, 5 if chain.revolute[h.curve] else 2)
-    sample = np.concatenate([np.tile(np.arange(len(samples)), 3), np.tile(view.pose, 3)]).astype(int)
-    at = np.unique(samples.station, return_inverse=True)[1]
-    out = np.zeros((len(unit), int(at.max()) + 1))
-    out[np.arange(len(unit)), at[sample]] = unit
-    return out
+    if h.curve >= 0:
+        return found.state.turned(h.curve)
+    return found.state.columns(h) if h.sizes else np.zeros((0, 0))
 
 
 def _size(e: Errors) -> tuple[float | None, float | None]:
