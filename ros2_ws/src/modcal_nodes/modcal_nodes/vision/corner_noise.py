@@ -13,6 +13,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 
 _LEAST_PX, _MOST_PX = 0.02, 2.0  # standard deviation of a corner: what interpolation alone leaves, and a useless one
+_PRINT_PX = 0.02  # standard deviation of what printer, paper and the lens's finer form leave beside the noise
 _TO_SIGMA = 1.4826  # of a median absolute deviation
 _QUANTISED = 0.3  # grey levels, of rounding to whole ones
 
@@ -45,6 +46,11 @@ def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) 
     values, vectors = np.linalg.eigh(out)
     values = np.clip(values, _LEAST_PX**2, _MOST_PX**2)
     return np.asarray((vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+
+
+def no_better_than_print(cov: Array) -> Array:
+    """These covariances (m, 2, 2) with what no picture of one corner shows, [px²]."""
+    return np.asarray(cov + _PRINT_PX**2 * np.eye(2))
 
 
 def edge_width(grey: np.ndarray, pixels: Array, half: int) -> float:

@@ -15,11 +15,13 @@ from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOAR
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
-from modcal_nodes.vision.corner_noise import corner_covariance, edge_width, grey_noise
+from modcal_nodes.vision.corner_noise import corner_covariance, edge_width, grey_noise, no_better_than_print
+from modcal_nodes.vision.saddle import fit_board
 
 BLURRED_PX = 6.0  # of an edge from black to white; beyond it a corner's place depends on the light
 _LEAST_SHARE = 0.3  # of the windows' half side a square may be: a corner needs its own four squares and no others
 _MOST_WINDOW, _LEAST_WINDOW = 11, 2  # px, half side of the windows in which corners are refined
+_ROUGH_PX = 0.1  # by how much a corner is off that looks like no crossing of two edges: half covered, or too small
 _SMALLEST_GREY = 12.0  # grey levels between black and white
 _FITS_PX, _FITS_SHARE = 4.0, 0.02  # how far corners of one flat sheet are from a homography: lenses bend, by its size
 _MIN_QUADS = 4  # markers that the image shows, none of them of the target, before another board is suspected
@@ -53,8 +55,20 @@ def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
     width = edge_width(grey, pixels, half)
     if width > BLURRED_PX:
         return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
-    cov = corner_covariance(grey, pixels, half, grey_noise(grey))
+    pixels, cov = _fitted(grey, target, ids, pixels, half)
     return Detection(BoardView(name, ids, pixels, cov, width))
+
+
+def _fitted(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array, half: int) -> tuple[Array, Array]:
+    """(pixels (m, 2), covariance (m, 2, 2)) of corners: those of squares fitted to the grey values about them."""
+    if target.kind not in (CHARUCO, CHESSBOARD):
+        return pixels, corner_covariance(grey, pixels, half, grey_noise(grey))
+    fit = fit_board(grey, target, ids, pixels)
+    pixels, cov = np.where(fit.good[:, None], fit.pixels, pixels), no_better_than_print(fit.cov)
+    if not fit.good.all():
+        rough = corner_covariance(grey, pixels[~fit.good], half, grey_noise(grey))
+        cov[~fit.good] = rough + _ROUGH_PX**2 * np.eye(2)
+    return pixels, cov
 
 
 def off_flat(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
