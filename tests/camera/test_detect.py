@@ -68,6 +68,16 @@ def test_what_lies_beside_a_corner_does_not_draw_it() -> None:
     assert (found.cov[:, 1, 1] < found.cov[:, 0, 0]).mean() > 0.9
 
 
+@pytest.mark.parametrize("ids", [[0, 1, 2, 8], [0, 1, 2, 3, 4, 8], [0, 6, 12, 18, 7]])
+def test_few_corners_nearly_on_one_line_are_fitted(ids: list[int]) -> None:
+    """No perspective goes through them, and none is needed."""
+    T = poses()[0]
+    exact = seen(T, BOARD.points[ids], SMALL)
+    fit = fit_board(render(T, SMALL, BOARD, np.random.default_rng(3)), BOARD, np.array(ids), exact + 0.2)
+    assert fit.good.all()
+    assert np.abs(fit.pixels - exact).max() < 0.1
+
+
 def test_a_corner_half_covered_is_said_to_be_rough() -> None:
     grey = render(poses()[0], SMALL, BOARD, np.random.default_rng(3), noise=2.0)
     at = seen(poses()[0], BOARD.points[[9]], SMALL)[0].astype(int)

@@ -27,11 +27,18 @@ def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target
 
 
 def enough_corners(points: Array) -> bool:
-    """Whether corners at these places on the sheet (m, 3) fix its pose: four of them, and not on one line."""
-    if len(points) < LEAST_CORNERS:
+    """Whether corners at these places on the sheet (m, 3) fix its pose: four of them, of which no three are on a line.
+
+    That is so where they are not on one line, and are not once any one of them is left out.
+    """
+    m = len(points)
+    if m < LEAST_CORNERS:
         return False
-    spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
-    return bool(spread[1] > _ONE_LINE * spread[0])
+    off = points[:, :2] - points[:, :2].mean(axis=0)
+    scatter = off.T @ off
+    without = scatter - m / (m - 1.0) * off[:, :, None] * off[:, None]
+    spread = np.linalg.eigvalsh(np.concatenate([scatter[None], without]))
+    return bool((spread[:, 0] > _ONE_LINE**2 * spread[:, 1]).all())
 
 
 def bad_images(table: CornerTable, rms_px: Array) -> np.ndarray:

@@ -1,4 +1,9 @@
-"""Whether to use the calibrated arm: *apply*, *do not apply*, or *cannot tell*, and why, in words."""
+"""Whether to use the calibrated arm: *apply*, *do not apply*, or *cannot tell*, and why, in words.
+
+The calibrated and the nominal arm are compared draw by draw, not interval by interval: what is open of lens, sheet and
+the camera's place moves both alike, so that one may be the better beyond doubt where their intervals overlap. What the
+user states of the nominal arm is no draw, and there the interval has to be below it.
+"""
 
 from __future__ import annotations
 
@@ -48,14 +53,19 @@ def decide(
     if not metric:
         said = "Nothing in these images has a length that somebody measured: "
         return Decision(CANNOT_TELL, (said + _WHAT_TELLS + ".",), worse)
-    least = drawn if stated_m is None else min(drawn, stated_m)
     compared = (
         f"The calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
         f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
     )
-    if worse > _WORSE or high >= least:
+    if worse > _WORSE or (stated_m is not None and high >= stated_m):
         if size:
             return Decision(CANNOT_TELL, (f"{compared}. {size}", *doubtful), worse)
         stated = "" if stated_m is None else f", and {1e3 * stated_m:.2f} mm is stated of it"
         return Decision(DO_NOT_APPLY, (f"{compared}{stated}: that is not clearly better.", *doubtful), worse)
-    return Decision(APPLY, (f"{compared}.", *doubtful), worse)
+    alike = ""
+    if high >= drawn:
+        alike = (
+            " What is open of lens, sheet and places moves both alike; the chance that the calibrated arm is no better "
+            f"is {max(100.0 * worse, 0.1):.1f} %."
+        )
+    return Decision(APPLY, (f"{compared}.{alike}", *doubtful), worse)

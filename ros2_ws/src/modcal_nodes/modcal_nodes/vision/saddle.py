@@ -21,6 +21,8 @@ from modcal_core.camera.homography import homography
 from modcal_core.camera.target import CHARUCO, PrintedTarget
 from modcal_core.geometry.so3 import Array
 
+_PERSPECTIVE = 6  # corners, of which two are left to say that a perspective through four of them is none
+_NEARLY_FLAT = 0.2  # nearest over farthest corner of a board: one that fills the image and is tilted by 60° has 0.3
 _REACH = 0.4  # of a square, along its edges: farther the next corner begins
 _MOST_PX = 8  # half side of the windows; over more, a lens bends the edges by a hundredth of a pixel and more
 _BLUR_PX = 1.0  # to begin with
@@ -47,14 +49,23 @@ class SaddleFit:
 
 
 def fit_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> SaddleFit:
-    """The corners with these numbers (m,) of a board of squares, near these pixels (m, 2), five of them at least."""
-    points = target.points[ids, :2]
-    H = homography(points, pixels)
-    at = np.c_[points, np.ones(len(points))] @ H.T
-    here = at[:, :2] / at[:, 2:]
-    axes = target.square * (H[None, :2, :2] - here[:, :, None] * H[2, :2]) / at[:, 2, None, None]
+    """The corners with these numbers (m,) of a board of squares, near these pixels (m, 2), not all on one line."""
     margin = 0.5 * (target.square - target.marker) / target.square if target.kind == CHARUCO else 0.5
-    return fit_saddles(grey, pixels, axes, margin)
+    return fit_saddles(grey, pixels, target.square * _per_metre(target.points[ids, :2], pixels), margin)
+
+
+def _per_metre(points: Array, pixels: Array) -> Array:
+    """Derivatives (m, 2, 2) of pixels (m, 2) by places on the sheet (m, 2) [m], by what all of them say."""
+    ones = np.ones(len(points))
+    flat = np.linalg.lstsq(np.c_[points, ones], pixels, rcond=None)[0][:2].T  # as if seen from far away
+    if len(points) >= _PERSPECTIVE:
+        H = homography(points, pixels)
+        at = np.c_[points, ones] @ H.T
+        ahead = at[:, 2] * np.sign(at[:, 2].sum())
+        if ahead.min() > _NEARLY_FLAT * ahead.max():  # else four of few corners are on one line
+            here = at[:, :2] / at[:, 2:]
+            return np.asarray((H[None, :2, :2] - here[:, :, None] * H[2, :2]) / at[:, 2, None, None])
+    return np.broadcast_to(flat, (len(points), 2, 2)).copy()
 
 
 def fit_saddles(grey: np.ndarray, pixels: Array, axes: Array, margin: float) -> SaddleFit:
