@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.corners import BOW as BENT
-from modcal_core.camera.corners import COMMON, SCALE, SHAPE
+from modcal_core.camera.corners import SCALE, SHAPE
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.lens import COUNT as LENS
@@ -61,7 +61,10 @@ def doubts(fit: CameraFit, lens: Lens, stated: str | None, arm: float | None) ->
 
     lens: as stated. stated: what became of its values, None where nobody stated any. arm: as in the fit.
     """
-    weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in _wider(fit.prior, lens, stated).items()]
+    wider = _wider(fit.prior, lens, stated)
+    if fit.prior.places is not None:
+        wider.pop(BOW)  # which a body has none of
+    weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in wider.items()]
     odds = np.array([_WRONG * np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
     chances = odds / (1.0 + odds.sum())
     return tuple(DoubtedStatement(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
@@ -103,7 +106,7 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
             step = doubt.equations.solve(doubt.sizes).step()[fit.poses.count + 1 :]
             common = fit.state.common + step
             what = {
-                SIZE: f"a sheet {_percent(common, scale)} off its stated size",
+                SIZE: f"a {_of_what(fit)} {_percent(common, scale)} off its stated size",
                 BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
                 LENS_VALUES: "another lens than the stated one",
             }[doubt.what]
@@ -132,13 +135,13 @@ def _wider(prior: CommonPrior, lens: Lens, stated: str | None) -> dict[str, Comm
         information[:LENS, :LENS] = unknown.information[:LENS, :LENS]
         open_[:LENS] = True
         mean = np.r_[unknown.mean[:LENS], prior.mean[LENS:]]
-        out[LENS_VALUES] = CommonPrior(mean, information, open_)
+        out[LENS_VALUES] = replace(prior, mean=mean, information=information, free=open_)
     return out
 
 
 def _without(fit: CameraFit, prior: CommonPrior, arm: float | None) -> tuple[Equations, Sizes, float]:
     """(equations, sizes, −2 log likelihood) with another prior, at the state of the fit."""
-    count = len(fit.equations.offset) - COMMON
+    count = len(fit.equations.offset) - len(prior.mean)
     information = fit.equations.information.copy()
     information[count:, count:] = prior.information
     offset = np.r_[fit.equations.offset[:count], fit.state.common - prior.mean]
@@ -154,9 +157,9 @@ def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
     shape = other.state.shape
     if what == SIZE:
         return (
-            f"The sheet is {_percent(other.state.common, scale)} off its stated size, ± "
-            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure a square, "
-            "and check the target file."
+            f"The {_of_what(other)} is {_percent(other.state.common, scale)} off its stated size, ± "
+            f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
+            f"{'across it' if other.table.places else 'a square'}, and check the target file."
         )
     if what == BOW:
         worst = float(np.abs(other.table.bow @ shape[2:]).max())
@@ -168,6 +171,11 @@ def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
         f"The images contradict the stated lens: {name} {other.state.lens.values[i]:.4g} ± {std[i]:.2g} and not "
         f"{lens.values[i]:.4g}. Give the camera_info of this camera, focus and resolution, or leave it away."
     )
+
+
+def _of_what(fit: CameraFit) -> str:
+    """What has a size: a body's own is called x, that of its markers y."""
+    return "body" if fit.table.places else "sheet"
 
 
 def _percent(common: Array, scale: PrintScale) -> str:

@@ -5,19 +5,20 @@ twist (a, b) of the target, seen from the camera, moves it by a + b × X; the le
 shape by R dx. A rolling shutter sees each row of the image later than the one above it, so a target that moves by a
 twist a second stands elsewhere in each, counted from the middle row, by the share of the image's height. Rows are
 whitened by the corners' covariance. What a fit needs of an image is the product of its rows with each other, 22 × 22
-however many corners there are, which is why many images stay quick.
+however many corners there are, which is why many images stay quick. On a body each marker's place moves its own points
+as well, and the product is larger by the places of all markers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target import CalibrationTarget
 from modcal_core.camera.views import BoardView, whitening
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
@@ -27,7 +28,7 @@ SHAPE_NAMES = ("scale_x", "scale_y", "bow_xx", "bow_xy", "bow_yy")
 SHAPE = len(SHAPE_NAMES)  # scale [1], bow at the edge of the sheet [m]
 SCALE, BOW = slice(LENS, LENS + 2), slice(LENS + 2, LENS + SHAPE)  # where these stand among what all images share
 READOUT = LENS + SHAPE  # the time in which a rolling shutter goes down an image [s]
-COMMON = READOUT + 1  # what all images share
+COMMON = READOUT + 1  # what all images share, but for the places of the markers on a body, which stand behind it
 BEHIND = 1e-3  # m in front of the camera at least; a corner behind it has no image
 
 
@@ -35,37 +36,43 @@ BEHIND = 1e-3  # m in front of the camera at least; a corner behind it has no im
 class CornerTable:
     """M corners of N images.
 
-    names: of the images. view: image of each corner, ascending, (M,). ids: (M,). points: on the sheet as stated,
-    (M, 3) [m]. bow: how far each leaves the plane per unit of the three modes, (M, 3). pixels: (M, 2). white:
-    (M, 2, 2), makes errors white. weight: 1 used, 0 left out, (M,).
+    names: of the images. view: image of each corner, ascending, (M,). ids: (M,). points: on the target as stated,
+    (M, 3) [m]. modes: how each moves per unit of what a target's shape is, (M, 3, 5). pixels: (M, 2). white: (M, 2, 2),
+    makes errors white. weight: 1 used, 0 left out, (M,). marker: whose each is, (M,), lever: where it is from the
+    middle of that, (M, 3); places: values of each marker's place, markers: number of markers, 0 of a flat sheet.
     """
 
     names: tuple[str, ...]
     view: np.ndarray
     ids: np.ndarray
     points: Array
-    bow: Array
+    modes: Array
     pixels: Array
     white: Array
     weight: Array
+    marker: np.ndarray
+    lever: Array
+    places: int = 0
+    markers: int = 0
 
     @classmethod
-    def of(cls, views: Sequence[BoardView], target: PrintedTarget) -> CornerTable:
+    def of(cls, views: Sequence[BoardView], target: CalibrationTarget) -> CornerTable:
         """The corners of these views of this target."""
-        points = target.points
-        middle, half = 0.5 * (points.max(0) + points.min(0)), 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
-        x, y = ((points - middle)[:, :2] / half).T
-        modes = np.stack([x * x, x * y, y * y], axis=1)
         ids = np.concatenate([v.ids for v in views]).astype(int)
+        marker, lever = target.on_markers()
         return cls(
             tuple(v.name for v in views),
             np.repeat(np.arange(len(views)), [len(v) for v in views]),
             ids,
-            points[ids],
-            modes[ids],
+            target.points[ids],
+            target.shape_modes()[ids],
             np.concatenate([v.pixels for v in views]),
             whitening(np.concatenate([v.cov for v in views])),
             np.ones(len(ids)),
+            marker[ids],
+            lever[ids],
+            target.values_of_place,
+            target.marker_count,
         )
 
     def __len__(self) -> int:
@@ -76,10 +83,19 @@ class CornerTable:
         """Number of images."""
         return len(self.names)
 
+    @property
+    def bow(self) -> Array:
+        """How far each leaves the plane of a flat sheet per unit of the three modes of its bow, (M, 3)."""
+        return self.modes[:, 2, 2:]
+
+    @property
+    def unshaped(self) -> Array:
+        """The shape as stated, with all markers in their places: zeros, (5 + Z,)."""
+        return np.zeros(SHAPE + self.places * self.markers)
+
     def with_weight(self, weight: Array) -> CornerTable:
         """The same corners, those with weight 0 left out."""
-        fields = (self.names, self.view, self.ids, self.points, self.bow, self.pixels, self.white)
-        return CornerTable(*fields, weight)
+        return replace(self, weight=weight)
 
     def select(self, views: np.ndarray) -> CornerTable:
         """The corners of these images (mask (N,)), the images numbered anew."""
@@ -87,20 +103,32 @@ class CornerTable:
         rows = np.isin(self.view, keep)
         number = np.full(self.views, -1)
         number[keep] = np.arange(len(keep))
-        arrays = (self.ids, self.points, self.bow, self.pixels, self.white, self.weight)
-        return CornerTable(
-            tuple(self.names[i] for i in keep), number[self.view[rows]], *(array[rows] for array in arrays)
-        )
+        arrays = ("ids", "points", "modes", "pixels", "white", "weight", "marker", "lever")
+        some = {name: getattr(self, name)[rows] for name in arrays}
+        return replace(self, names=tuple(self.names[i] for i in keep), view=number[self.view[rows]], **some)
 
     def of_view(self, i: int) -> slice:
         """Rows of an image."""
         first, last = np.searchsorted(self.view, [i, i + 1])
         return slice(int(first), int(last))
 
-    def on_sheet(self, shape: Array) -> Array:
-        """Where the corners are on a sheet of this shape (5,), (M, 3) [m]."""
-        out = self.points * np.r_[1.0 + shape[:2], 1.0]
-        out[:, 2] += self.bow @ shape[2:]
+    def on_target(self, shape: Array) -> Array:
+        """Where the corners are on a target of this shape and with its markers so placed (5 + Z,), (M, 3) [m]."""
+        out = self.points + self.modes @ shape[:SHAPE]
+        if self.places:
+            moved = shape[SHAPE:].reshape(self.markers, self.places)[self.marker]
+            out += moved[:, :3]
+            if self.places == POSE:
+                out += np.cross(moved[:, 3:], self.lever)
+        return out
+
+    def by_places(self, on: Array) -> Array:
+        """Derivatives (M, 2, Z) by the places of all markers. on: by the corners on the target, (M, 2, 3)."""
+        out = np.zeros((len(self), 2, self.places * self.markers))
+        if self.places:
+            own = on if self.places != POSE else np.concatenate([on, -on @ so3.hat(self.lever)], axis=2)
+            columns = self.places * self.marker[:, None] + np.arange(self.places)
+            np.put_along_axis(out, np.broadcast_to(columns[:, None], own.shape), own, axis=2)
         return out
 
 
@@ -108,9 +136,8 @@ class CornerTable:
 class CornerRows:
     """Whitened rows of M corners: residual (M, 2), measured minus predicted, and derivatives of the prediction.
 
-    by_pose: (M, 2, 6), by the twist of the target seen from the camera. by_common: (M, 2, 15), by lens, shape and
-    readout.
-    pixels: residual in pixels, (M, 2).
+    by_pose: (M, 2, 6), by the twist of the target seen from the camera. by_common: (M, 2, 15 + Z), by lens, shape,
+    readout and the places of markers. pixels: residual in pixels, (M, 2).
     """
 
     residual: Array
@@ -129,7 +156,8 @@ def corner_rows(
 ) -> CornerRows:
     """The rows of all corners, the target being at T_camera_target (N, 4, 4) in each image, at its middle row.
 
-    readout_s: of a rolling shutter. sweep: twist of the target a second, seen from the camera, (N, 6); None: it stands.
+    shape: with the places of markers behind it, (5 + Z,). readout_s: of a rolling shutter. sweep: twist of the target a
+    second, seen from the camera, (N, 6); None: it stands.
     """
     R, still, X, rate, turned = _in_camera(table, lens, shape, T_camera_target, readout_s, sweep)
     seen, by_point, by_lens = lens.linearise(X)
@@ -139,13 +167,11 @@ def corner_rows(
         by_point = by_point @ turned
     on = by_point @ R
     by_pose = np.concatenate([by_point, -by_point @ so3.hat(still)], axis=2)
-    by_scale = on[:, :, :2] * table.points[:, None, :2]
-    by_bow = on[:, :, 2:] * table.bow[:, None]
     gap = table.pixels - seen
     return CornerRows(
         (table.white @ gap[:, :, None])[:, :, 0],
         by_pose,
-        np.concatenate([table.white @ by_lens, by_scale, by_bow, by_readout], axis=2),
+        np.concatenate([table.white @ by_lens, on @ table.modes, by_readout, table.by_places(on)], axis=2),
         gap,
     )
 
@@ -171,7 +197,7 @@ def _in_camera(
     """
     T = T_camera_target[table.view]
     R = T[:, :3, :3]
-    X = (R @ table.on_sheet(shape)[:, :, None])[:, :, 0] + T[:, :3, 3]
+    X = (R @ table.on_target(shape)[:, :, None])[:, :, 0] + T[:, :3, 3]
     X[:, 2] = np.maximum(X[:, 2], BEHIND)
     if sweep is None:
         return R, X, X, np.zeros_like(X), None
@@ -184,7 +210,7 @@ def _in_camera(
 
 
 def grams(table: CornerTable, rows: CornerRows) -> Array:
-    """For each image the products of its columns with each other, (N, 22, 22): pose, common, residual last."""
+    """For each image the products of its columns with each other, (N, 22 + Z, 22 + Z): pose, common, residual last."""
     columns = np.concatenate([rows.by_pose, rows.by_common, rows.residual[:, :, None]], axis=2)
     columns = columns * np.sqrt(table.weight)[:, None, None]
     out = np.empty((table.views, columns.shape[2], columns.shape[2]))

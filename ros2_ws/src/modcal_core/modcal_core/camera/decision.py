@@ -18,6 +18,11 @@ _WHAT_TELLS = (
     "or add a second target at another distance, two scale marks, a ball in a socket or a few tracker points"
 )
 
+_BODY_TELLS = (
+    "state how well the body's size is known (size_tolerance in the target file: a calliper across it tells), state the "
+    "arm's accuracy (--arm-mm), or add a few tracker points"
+)
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -38,12 +43,14 @@ def decide(
     stated_m: float | None = None,
     doubtful: tuple[str, ...] = (),
     size: str = "",
+    body: bool = False,
 ) -> Decision:
     """The decision over the postures that were asked for.
 
     metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
     RMS error of the nominal arm, as the user states it [m]. doubtful: statements in doubt, in sentences. size: what to
-    do about the sheet's size, where it is what keeps the arm from being clearly better; nothing where it is not.
+    do about the sheet's size, where it is what keeps the arm from being clearly better; nothing where it is not. body:
+    whether the target is a body with markers, and the error that of the arm by itself.
     """
     worse = error.chance_worse
     middle, _, high = error.interval
@@ -52,9 +59,10 @@ def decide(
         return Decision(DO_NOT_APPLY, problems, worse, problems)
     if not metric:
         said = "Nothing in these images has a length that somebody measured: "
-        return Decision(CANNOT_TELL, (said + _WHAT_TELLS + ".",), worse)
+        return Decision(CANNOT_TELL, (said + (_BODY_TELLS if body else _WHAT_TELLS) + ".",), worse)
+    who = "By itself, wherever camera and body stand, the" if body else "The"
     compared = (
-        f"The calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
+        f"{who} calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
         f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
     )
     if worse > _WORSE or (stated_m is not None and high >= stated_m):

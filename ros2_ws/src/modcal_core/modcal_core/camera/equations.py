@@ -14,6 +14,7 @@ the arm's expected faults are those that make the data likeliest, the parameters
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -21,6 +22,7 @@ import scipy.linalg
 from modcal_core.camera.beside import BesideRows
 from modcal_core.camera.corners import POSE
 from modcal_core.camera.faults import ArmFaults
+from modcal_core.camera.places import PlacePrior
 from modcal_core.geometry.so3 import Array
 
 
@@ -29,6 +31,7 @@ class Sizes:
     """noise: of corners, in units of what detection states. joint: what joints repeat to [rad, m]. shift: of the tool
     besides [m]. arm: faults of the arm, in units of its prior. other: what readings of other instruments scatter beyond
     what they state [m]. lengths: faults of its lengths against those of its angles, in units of what is usual.
+    places: offsets of a body's markers, in units of their tolerances.
     """
 
     noise: float
@@ -37,15 +40,16 @@ class Sizes:
     arm: float
     other: float = 1e-4
     lengths: float = 1.0
+    places: float = 1.0
 
     @property
     def logs(self) -> Array:
-        """Their logarithms, (6,)."""
+        """Their logarithms, (7,)."""
         return np.log(np.array(astuple(self)))
 
     @classmethod
     def of_logs(cls, logs: Array) -> Sizes:
-        """The sizes with these logarithms (6,)."""
+        """The sizes with these logarithms (7,)."""
         return cls(*(float(x) for x in np.exp(logs)))
 
 
@@ -61,23 +65,23 @@ class OtherBlock:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """H, b: of images alone, their own twists integrated out, without a prior. cost, spread, S, E: as elsewhere."""
+    """H, b: of images alone, their own twists integrated out, without a prior. cost, spread, S: as elsewhere."""
 
     H: Array
     b: Array
     cost: float
     spread: float
     S: Array
-    E: Array
 
 
 @dataclass(frozen=True)
 class Equations:
-    """At one state: grams (N, 22, 22) at noise 1; moved (N, 6, K): twists by the K parameters of arm and clock; joints
-    (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. arm: which of the K are faults of the arm.
-    offset (K + 15,): the state less the prior's mean. information: of the prior but for the arm's faults, (K + 15,
-    K + 15). free: (K + 15,) bool. corners: number of corners in use. beside: rows of other instruments. others: images
-    of further cameras. faults: of those of the K that are the arm's.
+    """At one state: grams (N, 22 + Z, 22 + Z) at noise 1; moved (N, 6, K): twists by the K parameters of arm and clock;
+    joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. arm: which of the K are faults of the
+    arm. offset (K + 15 + Z,): the state less the prior's mean. information: of the prior but for the arm's faults and
+    the places of markers, (K + 15 + Z, K + 15 + Z). free: (K + 15 + Z,) bool. corners: number of corners in use.
+    beside: rows of other instruments. others: images of further cameras. faults: of those of the K that are the arm's.
+    places: of the last Z, None of a flat sheet.
     """
 
     grams: Array
@@ -92,6 +96,12 @@ class Equations:
     beside: BesideRows | None = None
     others: tuple[OtherBlock, ...] = ()
     faults: ArmFaults | None = None
+    places: PlacePrior | None = None
+
+    @cached_property
+    def _total(self) -> Array:
+        """Sum over all images of what no image has of its own, at noise 1: (16 + Z, 16 + Z)."""
+        return np.asarray(self.grams[:, POSE:, POSE:].sum(0))
 
     def covariance_of_views(self, sizes: Sizes) -> Array:
         """Q of each image's own twist, (N, 6, 6)."""
@@ -99,38 +109,44 @@ class Equations:
         return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
 
     def prior(self, sizes: Sizes) -> Array:
-        """Information of the prior, (K + 15, K + 15)."""
+        """Information of the prior, (K + 15 + Z, K + 15 + Z)."""
         out = self.information.copy()
         if self.faults is not None:
             arm = np.flatnonzero(self.arm)
             out[np.ix_(arm, arm)] = self.faults.information(sizes.arm, sizes.lengths)
+        if self.places is not None:
+            first = len(out) - len(self.places.apart)
+            out[first:, first:] = self.places.information(sizes.places)
         return out
 
     def _reduced(self, sizes: Sizes) -> _Reduced:
         """What the images say with these sizes."""
         K = self.moved.shape[2]
-        G = self.grams / sizes.noise**2
+        own = self.grams[:, :POSE] / sizes.noise**2  # an image's pose against everything
         Q = self.covariance_of_views(sizes)
-        inner = np.eye(POSE) + G[:, :POSE, :POSE] @ Q
+        inner = np.eye(POSE) + own[:, :, :POSE] @ Q
         S = Q @ np.linalg.inv(inner)
-        left = G[:, :, :POSE]
-        E = G - left @ S @ np.swapaxes(left, 1, 2)
-        common = E.shape[1] - POSE - 1
-        H = np.empty((K + common, K + common))
-        b = np.empty(K + common)
+        taken = S @ own
+        rows = own - own[:, :, :POSE] @ taken
+        shared = own.shape[2] - POSE
+        size = shared - 1
         # one product over all images rather than a sum of many
+        E = self._total / sizes.noise**2
+        E = E - own[:, :, POSE:].reshape(-1, shared).T @ taken[:, :, POSE:].reshape(-1, shared)
+        H = np.empty((K + size, K + size))
+        b = np.empty(K + size)
         A = self.moved.reshape(-1, K)
-        H[:K, :K] = A.T @ (E[:, :POSE, :POSE] @ self.moved).reshape(-1, K)
-        H[:K, K:] = A.T @ E[:, :POSE, POSE:-1].reshape(-1, common)
+        H[:K, :K] = A.T @ (rows[:, :, :POSE] @ self.moved).reshape(-1, K)
+        H[:K, K:] = A.T @ rows[:, :, POSE:-1].reshape(-1, size)
         H[K:, :K] = H[:K, K:].T
-        H[K:, K:] = E[:, POSE:-1, POSE:-1].sum(0)
-        b[:K] = A.T @ E[:, :POSE, -1].reshape(-1)
-        b[K:] = E[:, POSE:-1, -1].sum(0)
+        H[K:, K:] = E[:-1, :-1]
+        b[:K] = A.T @ rows[:, :, -1].reshape(-1)
+        b[K:] = E[:-1, -1]
         spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(np.linalg.slogdet(inner)[1].sum())
-        return _Reduced(H, b, float(E[:, -1, -1].sum()), spread, S, E)
+        return _Reduced(H, b, float(E[-1, -1]), spread, S)
 
     def of_others(self, sizes: Sizes) -> tuple[Array, Array, float, float]:
-        """(H (K + 15, K + 15), b (K + 15,), cost, spread) of further cameras and other instruments."""
+        """(H (K + 15 + Z, K + 15 + Z), b (K + 15 + Z,), cost, spread) of further cameras and other instruments."""
         size = len(self.offset)
         K = self.moved.shape[2]
         H, b, cost, spread = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
@@ -163,14 +179,17 @@ class Equations:
         pull = prior[use] @ self.offset
         cost += float(self.offset @ prior @ self.offset)
         return SolvedEquations(
-            *(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, spread, own.S, own.E)
+            *(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, spread, own.S),
+            self.grams,
+            sizes.noise,
         )
 
 
 @dataclass(frozen=True)
 class SolvedEquations:
     """Normal equations H x = b of the free parameters, prior included; P: of the prior alone. use: indices of the free
-    among all. cost: of the state. spread: log determinant of the noise. S, E: of each image, as above.
+    among all. cost: of the state. spread: log determinant of the noise. S: of each image, as above. grams, noise: what
+    they come from.
     """
 
     H: Array
@@ -181,10 +200,18 @@ class SolvedEquations:
     cost: float
     spread: float
     S: Array
-    E: Array
+    grams: Array
+    noise: float
+
+    @property
+    def E(self) -> Array:
+        """The products of each image's columns, its own twist integrated out, (N, 22 + Z, 22 + Z)."""
+        G = self.grams / self.noise**2
+        left = G[:, :, :POSE]
+        return np.asarray(G - left @ self.S @ np.swapaxes(left, 1, 2))
 
     def step(self, damping: float = 0.0) -> Array:
-        """The step of all parameters (K + 15,), zero for those held fixed."""
+        """The step of all parameters (K + 15 + Z,), zero for those held fixed."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         H = self.H * np.outer(scale, scale) + damping * np.eye(len(self.b))
         out = np.zeros(self.count)
@@ -192,7 +219,7 @@ class SolvedEquations:
         return out
 
     def covariance(self) -> Array:
-        """Of all parameters, (K + 15, K + 15), zero for those held fixed."""
+        """Of all parameters, (K + 15 + Z, K + 15 + Z), zero for those held fixed."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(self.H * np.outer(scale, scale)), np.eye(len(self.b)))
         out = np.zeros((self.count, self.count))

@@ -139,6 +139,8 @@ def _finding(
     if what == "scale":
         x, y = 100.0 * value
         said = f"The sheet is {x:+.2f} % (x) and {y:+.2f} % (y) off its stated size, ± {100.0 * std[0]:.2f} %"
+        if fit.table.places:
+            said = f"The body is {x:+.2f} % and its markers {y:+.2f} % off their stated size, ± {100.0 * std[0]:.2f} %"
         values = {
             "size_x": (float(value[0]), float(std[0]), "1"),
             "size_y": (float(value[1]), float(std[1]), "1"),

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.corners import COMMON, READOUT, CornerTable, corner_rows, grams, residuals
+from modcal_core.camera.corners import READOUT, SHAPE_NAMES, CornerTable, corner_rows, grams, residuals
 from modcal_core.camera.equations import Equations, OtherBlock, Sizes, SolvedEquations
 from modcal_core.camera.further import FurtherCamera, further_cameras, places_of
-from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.priors import CLOCK_S, CommonPrior
 from modcal_core.camera.sizes import START, likeliest, usual
@@ -28,8 +27,9 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 @dataclass(frozen=True)
 class CameraFit:
     """table, poses, prior: what was fitted. state: where it ended. sizes: of the errors. covariance: of parameters,
-    clock, lens, shape and readout, (P + 1 + 15, P + 1 + 15). equations: at the state. pixels: residuals (M, 2), the
-    images' own twists not put in. converged: whether it met. arm_stated: whether the size of the arm's faults was.
+    clock, lens, shape, readout and the places of Z values of markers, (P + 16 + Z, P + 16 + Z). equations: at the
+    state. pixels: residuals (M, 2), the images' own twists not put in. converged: whether it met. arm_stated: whether
+    the size of the arm's faults was.
     """
 
     table: CornerTable
@@ -57,14 +57,13 @@ class CameraFit:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the rows of the covariance."""
-        from modcal_core.camera.corners import SHAPE_NAMES
-
         return (
             *self.poses.names,
             "clock",
             *(f"lens/{n}" for n in self.state.lens.names),
             *(f"sheet/{n}" for n in SHAPE_NAMES),
             "readout",
+            *(f"places/{i}" for i in range(self.table.places * self.table.markers)),
         )
 
 
@@ -83,7 +82,7 @@ def fit_camera(
     sizes: to begin with. arm: size of the arm's faults in units of its prior, where it is stated. fixed_sizes: take the
     sizes as they are. begin: a state to begin with instead.
     """
-    state = begin or CameraState(poses.start, 0.0, lens, prior.mean[LENS:READOUT].copy())
+    state = begin or CameraState(poses.start, 0.0, lens, prior.shape)
     if arm is not None:
         sizes = replace(sizes, arm=arm)
     converged = False
@@ -116,7 +115,7 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     shifts[:, :3] = np.eye(3)
     sweep = moved[:, :, P] if clocked else None
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
-    information = np.zeros((P + 1 + COMMON, P + 1 + COMMON))
+    information = np.zeros((P + 1 + len(prior.mean), P + 1 + len(prior.mean)))
     information[:P, :P] = np.diag(poses.prior_std**-2)
     further = further_cameras(poses)
     places = places_of(further, P)
@@ -140,6 +139,7 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
         poses.rows_beside(state.values, P + 1),
         tuple(_block(camera, poses, state, first) for camera, first in zip(further, places, strict=True)),
         poses.faults,
+        prior.places,
     )
 
 

@@ -15,9 +15,7 @@ from typing import cast
 import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.corners import COMMON, READOUT, CornerTable
-from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.lens import Lens
+from modcal_core.camera.corners import SHAPE_NAMES, CornerTable
 from modcal_core.camera.priors import CLOCK_S, CommonPrior
 from modcal_core.camera.state import CameraState
 from modcal_core.geometry.so3 import Array
@@ -26,7 +24,8 @@ from modcal_core.geometry.so3 import Array
 @dataclass(frozen=True)
 class FurtherCamera:
     """name: of its topic. table, poses, prior: as of a fit of its own. begin: where that fit ended. shared: which of
-    lens, shape and readout are those of the first camera, (15,). moving: whether its images have a clock to find.
+    lens, shape, readout and places of markers are those of the first camera, (15 + Z,). moving: whether its images have
+    a clock to find.
     """
 
     name: str
@@ -43,7 +42,7 @@ class FurtherCamera:
 
     @property
     def own(self) -> np.ndarray:
-        """Which of its parameters, clock, lens, shape and readout are its own, indices among these (P' + 16)."""
+        """Which of its parameters, clock, lens, shape, readout and places are its own, indices (P' + 16 + Z)."""
         P = len(self.poses.parameters)
         placed = np.flatnonzero([not p.of_arm for p in self.poses.parameters])
         common = np.flatnonzero(self.prior.free & ~self.shared)
@@ -54,7 +53,8 @@ class FurtherCamera:
         """Names of what it has of its own."""
         every = (
             *(p.name for p in self.poses.parameters),
-            *("clock", *self.begin.lens.names, "scale_x", "scale_y", "bow_xx", "bow_xy", "bow_yy", "readout"),
+            *("clock", *self.begin.lens.names, *SHAPE_NAMES, "readout"),
+            *(f"places/{i}" for i in range(self.table.places * self.table.markers)),
         )
         return tuple(f"{self.name} {every[i]}" for i in self.own)
 
@@ -73,7 +73,8 @@ class FurtherCamera:
     def information(self) -> Array:
         """Information of the prior of its own values."""
         P = len(self.poses.parameters)
-        whole = np.zeros((P + 1 + COMMON, P + 1 + COMMON))
+        size = P + 1 + len(self.prior.mean)
+        whole = np.zeros((size, size))
         whole[:P, :P] = np.diag(self.poses.prior_std[:P] ** -2)
         whole[P, P] = CLOCK_S**-2
         whole[P + 1 :, P + 1 :] = self.prior.information
@@ -87,25 +88,18 @@ class FurtherCamera:
         for i, p in enumerate(self.poses.parameters):
             if p.of_arm:
                 x[i] = state.values[at[p.name]]
-        x[P + 1 :][self.shared] = state.common[self.shared]
+        x[P + 1 :][self.shared] = _of_first(state.common, len(self.shared))[self.shared]
         x[self.own] = own
         effects = state.values[len(first.parameters) : first.of_model]
-        common = x[P + 1 :]
-        return replace(
-            self.begin,
-            values=np.r_[x[:P], effects],
-            offset_s=float(x[P]),
-            lens=Lens(common[:LENS], self.begin.lens.size, self.begin.lens.model),
-            shape=common[LENS:READOUT],
-            readout_s=float(common[READOUT]),
-        )
+        there = replace(self.begin, values=np.r_[x[:P], effects], offset_s=float(x[P]))
+        return there.with_common(x[P + 1 :])
 
     def columns(self, first: ArmPoses, place: int) -> np.ndarray:
-        """Where each of its parameters, the effects, clock, lens, shape and readout stand among those of all, −1 for
-        what is not fitted. place: of the first of its own values.
+        """Where each of its parameters, the effects, clock, lens, shape, readout and places stand among those of all,
+        −1 for what is not fitted. place: of the first of its own values.
         """
         P, effects = len(self.poses.parameters), first.of_model - len(first.parameters)
-        out = np.full(P + effects + 1 + COMMON, -1)
+        out = np.full(P + effects + 1 + len(self.prior.mean), -1)
         at = {p.name: i for i, p in enumerate(first.parameters)}
         for i, p in enumerate(self.poses.parameters):
             if p.of_arm:
@@ -116,6 +110,11 @@ class FurtherCamera:
         own = self.own
         out[np.where(own < P, own, own + effects)] = place + np.arange(len(own))
         return out
+
+
+def _of_first(common: Array, count: int) -> Array:
+    """What all images of the first camera share, as much of it as another camera has: its target may be another."""
+    return np.asarray(np.r_[common, np.zeros(max(count - len(common), 0))][:count])
 
 
 def further_cameras(poses: ArmPoses) -> tuple[FurtherCamera, ...]:
@@ -130,5 +129,5 @@ def places_of(further: Sequence[FurtherCamera], end: int) -> list[int]:
 
 
 def _vector(state: CameraState) -> Array:
-    """Parameters without effects, clock, lens, shape and readout as one vector, absolute."""
+    """Parameters without effects, clock, lens, shape, readout and places as one vector, absolute."""
     return np.r_[state.values, state.offset_s, state.common]

@@ -9,7 +9,7 @@ the two poses that a flat sheet may have in an image, the one is taken that agre
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class Mounting:
     rival: float
     turns: Array
 
+    def with_poses(self, T_camera_target: Array) -> Mounting:
+        """The same with these poses in the images, (N, 4, 4)."""
+        return replace(self, T_camera_target=T_camera_target)
+
     @property
     def label(self) -> str:
         """The mounting for a person."""
@@ -65,7 +69,7 @@ def find_mounting(T_base_tip: Array, poses: BoardPose, stated: bool | None = Non
     N = len(T_base_tip)
     if N < LEAST_VIEWS:
         raise NotEnoughData("images", f"{N} show the target, at least {LEAST_VIEWS} are needed", "take more images")
-    turns = _relative_turns(T_base_tip)
+    turns = relative_turns(T_base_tip)
     _require_motion(T_base_tip, poses.T[:, 0], turns)
     found = [_solve(T_base_tip, poses, on_tip) for on_tip in (True, False)]
     miss = [_size(one, T_base_tip) for one in found]
@@ -77,6 +81,12 @@ def find_mounting(T_base_tip: Array, poses: BoardPose, stated: bool | None = Non
         raise BadRecording("images", said, remedy)
     Y, X, chosen, shift, turn = found[best]
     return Mounting(best == 0, Y, X, chosen, shift, turn, rival, turns)
+
+
+def mounting_misfit(T_base_tip: Array, poses: BoardPose, stated: bool | None = None) -> float:
+    """By how much images miss flange poses (N, 4, 4) as one length [m], in the mounting that suits them better."""
+    both = (True, False) if stated is None else (stated,)
+    return min(_size(_solve(T_base_tip, poses, on_tip), T_base_tip) for on_tip in both)
 
 
 def _solve(A: Array, poses: BoardPose, on_tip: bool) -> tuple[Array, Array, Array, float, float]:
@@ -114,7 +124,7 @@ def _size(found: tuple[Array, Array, Array, float, float], A: Array) -> float:
     return found[3] + reach * found[4]
 
 
-def _relative_turns(T: Array) -> Array:
+def relative_turns(T: Array) -> Array:
     """RMS of the turns between all pairs of poses (N, 4, 4) along their three main axes [rad], largest first."""
     R = T[:, :3, :3]
     mean = so3.mean(R)
@@ -128,7 +138,7 @@ def _require_motion(T_base_tip: Array, seen: Array, turns: Array) -> None:
     if arm_turn < _MOVED_RAD and arm_shift < _MOVED_M:
         said = f"the arm moves by {1e3 * arm_shift:.0f} mm and {np.degrees(arm_turn):.1f}° between them"
         raise NotEnoughData("images", said, "take images in postures far apart, the wrist turned about two axes")
-    still = float(_relative_turns(seen)[0]) < _STILL_RAD and float(np.ptp(seen[:, :3, 3], axis=0).max()) < _STILL_M
+    still = float(relative_turns(seen)[0]) < _STILL_RAD and float(np.ptp(seen[:, :3, 3], axis=0).max()) < _STILL_M
     if still:
         said = "the target does not move in the images while the arm does: camera and target move, or stand, together"
         raise BadRecording("images", said, "mount one of the two on the arm and the other in the world")

@@ -15,7 +15,7 @@ import numpy as np
 from modcal_core.camera.at_tool import flange_motions
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target import CalibrationTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.camera.weakness import tilt_and_distance
 from modcal_core.errors import NotEnoughData
@@ -45,7 +45,7 @@ class ImagePlan:
 
 
 def plan_images(
-    fit: CameraFit, target: PrintedTarget, count: int, rng: np.random.Generator, steepest: float = STEEPEST
+    fit: CameraFit, target: CalibrationTarget, count: int, rng: np.random.Generator, steepest: float = STEEPEST
 ) -> ImagePlan:
     """The next images after those of a fit. steepest: tilt of the target [rad].
 
@@ -68,7 +68,7 @@ def plan_images(
     return ImagePlan(pool[chosen], np.array(expected), tilt, away)
 
 
-def _pool(fit: CameraFit, target: PrintedTarget, rng: np.random.Generator, steepest: float) -> Array:
+def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator, steepest: float) -> Array:
     """Postures (m, n) that show the whole target as it is wanted."""
     chain, q = fit.poses.model.serial, fit.poses.q
     low, high = q.min(axis=0), q.max(axis=0)
@@ -91,13 +91,15 @@ def _pool(fit: CameraFit, target: PrintedTarget, rng: np.random.Generator, steep
     return np.asarray(tried[ahead & inside & side & wanted][:_POOL])
 
 
-def _rows(fit: CameraFit, target: PrintedTarget, q: Array) -> tuple[list[Array], Array]:
+def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> tuple[list[Array], Array]:
     """(for each image at these postures whitened rows (r, P) of what it says of all parameters, T_frame_tool)."""
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
-    cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(target.ids), 1, 1))
-    unread = np.zeros((len(target.ids), 2))
-    table = CornerTable.of([BoardView(f"{k}", target.ids, unread, cov) for k in range(len(q))], target)
+    cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(target.points), 1, 1))
+    unread = np.zeros((len(target.points), 2))
+    table = CornerTable.of(
+        [BoardView(f"{k}", np.arange(len(target.points)), unread, cov) for k in range(len(q))], target
+    )
     rows = corner_rows(table, fit.state.lens, fit.state.shape, at.seen(T))
     G = grams(table, replace(rows, residual=np.zeros_like(rows.residual)))[:, :-1, :-1]
     joints = at.as_twists(T, at.joint_motions(fit.state.values, T))

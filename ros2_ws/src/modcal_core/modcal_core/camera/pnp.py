@@ -36,24 +36,24 @@ def board_poses(table: CornerTable, lens: Lens, shape: Array) -> BoardPose:
     start = np.empty((2, N, 4, 4))
     for i in range(N):
         rows = table.of_view(i)
-        first = _from_homography(homography(table.points[rows, :2], lens.rays(table.pixels[rows])))
+        first = pose_of_plane(homography(table.points[rows, :2], lens.rays(table.pixels[rows])))
         start[0, i] = first
-        start[1, i] = _twin(first, table.points[rows].mean(axis=0))
-    T, cost, rms = zip(*(_refined(table, lens, shape, s) for s in start), strict=True)
+        start[1, i] = twin_pose(first, table.points[rows].mean(axis=0))
+    T, cost, rms = zip(*(refined_poses(table, lens, shape, s) for s in start), strict=True)
     order = np.argsort(np.stack(cost, axis=1), axis=1)
     T_both = np.take_along_axis(np.stack(T, axis=1), order[:, :, None, None], axis=1)
     both_rms = np.take_along_axis(np.stack(rms, axis=1), order, axis=1)
     return BoardPose(T_both, np.take_along_axis(np.stack(cost, axis=1), order, axis=1), both_rms[:, 0])
 
 
-def _from_homography(H: Array) -> Array:
+def pose_of_plane(H: Array) -> Array:
     """The pose of a plane whose x, y, 1 this takes to rays x, y, 1 (Zhang 2000)."""
     scale = 2.0 / (np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1]))
     a, b, t = (scale * H).T
     return se3.transform(so3.nearest_rotation(np.stack([a, b, np.cross(a, b)], axis=1)), t)
 
 
-def _twin(T: Array, centre: Array) -> Array:
+def twin_pose(T: Array, centre: Array) -> Array:
     """The pose tilted the other way about the line of sight to the sheet's centre, which stays where it is."""
     seen = T[:3, :3] @ centre + T[:3, 3]
     sight = seen / np.linalg.norm(seen)
@@ -65,7 +65,7 @@ def _twin(T: Array, centre: Array) -> Array:
     return se3.transform(R, seen - R @ centre)
 
 
-def _refined(table: CornerTable, lens: Lens, shape: Array, T: Array) -> tuple[Array, Array, Array]:
+def refined_poses(table: CornerTable, lens: Lens, shape: Array, T: Array) -> tuple[Array, Array, Array]:
     """(poses (N, 4, 4), cost (N,), RMS [px] (N,)) by damped Gauss-Newton steps of all images at once."""
     damping = np.full(table.views, 1e-6)
     cost, H, g, rms = _normal(table, lens, shape, T)

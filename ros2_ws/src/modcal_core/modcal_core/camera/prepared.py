@@ -10,7 +10,7 @@ import numpy as np
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
 from modcal_core.camera.clean import bad_images, corner_weights, enough_corners, strangers
-from modcal_core.camera.corners import READOUT, SHAPE, CornerTable
+from modcal_core.camera.corners import SHAPE, CornerTable
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
@@ -19,7 +19,7 @@ from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FREE, CommonPrior, common_prior
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target import CalibrationTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
@@ -40,7 +40,7 @@ class CameraImages:
 
     q: Array
     views: Sequence[BoardView]
-    target: PrintedTarget
+    target: CalibrationTarget
     size: tuple[int, int]
     velocity: Array | None = None
     lens: Lens | None = None
@@ -101,20 +101,17 @@ def prepare(
     start = lens or first_lens(table, images.size, model)
     prior = common_prior(start, target.scale, images.stated if lens is not None else None, images.flat)
     lens_fit, table = _lens(table, lens, prior, images.size, model)
-    poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
+    poses = board_poses(table, lens_fit.lens, prior.shape)
     if (bad := bad_images(table, poses.rms)).any():
         left_out |= {n: "the target fits this image badly" for n, b in zip(table.names, bad, strict=True) if b}
         table, q, velocity, moments = table.select(~bad), q[~bad], velocity[~bad], moments.select(~bad)
         require_views(table.views, images.name)
         lens_fit, table = _lens(table, lens, prior, images.size, model)
-        poses = board_poses(table, lens_fit.lens, prior.mean[LENS:READOUT])
+        poses = board_poses(table, lens_fit.lens, prior.shape)
 
     progress("mounting")
     mounting = find_mounting(forward(chain, q), poses, images.camera_on_tip)
-    if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
-        said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
-        remedy = "check that each row of joints belongs to its image, joint units and order, and the square's size"
-        raise BadRecording(images.name, said, remedy)
+    require_near_arm(mounting, chain, images.name)
     at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
     return PreparedImages(
         table,
@@ -135,6 +132,14 @@ def first_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, Prep
         ready = ready.select(~strange, "far from where the arm has it")
         fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fit.sizes, arm=arm)
     return fit, ready
+
+
+def require_near_arm(mounting: Mounting, chain: Chain, name: str) -> None:
+    """Raises BadRecording for images that miss the arm's motion by more than any arm is built wrong."""
+    if mounting.misfit_m > _APART_OF_REACH * max(chain.reach(), 0.3):
+        said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
+        remedy = "check that each row of joints belongs to its image, joint units and order, and the square's size"
+        raise BadRecording(name, said, remedy)
 
 
 def require_views(count: int, name: str) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 from modcal_core.camera.corners import BOW, COMMON, READOUT, SCALE, SHAPE
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, Lens
+from modcal_core.camera.places import PlacePrior
+from modcal_core.camera.state import shape_of
 from modcal_core.camera.target import PrintScale
 from modcal_core.geometry.so3 import Array
 
@@ -28,11 +30,29 @@ CLOCK_S = 0.05  # of stamps of a camera that nothing synchronises
 
 @dataclass(frozen=True)
 class CommonPrior:
-    """Expectation of lens, shape and readout. mean: (15,). information: inverse covariance, (15, 15). free: (15,)."""
+    """Expectation of lens, shape, readout and places of markers. mean: (15 + Z,). information: inverse covariance,
+    (15 + Z, 15 + Z), places as their tolerances have them. free: (15 + Z,) bool. places: None of a flat sheet.
+    """
 
     mean: Array
     information: Array
     free: np.ndarray
+    places: PlacePrior | None = None
+
+    @property
+    def shape(self) -> Array:
+        """Of the shape and the places of markers, (5 + Z,)."""
+        return shape_of(self.mean)
+
+    def with_places(self, places: PlacePrior) -> CommonPrior:
+        """The same with markers whose places are expected so, of a body, which has no bow."""
+        Z = len(places.apart)
+        information = np.zeros((COMMON + Z, COMMON + Z))
+        information[:COMMON, :COMMON] = self.information[:COMMON, :COMMON]
+        information[COMMON:, COMMON:] = places.information(1.0)
+        free = np.r_[self.free[:COMMON], np.ones(Z, bool)]
+        free[BOW] = False
+        return CommonPrior(np.r_[self.mean[:COMMON], np.zeros(Z)], information, free, places)
 
 
 def common_prior(lens: Lens, scale: PrintScale, stated: str | None = None, flat: bool = False) -> CommonPrior:

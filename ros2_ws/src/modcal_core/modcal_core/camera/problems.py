@@ -12,7 +12,7 @@ from modcal_core.camera.contradicted import SIZE, DoubtedStatement
 from modcal_core.camera.decision import APPLY, decide
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target import CalibrationTarget, PrintedTarget
 from modcal_core.camera.tool_error import ToolError
 
 MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (verdict.md)
@@ -30,7 +30,7 @@ def problems(
     left_out: dict[str, str],
     count: int,
     corners_out: float,
-    target: PrintedTarget,
+    target: CalibrationTarget,
 ) -> tuple[str, ...]:
     """What contradicts the fit, in sentences."""
     out = []
@@ -47,9 +47,11 @@ def problems(
     if len(left_out) > MANY_OUT * count:
         out.append(f"{len(left_out)} of {count} images were left out.")
     if corners_out > _CORNERS_OUT:
-        out.append(f"{100.0 * corners_out:.0f} % of all corners fit no flat target of the stated form.")
+        what = "target" if fit.table.places else "flat target"
+        out.append(f"{100.0 * corners_out:.0f} % of all corners fit no {what} of the stated form.")
     P = fit.poses.count
-    for i, axis in enumerate("" if wrong else "xy"):
+    # the places of a body's markers say what is wrong of its size as well
+    for i, axis in enumerate("" if wrong or fit.table.places else "xy"):
         off = fit.state.shape[i] - (getattr(target.scale, axis) - 1.0)
         usual = np.hypot(target.scale.std, 0.5 * target.scale.std_apart)
         if abs(off) > _SCALE_SIGMAS * usual:
@@ -70,16 +72,17 @@ def moved_sentence(fit: CameraFit, moved: MovedHalf, whose: str = "") -> str:
     )
 
 
-def metric_of(target: PrintedTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
+def metric_of(target: CalibrationTarget, arm_m: float | None, beside: ReadingsBeside | None) -> tuple[str, ...]:
     """What has a length that somebody measured or states."""
-    out = ["the sheet's rulers were measured"] if target.scale.measured else []
+    known = "the sheet's rulers were measured" if isinstance(target, PrintedTarget) else "the body's size is stated"
+    out = [known] if target.scale.measured else []
     if beside is not None and beside.metric:
         out.append(f"readings of {beside.label}")
     return (*out, "the arm's accuracy is stated") if arm_m is not None else tuple(out)
 
 
 def size_open(
-    target: PrintedTarget,
+    target: CalibrationTarget,
     doubted: Sequence[DoubtedStatement],
     error: ToolError,
     shared: dict[str, tuple[float, float]],
@@ -95,6 +98,11 @@ def size_open(
             )
         return ""
     whole, known = shared.get("print scale", (0.0, 0.0))
+    if known < _MOSTLY * whole and not isinstance(target, PrintedTarget):
+        return (
+            f"Most of that is the body's size, which nobody has stated: measure across it with a calliper and state "
+            f"size_tolerance; with it, {1e3 * known**0.5:.2f} mm are left."
+        )
     if known < _MOSTLY * whole:
         return (
             f"Most of that is the sheet's size, which nobody has measured: measure its rulers (modcal target "

@@ -11,10 +11,11 @@ from modcal_core.camera.changes import moved_half
 from modcal_core.camera.corners import BOW, COMMON, READOUT, SCALE
 from modcal_core.camera.fit import CameraFit, CameraState, missed_pixels
 from modcal_core.camera.further import FurtherCamera, further_cameras, places_of
+from modcal_core.camera.images_of_cameras import begin_fit, prepare_images
 from modcal_core.camera.mounting import Mounting
-from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare
+from modcal_core.camera.prepared import CameraImages, PreparedImages
 from modcal_core.camera.problems import MANY_OUT, moved_sentence
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target import CalibrationTarget
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
@@ -23,13 +24,13 @@ from modcal_core.robots.urdf_inertias import Inertias
 
 @dataclass(frozen=True)
 class FurtherSeen:
-    """A further camera after the fit of all. std: of lens, shape and readout, those of the first camera as in its fit,
-    (15,). given: images in which the target was found. rms_px: of its corners.
+    """A further camera after the fit of all. std: of lens, shape, readout and places, those of the first camera as in
+    its fit, (15 + Z,). given: images in which the target was found. rms_px: of its corners.
     """
 
     name: str
     mounting: Mounting
-    target: PrintedTarget
+    target: CalibrationTarget
     state: CameraState
     std: Array
     given: int
@@ -80,8 +81,8 @@ def further_of(
     """
     if images.name == first.name:
         raise BadRecording(images.name, "is given twice", "give each camera once")
-    ready = prepare(chain, images, fixed, inertias)
-    fit, ready = first_fit(ready, arm)
+    ready = prepare_images(chain, images, fixed, inertias)
+    fit, ready = begin_fit(ready, arm)
     same_side = ready.mounting.camera_on_tip == of_first.mounting.camera_on_tip
     out = []
     if not fit.converged:
@@ -96,9 +97,10 @@ def further_of(
 
 def _camera(name: str, fit: CameraFit, same_target: bool, same_side: bool) -> FurtherCamera:
     """From a fit of its own. same_target: of the first camera's file. same_side: carried, or not, as that one."""
-    shared = np.zeros(COMMON, bool)
+    shared = np.zeros(len(fit.prior.mean), bool)
     shared[SCALE] = same_target
     shared[BOW] = same_target and same_side
+    shared[COMMON:] = same_target and same_side  # two bodies of one drawing have markers glued each by itself
     moving = bool(fit.equations.free[fit.poses.count])
-    prior = replace(fit.prior, free=fit.prior.free & (moving | (np.arange(COMMON) != READOUT)))
+    prior = replace(fit.prior, free=fit.prior.free & (moving | (np.arange(len(shared)) != READOUT)))
     return FurtherCamera(name, fit.table, fit.poses, prior, fit.state, shared, moving)

@@ -18,9 +18,11 @@ START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1
 _USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
 # Lengths and angles of an arm are as faulty as each other, in units of 10 mm and 20 mrad, to a factor of two: from
 # industrial arms (0.3 mm, 0.5 mrad) to printed ones (1 mm, 5 mrad).
-_FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0])
-_LEAST, _MOST = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1]), np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0])
-_ARM, _OTHER, _LENGTHS = 3, 4, 5
+# Markers on a body are off by a tolerance that is mostly a guess, as the arm's is.
+_FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
+_LEAST = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
+_MOST = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
+_ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400
 _MET = 0.02  # of −2 log likelihood, which moves by 1 at a standard deviation
 
@@ -47,6 +49,8 @@ def likeliest(
         unknown += [_ARM, _LENGTHS]
     if equations.beside is not None:
         unknown.append(_OTHER)
+    if equations.places is not None:
+        unknown.append(_PLACES)
 
     def inside(logs: Array) -> Array:
         full = begin.logs

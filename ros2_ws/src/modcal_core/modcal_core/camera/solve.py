@@ -23,16 +23,17 @@ from modcal_core.camera.decision import CANNOT_TELL, Decision, decide
 from modcal_core.camera.findings import CameraFinding, findings
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.held_out import held_out
+from modcal_core.camera.images_of_cameras import begin_fit, only_seen, prepare_images
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.not_shown import HiddenSpring, hidden_springs
-from modcal_core.camera.prepared import CameraImages, first_fit, prepare
+from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.priors import FREE, CommonPrior
 from modcal_core.camera.problems import metric_of, problems, size_open
 from modcal_core.camera.several import FurtherSeen, further_of
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target import CalibrationTarget
 from modcal_core.camera.tool_error import (
     ToolError,
     parameter_draws,
@@ -68,7 +69,7 @@ class CameraSolution:
     nominal: CameraFit
     mounting: Mounting
     lens_fit: LensFit
-    target: PrintedTarget
+    target: CalibrationTarget
     left_out: dict[str, str]
     corners_out: float
     in_view: ToolError
@@ -108,7 +109,7 @@ def solve_camera(
     chain: Chain,
     q: Array,
     views: Sequence[BoardView],
-    target: PrintedTarget,
+    target: CalibrationTarget,
     size: tuple[int, int],
     rng: np.random.Generator,
     velocity: Array | None = None,
@@ -138,13 +139,15 @@ def solve_camera(
     images = CameraImages(
         *(q, views, target, size, velocity, lens, stated, camera_on_tip, flat, moments, fisheye),
     )
-    ready = prepare(chain, images, fixed, inertias, progress)
+    images, *further = only_seen((images, *further))
+    target = images.target
+    ready = prepare_images(chain, images, fixed, inertias, progress)
 
     progress("fit")
     size_of_arm = None if arm_m is None else arm_size(ready.poses, arm_m, ready.poses.q)
     others = [further_of(chain, one, images, ready, fixed, inertias, size_of_arm) for one in further]
     poses = replace(ready.poses, beside=beside, further=tuple(one.camera for one in others))
-    fit, ready = first_fit(replace(ready, poses=poses), size_of_arm)
+    fit, ready = begin_fit(replace(ready, poses=poses), size_of_arm)
     table, lens_fit, prior, mounting, left_out = (
         *(ready.table, ready.lens_fit, ready.prior, ready.mounting, ready.left_out),
     )
@@ -178,13 +181,15 @@ def solve_camera(
     rests = rests_on(fit, doubted, near, in_view)
     doubtful = in_doubt(fit, doubted, target.scale)
     doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0]),)
-    open_size = size_open(target, doubted, in_view, shared, arm_m)
-    decision = decide(in_view, bool(metric), against, arm_m, doubtful, open_size)
+    body = table.places > 0  # fixed cameras and a body are there for the arm, wherever they stand
+    judged = alone if body else in_view
+    open_size = size_open(target, doubted, judged, shared, arm_m)
+    decision = decide(judged, bool(metric), against, arm_m, doubtful, open_size, body)
     if (
         metric and decision.word == CANNOT_TELL and target.scale.measured
     ):  # the size decides: what is said holds either way
         in_view, anywhere, alone = (error.either_way(SIZE) for error in (in_view, anywhere, alone))
-        decision = decide(in_view, True, against, arm_m, doubtful, open_size)
+        decision = decide(alone if body else in_view, True, against, arm_m, doubtful, open_size, body)
     return CameraSolution(
         *(
             fit,

@@ -7,6 +7,7 @@ sheet's upper left corner of the pattern. AprilGrids are written in Kalibr's fra
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -41,6 +42,43 @@ class PrintScale:
         shared, apart = self.std**2, (0.5 * self.std_apart) ** 2
         other = shared - apart
         return np.array([[shared + apart + self.leaning, other], [other, shared + apart - self.leaning]])
+
+
+class CalibrationTarget(Protocol):
+    """What a fit asks of a target: points with numbers, and by how much each may be elsewhere than stated."""
+
+    @property
+    def scale(self) -> PrintScale:
+        """How large it came out: the first two values of its shape."""
+        ...
+
+    @property
+    def points(self) -> Array:
+        """Where its points are as stated, (C, 3) [m]."""
+        ...
+
+    @property
+    def label(self) -> str:
+        """The target for a person."""
+        ...
+
+    @property
+    def values_of_place(self) -> int:
+        """How many values the place of each of its markers has: 0 where they are as stated, 3 or 6."""
+        ...
+
+    @property
+    def marker_count(self) -> int:
+        """How many markers have a place of their own."""
+        ...
+
+    def shape_modes(self) -> Array:
+        """How each point moves per unit of the five values of the shape, (C, 3, 5)."""
+        ...
+
+    def on_markers(self) -> tuple[np.ndarray, Array]:
+        """(number of the marker of each point, (C,), where the point is from the middle of that, (C, 3) [m])."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -115,3 +153,27 @@ class PrintedTarget:
             return f"tag {self.first_id} of {1e3 * self.square:g} mm"
         what = "squares" if self.kind in (CHARUCO, CHESSBOARD) else "markers"
         return f"{names[self.kind]} of {self.columns} × {self.rows} {what} of {1e3 * self.square:g} mm"
+
+    @property
+    def values_of_place(self) -> int:
+        """Of the place of a marker: a sheet is printed in one."""
+        return 0
+
+    @property
+    def marker_count(self) -> int:
+        """Of markers with a place of their own: none."""
+        return 0
+
+    def shape_modes(self) -> Array:
+        """How each corner moves per unit of its size along x, along y, and of three modes of bow, (C, 3, 5)."""
+        points = self.points
+        middle, half = 0.5 * (points.max(0) + points.min(0)), 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
+        x, y = ((points - middle)[:, :2] / half).T
+        out = np.zeros((len(points), 3, 5))
+        out[:, 0, 0], out[:, 1, 1] = points[:, 0], points[:, 1]
+        out[:, 2, 2:] = np.stack([x * x, x * y, y * y], axis=1)
+        return out
+
+    def on_markers(self) -> tuple[np.ndarray, Array]:
+        """No corner is on a marker of its own."""
+        return np.zeros(len(self.points), int), np.zeros((len(self.points), 3))

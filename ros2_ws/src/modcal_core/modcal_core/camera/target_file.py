@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from modcal_core.camera.bundle import BUNDLE, MarkerBundle
+from modcal_core.camera.bundle_file import TAG_BUNDLES, bundle_from_data, bundle_of_tags
 from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget, PrintScale
 from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_yaml
@@ -18,18 +20,37 @@ RULER_STD_M = 3e-4  # how well one reads a ruler against two fine lines: a third
 _TWO_RULERS = 2.0  # rulers; their mean is known better than either by the root of this
 _OFF = 0.1  # a sheet farther from its stated size was measured in another unit
 _KINDS = (CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG)
-_REMEDY = "give a target file as modcal target writes it, or Kalibr's aprilgrid.yaml"
+_REMEDY = "give a target file as modcal target writes it, Kalibr's aprilgrid.yaml, or a bundle (docs/camera.md)"
 _APRIL = "DICT_APRILTAG_36h11"  # the family of Kalibr's grids
 
 
 def read_target(path: Path) -> PrintedTarget:
-    """The target in a file of ours or of Kalibr's. Raises BadTable."""
-    return target_from_data(read_yaml(path), str(path))
+    """The printed sheet in a file of ours or of Kalibr's. Raises BadTable, for a body with markers too."""
+    target = read_any_target(path)
+    if isinstance(target, MarkerBundle):
+        said = "is a body with markers, which is read from a CSV of its points only"
+        raise BadTable(str(path), said, "use modcal calibrate --images FILE.csv, or give a printed sheet")
+    return target
+
+
+def read_any_target(path: Path) -> PrintedTarget | MarkerBundle:
+    """The printed sheet, or the body with markers, in a file. Raises BadTable."""
+    return any_target_from_data(read_yaml(path), str(path))
+
+
+@refusing
+def any_target_from_data(data: Any, source: str = "target") -> PrintedTarget | MarkerBundle:
+    """The sheet or body that this data describes; raises BadTable, naming the source."""
+    if isinstance(data, Mapping) and TAG_BUNDLES in data:
+        return bundle_of_tags(data, source)
+    if isinstance(data, Mapping) and data.get("type") == BUNDLE:
+        return bundle_from_data(data, source)
+    return target_from_data(data, source)
 
 
 @refusing
 def target_from_data(data: Any, source: str = "target") -> PrintedTarget:
-    """The target that this data describes; raises BadTable, naming the source."""
+    """The sheet that this data describes; raises BadTable, naming the source."""
     if not isinstance(data, Mapping) or not {"modcal_target", "target_type"} & set(data):
         raise BadTable(source, "is not a target file", _REMEDY)
     if "target_type" in data:

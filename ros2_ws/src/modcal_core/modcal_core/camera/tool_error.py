@@ -34,6 +34,9 @@ _DRAWS = 2000  # for the ends of a 95 % interval to within a few per cent of the
 _POSTURES = 150  # which give the RMS over a range of joints to a few per cent
 _TRIES = 20  # postures drawn for each that shows the target
 _LEAST_SEEN = 20  # postures that show the target, below which those of the images are taken
+# Of a body, between two lines of sight: markers are read up to some 60° off square, so turned by half of that most of
+# those that one image shows are still read.
+_SAME_SIDE = float(np.radians(30.0))
 _INSIDE = 0.6  # of the corners, inside the image, count as a target that is in view
 
 
@@ -235,6 +238,8 @@ def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     ahead = X[:, :, 2] > 1e-3
     pixels = fit.state.lens.project(np.where(ahead[:, :, None], X, [0.0, 0.0, 1.0]))
     inside = ahead & ((pixels >= 0.0) & (pixels < np.array(fit.state.lens.size))).all(axis=2)
+    if fit.table.places:
+        return np.asarray((inside.mean(axis=1) >= _INSIDE) & _seen_from_there(fit, T, points.mean(axis=0)))
     # the side that the images show
     side = np.einsum("mi,mi->m", T[:, :3, 2], X.mean(axis=1))
     seen = fit.poses.seen(fit.poses.tool_at(fit.state.values))
@@ -242,8 +247,19 @@ def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     return np.asarray((inside.mean(axis=1) >= _INSIDE) & (side * front > 0.0))
 
 
+def _seen_from_there(fit: CameraFit, T: Array, middle: Array) -> np.ndarray:
+    """Whether images show a body from about where the camera is at T_camera_target (M, 4, 4), (M,) bool."""
+
+    def sides(poses: Array) -> Array:
+        back = se3.inverse(poses)[:, :3, 3] - middle
+        return np.asarray(back / np.linalg.norm(back, axis=1, keepdims=True))
+
+    seen = sides(fit.poses.seen(fit.poses.tool_at(fit.state.values)))
+    return np.asarray((sides(T) @ seen.T).max(axis=1) > np.cos(_SAME_SIDE))
+
+
 def _sheet(table: CornerTable) -> Array:
-    """The corners of the sheet that any image shows, (C, 3)."""
+    """The corners of the target that any image shows, (C, 3)."""
     first = np.unique(table.ids, return_index=True)[1]
     return table.points[first]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.camera.at_tool import flange_motions
 from modcal_core.camera.contradicted import SIZE, DoubtedStatement
-from modcal_core.camera.corners import READOUT, CornerTable
+from modcal_core.camera.corners import COMMON, READOUT, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.mounting import Mounting
@@ -35,7 +35,7 @@ def weak_directions(fit: CameraFit, mounting: Mounting) -> tuple[str, ...]:
     centre = fit.table.points.mean(axis=0)
     tilts, away = tilt_and_distance(seen, centre)
     tilt = float(tilts.max())
-    if tilt < _TILT:
+    if tilt < _TILT and not fit.table.places:
         out.append(
             f"The target was never tilted by more than {np.degrees(tilt):.0f}°: focal length and distance cannot be "
             "told apart. Take images with 20° to 45° of tilt."
@@ -123,20 +123,22 @@ def covered(table: CornerTable, size: tuple[int, int]) -> float:
 
 
 def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
-    """For lens, print scale, flatness and clock, and for all of these at once: (mean square error at the tool that is
-    known [m²], the same if that thing were known exactly), over postures q (M, n).
+    """For lens, print scale, flatness, clock and places of markers, and for all of these at once: (mean square error at
+    the tool that is known [m²], the same if that thing were known exactly), over postures q (M, n).
     """
     J = flange_motions(fit, q)
     P = J.shape[2]
     C = fit.covariance
     lens = np.arange(P + 1, P + 1 + LENS)
+    places = np.arange(P + 1 + COMMON, len(C))
     groups = {
         "lens": lens,
         "print scale": lens[-1] + 1 + np.arange(2),
         "flatness": lens[-1] + 3 + np.arange(3),
         "clock": np.array([P]),
         "readout": np.array([P + 1 + READOUT]),
-        ALL_BUT_IMAGES: np.r_[lens, lens[-1] + 1 + np.arange(5), P, P + 1 + READOUT],
+        "places of markers": places,
+        ALL_BUT_IMAGES: np.r_[lens, lens[-1] + 1 + np.arange(5), P, P + 1 + READOUT, places],
     }
     whole = _mean_square(J, C[:P, :P])
     out = {}

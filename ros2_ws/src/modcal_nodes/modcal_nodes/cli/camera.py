@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,8 @@ from modcal_nodes.io.recorded import opened
 
 if TYPE_CHECKING:
     from modcal_core.camera.beside import ReadingsBeside
+    from modcal_core.camera.bundle import MarkerBundle
+    from modcal_core.camera.lens import Lens
     from modcal_core.camera.prepared import CameraImages
     from modcal_core.camera.solve import CameraSolution
     from modcal_core.camera.target import PrintedTarget
@@ -40,7 +42,7 @@ _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
         "--images", type=_EXISTING, default=None, metavar="FOLDER",
-        help="Images of a printed target, or a CSV of its corners; with --joints, --target, --urdf.",
+        help="Images of a target, or a CSV of its corners by one camera or several; with --joints, --target, --urdf.",
     ),
     click.option(
         "--joints", type=_EXISTING, default=None, metavar="FILE",
@@ -48,7 +50,7 @@ OPTIONS = (
     ),
     click.option(
         "--target", type=_EXISTING, default=None, metavar="FILE",
-        help="target.yaml of modcal target, or Kalibr's: calibrate from the images in BAG, or from --images.",
+        help="target.yaml of modcal target, Kalibr's, or a body's: calibrate from images in BAG, or --images.",
     ),
     click.option(
         "--image-topic", default=None, metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
@@ -58,7 +60,8 @@ OPTIONS = (
         help="Images of a further camera in BAG, and the target that it sees, where that is another file.",
     ),
     click.option(
-        "--camera-info", type=_EXISTING, default=None, metavar="FILE", help="Intrinsics. Default: from the images."
+        "--camera-info", multiple=True, metavar="[CAMERA=]FILE",
+        help="Intrinsics, of a camera of several by its name. Default: from the images.",
     ),
     click.option(
         "--intrinsics", type=click.Choice(["free", "tolerance", "fixed"]), default="tolerance", show_default=True,
@@ -198,15 +201,15 @@ def _solved(
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
     """The robot, its images, and what they lead to."""
     from modcal_core.camera.solve import solve_camera
-    from modcal_core.camera.target_file import read_target
-    from modcal_nodes.vision.images import read_camera_info, require_size
+    from modcal_core.camera.target_file import read_any_target, read_target
 
-    target = read_target(camera["target"])
-    stated = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"])
-    robot, found, others, further = _read(camera, options, target, bag, watch)
-    lens, source = (stated, str(camera["camera_info"])) if stated is not None else (found.lens, found.lens_of)
-    if lens is not None:
-        require_size(lens, found.size, source)
+    if camera["images"] is not None and camera["images"].is_file():
+        target = read_any_target(camera["target"])
+    else:
+        target = read_target(camera["target"])
+    stated = _stated_lenses(camera["camera_info"] or ())
+    read = _read(camera, options, target, bag, watch, stated)
+    robot, found = read.robot, read.found
     solution = solve_camera(
         robot.chain,
         found.q,
@@ -215,7 +218,7 @@ def _solved(
         found.size,
         np.random.default_rng(options["seed"]),
         velocity=found.velocity,
-        lens=lens,
+        lens=read.lens,
         stated=camera["intrinsics"],
         arm_m=None if camera["arm_mm"] is None else 1e-3 * camera["arm_mm"],
         camera_on_tip=None if camera["mounting"] is None else camera["mounting"] == "tip",
@@ -224,57 +227,129 @@ def _solved(
         progress=watch,
         moments=found.moments,
         inertias=robot.inertias,
-        beside=others,
+        beside=read.others,
         look_for_effects=not options["geometry_only"],
         fisheye=camera["fisheye"],
-        further=further,
+        further=read.further,
     )
-    return robot, found, replace(solution, notes=found.notes)
+    return robot, found, replace(solution, notes=(*found.notes, *read.notes))
+
+
+def _stated_lenses(given: Sequence[str]) -> dict[str, tuple[Lens, str]]:
+    """The lenses in camera_info files, each with its file, by the name of the camera, "" where none is said."""
+    from modcal_nodes.vision.images import read_camera_info
+
+    out = {}
+    for said in given:
+        name, file = ("", said) if Path(said).exists() else (said.rpartition("=")[0], said.rpartition("=")[2])
+        if not Path(file).exists():
+            raise BadTable(f"--camera-info {said}", f"names no file {file}", "give FILE, or CAMERA=FILE")
+        if name in out:
+            raise BadTable(f"--camera-info {said}", "is given twice", "give one file a camera")
+        out[name] = read_camera_info(Path(file)), file
+    return out
+
+
+@dataclass(frozen=True)
+class _Read:
+    """robot: it. found: the images of the first camera. others: readings of other instruments in the bag, None where it
+    has none. further: what further cameras saw. lens: stated of the first camera. notes: on the further ones.
+    """
+
+    robot: Robot
+    found: ImageFolder
+    others: ReadingsBeside | None = None
+    further: tuple[CameraImages, ...] = ()
+    lens: Lens | None = None
+    notes: tuple[str, ...] = ()
 
 
 def _read(
-    camera: dict[str, Any], options: dict[str, Any], target: PrintedTarget, bag: Path | None, watch: Watch
-) -> tuple[Robot, ImageFolder, ReadingsBeside | None, tuple[CameraImages, ...]]:
-    """The robot, the images with their joints, readings of other instruments in the bag, None where it has none, and
-    what further cameras saw.
-    """
+    camera: dict[str, Any],
+    options: dict[str, Any],
+    target: PrintedTarget | MarkerBundle,
+    bag: Path | None,
+    watch: Watch,
+    stated: dict[str, tuple[Lens, str]],
+) -> _Read:
+    """The robot, and what was seen of it."""
     from modcal_core.camera.beside import beside
+    from modcal_core.camera.target import PrintedTarget
     from modcal_nodes.vision.bag import read_bag_images
-    from modcal_nodes.vision.corner_table import read_corner_table
-    from modcal_nodes.vision.images import read_camera_info, read_images
+    from modcal_nodes.vision.corner_table import read_corner_tables
+    from modcal_nodes.vision.images import read_images, require_size
 
-    recording = None
+    recording, first, notes = None, "", tuple[str, ...]()
+    further: tuple[CameraImages, ...] = ()
     if bag is not None:
         recording = read_bag(bag, topics=Topics.of(options["topic"], options["ignore"]))
     if camera["images"] is not None:
         columns = _columns(camera["joints"])
         robot = Robot.from_urdf(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
         if camera["images"].is_file():
-            size = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"]).size
-            found = read_corner_table(camera["images"], camera["joints"], robot.names, target, size)
+            sizes = {name: lens.size for name, (lens, _) in stated.items()}
+            by_name = read_corner_tables(camera["images"], camera["joints"], robot.names, target, sizes)
+            (first, found), *others = by_name.items()
+            further = tuple(_of_table(name, one, target, camera, stated) for name, one in others)
+            notes = tuple(f"{name}: {said}" for name, one in others for said in (*one.notes, *_out(one)))
         else:
+            assert isinstance(target, PrintedTarget)
             found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
     else:
         assert bag is not None
         assert recording is not None
+        assert isinstance(target, PrintedTarget)
         urdf = None if options["urdf"] is None else camera_urdf(options["urdf"])
         robot = described(recording, None, urdf, options["base"], options["tip"])
-        size = None if camera["camera_info"] is None else read_camera_info(camera["camera_info"]).size
+        size = stated[""][0].size if "" in stated else None
         found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch, size)
-    further: tuple[CameraImages, ...] = ()
-    if bag is not None and recording is not None:
-        further = tuple(
+    if bag is not None and recording is not None and isinstance(target, PrintedTarget):
+        further += tuple(
             _further(one, bag, recording, robot, target, camera["flat_target"], watch)
             for one in camera.get("also_camera", ())
         )
+    if strange := set(stated) - {"", first, *(one.name for one in further)}:
+        raise BadTable(f"--camera-info {min(strange)}=…", "names no camera of these images", "name it as they do")
+    lens, source = stated.get(first) or stated.get("") or (found.lens, found.lens_of)
+    if lens is not None:
+        require_size(lens, found.size, source)
     if bag is None or recording is None or not (told := [r for r in recording.readings if not r.by_type]):
-        return robot, found, None, further
+        return _Read(robot, found, None, further, lens, notes)
     watch("reading other instruments")
     # poses that nobody called a tracker's may be made from these very images
     guessed = [r.topic for r in recording.readings if r.by_type and r.topic not in {t.topic for t in told}]
     topics = Topics.of(options["topic"], [*options["ignore"], *guessed])
     samples = opened(bag, watch, topics).samples(robot, options["clock_limit"])
-    return robot, found, beside(robot.chain, samples, robot.inertias), further
+    return _Read(robot, found, beside(robot.chain, samples, robot.inertias), further, lens, notes)
+
+
+def _out(found: ImageFolder) -> tuple[str, ...]:
+    """What was left out of the images of a camera, in sentences."""
+    return tuple(f"left out: {name}: {why}." for name, why in found.left_out.items())
+
+
+def _of_table(
+    name: str,
+    found: ImageFolder,
+    target: PrintedTarget | MarkerBundle,
+    camera: dict[str, Any],
+    stated: dict[str, tuple[Lens, str]],
+) -> CameraImages:
+    """What a further camera of a table of corners saw."""
+    from modcal_core.camera.prepared import CameraImages
+    from modcal_nodes.vision.images import require_size
+
+    lens, source = stated.get(name) or (None, "")
+    if lens is not None:
+        require_size(lens, found.size, source)
+    on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
+    return CameraImages(
+        *(found.q, found.views, target, found.size, found.velocity, lens, camera["intrinsics"], on_tip),
+        flat=camera["flat_target"],
+        moments=found.moments,
+        fisheye=camera["fisheye"],
+        name=name or "images",
+    )
 
 
 def _further(

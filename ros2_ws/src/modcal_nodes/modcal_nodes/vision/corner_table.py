@@ -1,85 +1,163 @@
-"""Corners that another program found: a CSV with a row for each, in place of a folder of images."""
+"""Corners that another program found: a CSV with a row for each, of one camera or several, in place of images."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, MARKER_CORNERS, TAG, PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable, NotEnoughData
-from modcal_nodes.vision.images import ImageFolder, joints_of_text, text_of
+from modcal_nodes.vision.images import ImageFolder, JointTable, joints_of_text, text_of
 
-_COLUMNS = ("image", "id", "u", "v")
+_COLUMNS = ("image", "u", "v")
 _SIGMA_PX = 0.1  # of a corner whose row has none: that of a sharp ChArUco corner
 _LARGEST_PX = 100_000  # of a side of an image
+_REMEDY = "give columns image, id (or marker and corner), u, v, and camera and sigma where they are known"
+_MARKERS = (ARUCO_GRID, APRIL_GRID, TAG)  # sheets whose corners are those of numbered markers
+_Size = tuple[int, int]
 
 
-def read_corner_table(
-    file: Path, joints: Path, names: Sequence[str], target: PrintedTarget, size: tuple[int, int] | None = None
-) -> ImageFolder:
-    """The corners of a table as the views of a folder's images.
+@dataclass(frozen=True)
+class _Row:
+    """A corner. line: of the file. point: of the target, None of a marker that is not on it."""
 
-    file: CSV, its first line the columns: image, id (of the target's corner), u, v [px], and, where they are known,
-    sigma [px], width and height of the images [px]. joints, names: as of a folder. size: of the images, where the table
-    has none. Raises ModcalError.
+    line: int
+    camera: str
+    image: str
+    point: int | None
+    values: tuple[float, float, float]
+    size: _Size | None
+
+
+def read_corner_tables(
+    file: Path,
+    joints: Path,
+    names: Sequence[str],
+    target: PrintedTarget | MarkerBundle,
+    sizes: Mapping[str, _Size] | None = None,
+) -> dict[str, ImageFolder]:
+    """The corners of a table as the views of a folder's images, by camera, in the order in which the table has these.
+
+    file: CSV, its first line the columns: image, u, v [px] and id, or marker and corner (0 to 3, empty for a marker's
+    middle), and, where they are known, camera, sigma [px], width and height of the images [px]. joints, names: as of a
+    folder. sizes: of the images by camera, "" for any, where the table has none. Raises ModcalError.
     """
     source = str(file)
-    rows = list(csv.reader(text_of(file).splitlines()))
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    if missing := [name for name in _COLUMNS if name not in header]:
-        said = f"has no column {missing[0]} (it has {', '.join(header)[:120]})"
-        raise BadTable(source, said, f"give columns {', '.join(_COLUMNS)}, and sigma where it is known")
-    found: dict[str, list[tuple[int, float, float, float]]] = {}
-    for number, row in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in row):
-            continue
-        try:
-            one = {name: cell.strip() for name, cell in zip(header, row, strict=True)}
-            corner = int(one["id"]), float(one["u"]), float(one["v"]), float(one.get("sigma") or _SIGMA_PX)
-            if "width" in one and "height" in one:
-                size = _size(source, number, size, (int(one["width"]), int(one["height"])))
-        except ValueError as error:
-            raise BadTable(f"{source}: line {number}", "holds a value that cannot be read", "give numbers") from error
-        if not 0 <= corner[0] < len(target.points):
-            said = f"has corner {corner[0]}, the target has 0 to {len(target.points) - 1}"
-            raise BadTable(f"{source}: line {number}", said, "number the corners as docs/camera.md does")
-        if not np.isfinite(corner[1:]).all() or corner[3] <= 0.0:
-            raise BadTable(f"{source}: line {number}", "holds a number that is not finite, or no size", "correct it")
-        found.setdefault(one["image"], []).append(corner)
-    if not found:
-        raise NotEnoughData(source, "holds no corner", "give a row for each corner that was found")
-    if size is None:
-        raise BadTable(
-            source, "does not say how large the images are", "add columns width and height, or --camera-info"
-        )
+    rows = _rows(file, target)
     table = joints_of_text(text_of(joints), names, str(joints))
+    out = {}
+    for camera in dict.fromkeys(row.camera for row in rows):
+        own = [row for row in rows if row.camera == camera]
+        size = (sizes or {}).get(camera, (sizes or {}).get(""))
+        for row in own:
+            size = _same_size(source, row, size)
+        if size is None:
+            remedy = "add columns width and height, or --camera-info"
+            raise BadTable(source, "does not say how large the images are", remedy)
+        out[camera] = _folder(source, own, table, target, size)
+    return out
+
+
+def _folder(
+    source: str, rows: Sequence[_Row], table: JointTable, target: PrintedTarget | MarkerBundle, size: _Size
+) -> ImageFolder:
+    """The images of one camera. Raises ModcalError."""
+    found: dict[str, list[_Row]] = {}
+    for row in rows:
+        if row.point is not None:
+            found.setdefault(row.image, []).append(row)
+    notes = []
+    if strangers := sum(row.point is None for row in rows):
+        notes.append(f"{strangers} rows of {source} are of markers that the target does not have.")
     views, at, left_out = [], [], {}
     for name, corners in found.items():
-        values = np.array(corners)
-        ids = values[:, 0].astype(int)
-        if len(np.unique(ids)) < len(ids):
-            raise BadTable(f"{source}: image {name[:80]}", "has a corner twice", "give each corner of an image once")
+        count = Counter(row.point for row in corners)
+        if max(count.values()) > 1:
+            if isinstance(target, PrintedTarget):
+                remedy = "give each corner of an image once"
+                raise BadTable(f"{source}: image {name[:80]}", "has a corner twice", remedy)
+            corners = [row for row in corners if count[row.point] == 1]  # one of the two is misread
+            notes.append(f"Image {name[:80]} has a marker twice, which is left out of it.")
+        if not corners:
+            left_out[name] = "no point of the target stands once: give each once"
+            continue
         if (place := table.at(Path(name))) is None:
             left_out[name] = "the table has no joints for it: give it a row"
             continue
-        cov = np.eye(2) * (values[:, 3] ** 2)[:, None, None]
-        views.append(BoardView(name, ids, values[:, 1:3], cov))
+        values = np.array([row.values for row in corners])
+        cov = np.eye(2) * (values[:, 2] ** 2)[:, None, None]
+        views.append(BoardView(name, np.array([row.point for row in corners]), values[:, :2], cov))
         at.append(place)
     if not views:
         raise NotEnoughData(source, "names no image that the table of joints has", "name the images alike in both")
     q, velocity = (np.stack(part) for part in zip(*at, strict=True))
-    return ImageFolder(tuple(views), q, velocity, size, left_out)
+    return ImageFolder(tuple(views), q, velocity, size, left_out, notes=tuple(dict.fromkeys(notes)))
 
 
-def _size(source: str, number: int, before: tuple[int, int] | None, own: tuple[int, int]) -> tuple[int, int]:
-    """The images' size by this row, which must be that of the rows before."""
+def _rows(file: Path, target: PrintedTarget | MarkerBundle) -> list[_Row]:
+    """The rows of a table. Raises ModcalError."""
+    source = str(file)
+    rows = list(csv.reader(text_of(file).splitlines()))
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    missing = [name for name in _COLUMNS if name not in header]
+    missing += [] if {"id", "marker"} & set(header) else ["id"]
+    if missing:
+        raise BadTable(source, f"has no column {missing[0]} (it has {', '.join(header)[:120]})", _REMEDY)
+    out = []
+    for number, row in enumerate(rows[1:], start=2):
+        if not any(cell.strip() for cell in row):
+            continue
+        where = f"{source}: line {number}"
+        try:
+            one = {name: cell.strip() for name, cell in zip(header, row, strict=True)}
+            values = float(one["u"]), float(one["v"]), float(one.get("sigma") or _SIGMA_PX)
+            size = (int(one["width"]), int(one["height"])) if "width" in one and "height" in one else None
+            point = _point(one, target, where)
+        except ValueError as error:
+            raise BadTable(where, "holds a value that cannot be read", "give numbers") from error
+        if not np.isfinite(values).all() or values[2] <= 0.0:
+            raise BadTable(where, "holds a number that is not finite, or no size", "correct it")
+        out.append(_Row(number, one.get("camera", ""), one["image"], point, values, size))
+    if not out:
+        raise NotEnoughData(source, "holds no corner", "give a row for each corner that was found")
+    return out
+
+
+def _point(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, where: str) -> int | None:
+    """The number of the target's point that a row is of, None of another target's marker. Raises BadTable."""
+    corner = int(one["corner"]) if one.get("corner") else None
+    number = int(one["marker"] if "marker" in one else one["id"])
+    if corner is not None and not 0 <= corner < MARKER_CORNERS:
+        raise BadTable(where, f"has corner {corner} of a marker", "number them from 0 to 3, or leave it empty")
+    if isinstance(target, MarkerBundle):
+        return target.point(number, corner)
+    if "marker" in one:
+        if target.kind not in _MARKERS or corner is None:
+            raise BadTable(where, f"has a marker, which a {target.kind} has none of", "give id, the target's corner")
+        number = MARKER_CORNERS * (number - target.first_id) + corner
+        if not 0 <= number < len(target.points):
+            return None
+    if not 0 <= number < len(target.points):
+        said = f"has corner {number}, the target has 0 to {len(target.points) - 1}"
+        raise BadTable(where, said, "number the corners as docs/camera.md does")
+    return number
+
+
+def _same_size(source: str, row: _Row, before: _Size | None) -> _Size | None:
+    """The images' size by this row, which must be that of the rows of this camera before."""
+    own = row.size
+    if own is None:
+        return before
     if not (0 < own[0] < _LARGEST_PX and 0 < own[1] < _LARGEST_PX):
-        raise BadTable(f"{source}: line {number}", f"has images of {own[0]} × {own[1]} pixels", "correct it")
+        raise BadTable(f"{source}: line {row.line}", f"has images of {own[0]} × {own[1]} pixels", "correct it")
     if before is not None and own != before:
         said = f"is of an image of {own[0]} × {own[1]}, those before of {before[0]} × {before[1]}"
-        raise BadTable(f"{source}: line {number}", said, "give images of one size")
+        raise BadTable(f"{source}: line {row.line}", said, "give images of one size")
     return own

@@ -275,11 +275,12 @@ def joints_of_text(text: str, names: Sequence[str], source: str) -> JointTable:
         said = f"holds {np.abs(q).max():.0f}, and no joint turns so far in radians"
         raise BadTable(source, said, "give radians and metres")
     if key == "image":
-        names_of = [Path(k).name for k in keys]
-        if len(set(names_of)) < len(names_of):
-            twice = next(k for k, n in Counter(names_of).items() if n > 1)
-            raise BadTable(source, f"has two rows for image {twice[:80]}", "give one row an image")
-        return JointTable(source, dict(zip(names_of, q, strict=True)), np.empty(0), q)
+        by_name: dict[str, Array] = {}
+        for name, values_of in zip((Path(k).name for k in keys), q, strict=True):
+            if not np.array_equal(by_name.setdefault(name, values_of), values_of):
+                said = f"has two rows for image {name[:80]} that differ"
+                raise BadTable(source, said, "give one row an image, or the same joints in each")
+        return JointTable(source, by_name, np.empty(0), q)
     stamps = np.array([_stamp(k) if _stamp(k) is not None else np.nan for k in keys], dtype=float)
     if not (np.diff(stamps) > 0.0).all():
         raise BadTable(source, "has stamps that do not increase", "give rows in the order of time, in seconds")

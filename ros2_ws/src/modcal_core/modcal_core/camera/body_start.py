@@ -1,0 +1,122 @@
+"""Lens, camera and body to begin with, from all images of a body and the flange poses at which they were taken.
+
+A body is small beside its distance, so its images alone hardly tell the focal length; the arm's motion does. For each
+of some focal lengths the body's poses by single images are held against the flange's, and the one is taken that they
+meet best. Where too few images show a pose by themselves, the sightings of single points from all postures serve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.camera.body_pnp import body_poses, images_with_pose
+from modcal_core.camera.corners import CornerTable, residuals
+from modcal_core.camera.few_points import Resection, resection
+from modcal_core.camera.lens import FISHEYE, Lens
+from modcal_core.camera.mounting import Mounting, find_mounting, mounting_misfit, relative_turns
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+
+_ENOUGH = 8  # images with a pose: twice as many as a mounting needs, so that a misread one is outvoted
+_LOOKED_AT = 60  # of these, for time, while the focal length is looked for
+_FOCALS = np.geomspace(0.4, 6.0, 17)  # times the image's width: lenses of 100° to 10°
+_HALF_ANGLES = np.radians(np.linspace(35.0, 95.0, 13))  # of fisheyes, from the middle to the farther edge
+_FINER = np.linspace(0.85, 1.18, 9)  # between one of these and the next
+_CLEAR = 2.0  # ratio of the misfits of both mountings, as with poses
+
+
+@dataclass(frozen=True)
+class BodyStart:
+    """lens, mounting: to begin with. T_camera_target: of the mounting is by the arm, in every image."""
+
+    lens: Lens
+    mounting: Mounting
+
+
+def start_of_body(
+    table: CornerTable, A: Array, lens: Lens | None, size: tuple[int, int], model: str, on_tip: bool | None
+) -> BodyStart:
+    """The start of images (N) of a body.
+
+    A: flange poses, (N, 4, 4) [m]. lens: as stated, None where it is to be found. size: of the images [px]. model: of
+    the lens. on_tip: the mounting where it is stated. Raises ModcalError for images that do not show it.
+    """
+    whole = images_with_pose(table)
+    if whole.sum() < _ENOUGH:
+        return _by_points(table, A, lens, size, on_tip)
+    posed, at = table.select(whole), A[whole]
+    if lens is None:
+        lens = _lens_by_arm(posed, at, size, model, on_tip)
+    return BodyStart(lens, _by_arm(find_mounting(at, body_poses(posed, lens), on_tip), A))
+
+
+def _by_arm(mounting: Mounting, A: Array) -> Mounting:
+    """The mounting with the poses that it puts the target at in all images, those without a pose among them."""
+    T = mounting.T_frame_base @ A @ mounting.T_tip_tool
+    return mounting.with_poses(se3.inverse(T) if mounting.camera_on_tip else T)
+
+
+def _lens_by_arm(table: CornerTable, A: Array, size: tuple[int, int], model: str, on_tip: bool | None) -> Lens:
+    """The lens without distortion whose poses of the body meet the flange's best."""
+    rows = np.zeros(table.views, bool)
+    rows[np.unique(np.linspace(0, table.views - 1, _LOOKED_AT).astype(int))] = True
+    table, A = table.select(rows), A[rows]
+    middle = 0.5 * (np.array(size) - 1.0)
+
+    def of(focal: float) -> Lens:
+        return Lens(np.r_[focal, focal, middle, np.zeros(5)], size, model)
+
+    def miss(focal: float) -> float:
+        return mounting_misfit(A, body_poses(table, of(focal)), on_tip)
+
+    tried = 0.5 * max(size) / _HALF_ANGLES if model == FISHEYE else _FOCALS * max(size)
+    best = _least(miss, tried)
+    return of(_least(miss, best * _FINER))
+
+
+def _least(miss: Callable[[float], float], tried: Array) -> float:
+    return float(min(tried, key=lambda focal: miss(float(focal))))
+
+
+def _by_points(
+    table: CornerTable, A: Array, lens: Lens | None, size: tuple[int, int], on_tip: bool | None
+) -> BodyStart:
+    """The start from sightings of single points. Raises NotEnoughData."""
+    ids, point = np.unique(table.ids, return_inverse=True)
+    body = np.array([table.points[table.ids == i][0] for i in ids])
+    middle = 0.5 * (np.array(size) - 1.0)
+    rays = (table.pixels - middle) / max(size) if lens is None else lens.rays(table.pixels)
+    found: dict[bool, Resection] = {}
+    for carried in (True, False) if on_tip is None else (on_tip,):
+        flange = se3.inverse(A) if carried else A
+        one = resection(flange[table.view], point, rays, body, lens is not None)
+        if one is not None:
+            found[carried] = one
+    if not found:
+        said = f"few show four points that tell a pose, and no point is seen often enough among {table.views} images"
+        raise NotEnoughData("images", said, "take 25 images or more of the same points, or such as show more points")
+    carried = min(found, key=lambda c: found[c].miss)
+    rival = found[not carried].miss / max(found[carried].miss, 1e-12) if len(found) == 2 else np.inf
+    if rival < _CLEAR:
+        said = "they fit camera on the tip and camera in the world alike"
+        raise NotEnoughData("images", said, "turn the wrist more, show more points, or state --mounting")
+    best = found[carried]
+    if lens is None:
+        f = best.focal * max(size)
+        lens = Lens(np.r_[f, f, middle, np.zeros(5)], size)
+    base, tool = best.T_camera_base, best.T_tip_body
+    if carried:  # it is the camera that is on the tip: T_camera_tip and T_base_body
+        base, tool = se3.inverse(tool), se3.inverse(base)
+    away = float(np.median(np.linalg.norm((best.T_camera_base @ (se3.inverse(A) if carried else A))[:, :3, 3], axis=1)))
+    mounting = Mounting(carried, base, tool, A, best.miss * away, best.miss, float(rival), relative_turns(A))
+    return BodyStart(lens, _by_arm(mounting, A))
+
+
+def gross(table: CornerTable, lens: Lens, T_camera_target: Array, times: float) -> np.ndarray:
+    """Corners (M,) that are farther from where they should be than so many times the median, the body as stated."""
+    off = np.linalg.norm(residuals(table, lens, table.unshaped, T_camera_target), axis=1)
+    return np.asarray(off > times * float(np.median(off)))

@@ -1,0 +1,203 @@
+"""Bodies with markers, or points, in three dimensions: a block with a tag on each face, balls on a frame.
+
+The drawing says where each marker is on the body; the body was glued together by hand. So each marker has a place of
+its own in a fit (places), and the body as a whole a size. A marker's frame has x to its right, y up and z out of it,
+towards who looks at it, as ArUco's have and those of apriltag_ros; its origin is the middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from modcal_core.camera.places import PlacePrior, place_prior
+from modcal_core.camera.target import MARKER_CORNERS, PrintScale
+from modcal_core.camera.views import BoardView
+from modcal_core.errors import BadTable
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+
+BUNDLE = "bundle"
+ARUCO_ORDER, APRILTAG_ORDER = "aruco", "apriltag"  # of a marker's corners, from its upper left or lower left one
+_CORNERS = {
+    ARUCO_ORDER: np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]),
+    APRILTAG_ORDER: np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]),
+}
+PLACE_M, TURN_RAD = 1e-3, 1e-2  # of a label stuck on by hand: a millimetre, and as much over 100 mm
+SIZE, PRINT = 5e-3, 1e-2  # of a printed body, which shrinks by some tenths of a per cent, and of a printer's labels
+_MOST = 500  # markers; more is a slip of the pen
+_LARGEST_M = 10.0  # m; a body of that size is in millimetres
+_LEAST_MARKERS = 3  # not on one line: fewer have no pose
+
+
+@dataclass(frozen=True)
+class BundleMarker:
+    """id: as detectors have it. xyz: of its middle on the body [m]. quaternion: T_body_marker's, x y z w. size: of its
+    side [m], 0 of a bare point.
+    """
+
+    id: int
+    xyz: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    size: float = 0.0
+
+    @property
+    def T_body_marker(self) -> Array:
+        """Its pose on the body, (4, 4) [m]."""
+        return se3.transform(so3.from_quaternion(np.array(self.quaternion)), np.array(self.xyz))
+
+    @property
+    def label(self) -> str:
+        """The marker for a person."""
+        return f"{'marker' if self.size else 'point'} {self.id}"
+
+
+@dataclass(frozen=True)
+class MarkerBundle:
+    """A body with markers. scale: of the body (its x) and of the print of the markers (its y). place_m, turn_rad: how
+    far each is from its place, and turned, along or about an axis, standard deviation. corners: order of a marker's.
+    dictionary: of the markers, as OpenCV has it. turning: whether corners are read, so that markers' turns are seen.
+
+    Its points are, of each marker in turn, the four corners and the middle; of a bare point itself.
+    """
+
+    markers: tuple[BundleMarker, ...]
+    scale: PrintScale
+    place_m: float = PLACE_M
+    turn_rad: float = TURN_RAD
+    corners: str = ARUCO_ORDER
+    dictionary: str = ""
+    name: str = ""
+    turning: bool = False
+
+    def __post_init__(self) -> None:
+        """Raises BadTable for a body that no fit can place."""
+        if not 1 <= len(self.markers) <= _MOST:
+            said = f"has {len(self.markers)} markers, 1 to {_MOST} are allowed"
+            raise BadTable(f"target {BUNDLE}", said, "list the markers")
+        ids = [m.id for m in self.markers]
+        if len(set(ids)) < len(ids):
+            twice = next(i for i in ids if ids.count(i) > 1)
+            raise BadTable(f"target {BUNDLE}", f"has marker {twice} twice", "give each marker a number of its own")
+        middles = self.middles
+        if not np.isfinite(middles).all() or np.abs(middles).max() > _LARGEST_M:
+            raise BadTable(f"target {BUNDLE}", f"reaches beyond {_LARGEST_M:g} m", "give lengths in metres")
+        if any(not 0.0 <= m.size < _LARGEST_M for m in self.markers):
+            raise BadTable(f"target {BUNDLE}", "has a marker whose side is no length", "give lengths in metres")
+        if not (0.0 < self.place_m < _LARGEST_M and 0.0 < self.turn_rad < np.pi):
+            raise BadTable(
+                f"target {BUNDLE}", "has a tolerance that is none", "give small positive numbers in SI units"
+            )
+
+    @cached_property
+    def middles(self) -> Array:
+        """Of the markers, as drawn, (K, 3) [m]."""
+        return np.array([m.xyz for m in self.markers], dtype=float).reshape(-1, 3)
+
+    @cached_property
+    def _layout(self) -> tuple[np.ndarray, Array, Array]:
+        """(marker, place from its middle in the body's frame [m], normal of its face, 0 of a bare point) of points."""
+        marker, lever, normal = [], [], []
+        for k, one in enumerate(self.markers):
+            own = np.zeros((MARKER_CORNERS + 1 if one.size else 1, 3))
+            out = np.zeros(3)
+            if one.size:
+                R = one.T_body_marker[:3, :3]
+                own[:MARKER_CORNERS, :2] = 0.5 * one.size * _CORNERS[self.corners]
+                own, out = own @ R.T, R[:, 2]
+            marker += [k] * len(own)
+            lever.append(own)
+            normal += [out] * len(own)
+        return np.array(marker), np.concatenate(lever), np.array(normal)
+
+    @property
+    def points(self) -> Array:
+        """Where its points are as drawn, (C, 3) [m]."""
+        marker, lever, _ = self._layout
+        return np.asarray(self.middles[marker] + lever)
+
+    @property
+    def normals(self) -> Array:
+        """Of the faces that points are on, out of the body, (C, 3); zero of bare points."""
+        return self._layout[2]
+
+    @property
+    def label(self) -> str:
+        """The target for a person, such as "body of 20 markers"."""
+        what = "markers" if any(m.size for m in self.markers) else "points"
+        return f"{self.name or 'body'} of {len(self.markers)} {what}"
+
+    @property
+    def values_of_place(self) -> int:
+        """Of the place of a marker: three, and three more where its corners are read."""
+        return 6 if self.turning else 3
+
+    @property
+    def marker_count(self) -> int:
+        """Of markers, each with a place of its own."""
+        return len(self.markers)
+
+    def shape_modes(self) -> Array:
+        """How each point moves per unit of the body's size, and of the markers', (C, 3, 5); a body has no bow."""
+        marker, lever, _ = self._layout
+        out = np.zeros((len(marker), 3, 5))
+        out[:, :, 0] = (self.middles - self.middles.mean(axis=0))[marker]
+        out[:, :, 1] = lever
+        return out
+
+    def on_markers(self) -> tuple[np.ndarray, Array]:
+        """(marker of each point, (C,), where the point is from the middle of that, (C, 3) [m])."""
+        return self._layout[:2]
+
+    def point(self, marker: int, corner: int | None) -> int | None:
+        """The number of a point: a marker's corner, 0 to 3, or its middle; None where the body has none such."""
+        for k, one in enumerate(self.markers):
+            if one.id == marker:
+                first = int(np.searchsorted(self._layout[0], k))
+                if corner is None:
+                    return first + (MARKER_CORNERS if one.size else 0)
+                return first + corner if one.size and 0 <= corner < MARKER_CORNERS else None
+        return None
+
+    def place_prior(self) -> PlacePrior:
+        """What is expected of the places of its markers."""
+        return place_prior(self.middles, self.values_of_place, self.place_m, self.turn_rad)
+
+    def of_points(self, ids: np.ndarray) -> MarkerBundle:
+        """The body with those of its markers only that have some of these points, turning where corners are among them.
+
+        Raises BadTable for fewer than three markers, or markers on one line, unless corners are read.
+        """
+        marker, lever, _ = self._layout
+        kept = np.unique(marker[ids])
+        turning = bool((np.abs(lever[ids]).max(axis=1) > 0.0).any())
+        spread = np.linalg.svd(self.middles[kept] - self.middles[kept].mean(axis=0), compute_uv=False)
+        if not turning and (len(kept) < _LEAST_MARKERS or spread[1] < 0.01 * spread[0]):
+            said = f"shows {len(kept)} points, at least {_LEAST_MARKERS} that are not on one line are needed"
+            raise BadTable(self.label, said, "give more of them, or the corners of the markers")
+        return replace(self, markers=tuple(self.markers[k] for k in kept), turning=turning)
+
+    def renumbered(self, views: Sequence[BoardView], before: MarkerBundle) -> list[BoardView]:
+        """These views of the body as it was before, their points numbered as they are in this one."""
+        at = {one.id: k for k, one in enumerate(self.markers)}
+        own_marker, old_marker = self._layout[0], before._layout[0]
+        new = np.full(len(old_marker), -1)
+        for k, one in enumerate(before.markers):
+            if one.id in at:
+                new[old_marker == k] = np.flatnonzero(own_marker == at[one.id])
+        return [replace(v, ids=new[v.ids]) for v in views]
+
+
+def body_scale(size: float | None, size_x: float = 1.0, printed: float = PRINT) -> PrintScale:
+    """How well the size of a body is known, and that of its markers, each by itself.
+
+    size: relative standard deviation, None where nobody states it. size_x: the body's size over the drawing's.
+    printed: relative standard deviation of the markers' sides.
+    """
+    body = SIZE if size is None else size
+    quarter = 0.25 * (body**2 + printed**2)  # of independent values, shared and half the difference vary alike
+    half = quarter**0.5
+    return PrintScale(size_x, 1.0, half, 2.0 * half, size is not None, 0.5 * (body**2 - printed**2))

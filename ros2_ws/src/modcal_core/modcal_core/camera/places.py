@@ -1,0 +1,54 @@
+"""How far the markers of a body are expected from where its drawing has them.
+
+Each marker is glued on, or printed, a little elsewhere, and turned: three values of a point's place, six of a marker
+whose corners are read. All of them moved as one body is a motion of the body, which the pose of the target is there
+for. So in the units of their tolerances the six motions as a body are held, and what is left keeps full rank: the
+target's frame is the one in which its markers' offsets add up to no motion. How large they are against the tolerances
+is one of the sizes that the data decide.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+
+_HELD = 1e6  # times the information of the tolerances: the body's frame is then theirs to a thousandth of them
+_RANK = 1e-9  # of the largest; a motion below it moves no marker, as a turn about the line through two points
+
+
+@dataclass(frozen=True)
+class PlacePrior:
+    """apart, held: information of the markers' places (Z, Z) [1/m², 1/rad²], at the stated tolerance: of what they are
+    off apart from each other, and of what they are off together.
+    """
+
+    apart: Array
+    held: Array
+
+    def information(self, size: float) -> Array:
+        """Of the places, (Z, Z). size: of the offsets in units of the tolerances."""
+        return np.asarray(self.apart / size**2 + self.held)
+
+
+def place_prior(middles: Array, values: int, place_m: float, turn_rad: float) -> PlacePrior:
+    """The prior of markers at these middles (K, 3) [m].
+
+    values: of each place, 3 or 6. place_m, turn_rad: tolerance of each along, and about, an axis.
+    """
+    K = len(middles)
+    body = np.zeros((K, values, 6))
+    body[:, :3, :3] = np.eye(3)
+    body[:, :3, 3:] = -so3.hat(middles - middles.mean(axis=0))
+    white = np.full((K, values), 1.0 / place_m)
+    if values > 3:
+        body[:, 3:, 3:] = np.eye(3)
+        white[:, 3:] = 1.0 / turn_rad
+    w = white.reshape(-1)
+    U, singular, _ = np.linalg.svd(w[:, None] * body.reshape(-1, 6), full_matrices=False)
+    U = U[:, singular > _RANK * singular[0]]
+    together = w[:, None] * (U @ U.T) * w
+    return PlacePrior(np.diag(w**2) - together, _HELD * together)

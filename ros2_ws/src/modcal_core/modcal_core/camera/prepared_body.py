@@ -1,0 +1,98 @@
+"""The images of a body made ready for a fit, as those of a sheet are (prepared), and the first fit of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.camera.arm_poses import arm_poses
+from modcal_core.camera.body_clean import elsewhere, mostly_out, point_weights
+from modcal_core.camera.body_start import gross, start_of_body
+from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.intrinsics import LensFit
+from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.lens import FISHEYE, PINHOLE
+from modcal_core.camera.mounting import LEAST_VIEWS
+from modcal_core.camera.prepared import CameraImages, PreparedImages, require_near_arm, require_views
+from modcal_core.camera.priors import common_prior
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf_inertias import Inertias
+
+_GROSS = 10.0  # times the median distance from the nominal arm's place: beyond what any arm of this size of faults does
+_CLEANED = 3  # times that points and images are looked through
+_ELSEWHERE = "far from where the arm has it"
+
+
+def prepare_body(
+    chain: Chain,
+    images: CameraImages,
+    target: MarkerBundle,
+    fixed: tuple[str, ...] = (),
+    inertias: Inertias | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> PreparedImages:
+    """The images of a body, ready for a fit; every image counts, whether or not it shows a pose by itself.
+
+    fixed: parameters that stay as they are. Raises ModcalError for images that cannot carry a fit.
+    """
+    q, views, lens = images.q, images.views, images.lens
+    velocity = np.zeros_like(q) if images.velocity is None else images.velocity
+    keep = np.array([len(v) > 0 for v in views], dtype=bool)
+    left_out = {v.name: "no point of the target" for v, k in zip(views, keep, strict=True) if not k}
+    require_views(int(keep.sum()), images.name)
+    table = CornerTable.of([v for v, k in zip(views, keep, strict=True) if k], target)
+    q, velocity, moments = q[keep], velocity[keep], images.moments.select(keep)
+
+    progress("mounting")
+    model = FISHEYE if images.fisheye else PINHOLE
+    begin = start_of_body(table, forward(chain, q), lens, images.size, model, images.camera_on_tip)
+    mounting = begin.mounting
+    require_near_arm(mounting, chain, images.name)
+    prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
+    prior = prior.with_places(target.place_prior())
+    far = gross(table, begin.lens, mounting.T_camera_target, _GROSS)
+    strange = mostly_out(table, far)
+    if strange.any():
+        left_out |= {n: _ELSEWHERE for n, s in zip(table.names, strange, strict=True) if s}
+        rows = ~strange[table.view]
+        table, far = table.select(~strange), far[rows]
+        q, velocity, moments = q[~strange], velocity[~strange], moments.select(~strange)
+        mounting = mounting.with_poses(mounting.T_camera_target[~strange])
+        require_views(table.views, images.name)
+    table = table.with_weight(np.where(far, 0.0, 1.0))
+    at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
+    unfitted = LensFit(begin.lens, mounting.T_camera_target, np.nan, np.nan, np.zeros((LENS, LENS)), True)
+    return PreparedImages(
+        table,
+        arm_poses(*at, moments=moments, inertias=inertias),
+        arm_poses(*at, hand_eye_only=True).parameters,
+        unfitted,
+        prior,
+        mounting,
+        left_out,
+    )
+
+
+def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
+    """(a fit, what it was made from): points that are misread and images taken elsewhere are left out. arm: as of a
+    fit.
+    """
+    fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, arm=arm)
+    for _ in range(_CLEANED):
+        weight = point_weights(fit)
+        strange = mostly_out(ready.table, weight == 0.0)
+        if not strange.any():
+            strange = elsewhere(fit)
+        if (~strange).sum() < LEAST_VIEWS or (not strange.any() and (weight == ready.table.weight).all()):
+            break
+        ready = replace(ready, table=ready.table.with_weight(weight))
+        if strange.any():
+            ready = ready.select(~strange, _ELSEWHERE)
+        begin = fit.state
+        fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fit.sizes, arm=arm, begin=begin)
+    return fit, ready
