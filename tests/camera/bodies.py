@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from camera.boards import seen
 from camera.scenes import panda
+from scipy.optimize import least_squares
 
 from modcal_core.camera.bundle import BundleMarker, MarkerBundle, body_scale
 from modcal_core.camera.lens import Lens
@@ -50,15 +51,16 @@ def icosahedron() -> MarkerBundle:
         y = corners[face[0]] - out
         y = y / np.linalg.norm(y)
         R = np.stack([np.cross(y, z), y, z], axis=1)
-        quaternion = so3.to_quaternion(R)
-        at = RADIUS * z
-        markers.append(BundleMarker(number, (at[0], at[1], at[2]), tuple(float(v) for v in quaternion), SIDE))  # type: ignore[arg-type]
+        a, b, c = (float(v) for v in RADIUS * z)
+        qx, qy, qz, qw = (float(v) for v in so3.to_quaternion(R))
+        markers.append(BundleMarker(number, (a, b, c), (qx, qy, qz, qw), SIDE))
     return MarkerBundle(tuple(markers), body_scale(None))
 
 
 @dataclass(frozen=True)
 class Faults:
-    """arm_m, arm_rad: of every body of the arm. place_m, place_rad: of every marker. grow: of the block, relative.
+    """arm_m, arm_rad: of every body of the arm. place_m, place_rad: of every marker. normal_m: of it along its normal.
+    grow: of the block, relative.
     shift_m, joint_rad: of every image. noise: of corners [px]. misread: share of markers with another's number, or
     turned by a quarter. late: images whose joints are another's. periodic: of joint 2, amplitude [rad].
     """
@@ -67,6 +69,7 @@ class Faults:
     arm_rad: float = 2e-3
     place_m: float = 7e-4
     place_rad: float = 1e-2
+    normal_m: float = 1.5e-4
     grow: float = 0.0
     shift_m: float = 2e-5
     joint_rad: float = 3e-5
@@ -100,12 +103,22 @@ class BodyScene:
         return _with_gear(q, self.faults)
 
     def true_body(self) -> Array:
-        """The body's frame as its markers stand, from the drawing's: the rigid motion that suits their middles best."""
-        a = self.drawing.middles - self.drawing.middles.mean(axis=0)
-        b = self.glued[:, :3, 3]
-        U, _, Vt = np.linalg.svd((b - b.mean(axis=0)).T @ a)
-        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-        return se3.transform(R, b.mean(axis=0) - R @ self.drawing.middles.mean(axis=0))
+        """The body's frame as its markers stand, from the drawing's: in it their offsets from the drawing, in units of
+        what is stated of them, are least together. Turns count where corners were read.
+        """
+        turning = any((np.concatenate([v.ids for v in one.views]) % 5 < 4).any() for one in self.images)
+        drawn = np.stack([m.T_body_marker for m in self.drawing.markers])
+        across = self.drawing.place_m
+        normal = across if self.drawing.normal_m is None else self.drawing.normal_m
+
+        def off(x: Array) -> Array:
+            there = se3.inverse(se3.exp(x)) @ self.glued
+            shift = np.einsum("kji,kj->ki", drawn[:, :3, :3], there[:, :3, 3] - drawn[:, :3, 3])
+            shift /= [across, across, normal]
+            turn = so3.log(there[:, :3, :3] @ np.swapaxes(drawn[:, :3, :3], 1, 2)) / self.drawing.turn_rad
+            return np.concatenate([shift, turn if turning else 0.0 * turn]).ravel()
+
+        return np.asarray(se3.exp(least_squares(off, np.zeros(6)).x))
 
 
 def _with_gear(q: Array, faults: Faults) -> Array:
@@ -137,7 +150,7 @@ def body_scene(
     chain = panda()
     drawing = drawing or icosahedron()
     world = World(chain, rng, faults.arm_m, faults.arm_rad, None, BODY_ON_TIP)
-    glue = np.array([faults.place_m] * 3 + [faults.place_rad] * 3)
+    glue = np.array([faults.place_m] * 2 + [faults.normal_m] + [faults.place_rad] * 3)
     glued = np.stack([m.T_body_marker for m in drawing.markers])
     glued[:, :3, 3] *= 1.0 + faults.grow
     glued = glued @ se3.exp(glue * rng.standard_normal((len(glued), 6)))
@@ -213,6 +226,6 @@ def _view(
     return BoardView(name, np.array(ids, dtype=int), np.array(pixels).reshape(-1, 2), cov)
 
 
-def with_tolerance(drawing: MarkerBundle, size: float) -> MarkerBundle:
-    """The same drawing, the body's size known to a relative standard deviation."""
-    return replace(drawing, scale=body_scale(size))
+def measured(drawing: MarkerBundle, size: float = 5e-4) -> MarkerBundle:
+    """The same drawing, the body measured across with a calliper, to a tenth of a millimetre, its labels of paper."""
+    return replace(drawing, scale=body_scale(size), normal_m=2e-4)

@@ -8,16 +8,18 @@ meet best. Where too few images show a pose by themselves, the sightings of sing
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.camera.body_pnp import body_poses, images_with_pose
+from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import CornerTable, residuals
 from modcal_core.camera.few_points import Resection, resection
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import Mounting, find_mounting, mounting_misfit, relative_turns
-from modcal_core.errors import NotEnoughData
+from modcal_core.camera.target import MARKER_CORNERS
+from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
@@ -26,7 +28,7 @@ _LOOKED_AT = 60  # of these, for time, while the focal length is looked for
 _FOCALS = np.geomspace(0.4, 6.0, 17)  # times the image's width: lenses of 100° to 10°
 _HALF_ANGLES = np.radians(np.linspace(35.0, 95.0, 13))  # of fisheyes, from the middle to the farther edge
 _FINER = np.linspace(0.85, 1.18, 9)  # between one of these and the next
-_CLEAR = 2.0  # ratio of the misfits of both mountings, as with poses
+_CLEAR = 2.0  # ratio of the misfits of both mountings, as with poses, and of two orders of corners
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,31 @@ def start_of_body(
     if lens is None:
         lens = _lens_by_arm(posed, at, size, model, on_tip)
     return BodyStart(lens, _by_arm(find_mounting(at, body_poses(posed, lens), on_tip), A))
+
+
+def default_lens(size: tuple[int, int], model: str) -> Lens:
+    """A lens of a usual angle of view, for what hardly depends on it. size: of the images [px]."""
+    return Lens(np.r_[[float(max(size))] * 2, 0.5 * (np.array(size) - 1.0), np.zeros(5)], size, model)
+
+
+def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
+    """Raises BadTable where the corners of markers are numbered in another order than the target's file says."""
+    whole = images_with_pose(table)
+    if not target.turning or whole.sum() < _ENOUGH:
+        return
+    rows = np.flatnonzero(whole)[: _LOOKED_AT // 4]
+    some = table.select(np.isin(np.arange(table.views), rows))
+    miss = {}
+    for k in range(MARKER_CORNERS):
+        for names in (np.roll(target.corners, k), np.roll(target.corners[::-1], k)):
+            order = tuple(str(name) for name in names)
+            own = target.with_order(order)
+            there = replace(some, points=own.points[some.ids])
+            miss[order] = float(np.median(body_poses(there, lens).rms))
+    best = min(miss, key=lambda order: miss[order])
+    if miss[best] * _CLEAR < miss[target.corners]:
+        said = f"numbers the corners of markers as {', '.join(target.corners)}; the images show {', '.join(best)}"
+        raise BadTable(target.label, said, f"state corner_order: [{', '.join(best)}]")
 
 
 def _by_arm(mounting: Mounting, A: Array) -> Mounting:

@@ -21,11 +21,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 BUNDLE = "bundle"
-ARUCO_ORDER, APRILTAG_ORDER = "aruco", "apriltag"  # of a marker's corners, from its upper left or lower left one
-_CORNERS = {
-    ARUCO_ORDER: np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]]),
-    APRILTAG_ORDER: np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]),
-}
+_CORNERS = {"ul": (-1.0, 1.0), "ur": (1.0, 1.0), "lr": (1.0, -1.0), "ll": (-1.0, -1.0)}  # of a marker, x and y
+ARUCO_ORDER, APRILTAG_ORDER = ("ul", "ur", "lr", "ll"), ("ll", "lr", "ur", "ul")  # as their detectors number them
 PLACE_M, TURN_RAD = 1e-3, 1e-2  # of a label stuck on by hand: a millimetre, and as much over 100 mm
 SIZE, PRINT = 5e-3, 1e-2  # of a printed body, which shrinks by some tenths of a per cent, and of a printer's labels
 _MOST = 500  # markers; more is a slip of the pen
@@ -58,8 +55,9 @@ class BundleMarker:
 @dataclass(frozen=True)
 class MarkerBundle:
     """A body with markers. scale: of the body (its x) and of the print of the markers (its y). place_m, turn_rad: how
-    far each is from its place, and turned, along or about an axis, standard deviation. corners: order of a marker's.
-    dictionary: of the markers, as OpenCV has it. turning: whether corners are read, so that markers' turns are seen.
+    far each is from its place, and turned, along or about an axis, standard deviation. corners: names of a marker's in
+    their order. dictionary: of the markers, as OpenCV has it. turning: whether corners are read, so that markers' turns
+    are seen. normal_m: how far a marker is from its place along its own normal, where that is known apart.
 
     Its points are, of each marker in turn, the four corners and the middle; of a bare point itself.
     """
@@ -68,10 +66,11 @@ class MarkerBundle:
     scale: PrintScale
     place_m: float = PLACE_M
     turn_rad: float = TURN_RAD
-    corners: str = ARUCO_ORDER
+    corners: tuple[str, ...] = ARUCO_ORDER
     dictionary: str = ""
     name: str = ""
     turning: bool = False
+    normal_m: float | None = None
 
     def __post_init__(self) -> None:
         """Raises BadTable for a body that no fit can place."""
@@ -87,7 +86,11 @@ class MarkerBundle:
             raise BadTable(f"target {BUNDLE}", f"reaches beyond {_LARGEST_M:g} m", "give lengths in metres")
         if any(not 0.0 <= m.size < _LARGEST_M for m in self.markers):
             raise BadTable(f"target {BUNDLE}", "has a marker whose side is no length", "give lengths in metres")
-        if not (0.0 < self.place_m < _LARGEST_M and 0.0 < self.turn_rad < np.pi):
+        if sorted(self.corners) != sorted(_CORNERS):
+            said = f"has corner_order {' '.join(self.corners)[:40]}"
+            raise BadTable(f"target {BUNDLE}", said, f"name each of {', '.join(_CORNERS)} once, in their order")
+        normal_m = self.place_m if self.normal_m is None else self.normal_m
+        if not (0.0 < self.place_m < _LARGEST_M and 0.0 < normal_m < _LARGEST_M and 0.0 < self.turn_rad < np.pi):
             raise BadTable(
                 f"target {BUNDLE}", "has a tolerance that is none", "give small positive numbers in SI units"
             )
@@ -106,7 +109,7 @@ class MarkerBundle:
             out = np.zeros(3)
             if one.size:
                 R = one.T_body_marker[:3, :3]
-                own[:MARKER_CORNERS, :2] = 0.5 * one.size * _CORNERS[self.corners]
+                own[:MARKER_CORNERS, :2] = 0.5 * one.size * np.array([_CORNERS[name] for name in self.corners])
                 own, out = own @ R.T, R[:, 2]
             marker += [k] * len(own)
             lever.append(own)
@@ -162,9 +165,19 @@ class MarkerBundle:
                 return first + corner if one.size and 0 <= corner < MARKER_CORNERS else None
         return None
 
+    def with_order(self, corners: tuple[str, ...]) -> MarkerBundle:
+        """The same with markers' corners numbered in another order."""
+        return replace(self, corners=corners)
+
     def place_prior(self) -> PlacePrior:
         """What is expected of the places of its markers."""
-        return place_prior(self.middles, self.values_of_place, self.place_m, self.turn_rad)
+        white = np.zeros((len(self.markers), self.values_of_place, self.values_of_place))
+        for k, one in enumerate(self.markers):
+            R = one.T_body_marker[:3, :3]
+            off_face = self.place_m if self.normal_m is None or not one.size else self.normal_m
+            white[k, :3, :3] = R / np.array([self.place_m, self.place_m, off_face]) @ R.T
+            white[k, 3:, 3:] = np.eye(self.values_of_place - 3) / self.turn_rad
+        return place_prior(self.middles, white)
 
     def of_points(self, ids: np.ndarray) -> MarkerBundle:
         """The body with those of its markers only that have some of these points, turning where corners are among them.

@@ -23,6 +23,7 @@ from modcal_core.geometry import so3
 
 TAG_BUNDLES = "tag_bundles"  # of apriltag_ros, beside standalone_tags
 _FAMILY = "DICT_APRILTAG_36h11"  # apriltag_ros's own, unless its other settings say otherwise
+_ORDERS = {"aruco": ARUCO_ORDER, "apriltag": APRILTAG_ORDER}
 _UNIT = 1e-3  # how far from 1 a quaternion's length may be, which is written with four digits
 
 
@@ -30,10 +31,8 @@ def bundle_from_data(data: Mapping[str, Any], source: str) -> MarkerBundle:
     """The body that our form of a target file describes. Raises BadTable."""
     markers = [_marker(one, source) for one in data.get("markers") or ()]
     markers += [BundleMarker(int(one["id"]), _xyz(one["xyz"])) for one in data.get("points") or ()]
-    order = str(data.get("corner_order", ARUCO_ORDER))
-    if order not in (ARUCO_ORDER, APRILTAG_ORDER):
-        said = f"corner_order {order[:40]} is not known"
-        raise BadTable(source, said, f"use {ARUCO_ORDER} or {APRILTAG_ORDER}")
+    order = data.get("corner_order", "aruco")
+    order = _ORDERS.get(order, ()) if isinstance(order, str) else tuple(str(name) for name in order)
     size = data.get("size_tolerance")
     printed = float(data.get("print_tolerance", PRINT))
     if not (size is None or 0.0 < float(size) < 1.0) or not 0.0 < printed < 1.0:
@@ -46,6 +45,7 @@ def bundle_from_data(data: Mapping[str, Any], source: str) -> MarkerBundle:
         order,
         str(data.get("dictionary", "")),
         str(data.get("name", ""))[:60],
+        normal_m=None if (normal := data.get("tolerance_normal_m")) is None else float(normal),
     )
 
 
@@ -68,7 +68,8 @@ def bundle_to_data(target: MarkerBundle) -> dict[str, Any]:
     body, printed = (float(v) for v in np.sqrt(np.diag(target.scale.covariance)))
     out: dict[str, Any] = {"modcal_target": 1, "type": BUNDLE}
     out |= {"name": target.name} if target.name else {}
-    out |= {"tolerance_m": target.place_m, "tolerance_rad": target.turn_rad, "corner_order": target.corners}
+    out |= {"tolerance_m": target.place_m, "tolerance_rad": target.turn_rad, "corner_order": list(target.corners)}
+    out |= {} if target.normal_m is None else {"tolerance_normal_m": target.normal_m}
     out |= {"size_tolerance": body} if target.scale.measured else {}
     out["print_tolerance"] = printed
     out |= {"dictionary": target.dictionary} if target.dictionary else {}

@@ -19,8 +19,8 @@ _WHAT_TELLS = (
 )
 
 _BODY_TELLS = (
-    "state how well the body's size is known (size_tolerance in the target file: a calliper across it tells), state the "
-    "arm's accuracy (--arm-mm), or add a few tracker points"
+    "state how well the body's size is known (size_tolerance in the target file: a calliper across it tells), state "
+    "the arm's accuracy (--arm-mm), or add a few tracker points"
 )
 
 
@@ -60,9 +60,9 @@ def decide(
     if not metric:
         said = "Nothing in these images has a length that somebody measured: "
         return Decision(CANNOT_TELL, (said + (_BODY_TELLS if body else _WHAT_TELLS) + ".",), worse)
-    who = "By itself, wherever camera and body stand, the" if body else "The"
+    whose = "By itself, wherever camera and body stand, the" if body else "The"
     compared = (
-        f"{who} calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
+        f"{whose} calibrated arm is off by {1e3 * middle:.2f} mm RMS at the tool (95 %: up to {1e3 * high:.2f} mm), "
         f"the nominal arm by {1e3 * drawn:.2f} mm (95 %: at least {1e3 * drawn_low:.2f} mm)"
     )
     if worse > _WORSE or (stated_m is not None and high >= stated_m):

@@ -1,4 +1,4 @@
-"""Images of one camera or several made ready: of a sheet, or of a body with those of its markers that any camera saw."""
+"""Images of one camera or several made ready: of a sheet, or of a body with the markers that any camera saw."""
 
 from __future__ import annotations
 

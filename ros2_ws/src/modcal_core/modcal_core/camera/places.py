@@ -34,21 +34,20 @@ class PlacePrior:
         return np.asarray(self.apart / size**2 + self.held)
 
 
-def place_prior(middles: Array, values: int, place_m: float, turn_rad: float) -> PlacePrior:
-    """The prior of markers at these middles (K, 3) [m].
+def place_prior(middles: Array, white: Array) -> PlacePrior:
+    """The prior of K markers at these middles (K, 3) [m].
 
-    values: of each place, 3 or 6. place_m, turn_rad: tolerance of each along, and about, an axis.
+    white: takes the offsets of each, v = 3 or 6 values of its place, to units of its tolerances, (K, v, v), symmetric.
     """
-    K = len(middles)
+    K, values = len(middles), white.shape[1]
     body = np.zeros((K, values, 6))
     body[:, :3, :3] = np.eye(3)
     body[:, :3, 3:] = -so3.hat(middles - middles.mean(axis=0))
-    white = np.full((K, values), 1.0 / place_m)
     if values > 3:
         body[:, 3:, 3:] = np.eye(3)
-        white[:, 3:] = 1.0 / turn_rad
-    w = white.reshape(-1)
-    U, singular, _ = np.linalg.svd(w[:, None] * body.reshape(-1, 6), full_matrices=False)
-    U = U[:, singular > _RANK * singular[0]]
-    together = w[:, None] * (U @ U.T) * w
-    return PlacePrior(np.diag(w**2) - together, _HELD * together)
+    U, singular, _ = np.linalg.svd((white @ body).reshape(-1, 6), full_matrices=False)
+    U = (white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
+    together = U @ U.T
+    every = np.zeros((K, values, K, values))
+    every[np.arange(K), :, np.arange(K)] = white @ white
+    return PlacePrior(every.reshape(len(U), len(U)) - together, _HELD * together)

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.camera.arm_poses import arm_poses
 from modcal_core.camera.body_clean import elsewhere, mostly_out, point_weights
-from modcal_core.camera.body_start import gross, start_of_body
+from modcal_core.camera.body_start import default_lens, gross, require_order, start_of_body
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit, fit_camera
@@ -50,6 +50,7 @@ def prepare_body(
 
     progress("mounting")
     model = FISHEYE if images.fisheye else PINHOLE
+    require_order(table, lens or default_lens(images.size, model), target)
     begin = start_of_body(table, forward(chain, q), lens, images.size, model, images.camera_on_tip)
     mounting = begin.mounting
     require_near_arm(mounting, chain, images.name)

@@ -1,0 +1,327 @@
+"""Bodies with markers in three dimensions: files, poses, places, and one fit of arm, cameras and places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import yaml
+from camera.boards import seen
+from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icosahedron, looking, measured
+from finite_differences import assert_jacobian
+
+from modcal_core.camera.body_pnp import body_poses, images_with_pose
+from modcal_core.camera.body_start import require_order
+from modcal_core.camera.bundle import APRILTAG_ORDER, ARUCO_ORDER, MarkerBundle
+from modcal_core.camera.bundle_file import bundle_to_data
+from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows
+from modcal_core.camera.few_points import resection
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.images_of_cameras import only_seen
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.mounting import IN_WORLD
+from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.target_file import any_target_from_data, read_target
+from modcal_core.camera.views import BoardView
+from modcal_core.errors import BadTable, ModcalError, NotEnoughData
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+
+LENS = Lens(np.array([2700.0, 2720.0, 1210.0, 790.0, -0.1, 0.05, 3e-4, -2e-4, 0.0]), SIZE)
+BARE = {"modcal_target": 1, "type": "bundle"}
+
+
+def views_of(
+    body: MarkerBundle, T: Array, per_image: int, rng: np.random.Generator, noise: float = 0.0
+) -> list[BoardView]:
+    """Middles of markers that face the camera, by OpenCV. T: T_camera_body, (N, 4, 4)."""
+    out = []
+    middles = np.flatnonzero(~body.on_markers()[1].any(axis=1))
+    for i, pose in enumerate(T):
+        at = se3.apply(pose, body.points[middles])
+        out_of_face = body.normals[middles] @ pose[:3, :3].T
+        facing = np.flatnonzero(-(at * out_of_face).sum(axis=1) > 0.3 * np.linalg.norm(at, axis=1))
+        ids = middles[rng.permutation(facing)[:per_image]]
+        exact = seen(pose, body.points[ids], LENS)
+        pixels = exact + noise * rng.standard_normal(exact.shape)
+        out.append(BoardView(f"{i}", ids, pixels, np.tile(0.01 * np.eye(2), (len(ids), 1, 1))))
+    return out
+
+
+def somewhere(rng: np.random.Generator, count: int) -> Array:
+    """Poses T_camera_body, turned anyhow."""
+    at = np.c_[rng.uniform(-0.3, 0.3, (count, 2)), rng.uniform(1.0, 2.0, count)]
+    return se3.transform(so3.exp(rng.uniform(-2.0, 2.0, (count, 3))), at)
+
+
+@cache
+def cell(corners: bool = False) -> BodyScene:
+    """Two cameras, 70 postures, an arm 1 mm and 2 mrad a body off."""
+    return body_scene(3, 70, 2, Faults(misread=0.015), corners, drawing=measured(icosahedron()))
+
+
+@cache
+def solved(corners: bool = False) -> CameraSolution:
+    return solve(cell(corners))
+
+
+def solve(s: BodyScene, **options: object) -> CameraSolution:
+    first, *others = s.images
+    given = (s.chain, first.q, first.views, first.target, first.size, np.random.default_rng(3))
+    return solve_camera(*given, further=others, look_for_effects=False, **options)  # type: ignore[arg-type]
+
+
+def arm_error(s: BodyScene, fit: CameraFit) -> float:
+    """RMS of the last link's place, the frame put where that is least [m]: of the arm, by MuJoCo."""
+    q = np.random.default_rng(9).uniform(s.images[0].q.min(0), s.images[0].q.max(0), (200, 7))
+    tool = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
+    a = se3.apply(fit.poses.at_postures(q).tool_at(fit.state.values), tool)
+    b = se3.apply(s.tip(q) @ BODY_ON_TIP @ s.true_body(), tool)
+    U, _, Vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+    gap = (a - a.mean(0)) @ U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt - (b - b.mean(0))
+    return float(np.sqrt((gap**2).sum(1).mean()))
+
+
+# ---------------------------------------------------------------- files
+
+
+def test_a_body_in_our_form_and_back() -> None:
+    body = measured(icosahedron())
+    again = any_target_from_data(yaml.safe_load(yaml.safe_dump(bundle_to_data(body))), "x")
+    assert isinstance(again, MarkerBundle)
+    assert np.abs(again.points - body.points).max() < 1e-12
+    assert np.allclose(again.scale.covariance, body.scale.covariance, rtol=1e-12)
+    assert (again.place_m, again.normal_m, again.corners) == (body.place_m, body.normal_m, body.corners)
+    assert again.scale.measured
+
+
+def test_a_marker_lies_as_its_pose_says() -> None:
+    """On the face x = 0.1 of a block, its right the block's y, its up the block's z: seen from outside, along −x."""
+    marker = {"id": 4, "size_m": 0.04, "xyz": [0.1, 0.0, 0.02], "rpy": [np.pi / 2, 0.0, np.pi / 2]}
+    body = any_target_from_data({**BARE, "markers": [marker], "points": [{"id": 9, "xyz": [0.0, 0.0, 0.3]}]})
+    assert isinstance(body, MarkerBundle)
+    upper_left = body.point(4, 0)
+    assert upper_left is not None
+    assert np.allclose(body.points[upper_left], [0.1, -0.02, 0.04])
+    assert np.allclose(body.normals[upper_left], [1.0, 0.0, 0.0])
+    assert np.allclose(body.points[body.point(4, None)], [0.1, 0.0, 0.02])  # type: ignore[index]
+    assert np.allclose(body.points[body.point(9, None)], [0.0, 0.0, 0.3])  # type: ignore[index]
+    assert body.point(9, 1) is body.point(5, None) is None
+    assert np.allclose(body.with_order(APRILTAG_ORDER).points[upper_left], [0.1, -0.02, 0.0])
+
+
+def test_the_tag_bundle_of_apriltag_ros() -> None:
+    layout = "[{id: 1, size: 0.05, x: 0.1, qw: 0.7071, qx: 0, qy: 0.7071, qz: 0}, {id: 2, size: 0.04, z: -0.1}]"
+    text = f"standalone_tags: []\ntag_bundles:\n  [{{name: block, layout: {layout}}}]\n"
+    body = any_target_from_data(yaml.safe_load(text), "tags.yaml")
+    assert isinstance(body, MarkerBundle)
+    assert [(m.id, m.size, m.xyz) for m in body.markers] == [(1, 0.05, (0.1, 0.0, 0.0)), (2, 0.04, (0.0, 0.0, -0.1))]
+    assert np.allclose(body.normals[0], [1.0, 0.0, 0.0], atol=1e-4)
+    assert body.corners == APRILTAG_ORDER
+    assert body.label == "block of 2 markers"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"markers": []}, "has 0 markers"),
+        ({"points": [{"id": 1, "xyz": [0, 0, 0]}, {"id": 1, "xyz": [0, 0, 1]}]}, "has marker 1 twice"),
+        ({"points": [{"id": 1, "xyz": [0, 0, 300]}]}, "reaches beyond 10 m"),
+        ({"corner_order": "spiral"}, "name each of ul, ur, lr, ll once"),
+        ({"corner_order": ["ul", "ul", "lr", "ll"]}, "name each of ul, ur, lr, ll once"),
+        ({"tolerance_m": 0.0}, "tolerance that is none"),
+        ({"size_tolerance": 2.0}, "size tolerance that is none"),
+        ({"markers": [{"id": 1, "size_m": 0.04, "xyz": [0, 0, 0], "quaternion": [1, 1, 0, 0]}]}, "quaternion of length"),
+        ({"markers": [{"id": 1, "size_m": -1, "xyz": [0, 0, 0]}]}, "side is no length"),
+        ({"markers": [{"id": 1, "xyz": [0, 0, 0]}]}, "cannot be read"),
+    ],
+)  # fmt: skip
+def test_bodies_that_are_none(change: dict[str, object], said: str) -> None:
+    sound = {**BARE, "points": [{"id": 1, "xyz": [0, 0, 0]}]}
+    any_target_from_data(sound, "x")
+    with pytest.raises(BadTable, match=said):
+        any_target_from_data({**(BARE if "markers" in change else sound), **change}, "x")
+
+
+def test_where_sheets_are_asked_for_a_body_is_refused(tmp_path_factory: pytest.TempPathFactory) -> None:
+    file = tmp_path_factory.mktemp("body") / "target.yaml"
+    file.write_text(yaml.safe_dump(bundle_to_data(icosahedron())))
+    with pytest.raises(BadTable, match="from a CSV of its points only"):
+        read_target(file)
+
+
+# ---------------------------------------------------------------- places
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_places_say_nothing_of_the_body_as_a_whole(turning: bool) -> None:
+    """Any rigid motion of all markers costs what is held, no more and no less, whatever the tolerances; all else costs
+    its square in units of these.
+    """
+    rng = np.random.default_rng(0)
+    body = replace(measured(icosahedron()), turning=turning)
+    prior = body.place_prior()
+    v = body.values_of_place
+    a, b = rng.normal(size=(2, 3))
+    rigid = np.zeros((20, v))
+    rigid[:, :3] = a + np.cross(b, body.middles - body.middles.mean(axis=0))
+    if turning:
+        rigid[:, 3:] = b
+    x = rigid.ravel()
+    assert abs(x @ prior.apart @ x) < 1e-9 * (x @ x) * np.abs(prior.apart).max()
+    values = np.linalg.eigvalsh(prior.information(1.0))
+    assert values[0] > 0.0  # full rank
+    white = np.linalg.eigvalsh(prior.apart)
+    assert (white > 1e-6 * white[-1]).sum() == 20 * v - 6
+    y = 1e-3 * rng.normal(size=20 * v)
+    assert np.isclose(y @ (prior.information(0.5) - prior.held) @ y, 4.0 * y @ prior.apart @ y)
+    # one marker off along its normal, far from the others, costs about its square over the tolerance's
+    one = np.zeros((20, v))
+    one[0, :3] = 1e-3 * body.normals[0]
+    assert 0.7 * 25.0 < one.ravel() @ prior.apart @ one.ravel() < 25.0
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_derivatives_by_places_and_size(turning: bool) -> None:
+    rng = np.random.default_rng(1)
+    body = replace(icosahedron(), turning=turning)
+    T = somewhere(rng, 3)
+    ids = np.sort(rng.permutation(len(body.points))[:12])
+    views = [BoardView(f"{i}", ids, np.zeros((12, 2)), np.tile(np.eye(2), (12, 1, 1))) for i in range(3)]
+    table = CornerTable.of(views, body)
+    shape = 1e-3 * rng.normal(size=len(table.unshaped))
+    rows = corner_rows(table, LENS, shape, T)
+    columns = np.r_[9 : 9 + SHAPE, COMMON : rows.by_common.shape[2]]
+
+    def pixels(x: Array) -> Array:
+        return (table.pixels - corner_rows(table, LENS, x, T).pixels).ravel()
+
+    # a turn about a marker's middle is of first order
+    assert_jacobian(pixels, rows.by_common[:, :, columns].reshape(72, -1), shape, tolerance=1e-6)
+
+
+# ---------------------------------------------------------------- poses
+
+
+@pytest.mark.parametrize("per_image", [4, 8])
+def test_poses_of_a_body_are_those_of_opencv(per_image: int) -> None:
+    rng = np.random.default_rng(2)
+    T = somewhere(rng, 40)
+    table = CornerTable.of(views_of(icosahedron(), T, per_image, rng), icosahedron())
+    whole = images_with_pose(table)
+    assert whole.mean() > 0.9
+    found = body_poses(table.select(whole), LENS)
+    gap = np.linalg.norm(se3.error(found.T[:, 0], T[whole]), axis=1)
+    assert np.mean(gap < 1e-6) >= (0.9 if per_image == 4 else 1.0)  # four points have a second pose at times
+    assert found.rms[gap < 1e-6].max() < 1e-6
+
+
+def test_three_points_are_no_pose() -> None:
+    rng = np.random.default_rng(2)
+    table = CornerTable.of(views_of(icosahedron(), somewhere(rng, 5), 3, rng), icosahedron())
+    assert not images_with_pose(table).any()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_camera_and_body_from_single_points(known: bool) -> None:
+    """One marker an image, a flange anywhere, the lens known or not; a misread one here and there."""
+    rng = np.random.default_rng(4)
+    body = icosahedron()
+    T_camera_base = se3.inverse(looking(np.array([1.7, 0.7, 1.0]), np.array([0.45, 0.0, 0.5])))
+    A = se3.transform(so3.exp(rng.uniform(-1.5, 1.5, (160, 3))), [0.45, 0.0, 0.5] + rng.uniform(-0.3, 0.3, (160, 3)))
+    views = views_of(body, T_camera_base @ A @ BODY_ON_TIP, 1, rng, 0.2)
+    table = CornerTable.of(views, body)
+    pixels = table.pixels.copy()
+    pixels[::25] += 150.0
+    ids, point = np.unique(table.ids, return_inverse=True)
+    rays = LENS.rays(pixels) if known else (pixels - 0.5 * np.array(SIZE)) / SIZE[0]
+    found = resection(A[table.view], point, rays, body.points[ids], known)
+    assert found is not None
+    assert np.isclose(found.focal, 1.0 if known else LENS.values[0] / SIZE[0], rtol=0.02)
+    gap = se3.error(found.T_camera_base, T_camera_base)
+    bounds = (2e-3, 1e-3) if known else (0.06, 0.02)  # of a lens whose distortion and centre are not known yet
+    assert np.linalg.norm(gap[:3]) < bounds[0]
+    assert np.linalg.norm(gap[3:]) < bounds[1]
+    assert np.linalg.norm(se3.error(found.T_tip_body, BODY_ON_TIP)[:3]) < 5e-3
+    assert found.miss < 1e-3
+    few = slice(0, 10)
+    assert resection(A[table.view][few], point[few], rays[few], body.points[ids], known) is None
+
+
+def test_corners_in_another_order_are_named() -> None:
+    s = cell(corners=True)
+    (first, *_) = only_seen(s.images)
+    table = CornerTable.of(first.views, first.target)
+    assert isinstance(first.target, MarkerBundle)
+    require_order(table, s.lenses[0], first.target)
+    other = first.target.with_order(APRILTAG_ORDER)
+    wrong = CornerTable.of(first.views, other)
+    with pytest.raises(BadTable, match=r"state corner_order: \[ul, ur, lr, ll\]"):
+        require_order(wrong, s.lenses[0], other)
+    assert first.target.corners == ARUCO_ORDER
+
+
+# ---------------------------------------------------------------- the fit
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("corners", [False, True])
+def test_an_arm_by_two_cameras_and_a_body_glued_by_hand(corners: bool) -> None:
+    """Nothing is known of lenses, cameras or body but the drawing; markers are 0.7 mm off it, some misread."""
+    s, r = cell(corners), solved(corners)
+    assert (r.mounting.label, r.decision.word) == (IN_WORLD, "apply")
+    assert arm_error(s, r.fit) < 3e-4 < 1.2e-3 < arm_error(s, r.nominal)
+    late = {f"{i}" for i in range(len(s.q)) if not np.array_equal(s.q[i], cell_as_moved(corners)[i])}
+    assert late == set(r.left_out) - {n for n in r.left_out if "few" in r.left_out[n]}
+    # where its markers are, to a sixth of how far they are off
+    places = r.fit.state.shape[SHAPE:].reshape(20, -1)
+    B = s.true_body()
+    true = se3.apply(se3.inverse(B), s.glued[:, :3, 3]) - s.drawing.middles
+    size = r.fit.state.shape[0] * (s.drawing.middles - s.drawing.middles.mean(axis=0))
+    gap = places[:, :3] + size - true
+    assert np.sqrt((gap**2).sum(1).mean()) < np.sqrt((true**2).sum(1).mean()) / 3.0
+    std = np.sqrt(np.diag(r.fit.covariance))[-places.size :].reshape(20, -1)[:, :3]
+    z = (places[:, :3] - true)[:, 0] / std[:, 0]
+    assert np.median(np.abs(z)) < 2.0
+    # both cameras, from nothing
+    (second,) = r.further
+    for lens, true_lens in ((r.fit.state.lens, s.lenses[0]), (second.state.lens, s.lenses[1])):
+        assert np.abs(lens.values - true_lens.values)[:4].max() < 12.0
+    assert (second.state.shape == r.fit.state.shape).all()
+    assert r.fit.rms_px < 0.3
+
+
+def cell_as_moved(corners: bool) -> Array:
+    """Joints as they were when the images were taken."""
+    return body_scene(3, 70, 2, Faults(misread=0.015, late=0), corners, drawing=measured(icosahedron())).q
+
+
+@pytest.mark.slow
+def test_a_size_that_nobody_states_is_no_length() -> None:
+    s = cell()
+    drawing = icosahedron()
+    r = solve(replace(s, images=(replace(s.images[0], target=drawing),)))
+    assert r.decision.word == "cannot tell"
+    assert "size_tolerance" in r.decision.because[0]
+    assert r.metric == ()
+
+
+@pytest.mark.slow
+def test_two_markers_an_image_are_enough() -> None:
+    s = body_scene(8, 110, 1, Faults(misread=0.01), most_markers=2, drawing=measured(icosahedron()))
+    assert max(len(v) for v in s.images[0].views) == 2
+    r = solve(s)
+    assert arm_error(s, r.fit) < 0.5 * arm_error(s, r.nominal)
+
+
+def test_too_little_of_a_body_is_refused() -> None:
+    s = cell()
+    two = np.array([s.drawing.point(number, None) for number in (1, 2)])
+    views = [v.select(np.isin(v.ids, two)) for v in s.images[0].views]
+    with pytest.raises(ModcalError, match="at least 3"):
+        solve(replace(s, images=(replace(s.images[0], views=views),)))
+    few = [v.select(np.arange(len(v)) < 2) for v in s.images[0].views[:8]]
+    with pytest.raises(NotEnoughData, match="no point is seen often enough"):
+        solve(replace(s, images=(replace(s.images[0], views=few, q=s.images[0].q[:8]),)))
