@@ -180,7 +180,7 @@ def solve_camera(
     shared = shares(fit, near)
     rests = rests_on(fit, doubted, near, in_view)
     doubtful = in_doubt(fit, doubted, target.scale)
-    doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0]),)
+    doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0], table.places > 0),)
     body = table.places > 0  # fixed cameras and a body are there for the arm, wherever they stand
     judged = alone if body else in_view
     open_size = size_open(target, doubted, judged, shared, arm_m)

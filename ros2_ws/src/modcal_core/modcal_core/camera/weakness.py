@@ -77,13 +77,14 @@ class RestsOn:
     per_unit_m: float
     if_wrong_m: float
 
-    def sentence(self, nominal_m: float) -> str:
-        """For a person. nominal_m: error of the nominal arm."""
+    def sentence(self, nominal_m: float, body: bool = False) -> str:
+        """For a person. nominal_m: error of the nominal arm. body: whether the target is one, and no sheet."""
+        what, again = ("body", "across it") if body else ("sheet", "a square")
         return (
-            f"All of this rests on the sheet's stated size, which these images by themselves show to "
+            f"All of this rests on the {what}'s stated size, which these images by themselves show to "
             f"{100.0 * self.images_std:.1f} % only: each per cent that it is off puts the tool "
             f"{10.0 * self.per_unit_m:.1f} mm off. Were it wrong, the calibrated arm could be up to "
-            f"{1e3 * self.if_wrong_m:.1f} mm off (95 %), the nominal arm is {1e3 * nominal_m:.1f} mm: measure a square "
+            f"{1e3 * self.if_wrong_m:.1f} mm off (95 %), the nominal arm is {1e3 * nominal_m:.1f} mm: measure {again} "
             "once more."
         )
 

@@ -14,6 +14,7 @@ import numpy as np
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.store import Calibration, to_data
 from modcal_core.camera.causes import CameraCause
+from modcal_core.camera.corners import READOUT
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.lens import DISTORTIONS, Lens
 from modcal_core.camera.several import FurtherSeen
@@ -25,6 +26,7 @@ from modcal_core.effects.registry import family
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.report.as_json import FORMAT, tolerance_data
+from modcal_core.report.camera_body import body_data, body_notes
 from modcal_core.report.contents import STAGES
 from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.report.trace import Trace
@@ -117,6 +119,7 @@ def camera_report(
     """The data of ``report.json``: the keys of every report, and ``camera``. left_out: images no corners came from."""
     fit, decision = solution.fit, solution.decision
     P = fit.poses.count
+    R = P + 1 + READOUT
     std = np.sqrt(np.diag(fit.covariance))
     values = np.r_[fit.state.values, fit.state.offset_s, fit.state.common]
     problems = () if decision.word in (APPLY, CANNOT_TELL) else decision.because
@@ -176,10 +179,11 @@ def camera_report(
             "sheet": {
                 name.partition("/")[2]: {"value": float(values[i]), "std": float(std[i])}
                 for i, name in enumerate(fit.names)
-                if name.startswith("sheet/")
+                if name.startswith("sheet/") and not fit.table.places
             },
+            "body": body_data(solution),
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
-            "readout_s": {"value": fit.state.readout_s, "std": float(std[-1])} if std[-1] > 0.0 else None,
+            "readout_s": {"value": fit.state.readout_s, "std": float(std[R])} if std[R] > 0.0 else None,
             "moved": None if solution.moved is None else _moved(solution),
             "account_mm2": [
                 {"what": name, "value": 1e6 * (whole - known)}
@@ -205,7 +209,7 @@ def camera_report(
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
     out = [f"{sentence}." for _, sentence in _named(solution)] + [found.sentence for found in solution.findings]
-    out += solution.notes
+    out += (*body_notes(solution), *solution.notes)
     if solution.left is not None:
         said = solution.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
@@ -219,12 +223,13 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
             f"which moves the tool by {1e3 * one.at_tool_m:.2f} mm RMS; what a stiffer one does is taken up by the "
             "geometry, which holds where the images are."
         )
+    target = "body" if solution.fit.table.places else "sheet"
     every, without = solution.shares.get(ALL_BUT_IMAGES, (0.0, 0.0))
     if without > _MOSTLY * every:
         out.append(
-            "Too few pixels or images are most of what is left: were lens, sheet and clock known exactly, the error at "
-            f"the tool would still be {1e3 * without**0.5:.2f} mm RMS and not {1e3 * every**0.5:.2f} mm. More images, "
-            "a larger target, a nearer camera or more pixels tell more."
+            f"Too few pixels or images are most of what is left: were lens, {target} and clock known exactly, the "
+            f"error at the tool would still be {1e3 * without**0.5:.2f} mm RMS and not {1e3 * every**0.5:.2f} mm. More "
+            "images, a larger target, a nearer camera or more pixels tell more."
         )
     for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
         if name == ALL_BUT_IMAGES:

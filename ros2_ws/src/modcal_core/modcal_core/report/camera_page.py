@@ -97,6 +97,12 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
     if worth:
         below = "By how much the mean square error at the tool would fall, were this known exactly."
         tables.append(PageTable("What knowing more would be worth, mm²", ("known", "mm²"), worth, below=below))
+    if body := camera.get("body"):
+        off = tuple(
+            (f"{m['id']}", f"{np.linalg.norm(m['offset_mm']):.2f}", f"{m['std_mm']:.2f}") for m in body["markers"]
+        )
+        header = ("marker", "from its place on the drawing, mm", "± one standard deviation, mm")
+        tables.append(PageTable("Markers on the body, mm", header, off))
     lens: dict[bool, list[tuple[str, str, str]]] = {True: [], False: []}
     for name, known in camera["lens"].items():
         lens[name in ("fx", "fy", "cx", "cy")].append((name, number(known["value"], 5), number(known["std"], 2)))

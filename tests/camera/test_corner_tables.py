@@ -1,0 +1,156 @@
+"""Corners from a CSV: of one camera or several, of sheets and bodies, and the command that takes them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from camera.boards import BOARD
+from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icosahedron, measured
+from camera.scenes import PANDA
+
+from modcal_core.camera.bundle_file import bundle_to_data
+from modcal_core.camera.lens import Lens
+from modcal_core.camera.target import ARUCO_GRID, PrintedTarget
+from modcal_core.errors import BadTable, NotEnoughData
+from modcal_core.geometry import se3
+from modcal_core.report.camera import camera_info
+from modcal_core.robots.mechanism import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_nodes.cli.main import run
+from modcal_nodes.vision.corner_table import read_corner_tables
+
+JOINTS = ("a", "b")
+BODY = icosahedron()
+
+
+def tables(where: Path, rows: str, joints: str = "image,a,b\n1,0,0.5\n2,1,0\n") -> tuple[Path, Path]:
+    (where / "corners.csv").write_text(rows)
+    (where / "joints.csv").write_text(joints)
+    return where / "corners.csv", where / "joints.csv"
+
+
+def test_cameras_markers_and_middles(tmp_path: Path) -> None:
+    rows = (
+        "camera,image,marker,corner,u,v,sigma\n"
+        "left,1,3,,10,20,0.3\nright,1,3,,11,21,\nleft,1,5,2,30,40,\nleft,2,3,,50,60,\n"
+        "left,2,77,,1,1,\n"  # of another body
+        "right,2,4,,1,2,\nright,2,4,,3,4,\nright,2,6,,5,6,\n"  # one marker at two places
+    )
+    found = read_corner_tables(*tables(tmp_path, rows), JOINTS, BODY, {"left": (100, 80), "": (64, 48)})
+    assert list(found) == ["left", "right"]
+    left, right = found["left"], found["right"]
+    assert (left.size, right.size) == ((100, 80), (64, 48))
+    assert [v.name for v in left.views] == ["1", "2"]
+    assert list(left.views[0].ids) == [BODY.point(3, None), BODY.point(5, 2)]
+    assert np.allclose(left.views[0].cov[:, 0, 0], [0.09, 0.01])
+    assert np.allclose(left.q, [[0.0, 0.5], [1.0, 0.0]])
+    assert left.notes == (f"1 rows of {tmp_path / 'corners.csv'} are of markers that the target does not have.",)
+    assert list(right.views[1].ids) == [BODY.point(6, None)]
+    assert right.notes == ("Image 2 has a marker twice, which is left out of it.",)
+
+
+def test_joints_may_stand_in_the_table_of_corners(tmp_path: Path) -> None:
+    rows = "image,marker,u,v,a,b,width,height\n1,3,10,20,0,0.5,100,80\n1,4,10,20,0,0.5,100,80\n2,3,1,2,1,0,100,80\n"
+    file, _ = tables(tmp_path, rows)
+    (found,) = read_corner_tables(file, file, JOINTS, BODY).values()
+    assert np.allclose(found.q, [[0.0, 0.5], [1.0, 0.0]])
+    file, _ = tables(tmp_path, rows.replace("4,10,20,0,", "4,10,20,0.1,"))
+    with pytest.raises(BadTable, match="two rows for image 1 that differ"):
+        read_corner_tables(file, file, JOINTS, BODY)
+
+
+def test_corners_of_sheets_by_number_or_by_marker(tmp_path: Path) -> None:
+    grid = PrintedTarget(ARUCO_GRID, 3, 2, 0.03, 0.01, "DICT_5X5_100", 10)
+    rows = "image,marker,corner,u,v\n1,11,3,10,20\n1,12,0,1,2\n1,99,0,1,2\n"
+    (found,) = read_corner_tables(*tables(tmp_path, rows), JOINTS, grid, {"": (100, 80)}).values()
+    assert list(found.views[0].ids) == [7, 8]
+    rows = "image,id,u,v\n1,7,10,20\n2,8,1,2\n"
+    (found,) = read_corner_tables(*tables(tmp_path, rows), JOINTS, BOARD, {"": (100, 80)}).values()
+    assert [list(v.ids) for v in found.views] == [[7], [8]]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("image,u,v\n1,2,3\n", "has no column id"),
+        ("image,id,u,v\n1,24,2,3\n", "the target has 0 to 23"),
+        ("image,id,u,v\n1,3,2,3\n1,3,5,6\n", "has a corner twice"),
+        ("image,marker,corner,u,v\n1,3,0,2,3\n", "has a marker, which a charuco has none of"),
+        ("image,id,corner,u,v\n1,3,4,2,3\n", "has corner 4 of a marker"),
+        ("image,id,u,v,width,height\n1,3,2,3,100,80\n1,4,2,3,100,81\n", "those before of 100 × 80"),
+        ("image,id,u,v\n1,3,2,nan\n", "not finite"),
+        ("image,id,u,v\n1,three,2,3\n", "cannot be read"),
+        ("image,id,u,v\n1,3,2,3\n", "how large the images are"),
+    ],
+)  # fmt: skip
+def test_tables_that_are_refused(tmp_path: Path, rows: str, said: str) -> None:
+    sizes = None if "how large" in said or "width" in rows else {"": (100, 80)}
+    with pytest.raises(BadTable, match=said):
+        read_corner_tables(*tables(tmp_path, rows), JOINTS, BOARD, sizes)
+
+
+def test_images_without_joints_are_no_images(tmp_path: Path) -> None:
+    with pytest.raises(NotEnoughData, match="names no image that the table of joints has"):
+        read_corner_tables(*tables(tmp_path, "image,id,u,v\n5,3,2,3\n"), JOINTS, BOARD, {"": (100, 80)})
+
+
+def written(where: Path, s: BodyScene) -> list[str]:
+    """Files of a cell, and the command's arguments."""
+    lines = ["camera,image,marker,u,v,width,height"]
+    numbers = [m.id for m in s.drawing.markers]
+    for one in s.images:
+        for v in one.views:
+            for point, (x, y) in zip(v.ids, v.pixels, strict=True):
+                lines.append(f"{one.name},{v.name},{numbers[point // 5]},{x:.4f},{y:.4f},{SIZE[0]},{SIZE[1]}")
+            lines.append(f"{one.name},{v.name},41,100,100,{SIZE[0]},{SIZE[1]}")  # on the other arm
+    (where / "corners.csv").write_text("\n".join(lines) + "\n")
+    header = ",".join(["image", *s.chain.names])
+    rows = [",".join([f"{i}", *map(repr, map(float, q))]) for i, q in enumerate(s.q)]
+    (where / "joints.csv").write_text("\n".join([header, *rows]) + "\n")
+    (where / "target.yaml").write_text(yaml.safe_dump(bundle_to_data(s.drawing)))
+    lens = Lens(s.lenses[1].values, s.lenses[1].size)
+    (where / "second.yaml").write_text(yaml.safe_dump(camera_info(lens)))
+    files = {"--images": "corners.csv", "--joints": "joints.csv", "--target": "target.yaml"}
+    return [
+        *("calibrate", "--urdf", str(PANDA), "--tip", "panda_link8", "--geometry-only"),
+        *(text for option, name in files.items() for text in (option, str(where / name))),
+    ]
+
+
+@pytest.mark.slow
+def test_a_csv_of_two_cameras_to_a_calibrated_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From a table of middles of markers, those of another arm's body among them, to the files."""
+    s = body_scene(5, 60, 2, Faults(late=1), drawing=measured(icosahedron()))
+    given = written(tmp_path, s)
+    info = f"camera_2={tmp_path / 'second.yaml'}"
+    assert run([*given, "--camera-info", info, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "Also camera_2: camera in the world, target on the tip. body of 20 markers" in said
+    assert "are of markers that the target does not have" in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["camera"]["decision"] == "apply"
+    assert report["camera"]["sheet"] == {}
+    assert len(report["camera"]["body"]["markers"]) == 20
+    assert "Markers on the body" in (tmp_path / "out" / "report.html").read_text()
+    assert (tmp_path / "out" / "camera_2.yaml").exists()
+    # the arm by itself, against MuJoCo
+    q = np.random.default_rng(0).uniform(s.q.min(0), s.q.max(0), (200, 7))
+    miss = []
+    for text in (PANDA.read_text(), (tmp_path / "out" / "calibrated.urdf").read_text()):
+        T, true = forward(read_chain(text, tip="panda_link8"), q), s.tip(q)
+        point = BODY_ON_TIP[:3, 3]  # a reflector whose place on the tool, as the tracker's frame, is refitted
+        for _ in range(20):
+            a, b = se3.apply(T, point), se3.apply(true, BODY_ON_TIP[:3, 3])
+            U, _, Vt = np.linalg.svd((b - b.mean(0)).T @ (a - a.mean(0)))
+            R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+            gap = (b - b.mean(0)) @ R - (a - a.mean(0))
+            rows = T[:, :3, :3] - T[:, :3, :3].mean(axis=0)
+            point = point + np.linalg.lstsq(rows.reshape(-1, 3), gap.reshape(-1), rcond=None)[0]
+        miss.append(float(np.sqrt((gap**2).sum(1).mean())))
+    assert miss[1] < 3e-4 < 1e-3 < miss[0]
+    assert run([*given, "--camera-info", f"third={tmp_path / 'second.yaml'}"]) == 2
+    assert "names no camera of these images" in capsys.readouterr().err
