@@ -7,6 +7,8 @@ about the line of sight, for shallow points have one as sheets do, and refined.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modcal_core.camera.corners import CornerTable
@@ -28,6 +30,7 @@ def images_with_pose(table: CornerTable) -> np.ndarray:
 
 def body_poses(table: CornerTable, lens: Lens) -> BoardPose:
     """Both poses of the body, as stated, in every image, each of which must show one (:func:`images_with_pose`)."""
+    table = replace(table, places=0, markers=0)  # all in their places, whose derivatives take time
     N = table.views
     start = np.empty((2, N, 4, 4))
     for i in range(N):

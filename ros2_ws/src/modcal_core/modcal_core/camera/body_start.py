@@ -24,7 +24,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
 _ENOUGH = 8  # images with a pose: twice as many as a mounting needs, so that a misread one is outvoted
-_LOOKED_AT = 60  # of these, for time, while the focal length is looked for
+_LOOKED_AT = 30  # of these, for time, while the focal length is looked for
 _FOCALS = np.geomspace(0.4, 6.0, 17)  # times the image's width: lenses of 100° to 10°
 _HALF_ANGLES = np.radians(np.linspace(35.0, 95.0, 13))  # of fisheyes, from the middle to the farther edge
 _FINER = np.linspace(0.85, 1.18, 9)  # between one of these and the next
@@ -66,7 +66,7 @@ def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
     whole = images_with_pose(table)
     if not target.turning or whole.sum() < _ENOUGH:
         return
-    rows = np.flatnonzero(whole)[: _LOOKED_AT // 4]
+    rows = np.flatnonzero(whole)[: _LOOKED_AT // 2]
     some = table.select(np.isin(np.arange(table.views), rows))
     miss = {}
     for k in range(MARKER_CORNERS):

@@ -24,7 +24,7 @@ from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf_inertias import Inertias
 
 _GROSS = 10.0  # times the median distance from the nominal arm's place: beyond what any arm of this size of faults does
-_CLEANED = 3  # times that points and images are looked through
+_CLEANED = 5  # times that points and images are looked through
 _ELSEWHERE = "far from where the arm has it"
 
 
@@ -83,17 +83,26 @@ def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraF
     """(a fit, what it was made from): points that are misread and images taken elsewhere are left out. arm: as of a
     fit.
     """
-    fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, arm=arm)
+    lens, prior = ready.lens_fit.lens, ready.prior
+    fit = fit_camera(ready.table, ready.poses, lens, prior, arm=arm)
+    cleaned = False
     for _ in range(_CLEANED):
         weight = point_weights(fit)
         strange = mostly_out(ready.table, weight == 0.0)
-        if not strange.any():
-            strange = elsewhere(fit)
-        if (~strange).sum() < LEAST_VIEWS or (not strange.any() and (weight == ready.table.weight).all()):
+        if (weight == ready.table.weight).all() and not strange.any():
+            strange = elsewhere(fit)  # not before misread points are out, which draw their image away
+            if not strange.any():
+                break
+        if (~strange).sum() < LEAST_VIEWS:
             break
         ready = replace(ready, table=ready.table.with_weight(weight))
         if strange.any():
             ready = ready.select(~strange, _ELSEWHERE)
-        begin = fit.state
-        fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fit.sizes, arm=arm, begin=begin)
+        # the sizes of errors hardly change, and take most of the time
+        fit = fit_camera(
+            *(ready.table, ready.poses, lens, prior, fit.sizes), arm=arm, fixed_sizes=True, begin=fit.state
+        )
+        cleaned = True
+    if cleaned:
+        fit = fit_camera(*(ready.table, ready.poses, lens, prior, fit.sizes), arm=arm, begin=fit.state)
     return fit, ready
