@@ -28,6 +28,7 @@ from modcal_nodes.measuring.measurers import Replay, one_a_station
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 HELD = 0.3
+LARGE = 3000  # stations offered, of which a refit takes minutes
 WITHIN = 1.1  # of the whole grid's error
 
 
@@ -102,8 +103,9 @@ def replayed(grid: Grid, planned: bool, whole: float | None, seed: int = 0) -> f
     session = Session(robot.names, POSE if measurer.kind == POSE else POINT)
     reached: int | None = None
     while True:
-        # half as many again each time: what is asked is how few do, not how few one could stop at
-        batch = max(12, len(session.rows()) // 2)
+        # half as many again each time, of a large recording twice as many, for time: what is asked is how few do, not
+        # how few one could stop at
+        batch = max(12, len(session.rows()) // (1 if len(offered) > LARGE else 2))
         advisor = Advisor(robot.mechanism, pool, goal, seed, None, robot.inertias, planned, batch)
         advice = advisor.advise(session)
         session = advice.session

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from measuring.shaped import with_spheres
 from nodes.processes import ROOT, Process, fresh_domain, listener, meet, running
 from sensor_msgs.msg import JointState
@@ -112,9 +114,97 @@ def test_an_arm_measures_itself_until_the_goal_is_proven(tmp_path: Path) -> None
     assert {"calibration.yaml", "calibrated.urdf", "report.json", "stations.csv"} <= {p.name for p in out.iterdir()}
 
 
+@pytest.mark.dds
+def test_an_arm_is_held_when_another_moves_it_when_the_node_rests_and_when_it_falls_silent(tmp_path: Path) -> None:
+    """Each while it moves, and each time it waits to be started again."""
+    names = read_chain(URDF.read_text()).names
+    limits = {n: [float(m - HALF), float(m + HALF)] for n, m in zip(names, MIDDLE, strict=True)}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump({"limits": limits}))
+    shaped = tmp_path / "shaped.urdf"
+    shaped.write_text(with_spheres(URDF.read_text()))
+    domain = fresh_domain()
+    cell = Process("simulated_cell", domain, tmp_path, urdf=shaped, joint_rate_hz=100.0, tracker_rate_hz=100.0)
+    runner = Process(
+        "station_runner", domain, tmp_path, "-r", "~/joint_trajectory:=joint_trajectory",
+        out=tmp_path / "out", site=tmp_path / "site.yaml", speed_rad_s=0.1, geometry_only=True,
+        timeout_s=10.0, tracking_rad=1.0, patience_s=60.0,  # as above: a busy machine holds up the cell for seconds
+    )  # fmt: skip
+    with running(cell), listener(domain) as (node, wait), running(runner):
+        sent: list[JointTrajectory] = []
+        joints: list[JointState] = []
+        node.create_subscription(JointTrajectory, "joint_trajectory", sent.append, 10)
+        node.create_subscription(JointState, "joint_states", joints.append, 10)
+        mover = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        changes = node.create_client(ChangeState, "station_runner/change_state")
+        meet(wait, changes)
+
+        def stand(q: np.ndarray) -> None:
+            wait(lambda: mover.get_subscription_count() >= 2 and joints, 60.0)
+            mover.publish(to(names, q))
+            wait(lambda: np.abs(np.array(joints[-1].position) - q).max() < 1e-6, 30.0)
+            sent.clear()
+
+        def begin() -> None:
+            assert call(node, wait, "start").success
+            wait(lambda: any(len(m.points) > 1 for m in sent), 30.0)
+
+        def held(said: str) -> None:
+            wait(lambda: said in runner.output and sent and len(sent[-1].points) == 1, 60.0)
+            again = len(sent)
+            heard = len(joints)
+            wait(lambda: len(joints) > heard + 50, 30.0)
+            assert len(sent) == again
+
+        def change(transition: int) -> None:
+            asked = changes.call_async(ChangeState.Request(transition=Transition(id=transition)))
+            wait(asked.done, 20.0)
+            assert asked.result().success
+
+        stand(MIDDLE)
+        wait(lambda: "dry run:" in runner.output, 60.0)
+        assert call(node, wait, "dry_run").success
+        begin()
+        second = call(node, wait, "start")
+        assert not second.success
+        assert "it is measuring already" in second.message
+
+        mover.publish(to(names, MIDDLE + 1.5 * np.eye(6)[0]))  # somebody takes the arm elsewhere
+        held("from its way")
+        stand(MIDDLE)
+
+        begin()
+        change(Transition.TRANSITION_DEACTIVATE)
+        held("held: deactivated")
+        assert "not active" in call(node, wait, "start").message
+        dry = runner.output.count("dry run:")
+        change(Transition.TRANSITION_ACTIVATE)
+        wait(lambda: runner.output.count("dry run:") > dry, 60.0)
+        refused = call(node, wait, "start")
+        assert not refused.success
+        assert "nobody has looked at the dry run" in refused.message
+
+        assert call(node, wait, "dry_run").success
+        sent.clear()
+        begin()
+        cell.popen.send_signal(signal.SIGSTOP)
+        try:
+            wait(lambda: "joint states are older than 10 s" in runner.output and len(sent[-1].points) == 1, 60.0)
+        finally:
+            cell.popen.send_signal(signal.SIGCONT)
+        count = len(joints)
+        wait(lambda: len(joints) > count + 50, 30.0)
+        sent.clear()
+        begin()  # and it goes on once it is asked to
+        assert all(s["state"] != "skipped" for s in stations(tmp_path / "out"))
+
+
 def to_middle(names: tuple[str, ...]) -> JointTrajectory:
+    return to(names, MIDDLE)
+
+
+def to(names: tuple[str, ...], q: np.ndarray) -> JointTrajectory:
     from trajectory_msgs.msg import JointTrajectoryPoint
 
-    point = JointTrajectoryPoint(positions=MIDDLE.tolist())
+    point = JointTrajectoryPoint(positions=q.tolist())
     point.time_from_start.sec = 1
     return JointTrajectory(joint_names=list(names), points=[point])

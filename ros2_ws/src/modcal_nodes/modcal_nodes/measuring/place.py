@@ -24,6 +24,7 @@ from modcal_core.planning.site import Site, site_from_data
 from modcal_core.planning.spheres import Spheres, clearance, spheres_of
 from modcal_core.robot import Robot
 from modcal_core.robots.mechanism import forward
+from modcal_core.robots.urdf_drives import read_drives
 from modcal_nodes.measuring.collision import CollisionModel, has_shapes
 from modcal_nodes.measuring.folder import Folder, StoredSession
 
@@ -49,6 +50,8 @@ class Place:
         limits = with_limits(self.robot.mechanism, self.site)
         self.lower, self.upper = np.asarray(self.robot.mechanism.lower), np.asarray(self.robot.mechanism.upper)
         self._narrow = np.asarray(limits.lower), np.asarray(limits.upper)
+        self._fastest = read_drives(urdf, self.robot.chain).speed
+        self._slack = float(chosen["tolerance_rad"])
         self.shapes: CollisionModel | None = None
         if has_shapes(urdf):
             folder = Path(chosen["meshes"]) if chosen["meshes"] else None
@@ -120,16 +123,26 @@ class Place:
         return out
 
     def way(self, number: int, start: Array, speed: float) -> StationWay:
-        """How to go to a pending station from a posture (n,), no joint faster than the speed [rad/s, m/s]."""
+        """How to go to a pending station from a posture (n,), no joint faster than the speed [rad/s, m/s], nor than the
+        description allows. Raises BadRobot where the arm cannot begin: that is no fault of the station.
+        """
         station = self.session.stations[number]
-        goal = station.asked
-        via = free_way(start, goal, self.free, self.pool.where)
+        goal, begin = station.asked, self._inside(start)
+        self.require_free(begin)
+        via = free_way(begin, goal, self.free, self.pool.where)
         if via is not None and station.approach is not None:
             beside = from_side(goal, station.approach, _SIDE)
-            before = free_way(start, beside, self.free, self.pool.where)
+            before = free_way(begin, beside, self.free, self.pool.where)
             last = None if before is None else free_way(beside, goal, self.free, self.pool.where[:0])
             via = None if before is None or last is None else [*before, goal]
-        return StationWay(number, None if via is None else timed(via, np.full(len(goal), speed)))
+        if via is None:
+            return StationWay(number, None)
+        return StationWay(number, timed([start, *via[1:]], np.minimum(speed, self._fastest)))
+
+    def _inside(self, q: Array) -> Array:
+        """The posture (n,), within limits where it is beyond them by no more than an arm stands beside a station."""
+        inside = np.clip(q, *self._narrow)
+        return inside if np.abs(inside - q).max() <= self._slack else q
 
     def require_free(self, q: Array) -> None:
         """Raises BadRobot where the arm cannot begin from a posture (n,)."""
@@ -143,7 +156,7 @@ class Place:
 
     def dry_run(self, start: Array, speed: float) -> str:
         """What the arm would do first, in sentences; nothing is sent. Raises ModcalError where it could not begin."""
-        self.require_free(start)
+        self.require_free(self._inside(start))
         pending = self.session.pending
         ways, here = [], start
         for number in pending:
@@ -159,8 +172,8 @@ class Place:
         box = ", ".join(f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in zip("xyz", low, high, strict=True))
         return (
             f"{len(pending)} stations first, {sum(lasting):.0f} s of motion, {blocked} of them without a free way "
-            f"(skipped). Joints move at {speed:g} rad/s at most. The tip may go anywhere in {box} m of "
-            f"{self.robot.base}. "
+            f"(skipped). Joints move at {speed:g} rad/s at most, less where the description says so. The tip may go "
+            f"anywhere in {box} m of {self.robot.base}. "
             f"Checked: limits, {checked}"
             + (", floor" if self.site.floor is not None else "")
             + (
