@@ -253,6 +253,22 @@ def test_a_kicked_tripod_is_named(on_tip: bool) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("on_tip", "zoom"), [(True, 1.003), (True, 1.03), (False, 1.003)])
+def test_a_focus_that_was_changed_is_no_move(on_tip: bool, zoom: float) -> None:
+    """Of images that look like those of a camera that was moved along its axis."""
+    s = images(on_tip)
+    half = len(s.views) // 2
+    other = replace(s.lens, values=s.lens.values * np.r_[zoom, zoom, np.ones(7)])
+    later = views(np.random.default_rng(0), se3.inverse(s.T) if on_tip else s.T, lens=other, board=s.board)[half:]
+    r = solved(replace(s, views=[*s.views[:half], *later]), look_for_effects=False)
+    assert r.decision.word == DO_NOT_APPLY
+    assert r.moved is not None
+    assert r.moved.at == half
+    assert 100.0 * r.moved.focal == pytest.approx(100.0 * (zoom - 1.0), rel=0.3)
+    assert any("another focal length from image" in said for said in r.decision.because)
+
+
+@pytest.mark.slow
 def test_an_image_of_another_posture_is_left_out() -> None:
     s = images(True)
     q = s.q.copy()
@@ -361,6 +377,35 @@ def test_images_of_another_moment_are_refused_or_named(delay_s: float) -> None:
     r = solved(s)
     assert r.decision.word == DO_NOT_APPLY
     assert any("of the same moment" in said for said in r.decision.because)
+
+
+def test_pictures_turned_upside_down_are_left_out() -> None:
+    """Every third of them, as a viewer saves them that turns them upright: no fit runs away."""
+    s = images(True)
+    far = np.array(s.lens.size) - 1.0
+    turned = [replace(v, pixels=far - v.pixels) if i % 3 == 0 else v for i, v in enumerate(s.views)]
+    r = solved(replace(s, views=turned), look_for_effects=False)
+    assert r.decision.word == DO_NOT_APPLY
+    assert set(r.left_out) == {v.name for v in turned[::3]}
+
+
+def test_a_camera_that_hung_is_noticed() -> None:
+    """The same picture, noise and all, under four names, and with four postures of the arm."""
+    s = images(True)
+    hung = [replace(s.views[4], name=v.name) if 4 <= i < 8 else v for i, v in enumerate(s.views)]
+    r = solved(replace(s, views=hung), look_for_effects=False)
+    assert set(r.left_out) == {"5.png", "6.png", "7.png"}
+    assert all("the same picture as 4.png" in why for why in r.left_out.values())
+    assert r.decision.word == DO_NOT_APPLY
+
+
+def test_copies_of_images_say_nothing_more() -> None:
+    s = images(True)
+    copies = [replace(v, name=f"copy of {v.name}") for v in s.views]
+    both = replace(s, q=np.concatenate([s.q, s.q]), views=[*s.views, *copies])
+    once, twice = (solved(one, look_for_effects=False) for one in (s, both))
+    assert twice.in_view.interval == pytest.approx(once.in_view.interval, rel=1e-6)
+    assert set(twice.left_out) == {v.name for v in copies}
 
 
 def test_two_boards_in_turn_are_refused() -> None:

@@ -235,6 +235,20 @@ def test_folder_names_what_it_leaves_out(tmp_path: Path) -> None:
         assert ": " in found.left_out[name]
 
 
+def test_a_jpeg_is_read_as_the_sensor_had_it(tmp_path: Path) -> None:
+    """Whatever way round its Exif says to show it: half of them turned would be two cameras."""
+    plain = cv2.imencode(".jpg", image())[1].tobytes()
+    for_viewers = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x03\0\0\0\0\0\0\0"  # orientation 3
+    turned = plain[:2] + b"\xff\xe1" + (len(for_viewers) + 2).to_bytes(2, "big") + for_viewers + plain[2:]
+    assert (cv2.imdecode(np.frombuffer(turned, np.uint8), cv2.IMREAD_GRAYSCALE)[0] != image()[0]).any()
+    where, joints = folder(tmp_path, {})
+    (where / "1.jpg").write_bytes(plain)
+    (where / "2.jpg").write_bytes(turned)
+    joints.write_text("image,a,b\n1.jpg,0.1,0.2\n2.jpg,0.1,0.2\n")
+    one, other = read_images(where, joints, ("a", "b"), BOARD).views
+    assert (one.pixels == other.pixels).all()
+
+
 def test_images_named_by_their_stamps(tmp_path: Path) -> None:
     table = "stamp,b,a\n" + "".join(f"{t:.2f},{t - 10.0},{20.0 - 2.0 * t}\n" for t in np.arange(10.0, 11.0, 0.05))
     where, joints = folder(tmp_path, {"10.12.png": image(), "30.0.png": image()}, table)

@@ -1,9 +1,13 @@
-"""Whether camera or target was moved between two of the images: the half in the world, or the one on the arm.
+"""Whether camera or target was moved between two of the images, the half in the world or the one on the arm, or the
+camera's focus or zoom was changed.
 
 For each place in their order, six more parameters move one half from there on; a scan of small sums finds the place
 that gains most. Then the sizes of all errors are found again with the move and without: a move makes the images' own
 errors look large, so that only both together say whether it is there. What counts is the likelihood with everything
 integrated out, which has the price of six more parameters in it.
+
+Another focal length looks much like a camera that was moved along its axis, with one number in place of six: where it
+explains more than the move does, that is what happened.
 """
 
 from __future__ import annotations
@@ -13,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from modcal_core.camera.equations import Equations
+from modcal_core.camera.corners import COMMON, POSE
+from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.sizes import likeliest
 from modcal_core.geometry import so3
@@ -27,9 +32,11 @@ _EDGE = 3  # images on either side
 
 @dataclass(frozen=True)
 class MovedHalf:
-    """From the image with index ``at`` on, the half in the world (in_world) or on the arm is elsewhere.
+    """From the image with index ``at`` on, the half in the world (in_world) or on the arm is elsewhere, or the camera
+    has another focal length.
 
-    shift_m, turn_rad: by how much. gain: of −2 log likelihood.
+    shift_m, turn_rad: by how much. gain: of −2 log likelihood. focal: relative change of the focal length, 0 where
+    something was moved; then shift_m and turn_rad are 0.
     """
 
     at: int
@@ -37,6 +44,7 @@ class MovedHalf:
     shift_m: float
     turn_rad: float
     gain: float
+    focal: float = 0.0
 
 
 def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
@@ -52,9 +60,9 @@ def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
     scanned = []
     for in_world, motions in ((True, by_world), (False, by_tool)):
         twists = fit.poses.as_twists(T, motions)
-        at, gain, step = _scan(fit, twists)
-        scanned.append((gain, at, in_world, twists, step))
-    gain, at, in_world, twists, step = max(scanned, key=lambda s: s[0])
+        at, gain, _ = _scan(fit.equations, fit.sizes, _beside_nothing(twists))
+        scanned.append((gain, at, in_world, twists))
+    gain, at, in_world, twists = max(scanned, key=lambda s: s[0])
     if gain < _SCREEN:
         return None
     added = np.where((np.arange(N) >= at)[:, None, None], twists, 0.0)
@@ -64,6 +72,12 @@ def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
     better = fit.equations.solve(without).misfit() - solved.misfit()
     if better < _GAIN:
         return None
+    zoom = np.zeros((N, POSE + COMMON, 1))
+    zoom[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
+    begin, as_zoom, focal = _scan(fit.equations, along, zoom)
+    if as_zoom > _scan(fit.equations, along, _beside_nothing(twists))[1]:
+        camera_in_world = not fit.poses.camera_on_tip
+        return MovedHalf(begin, camera_in_world, 0.0, 0.0, better, float(focal[0]))
     K = fit.equations.moved.shape[2]
     step = solved.step()[K : K + 6]
     shift = step[:3] + np.cross(step[3:], p.mean(0)) if in_world else step[:3]
@@ -90,26 +104,33 @@ def _with_move(eq: Equations, added: Array) -> Equations:
     )
 
 
-def _scan(fit: CameraFit, twists: Array) -> tuple[int, float, Array]:
-    """(first image after the move, gain, the six values) of the best place."""
-    eq = fit.equations
-    solved = eq.solve(fit.sizes)
+def _beside_nothing(twists: Array) -> Array:
+    """Columns (N, 6 + 15, 6) of what moves the target by twists (N, 6, 6) and leaves all that images share."""
+    return np.concatenate([twists, np.zeros((len(twists), COMMON, twists.shape[2]))], axis=1)
+
+
+def _scan(eq: Equations, sizes: Sizes, columns: Array) -> tuple[int, float, Array]:
+    """(first image after the change, gain, its k values) of the best place, for what the change does to the target's
+    twist and to what all images share, (N, 6 + 15, k).
+    """
+    solved = eq.solve(sizes)
     E = solved.E
-    At = np.swapaxes(twists, 1, 2)
-    own = At @ E[:, :6, :6] @ twists
-    arm = At @ E[:, :6, :6] @ eq.moved
-    common = At @ E[:, :6, 6:-1]
-    right = (At @ E[:, :6, -1:])[:, :, 0]
-    cross = np.concatenate([arm, common], axis=2)[:, :, solved.use]
+    k = columns.shape[2]
+    weighed = np.swapaxes(columns, 1, 2) @ E[:, :-1]
+    own = weighed[:, :, :-1] @ columns
+    arm = weighed[:, :, :POSE] @ eq.moved
+    right = weighed[:, :, -1]
+    cross = np.concatenate([arm, weighed[:, :, POSE:-1]], axis=2)[:, :, solved.use]
     factor = scipy.linalg.cho_factor(solved.H)
     step = scipy.linalg.cho_solve(factor, solved.b)
-    best = (0, -np.inf, np.zeros(6))
-    for k in range(_EDGE, len(twists) - _EDGE + 1):
-        B = cross[k:].sum(0)
-        C = own[k:].sum(0) - B @ scipy.linalg.cho_solve(factor, B.T) + 1e-9 * np.eye(6)
-        b = right[k:].sum(0) - B @ step
+    best = (0, -np.inf, np.zeros(k))
+    for at in range(_EDGE, len(columns) - _EDGE + 1):
+        B = cross[at:].sum(0)
+        C = own[at:].sum(0) - B @ scipy.linalg.cho_solve(factor, B.T)
+        C = C + 1e-9 * np.eye(k)
+        b = right[at:].sum(0) - B @ step
         x = np.linalg.solve(C, b)
         gain = float(b @ x)
         if gain > best[1]:
-            best = k, gain, x
+            best = at, gain, x
     return best

@@ -34,6 +34,7 @@ class Mounting:
     """camera_on_tip: else the target is. T_frame_base, T_tip_tool: of hand_eye, (4, 4) [m]. T_camera_target: the pose
     chosen in each image, (N, 4, 4). misfit_m, misfit_rad: median distance of images from the solution. rival: misfit
     of the other mounting over this one's. turns: RMS of the arm's relative turns along their three main axes [rad].
+    off_m: distance of each image from the solution, turns at the arm's range counted, (N,).
     """
 
     camera_on_tip: bool
@@ -44,6 +45,7 @@ class Mounting:
     misfit_rad: float
     rival: float
     turns: Array
+    off_m: Array
 
     def with_poses(self, T_camera_target: Array) -> Mounting:
         """The same with these poses in the images, (N, 4, 4)."""
@@ -79,8 +81,10 @@ def find_mounting(T_base_tip: Array, poses: BoardPose, stated: bool | None = Non
         said = f"they fit {ON_TIP} and {IN_WORLD} alike ({1e3 * miss[0]:.0f} mm and {1e3 * miss[1]:.0f} mm off)"
         remedy = "check that images and joints belong together, turn the wrist more, or state --mounting"
         raise BadRecording("images", said, remedy)
-    Y, X, chosen, shift, turn = found[best]
-    return Mounting(best == 0, Y, X, chosen, shift, turn, rival, turns)
+    Y, X, chosen, gap = found[best]
+    shift, turn = _median(gap)
+    parts = np.linalg.norm(gap.reshape(N, 2, 3), axis=2)
+    return Mounting(best == 0, Y, X, chosen, shift, turn, rival, turns, parts @ [1.0, _range(T_base_tip)])
 
 
 def mounting_misfit(T_base_tip: Array, poses: BoardPose, stated: bool | None = None) -> float:
@@ -89,8 +93,8 @@ def mounting_misfit(T_base_tip: Array, poses: BoardPose, stated: bool | None = N
     return min(_size(_solve(T_base_tip, poses, on_tip), T_base_tip) for on_tip in both)
 
 
-def _solve(A: Array, poses: BoardPose, on_tip: bool) -> tuple[Array, Array, Array, float, float]:
-    """(Y, X, chosen T_camera_target, median shift, median turn) of one mounting."""
+def _solve(A: Array, poses: BoardPose, on_tip: bool) -> tuple[Array, Array, Array, Array]:
+    """(Y, X, chosen T_camera_target, distance of each image from these (N, 6)) of one mounting."""
     N = len(A)
     both = se3.inverse(poses.T) if on_tip else poses.T
     ratio = np.sqrt(poses.cost[:, 1] / np.maximum(poses.cost[:, 0], 1e-300))
@@ -113,15 +117,24 @@ def _solve(A: Array, poses: BoardPose, on_tip: bool) -> tuple[Array, Array, Arra
         if (new == pick).all() and len(keep) == len(rows) and (keep == rows).all():
             break
         pick, rows = new, keep if len(keep) >= LEAST_VIEWS else rows
-    chosen = poses.T[np.arange(N), pick]
+    return Y, X, poses.T[np.arange(N), pick], gap
+
+
+def _median(gap: Array) -> tuple[float, float]:
+    """(median shift [m], median turn [rad]) of distances (N, 6)."""
     shift, turn = (float(np.median(np.linalg.norm(part, axis=1))) for part in (gap[:, :3], gap[:, 3:]))
-    return Y, X, chosen, shift, turn
+    return shift, turn
 
 
-def _size(found: tuple[Array, Array, Array, float, float], A: Array) -> float:
+def _range(A: Array) -> float:
+    """How far flange poses (N, 4, 4) lie apart, along the axis of which they do most [m]."""
+    return max(float(np.ptp(A[:, :3, 3], axis=0).max()), 0.1)
+
+
+def _size(found: tuple[Array, Array, Array, Array], A: Array) -> float:
     """Misfit of a solution as one length [m]."""
-    reach = max(float(np.ptp(A[:, :3, 3], axis=0).max()), 0.1)
-    return found[3] + reach * found[4]
+    shift, turn = _median(found[3])
+    return shift + _range(A) * turn
 
 
 def relative_turns(T: Array) -> Array:

@@ -27,6 +27,8 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf_inertias import Inertias
 
+_NOWHERE, _NOWHERE_TIMES = 0.1, 10.0  # of the reach, and of the others' misfit: an image of elsewhere, or turned round
+_STRANGE = "far from where the arm has it"
 _APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
 
 
@@ -92,6 +94,8 @@ def prepare(
     velocity = np.zeros_like(q) if images.velocity is None else images.velocity
     keep = np.array([enough_corners(target.points[v.ids]) for v in views], dtype=bool)
     left_out = {v.name: "too few corners of the target" for v, k in zip(views, keep, strict=True) if not k}
+    for i, name in repeated(views).items():
+        keep[i], left_out[views[i].name] = False, f"the same picture as {name}: the camera hung, or it was copied"
     require_views(int(keep.sum()), images.name)
     table = CornerTable.of([v for v, k in zip(views, keep, strict=True) if k], target)
     q, velocity, moments = q[keep], velocity[keep], images.moments.select(keep)
@@ -113,7 +117,7 @@ def prepare(
     mounting = find_mounting(forward(chain, q), poses, images.camera_on_tip)
     require_near_arm(mounting, chain, images.name)
     at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
-    return PreparedImages(
+    ready = PreparedImages(
         table,
         arm_poses(*at, moments=moments, inertias=inertias),
         arm_poses(*at, hand_eye_only=True).parameters,
@@ -122,6 +126,8 @@ def prepare(
         mounting,
         left_out,
     )
+    far = mounting.off_m > max(_NOWHERE * chain.reach(), _NOWHERE_TIMES * float(np.median(mounting.off_m)))
+    return ready.select(~far, _STRANGE) if far.any() and (~far).sum() >= LEAST_VIEWS else ready
 
 
 def first_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
@@ -129,7 +135,7 @@ def first_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, Prep
     fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, arm=arm)
     strange = strangers(fit)
     if strange.any() and (~strange).sum() >= LEAST_VIEWS:
-        ready = ready.select(~strange, "far from where the arm has it")
+        ready = ready.select(~strange, _STRANGE)
         fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fit.sizes, arm=arm)
     return fit, ready
 
@@ -140,6 +146,13 @@ def require_near_arm(mounting: Mounting, chain: Chain, name: str) -> None:
         said = f"they are {1e3 * mounting.misfit_m:.0f} mm off the arm's motion in the median"
         remedy = "check that each row of joints belongs to its image, joint units and order, and the square's size"
         raise BadRecording(name, said, remedy)
+
+
+def repeated(views: Sequence[BoardView]) -> dict[int, str]:
+    """Which views have the very corners of an earlier one, noise and all, and its name: the camera hung, or a copy."""
+    first: dict[bytes, int] = {}
+    same = [first.setdefault(v.ids.tobytes() + v.pixels.tobytes(), i) for i, v in enumerate(views)]
+    return {i: views[j].name for i, j in enumerate(same) if i != j and len(views[i])}
 
 
 def require_views(count: int, name: str) -> None:

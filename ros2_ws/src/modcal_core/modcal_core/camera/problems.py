@@ -64,10 +64,18 @@ def problems(
 
 
 def moved_sentence(fit: CameraFit, moved: MovedHalf, whose: str = "") -> str:
-    """That target or camera was moved among the images of a fit. whose: of which camera, where there are several."""
+    """That target or camera was moved, or the camera's focus, among the images of a fit. whose: of which camera, where
+    there are several.
+    """
+    name = fit.table.names[moved.at]
+    if moved.focal:
+        return (
+            f"The camera{whose} has another focal length from image {name} on, by {100.0 * moved.focal:+.1f} %: switch "
+            "autofocus off, leave focus and zoom alone, and calibrate from the images before, or from those after."
+        )
     what = "target" if moved.in_world == fit.poses.camera_on_tip else "camera"
     return (
-        f"The {what}{whose} was moved before image {fit.table.names[moved.at]}, by {1e3 * moved.shift_m:.1f} mm and "
+        f"The {what}{whose} was moved before image {name}, by {1e3 * moved.shift_m:.1f} mm and "
         f"{np.degrees(moved.turn_rad):.2f}°: calibrate from the images before, or from those after."
     )
 

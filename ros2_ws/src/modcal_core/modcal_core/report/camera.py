@@ -374,6 +374,7 @@ def _moved(solution: CameraSolution) -> dict[str, Any]:
         "before_image": solution.fit.table.names[moved.at],
         "shift_mm": 1e3 * moved.shift_m,
         "turn_deg": float(np.degrees(moved.turn_rad)),
+        "focal_percent": 100.0 * moved.focal,
     }
 
 
