@@ -34,7 +34,8 @@ class Mounting:
     """camera_on_tip: else the target is. T_frame_base, T_tip_tool: of hand_eye, (4, 4) [m]. T_camera_target: the pose
     chosen in each image, (N, 4, 4). misfit_m, misfit_rad: median distance of images from the solution. rival: misfit
     of the other mounting over this one's. turns: RMS of the arm's relative turns along their three main axes [rad].
-    off_m: distance of each image from the solution, turns at the arm's range counted, (N,).
+    off_m: distance of each image from the solution, turns at the arm's range counted, (N,); empty where the solution is
+    by single points, of which no image has a pose.
     """
 
     camera_on_tip: bool
