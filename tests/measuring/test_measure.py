@@ -94,6 +94,25 @@ def test_a_goal_is_proven_and_true(whole: Whole, rng: np.random.Generator) -> No
     assert not proof & {tuple(q) for q in advice.refitted.samples.q}
 
 
+def test_what_is_proven_is_what_is_used() -> None:
+    """A gear's wave is learned from twelve stations; those of the proof go beyond them, and so will those who use it."""
+    by = cell(seed=7, gear_joint="elbow_joint", gear_amplitude_rad=2e-4, measurement="pose")
+    pool = of_robot(CHAIN, Site(), "pose", np.random.default_rng(0))
+    advising = Advisor(CHAIN, pool, Goal(1e-4), 0, None, read_inertias(URDF.read_text(), CHAIN))
+    advice = measured(advising, by, Session(CHAIN.names, "pose"))
+    assert advice.outcome is not None
+    assert advice.outcome.ending == "proven"
+    assert advice.status.effects
+    assert advice.refitted is not None
+    fitted, proof = (advice.session.samples(rows) for rows in (advice.session.fitted, advice.session.rows(PROOF)))
+    assert (proof.q > fitted.q.max(axis=0)).any()
+    T = advice.refitted.calibration.predict(proof.q)
+    left = np.linalg.norm(T[:, :3, 3] - proof.reading, axis=1)
+    assert float(np.sqrt(np.mean(left**2))) == pytest.approx(advice.status.seen, rel=1e-6)
+    # and where nothing was drawn the geometry that is best alone counts, as of any calibration
+    assert (advice.refitted.calibration.seen[1] <= pool.upper + 1e-9).all()
+
+
 def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.random.Generator) -> None:
     by = cell(repeatability_rad=5e-5)
     advice = measured(advisor(Goal(3e-5, stations=100), effects=False), by)

@@ -32,6 +32,7 @@ from modcal_core.verdict.not_applied import applicable
 
 LEAST = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
+_DATES = 1.2e9  # s since 1970: 2008. No ROS recorded before
 MOST = 48  # stations of a longer recording that are looked at
 
 
@@ -275,10 +276,14 @@ def _notes(
 
 
 def _dated(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
-    """A sentence for a recording that is not later than the calibration's own, by the stamps of both."""
+    """A sentence for a recording that is not later than the calibration's own, by the stamps of both; none where these
+    are a simulation's, or count from when a machine was switched on.
+    """
     if calibration.watched is None or not (calibration.clock and samples.clock):
         return ()
     first, last = calibration.watched
+    if min(first, float(samples.stamps.min())) < _DATES:
+        return ()
     if samples.stamps.max() < first:
         return ("By its stamps this recording is older than the calibration's: what changed was otherwise before.",)
     if samples.stamps.min() >= first and samples.stamps.max() <= last:

@@ -38,7 +38,7 @@ from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import Outlook, outlook
 from modcal_core.measuring.pool import Pool
 from modcal_core.measuring.proof import MIN_STATIONS, Proof, axes_of, share
-from modcal_core.measuring.refit import Refit, refit
+from modcal_core.measuring.refit import Refit, proven_over, refit
 from modcal_core.measuring.session import DECIDE, PROOF, RETURN, Look, Session, Station
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
@@ -147,7 +147,8 @@ class Advisor:
         if self.goal.rms is not None and (proof := self._look(session, refitted, left)) is not None:
             status = replace(status, bound=proof.bound)
             if proof.holds(self.goal.rms):
-                return self._settle_ties(session, status, refitted, proven(self.goal, proof, status.measured))
+                known = proven_over(refitted, self.pool.where)
+                return self._settle_ties(session, status, known, proven(self.goal, proof, status.measured))
         if self._gone(session, elapsed):
             return Advice(session, "", status, spent(self.goal, status.measured, status.expected), refitted)
         return self._next(session, status, refitted, view, left)

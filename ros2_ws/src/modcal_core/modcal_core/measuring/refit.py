@@ -19,6 +19,7 @@ from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
+from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import dimensions
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.conventions import proved
@@ -109,6 +110,15 @@ def refit(
     values = P + sum(len(e.values) for e in shipped.calibrated.effects)
     freedom = max(_equations(samples.select(~wrong)) - values, 1.0)
     return Refit(shipped, final, samples, wrong, freedom, searched, left)
+
+
+def proven_over(refitted: Refit, where: Array) -> Refit:
+    """The same once its error was proven at postures drawn at random, of which these (M, n) stand for all: it is known
+    wherever they are drawn from. Else geometry alone would count beyond the few stations of the fit, unproven.
+    """
+    known = refitted.calibration
+    low, high = np.minimum(known.seen[0], where.min(axis=0)), np.maximum(known.seen[1], where.max(axis=0))
+    return replace(refitted, calibration=replace(known, seen=np.array([low, high])))
 
 
 def _equations(samples: Samples) -> float:
