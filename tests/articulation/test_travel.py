@@ -11,6 +11,7 @@ from articulation.objects import ideal, noisy
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.online import Tracker, TrackerState
 from modcal_core.articulation.stamp_order import StampOrder
+from modcal_core.articulation.travel import Travel
 
 DEGREE = np.pi / 180.0
 SPEED = 0.1  # m/s of the handle
@@ -78,3 +79,23 @@ def test_a_pose_that_comes_late_is_left_out() -> None:
     order.judge(1.0, 1.0)
     assert order.judge(0.5, 1.1) == "late"
     assert order.last == 1.0
+
+
+@pytest.mark.parametrize("step", [3e-4, 1.5e-3, 2.5e-3, 2e-2])
+def test_each_millimetre_is_paid_for_and_no_pose_pays_for_its_neighbours(step: float) -> None:
+    """What falls due from mark to mark is spread over the poses between; a pose never thinks for many."""
+    travel, paid = Travel(), []
+    for i in range(400):
+        travel.stepped(step, 0.0)
+        travel.come(np.array([step * i, 0.0, 0.0]), 1e-4)
+        paid.append(travel.thoughts())
+    assert sum(paid) >= travel.path / 1e-3 - 5
+    assert max(paid) <= math.ceil(step / 1e-3)
+
+
+def test_what_was_owed_before_there_were_enough_poses_is_paid_at_once() -> None:
+    travel = Travel()
+    for i in range(6):
+        travel.stepped(0.02, 0.0)
+        travel.come(np.array([0.02 * i, 0.0, 0.0]), 1e-4)
+    assert travel.thoughts() >= 60

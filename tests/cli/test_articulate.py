@@ -135,6 +135,7 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
         ("nan 0 0\n" * 9, "is not finite"),
         ("0 0 0\n" * 3, "6 are needed"),
         ("400 0 0\n" * 9, "not millimetres"),
+        ("".join(f"{x} 0 0\n" for x in range(30)), "not centimetres"),
         ("0 0 0 0 0 0 3\n" * 9, "unit quaternions"),
     ],
 )
@@ -147,6 +148,39 @@ def test_unusable_text_is_refused_in_one_line(
     assert len(lines) == 1
     assert words in lines[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_quaternions_in_another_order_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a plain door, and of the same door where they are as they should be."""
+    seen = poses(door())
+    for name, order in (("wxyz", [0, 1, 2, 6, 3, 4, 5]), ("xyzw", list(range(7)))):
+        np.savetxt(tmp_path / f"{name}.txt", seen[:, order])
+    assert run(["articulate", str(tmp_path / "wxyz.txt"), "--out", str(tmp_path / "out")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert "read as w x y z a revolute one: give x y z w" in lines[0]
+    assert not (tmp_path / "out").exists()
+    assert run(["articulate", str(tmp_path / "xyzw.txt"), "--out", str(tmp_path / "out")]) == 0
+    assert told(tmp_path / "out")["kind"] == "revolute"
+
+
+def test_the_beginning_of_a_pull_is_not_enough_and_no_none(tmp_path: Path) -> None:
+    """Ten samples on two centimetres: a handle at rest leaves too much of them, a slide or a hinge does not."""
+    rng = np.random.default_rng(1)
+    a = np.linspace(0.0, 0.06, 10)
+    p = 0.35 * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1) + rng.normal(0.0, 5e-4, (10, 3))
+    np.savetxt(tmp_path / "begun.txt", p)
+    assert run(["articulate", str(tmp_path / "begun.txt"), "--out", str(tmp_path / "out")]) == 0
+    data = told(tmp_path / "out")
+    assert (data["kind"] == "none", data["enough"]) == (False, False)
+    assert "not enough motion yet" in data["verdict"].lower()
+
+
+@pytest.mark.filterwarnings("error")
+def test_samples_that_are_all_alike_are_a_handle_at_rest(tmp_path: Path) -> None:
+    (tmp_path / "same.txt").write_text("0.5 0.1 0.2 0 0 0 1\n" * 40)
+    assert run(["articulate", str(tmp_path / "same.txt"), "--out", str(tmp_path / "out")]) == 0
+    assert told(tmp_path / "out")["kind"] == "rigid"
 
 
 def test_a_topic_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

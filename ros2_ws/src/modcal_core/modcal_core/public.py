@@ -14,6 +14,7 @@ import numpy as np
 
 from modcal_core import evaluation, loop
 from modcal_core.articulation.choice import Choice, choose
+from modcal_core.articulation.quaternion_order import require_order
 from modcal_core.articulation.track import Track
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
@@ -156,9 +157,13 @@ def articulate(track: Track, seed: int = 0) -> Choice:
     ``kind`` is "none" where the best of them leaves more than furniture and tracking do; a pull of two motions is then
     cut into ``phases``. ``enough`` says whether to rely on the kind: it is probable, good enough, and predicts.
 
-    track: positions or poses of the handle. seed: of the samples that first guesses are made from.
+    track: positions or poses of the handle. seed: of the samples that first guesses are made from. Raises BadRecording
+    where rotations would follow the handle if their quaternions were w x y z.
     """
-    return sealed(choose(track, np.random.default_rng(seed)))
+    rng = np.random.default_rng(seed)
+    choice = choose(track, rng)
+    require_order(track, choice, rng)
+    return sealed(choice)
 
 
 def plan(

@@ -68,6 +68,7 @@ def status_values(state: TrackerState) -> dict[str, str]:
         "off_m": f"{state.off_m:.6f}",
         "samples": str(state.samples),
         "apart_m": f"{state.apart_m:.6f}",
+        "path_m": f"{state.path_m:.6f}",
         "rotations": "handle" if state.follows else "grasp",
         **{f"probability_{kind}": f"{p:.4f}" for kind, p in state.probabilities.items()},
     }

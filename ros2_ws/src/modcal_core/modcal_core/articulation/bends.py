@@ -16,11 +16,11 @@ from modcal_core.geometry.so3 import Array
 
 _DEGREE = 5  # of the bend, a polynomial along the path: two waves, longer than what is alike within a hand's width
 _PARAMETERS = 6  # of a circle in space
-# of the usual play: what the joint must leave beside noise for a bend to be thought of, as for two motions
-_WORTH = 0.5
+# m: what the joint must leave beside noise for a bend to be thought of, half the usual play, as for two motions
+WORTH = 0.5 * float(np.exp(PLAY[0]))
 _SURELY = 4.0  # deviations by which what is left must be more than noise
-_VANISHES = 0.04  # of its squares may stay: less than half of what the smoothest of 47 real tracks keeps
-_CAP = 0.03  # m: samples farther off are outliers
+VANISHES = 0.04  # of its squares may stay: less than half of what the smoothest of 47 real tracks keeps
+CAP = 0.03  # m: samples farther off are outliers
 
 
 def bend_explains(track: Track, left: Array, along: Array) -> str:
@@ -28,7 +28,7 @@ def bend_explains(track: Track, left: Array, along: Array) -> str:
 
     left (n, 3): what the joint leaves of positions [m]. along (n,): configurations of the samples.
     """
-    near = np.linalg.norm(left, axis=1) < _CAP
+    near = np.linalg.norm(left, axis=1) < CAP
     e, a = left[near], along[near]
     n, coefficients = len(e), 2 * (_DEGREE + 1)  # of the two directions across the path
     if 2 * n <= 2 * (_PARAMETERS + coefficients) or not float(np.ptp(a)) > 0.0:
@@ -38,8 +38,8 @@ def bend_explains(track: Track, left: Array, along: Array) -> str:
     noise = white(track.positions) ** 2
     one = float((e * e).sum()) / (2 * n - _PARAMETERS) - noise
     two = float((rest * rest).sum()) / (2 * n - _PARAMETERS - coefficients) - noise
-    worth = (_WORTH * float(np.exp(PLAY[0]))) ** 2 / 2.0
-    if one <= max(worth, _SURELY * noise / np.sqrt(n)) or two > _VANISHES * one:
+    worth = WORTH**2 / 2.0
+    if one <= max(worth, _SURELY * noise / np.sqrt(n)) or two > VANISHES * one:
         return ""
     return (
         f"a smooth bend leaves {1e3 * np.sqrt(2.0 * max(two, 0.0)):.1f} mm beside noise where it leaves "

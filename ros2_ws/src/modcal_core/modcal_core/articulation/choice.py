@@ -222,13 +222,19 @@ def _still(
     fits: dict[Kind, JointFit],
     models: Sequence[ArticulationModel],
 ) -> Choice:
-    """All samples but gross ones lie within a few nodes: nothing moved, or too little to tell how."""
+    """All samples but gross ones lie within a few nodes: nothing moved, or too little to tell how.
+
+    What has moved by a few centimetres is none of the joint types only where all of them leave too much, not where a
+    handle at rest would.
+    """
     rigid = still(2.0 * kept.extent())
     probabilities: dict[Kind, float] = {STILL.name: rigid}
     for kind, log_share in log_shares(models).items():
         probabilities[kind] = (1.0 - rigid) * float(np.exp(log_share))
-    best = max(probabilities, key=lambda kind: probabilities[kind])
-    left = misfit(fits[best], track, noise)
+    ranked = sorted(probabilities, key=lambda kind: -probabilities[kind])
+    lefts = {kind: misfit(fits[kind], track, noise) for kind in ranked}
+    best = next((kind for kind in ranked if not lefts[kind].fails), ranked[0])
+    left = lefts[best]
     why = _why(probabilities, fits[best], left, "", track)
     enough = probabilities[best] >= SURE and not left.fails
     return Choice(probabilities, fits[best], enough, why, fits, True, float(PLAYS[2]), left)

@@ -25,6 +25,7 @@ _NOISE = 3.0  # deviations of white noise beside it
 _COUNTED = 0.9  # of the samples, those that fit best
 _GROSS = 0.25  # share of samples beyond the limits that outliers may have
 _SMOOTH = 5  # samples of a median along the path
+_NOTHING = 1e-9  # m, rad: far below what anything measures
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,9 @@ def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
 
 
 def scales(found: JointFit) -> tuple[float, float]:
-    """Scatter of one sample [m, rad], 1 rad where no rotations were seen."""
-    return found.sigma_position, found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
+    """Scatter of one sample [m, rad], 1 rad where no rotations were seen; never 0, as that of samples all alike is."""
+    turn = found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
+    return max(found.sigma_position, _NOTHING), max(turn, _NOTHING)
 
 
 def rms(sizes: Array) -> float:

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modcal_core.articulation.bend_check import BendCheck
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.misfit import NONE, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
@@ -40,6 +41,8 @@ class TrackerSettings:
     """ahead_m, ahead_rad: how far ahead a prediction must be right, whichever is less. tolerance_m: and how right.
 
     still_m: what a pulled handle moves by while it counts as not moving, within still_s. nodes: most of them.
+    trust_after_m: path that must have been seen before a model is trusted, however well it predicts: what is no joint
+    often moves like one for two or three decimetres, and of such things fewer are trusted the longer one waits.
     """
 
     ahead_m: float = 0.05
@@ -48,6 +51,7 @@ class TrackerSettings:
     still_m: float = 3e-3
     still_s: float = 1.0
     nodes: int = 12
+    trust_after_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class TrackerState:
     path).
     follows: whether rotations are the object's; else they are the grasp's. apart_m: way from one pose to the next, the
     usual one [m]; sparse: whether that is too much to learn from. left: what the best kind leaves of the path so far
-    (m, rad), nan before it is known.
+    (m, rad), nan before it is known. path_m: length of the path that was seen since the start, or since it was left.
     """
 
     kind: Kind
@@ -77,6 +81,7 @@ class TrackerState:
     apart_m: float = 0.0
     sparse: bool = False
     left: tuple[float, float] = (math.nan, math.nan)
+    path_m: float = 0.0
 
     @property
     def silent(self) -> bool:
@@ -114,6 +119,7 @@ class Tracker:
         self._selector = ModelSelector()
         self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)
         self._share = ShareCheck(chosen.tolerance_m)
+        self._bend = BendCheck(self._share.stretches)
         self._travel = Travel()
         self._two = TwoMotions()
         self._samples = 0
@@ -156,6 +162,7 @@ class Tracker:
             self._travel.come(q, self._selector.scale[0])
             self._two.come(q, self._selector.scale[0])
             self._share.come(q, motion, self._selector.scale[0])
+            self._bend.come(motion)
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
             for _ in range(self._travel.thoughts() if self._nodes.k >= FEWEST else 0):
@@ -291,13 +298,13 @@ class Tracker:
         motion = selector.motion
         left = self._left
         apart = self._travel.step[0]
-        sparse = apart > _SPARSE * self.settings.ahead_m
+        sparse, path = apart > _SPARSE * self.settings.ahead_m, self._share.stretches.path
         if motion is None or selector.kind == STILL.name:
             return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         apart_m=apart, sparse=sparse, left=left)  # fmt: skip
+                         apart_m=apart, sparse=sparse, left=left, path_m=path)  # fmt: skip
         if self._none:
             return TrackerState(NONE, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         selector.follows, apart, sparse, left)  # fmt: skip
+                         selector.follows, apart, sparse, left, path)  # fmt: skip
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
@@ -305,10 +312,11 @@ class Tracker:
         model, seen = self._zero[1], p
         if R is not None and selector.follows:
             seen = posed(R, p)
-        trusted = self._check.trusted and not self._share.fails
+        trusted = self._check.trusted and not (self._share.fails or self._bend.found)
+        trusted = trusted and path >= self.settings.trust_after_m
         a = float(model.configuration(seen))
         return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
-                     selector.follows, apart, sparse, left)  # fmt: skip
+                     selector.follows, apart, sparse, left, path)  # fmt: skip
 
 
 def _went_on(

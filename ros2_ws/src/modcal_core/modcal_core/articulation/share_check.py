@@ -33,19 +33,22 @@ _LEAST = 3  # stretches that are asked
 
 
 class ShareCheck:
-    """fails: whether the model from three fifths of the path misses the rest, as of the last question."""
+    """fails: whether the model from three fifths of the path misses the rest, as of the last question.
+
+    stretches: the path so far.
+    """
 
     def __init__(self, tolerance_m: float) -> None:
         self.fails = False
         self._tolerance = tolerance_m
-        self._stretches = Stretches()
+        self.stretches = Stretches()
         self._kept: list[tuple[float, AxisMotion | None]] = []
         self._every, self._asked = _KEPT_EVERY, 0.0
 
     def come(self, p: Array, motion: AxisMotion | None, noise: float) -> None:
         """Take a position (3,) [m] and the motion that is believed there. noise: of one position, on an axis [m]."""
-        self._stretches.come(p, noise)
-        path = self._stretches.path
+        self.stretches.come(p, noise)
+        path = self.stretches.path
         if not self._kept or path - self._kept[-1][0] >= self._every:
             if len(self._kept) == _MOST:
                 self._kept, self._every = self._kept[::2], 2.0 * self._every
@@ -56,7 +59,7 @@ class ShareCheck:
 
     def _ask(self, path: float, now: AxisMotion | None, noise: float) -> None:
         way, motion = next((kept for kept in reversed(self._kept) if kept[0] <= _FITTED * path), (0.0, None))
-        points = self._stretches.beyond(way)
+        points = self.stretches.beyond(way)
         if motion is None or len(points) < _LEAST:
             return
         if path < _WHOLE and now is not None and now.kind != motion.kind:

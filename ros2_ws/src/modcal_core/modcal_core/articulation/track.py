@@ -16,6 +16,7 @@ _UNIT = 0.02  # by which the length of a quaternion may be off 1
 RIGID = 1e-3  # by which a rotation matrix may be off one
 _MOST_OF, _MANY = 0.98, 50  # share of samples that an extent is taken of, where there are more than so many
 FARTHEST = 50.0  # m from the frame's origin; beyond, the unit is not metres or the reading is no arm's
+_WIDEST = 5.0  # m from the middle of the track: a gate of 10 m; beyond, a handle was seen in centimetres or millimetres
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,9 @@ class Track:
             raise BadRecording("track, positions", f"{farthest:.4g} m from the origin, {FARTHEST:g} m is allowed",
                                "give metres, not millimetres")  # fmt: skip
         object.__setattr__(self, "positions", p)
+        if float(np.ptp(p, axis=0).max()) > _WIDEST and self.extent() > _WIDEST:
+            raise BadRecording("track, positions", f"lie {self.extent():.4g} m about their middle, {_WIDEST:g} m is "
+                               "allowed", "give metres, not centimetres or millimetres")  # fmt: skip
         if self.rotations is not None:
             object.__setattr__(self, "rotations", _rotations(self.rotations, n))
         if self.stamps is not None:

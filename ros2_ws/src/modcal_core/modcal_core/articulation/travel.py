@@ -17,6 +17,7 @@ _NOISE = 4.0  # deviations of noise on an axis from mark to mark, where that is 
 _PER_THOUGHT = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, gives one thought to a pose
 _MOST = 60  # thoughts at one pose, some 40 ms: more than a whole round
 _AHEAD = 5.0  # thoughts that may be had before they are owed
+_LATER = round(_MARK / _PER_THOUGHT)  # thoughts that may be had a pose or some later
 _STEPS = 7  # of the last poses, whose median is the usual step
 
 
@@ -48,7 +49,12 @@ class Travel:
             self._owed += far / _PER_THOUGHT
 
     def thoughts(self, least: int = 1) -> int:
-        """How many are due at this pose: so many at least, and what the way since the last pays for."""
-        due = min(max(round(self._owed), least), _MOST)
+        """How many are due at this pose: so many at least, and what the way since the last pays for.
+
+        No more than the usual step from pose to pose pays for, where no more than from mark to mark stays owed: what
+        falls due at a mark is spread over the poses up to the next one.
+        """
+        owed, usual = round(self._owed), math.ceil(self.step[0] / _PER_THOUGHT)
+        due = min(max(min(owed, usual), owed - _LATER, least), _MOST)
         self._owed = max(self._owed - due, -_AHEAD)
         return due

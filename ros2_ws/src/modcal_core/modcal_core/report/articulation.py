@@ -239,6 +239,9 @@ def _draw_path(axes: Axes, found: Articulation) -> None:
     if (point := fit.model.centre()) is not None:
         centre = (point - middle) @ plane
         axes.plot(1e3 * centre[0], 1e3 * centre[1], "+", ms=8.0, color=LIGHT["after"])
-    axes.set_aspect("equal", adjustable="datalim")
+    still = float(np.ptp(flat, axis=0).max()) < 1e-6
+    if still:  # a picture needs some width
+        axes.set(xlim=(-1.0, 1.0), ylim=(-1.0, 1.0))
+    axes.set_aspect("equal", adjustable="box" if still else "datalim")
     label(axes, "along the path, mm", "across it, mm")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=2)

@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from modcal_core.articulation.choice import choose
+from modcal_core.articulation.quaternion_order import require_order
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.geometry import se3
@@ -99,7 +100,10 @@ def articulate_command(
         track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
     with output.working() as watch:
         watch("weighing the kinds of joint")
-        choice = choose(track, np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        choice = choose(track, rng)
+        with about(str(bag)):
+            require_order(track, choice, rng)
     found = Articulation(bag.name, read.frame, track, choice)
     out = out or Path(f"{bag.resolve().stem}_articulation")
     data, files, said = write_articulation(found, out)

@@ -61,7 +61,11 @@ class ArticulationEstimator(GuardedNode):
                 f"parameter input {chosen['input']!r}", "is not an input", f"use {_JOINTS}, {', '.join(_POSES)}"
             )
         follow(self, ARTICULATION_ESTIMATOR, chosen)
-        self._tracker = Tracker(TrackerSettings(tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"]))
+        self._tracker = Tracker(
+            TrackerSettings(
+                tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"], trust_after_m=chosen["trust_after_m"]
+            )
+        )
         self._chain: Chain | None = None
         self._joints: JointInput | None = None
         self._names: frozenset[str] = frozenset()

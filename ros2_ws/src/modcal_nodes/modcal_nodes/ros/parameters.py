@@ -96,6 +96,9 @@ ARTICULATION_ESTIMATOR = {
     "model_hz": Parameter(10.0, "The object's description is published at most this often [Hz].", 0.1, 100.0),
     "timeout_s": Parameter(0.5, "Age at which joint states are too old [s].", 0.01, 10.0),
     "tolerance_m": Parameter(4e-3, "Prediction error below which a model is trusted [m].", 1e-4, 0.05),
+    "trust_after_m": Parameter(
+        0.0, "Path that must be seen before a model is trusted [m]; 0: as soon as it has predicted.", 0.0, 10.0
+    ),
     "lookahead_m": Parameter(0.05, "Distance of the expected pose ahead along the path [m].", 1e-3, 0.5),
     "still_m": Parameter(
         3e-3, "Motion of a pulled handle in one second below which it counts as stuck [m].", 1e-4, 0.05
