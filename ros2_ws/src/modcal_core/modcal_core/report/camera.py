@@ -39,7 +39,9 @@ from modcal_core.verdict.tolerance import Tolerance
 _TOLD_BY = {
     "lens": " Images of the board tilted, near, and in every corner of the image tell it.",
     "print scale": " A calliper on its rulers tells it.",
+    "size of the body": " A calliper across it tells it.",
 }
+_OF_BODY = {"print scale": "size of the body", "lens": "lenses", "places of markers": "where the markers are"}
 _MOSTLY = 0.5  # of the squared error at the tool
 _WORTH = 0.1  # share of the squared error at the tool that knowing something exactly would take away, to be named
 
@@ -231,13 +233,15 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
             f"error at the tool would still be {1e3 * without**0.5:.2f} mm RMS and not {1e3 * every**0.5:.2f} mm. More "
             "images, a larger target, a nearer camera or more pixels tell more."
         )
+    body = solution.fit.table.places > 0
     for name, (whole, known) in sorted(solution.shares.items(), key=lambda s: s[1][1]):
         if name == ALL_BUT_IMAGES:
             continue
         if whole - known > _WORTH * whole:
+            what = _OF_BODY.get(name, name) if body else name
             out.append(
-                f"{name.capitalize()}: were it known exactly, the error at the tool would be "
-                f"{1e3 * known**0.5:.2f} mm RMS and not {1e3 * whole**0.5:.2f} mm.{_TOLD_BY.get(name, '')}"
+                f"{what.capitalize()}: were it known exactly, the error at the tool would be "
+                f"{1e3 * known**0.5:.2f} mm RMS and not {1e3 * whole**0.5:.2f} mm.{_TOLD_BY.get(what, '')}"
             )
     return tuple(out)
 
