@@ -21,6 +21,7 @@ POSTURES, SEED = 45, 21
 
 
 def main() -> None:
+    """Write the files."""
     drawing = measured(icosahedron())
     s = body_scene(SEED, POSTURES, 2, Faults(late=1), drawing=drawing)
     numbers = [m.id for m in drawing.markers]

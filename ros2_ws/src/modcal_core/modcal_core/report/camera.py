@@ -17,7 +17,6 @@ from modcal_core.camera.causes import CameraCause
 from modcal_core.camera.corners import READOUT
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.lens import DISTORTIONS, Lens
-from modcal_core.camera.several import FurtherSeen
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
 from modcal_core.camera.weakness import ALL_BUT_IMAGES
@@ -27,6 +26,7 @@ from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.report.as_json import FORMAT, tolerance_data
 from modcal_core.report.camera_body import body_data, body_notes
+from modcal_core.report.camera_parts import further_data, moved_data, rests_on_data
 from modcal_core.report.contents import STAGES
 from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.report.trace import Trace
@@ -156,7 +156,7 @@ def camera_report(
             "because": list(decision.because),
             "chance_worse": decision.chance_worse,
             "metric": list(solution.metric),
-            "rests_on_size": _rests_on(solution),
+            "rests_on_size": rests_on_data(solution),
             "mounting": "tip" if fit.poses.camera_on_tip else "world",
             "rival_mounting": float(solution.mounting.rival),
             "target": solution.target.label,
@@ -186,7 +186,7 @@ def camera_report(
             "body": body_data(solution),
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
             "readout_s": {"value": fit.state.readout_s, "std": float(std[R])} if std[R] > 0.0 else None,
-            "moved": None if solution.moved is None else _moved(solution),
+            "moved": None if solution.moved is None else moved_data(solution),
             "account_mm2": [
                 {"what": name, "value": 1e6 * (whole - known)}
                 for name, (whole, known) in solution.shares.items()
@@ -197,7 +197,7 @@ def camera_report(
                 {"place": one.place, "softer_than": 1.0 / one.least, "at_tool_mm": 1e3 * one.at_tool_m}
                 for one in solution.hidden
             ],
-            "further": [_further(one) for one in solution.further],
+            "further": [further_data(one) for one in solution.further],
         },
         "parameters": [
             {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
@@ -366,49 +366,6 @@ def _errors(error: ToolError) -> dict[str, Any]:
     return {
         "calibrated": dict(zip(names, (1e3 * x for x in error.interval), strict=True)),
         "nominal": dict(zip(names, (1e3 * x for x in error.nominal_interval), strict=True)),
-    }
-
-
-def _moved(solution: CameraSolution) -> dict[str, Any]:
-    moved = solution.moved
-    assert moved is not None
-    what = "target" if moved.in_world == solution.fit.poses.camera_on_tip else "camera"
-    return {
-        "what": what,
-        "before_image": solution.fit.table.names[moved.at],
-        "shift_mm": 1e3 * moved.shift_m,
-        "turn_deg": float(np.degrees(moved.turn_rad)),
-        "focal_percent": 100.0 * moved.focal,
-    }
-
-
-def _further(one: FurtherSeen) -> dict[str, Any]:
-    """A further camera."""
-    lens = one.state.lens
-    return {
-        "name": one.name,
-        "mounting": "tip" if one.mounting.camera_on_tip else "world",
-        "target": one.target.label,
-        "images": {"given": one.given, "used": one.used, "left_out": one.left_out},
-        "rms_px": one.rms_px,
-        "lens": {
-            name: {"value": float(lens.values[i]), "std": float(one.std[i])}
-            for i, name in enumerate(lens.names)
-            if lens.used[i]
-        },
-        "clock_s": one.state.offset_s,
-        "readout_s": one.state.readout_s,
-    }
-
-
-def _rests_on(solution: CameraSolution) -> dict[str, float] | None:
-    rests = solution.rests_on
-    if rests is None:
-        return None
-    return {
-        "images_percent": 100.0 * rests.images_std,
-        "mm_per_percent": 10.0 * rests.per_unit_m,
-        "if_wrong_high95_mm": 1e3 * rests.if_wrong_m,
     }
 
 
