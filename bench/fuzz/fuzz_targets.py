@@ -24,7 +24,8 @@ from mcap_cases import parts, spoilt_bytes
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration, from_data, to_data
-from modcal_core.camera.target_file import target_from_data
+from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.target_file import any_target_from_data, target_from_data
 from modcal_core.correction.correction import Correction
 from modcal_core.effects.effect import JOINTS, Effect
 from modcal_core.effects.shapes import Shape
@@ -54,6 +55,7 @@ from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.types import message_class
 from modcal_nodes.calibrating.standing import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
+from modcal_nodes.vision.corner_table import corners_of_text
 from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import joints_of_text, lens_from_data
 
@@ -386,6 +388,17 @@ PRINTED = {
     "rulers": {"x_m": 0.21, "y_m": 0.15, "measured_x_m": 0.209, "measured_y_m": 0.1501, "measured_std_m": 1e-4},
 }  # fmt: skip
 KALIBR = {"target_type": "aprilgrid", "tagCols": 6, "tagRows": 6, "tagSize": 0.088, "tagSpacing": 0.3}
+BODY = {
+    "modcal_target": 1, "type": "bundle", "name": "block", "tolerance_m": 1e-3, "tolerance_normal_m": 2e-4,
+    "tolerance_rad": 0.01, "size_tolerance": 5e-4, "print_tolerance": 0.01, "corner_order": ["ul", "ur", "lr", "ll"],
+    "markers": [
+        {"id": 1, "size_m": 0.04, "xyz": [0.0, 0.0, 0.09], "rpy": [0.0, 0.0, 0.0]},
+        {"id": 2, "size_m": 0.04, "xyz": [0.09, 0.0, 0.0], "quaternion": [0.0, 0.6, 0.0, 0.8]},
+    ],
+    "points": [{"id": 30, "xyz": [0.0, 0.05, 0.0]}],
+}  # fmt: skip
+TAGS = {"tag_bundles": [{"name": "block", "layout": [{"id": 1, "size": 0.04, "x": 0.1, "qw": 1.0}]}]}
+CORNERS = {"rows": [["image", "marker", "corner", "u", "v", "width", "height"], ["1", 1, 0, 10, 20, 640, 480]]}
 CAMERA = {
     "image_width": 640, "image_height": 480, "distortion_model": "plumb_bob",
     "camera_matrix": {"data": [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]},
@@ -400,6 +413,12 @@ def _csv(data: Any) -> str:
         ",".join(map(str, row)) if isinstance(row, list) else str(row)
         for row in (rows if isinstance(rows, list) else [])
     )
+
+
+def _body(data: Any) -> Any:
+    """What a fit asks of a body."""
+    target = any_target_from_data(data, "target.yaml")
+    return target.place_prior() if isinstance(target, MarkerBundle) else target.points
 
 
 def other_files_target() -> Target:
@@ -420,6 +439,10 @@ def other_files_target() -> Target:
     plan = {"modcal_plan": 1, "joints": list(chain.names), "stations": [{"position": [0.0] * 6}] * 3}
     readers["printed target"] = PRINTED, lambda data: target_from_data(data, "target.yaml")
     readers["kalibr target"] = KALIBR, lambda data: target_from_data(data, "aprilgrid.yaml")
+    readers["body"] = BODY, _body
+    readers["tag bundles"] = TAGS, _body
+    body = any_target_from_data(BODY, "target.yaml")
+    readers["corners"] = CORNERS, lambda data: corners_of_text(_csv(data), body, "corners.csv")
     readers["camera_info"] = CAMERA, lambda data: lens_from_data(data, "camera.yaml")
     rows = {"rows": [["image", "a", "b"], ["1.png", 0.1, 0.2], ["2.png", "0.3", 1e-3], ["3.png", -1, 2]]}
     readers["joints"] = rows, lambda data: joints_of_text(_csv(data), ("a", "b"), "joints.csv")

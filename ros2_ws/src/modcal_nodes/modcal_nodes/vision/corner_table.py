@@ -50,7 +50,7 @@ def read_corner_tables(
     folder. sizes: of the images by camera, "" for any, where the table has none. Raises ModcalError.
     """
     source = str(file)
-    rows = _rows(file, target)
+    rows = corners_of_text(text_of(file), target, source)
     table = joints_of_text(text_of(joints), names, str(joints))
     out = {}
     for camera in dict.fromkeys(row.camera for row in rows):
@@ -101,10 +101,12 @@ def _folder(
     return ImageFolder(tuple(views), q, velocity, size, left_out, notes=tuple(dict.fromkeys(notes)))
 
 
-def _rows(file: Path, target: PrintedTarget | MarkerBundle) -> list[_Row]:
-    """The rows of a table. Raises ModcalError."""
-    source = str(file)
-    rows = list(csv.reader(text_of(file).splitlines()))
+def corners_of_text(text: str, target: PrintedTarget | MarkerBundle, source: str) -> list[_Row]:
+    """The rows of a table of corners in a text, checked. Raises ModcalError, naming the source."""
+    try:
+        rows = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise BadTable(source, f"is not CSV ({error})", "give columns with commas between") from error
     header = [cell.strip() for cell in rows[0]] if rows else []
     missing = [name for name in _COLUMNS if name not in header]
     missing += [] if {"id", "marker"} & set(header) else ["id"]
