@@ -8,6 +8,7 @@ import pytest
 from camera.boards import BOARD, LENS, SIZE, facing, seen, views
 from finite_differences import assert_jacobian
 
+from modcal_core.camera.clean import enough_corners
 from modcal_core.camera.corners import CornerTable, corner_rows, residuals
 from modcal_core.camera.homography import homography
 from modcal_core.camera.intrinsics import first_lens, fit_lens
@@ -154,3 +155,21 @@ def test_a_fisheye_is_found_from_images_alone(rng: np.random.Generator) -> None:
     std = np.sqrt(np.diag(fit.cov))[used]
     assert (np.abs(fit.lens.values - WIDE.values)[used] < 4.0 * std).all()
     assert fit.lens.values[0] == pytest.approx(340.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("ids", "enough"),
+    [
+        ([0, 1, 6, 7], True),
+        ([0, 1, 6, 8], True),
+        ([1, 3, 8, 21], True),
+        ([0, 1, 6], False),
+        ([0, 1, 2, 3, 4, 5], False),  # a row
+        ([0, 1, 2, 8], False),  # three on a line and one: no homography goes through them alone
+        ([2, 3, 7, 12], False),  # the same along a diagonal
+        ([0, 1, 2, 3, 4, 5, 9], False),
+        ([0, 1, 2, 3, 4, 5, 8, 9], True),
+    ],
+)
+def test_corners_that_fix_a_pose(ids: list[int], enough: bool) -> None:
+    assert enough_corners(BOARD.points[ids]) is enough

@@ -5,6 +5,7 @@ And a positioner of two axes, whose target a camera saw.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -61,6 +62,23 @@ def test_the_board_is_found_in_all_of_them() -> None:
     counts = [len(v) for v in views]
     assert min(counts) == counts[2]  # which shows a corner of it
     assert sorted(counts)[len(counts) // 2] >= 20  # of 24
+
+
+def test_fitted_corners_agree_better_than_opencvs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a lens and a flat board, that no simulation has made."""
+    from modcal_nodes.vision import detect
+
+    def rms() -> float:
+        table = CornerTable.of([replace(v, cov=np.tile(np.eye(2), (len(v), 1, 1))) for v in read()[0]], BOARD)
+        return fit_lens(table, first_lens(table, SIZE)).rms
+
+    fitted = rms()
+    with monkeypatch.context() as patch:
+        patch.setattr(detect, "_fitted", lambda grey, target, ids, pixels, half: (pixels, np.zeros((len(ids), 2, 2))))
+        read.cache_clear()
+        opencv = rms()
+    read.cache_clear()
+    assert fitted < 0.98 * opencv
 
 
 def placed(lens: Lens | None) -> CameraFit:

@@ -14,6 +14,7 @@ _TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
 _CORNER = 6.0  # robust standard deviations: one good corner in a billion
 _IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread: more than a pixel, and than the others
 _ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
+_ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
 _VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
 LEAST_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
 
@@ -38,7 +39,8 @@ def enough_corners(points: Array) -> bool:
     scatter = off.T @ off
     without = scatter - m / (m - 1.0) * off[:, :, None] * off[:, None]
     spread = np.linalg.eigvalsh(np.concatenate([scatter[None], without]))
-    return bool((spread[:, 0] > _ONE_LINE**2 * spread[:, 1]).all())
+    width = np.sqrt(np.maximum(spread[:, 0], 0.0) / spread[:, 1])
+    return bool(width[0] > _ONE_LINE and width[1:].min() > _ALL_BUT_ONE)
 
 
 def bad_images(table: CornerTable, rms_px: Array) -> np.ndarray:

@@ -33,7 +33,7 @@ _STEPS = 6
 _MET_PX = 1e-3  # of a step: a tenth of what the noise leaves
 _SHAPE = 6  # unknowns of the edges: q, two angles, two widths of blur
 _UNKNOWNS = _SHAPE + 4  # and A, c
-_SQRT_2_PI = np.sqrt(2.0 / np.pi)
+_SQRT_2_PI = np.sqrt(2.0 / np.pi)  # of the Gaussian that erf adds up
 
 
 @dataclass(frozen=True)
