@@ -7,9 +7,9 @@ from textwrap import fill
 
 import numpy as np
 
-from modcal_core.report.figures import in_decades, label, small
-from modcal_core.report.page import Chart, chart
-from modcal_core.report.palette import AFTER, BAD, LIGHT, SOFT, WARN
+from modcal_core.report.page import Chart
+from modcal_core.report.palette import AFTER, BAD, INK, LIGHT, SOFT, WARN
+from modcal_core.report.plots import chart, in_decades, line_size, plot, with_margin
 from modcal_core.verdict.verdict import Row, Verdict
 
 EFFECT = "effect:"
@@ -88,45 +88,33 @@ def _line(row: Row, total: float, known: bool) -> Line:
 
 
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
-    """A bar a row on a logarithmic axis, hatched where negative, with whiskers for the interval."""
+    """A bar a row on a logarithmic axis, outlined where negative, with whiskers for the interval."""
+    import lets_plot as lp
+
     names = [fill(line.words, _LETTERS) for line in lines]
-    rows = [name.count("\n") + 1 for name in names]
-    height = 0.6 + 0.2 * len(lines) + 0.1 * sum(rows)
+    high = 62 + 21 * len(lines) + 11 * sum(name.count("\n") + 1 for name in names)
     longest = max(len(part) for name in names for part in name.split("\n"))
-    figure, axes = small(3.4 + 0.075 * longest, height, left=0.3 + 0.07 * longest)
     most = max(abs(line.value) for line in lines) or 1.0
     least = _MIN_DECADE * most
+    ends = with_margin(0.5 * least, max([most, *(line.ci95[1] for line in lines if line.ci95)]), 0.02)
+    drawn = plot(362 + 8 * longest, high, f"squared error, {unit}²", "")
     for k, line in enumerate(lines):
         if not line.value:
             continue
-        tone = LIGHT[line.colour]
-        hatched = line.value < 0.0
-        axes.barh(
-            k,
-            max(abs(line.value), least) - 0.5 * least,
-            left=0.5 * least,
-            height=0.62,
-            fill=not hatched,
-            hatch="////" if hatched else "",
-            facecolor=tone,
-            edgecolor=tone,
-            linewidth=0.8,
-        )
-        if line.ci95 is not None and not hatched:
-            ends = [max(end, least) for end in line.ci95]
-            axes.plot(ends, [k, k], "|-", ms=5.0, lw=1.0, color=LIGHT["ink"])
-    axes.set_xscale("log")
-    axes.minorticks_off()
-    in_decades(axes.xaxis)
-    axes.set_yticks(range(len(lines)), names, fontsize=7.5)
-    axes.set_ylim(len(lines) - 0.5, -0.5)
-    axes.spines["left"].set_visible(False)
-    axes.tick_params(axis="y", length=0)
-    label(axes, f"squared error, {unit}²", "")
+        tone, outlined = LIGHT[line.colour], line.value < 0.0
+        bar = {"xmin": 0.5 * least, "xmax": max(abs(line.value), least), "ymin": k - 0.31, "ymax": k + 0.31}
+        drawn += lp.geom_rect(**bar, fill="rgba(0,0,0,0)" if outlined else tone, color=tone, size=line_size(1.2))
+        if line.ci95 is not None and not outlined:
+            low, top = (max(end, least) for end in line.ci95)
+            drawn += lp.geom_errorbar(y=k, xmin=low, xmax=top, width=0.4, color=LIGHT[INK], size=line_size(1.3))
+    drawn += lp.scale_x_log10(limits=list(ends), expand=[0, 0], **in_decades(*ends))
+    rows = list(range(len(lines)))
+    drawn += lp.scale_y_reverse(limits=[-0.5, len(lines) - 0.5], expand=[0, 0], breaks=rows, labels=names)
+    drawn += lp.theme(axis_line_y=lp.element_blank(), axis_ticks_y=lp.element_blank())
     said = "; ".join(f"{line.words} {line.value:.3g}" for line in lines)
     alt = f"Account of the squared error of the nominal model in {unit}²: {said}."
     words = (
-        "Contributions to the squared error of the nominal model, on a logarithmic axis. Hatched: negative. "
+        "Contributions to the squared error of the nominal model, on a logarithmic axis. Outlined: negative. "
         "Whiskers: 95 % interval."
     )
-    return chart(figure, f"account-{unit}", alt, words)
+    return chart(drawn, f"account-{unit}", alt, words)

@@ -14,16 +14,19 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.effect_tables import number
-from modcal_core.report.figures import MOST_POINTS, label, small
+from modcal_core.report.figures import MOST_POINTS
 from modcal_core.report.object_scene import ObjectScene, object_scene
-from modcal_core.report.page import Chart, PageTable, as_script_data, chart, render
-from modcal_core.report.palette import LIGHT, OF_AXES
+from modcal_core.report.page import Chart, PageTable, as_script_data, render
+from modcal_core.report.palette import AFTER, BEFORE, LIGHT, OF_AXES
+from modcal_core.report.plots import CIRCLE, SQUARE, TRIANGLE, chart, columns, limits_to_scale, line_size, plot
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from lets_plot.plot.core import PlotSpec
 
 _UNITS = {"rad": ("°", float(np.degrees(1.0))), "m": ("mm", 1e3), "1": ("", 1.0)}  # how people read them
 _MOST_LEFT = 0.05  # m; what is farther is no residual of a joint, and would flatten the chart
+_SIZE = (362, 310)  # px
+_RATIO = 1.35  # width to height of what is between the axes, about
 
 
 @dataclass(frozen=True)
@@ -192,31 +195,17 @@ def _component(std: dict[str, Any], name: str, k: int) -> float | None:
 
 def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
     """The path in its own plane, and what is left along it."""
-    fit = found.choice.fit
-    figure, axes = small(3.4, 2.9)
-    _draw_path(axes, found)
     path = chart(
-        figure,
+        _path(found),
         "path",
         f"The measured path and that of a {data['best']} joint, in the plane of the path.",
         "The measured path as dots, that of the joint as a line, in the plane of the path; a cross is its axis.",
     )
     left, _ = _left(found)
-    unit, scale = _UNITS[data["configuration"]["unit"]]
     shown = np.linalg.norm(left, axis=1) < _MOST_LEFT
-    figure, axes = small(3.4, 2.9)
-    for k, (colour, marker) in enumerate(zip(OF_AXES, "o^s", strict=True)):
-        x, y = scale * fit.configurations[shown], 1e3 * left[shown, k]
-        rows = spread_rows(len(x), MOST_POINTS // 3)
-        axes.plot(x[rows], y[rows], marker, ms=2.8, mfc="none", mew=0.7, color=LIGHT[colour], label="xyz"[k])
-    if shown.any():  # a few gross outliers do not stretch it
-        reach = 1.15e3 * max(float(np.percentile(np.abs(left[shown]), 99.5)), 1e-6)
-        axes.set_ylim(-reach, reach)
-    label(axes, f"motion of the joint, {unit}" if unit else "motion of the joint", "residual, mm")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=3)
     far = int((~shown).sum())
     residual = chart(
-        figure,
+        _along(found, left, shown, data["configuration"]["unit"]),
         "residual",
         f"Residual along the path: {data['residual_mm']['rms']:.2f} mm RMS.",
         "What the joint leaves along its motion: x, y and z in the frame of the track."
@@ -225,23 +214,54 @@ def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
     return [path, residual]
 
 
-def _draw_path(axes: Axes, found: Articulation) -> None:
+def _path(found: Articulation) -> PlotSpec:
+    """The measured path and that of the joint, in the plane of the path."""
+    import lets_plot as lp
+
     fit, p = found.choice.fit, found.track.positions
     good = _trusted(fit)
     middle = p[good].mean(axis=0)
     plane = np.linalg.svd(p[good] - middle, full_matrices=False)[2][:2].T
-    flat = (p - middle) @ plane
-    seen = flat[good][spread_rows(int(good.sum()), MOST_POINTS)]
-    axes.plot(*(1e3 * seen).T, ".", ms=3.0, color=LIGHT["before"], label="seen")
+    seen = 1e3 * ((p - middle) @ plane)[good][spread_rows(int(good.sum()), MOST_POINTS)]
     a = fit.configurations[good]
-    path = (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
-    axes.plot(*(1e3 * path).T, color=LIGHT["after"], lw=1.2, label=fit.model.kind)
+    path = 1e3 * (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
+    drawn = plot(*_SIZE, "along the path, mm", "across it, mm", "top")
+    place, every = lp.aes("x", "y", color="said"), [seen, path]
+    for layer, points, said, size in ((lp.geom_point, seen, "seen", 2.6), (lp.geom_path, path, fit.model.kind, 1.8)):
+        at = {"x": points[:, 0], "y": points[:, 1], "said": np.repeat(said, len(points))}
+        drawn += layer(place, data=columns(at), size=line_size(size))
     if (point := fit.model.centre()) is not None:
-        centre = (point - middle) @ plane
-        axes.plot(1e3 * centre[0], 1e3 * centre[1], "+", ms=8.0, color=LIGHT["after"])
-    still = float(np.ptp(flat, axis=0).max()) < 1e-6
-    if still:  # a picture needs some width
-        axes.set(xlim=(-1.0, 1.0), ylim=(-1.0, 1.0))
-    axes.set_aspect("equal", adjustable="box" if still else "datalim")
-    label(axes, "along the path, mm", "across it, mm")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.97), frameon=False, fontsize=7.5, ncols=2)
+        centre = 1e3 * (point - middle) @ plane
+        drawn += lp.geom_point(x=centre[0], y=centre[1], shape=3, color=LIGHT[AFTER], size=line_size(8.0))
+        every.append(centre[None])
+    order = ["seen", fit.model.kind]
+    key = lp.guide_legend(override_aes={"size": [1.6, 0.8], "linetype": ["blank", "solid"]})
+    drawn += lp.scale_color_manual([LIGHT[BEFORE], LIGHT[AFTER]], breaks=order, limits=order, guide=key)
+    if float(np.ptp(seen, axis=0).max()) < 1e-3:  # a picture needs some width
+        every.append(np.array([[-1.0, -1.0], [1.0, 1.0]]))
+    around = np.concatenate(every)
+    x, y = limits_to_scale(around[:, 0], around[:, 1], _RATIO)
+    drawn += lp.scale_x_continuous(expand=[0, 0]) + lp.scale_y_continuous(expand=[0, 0])
+    return drawn + lp.coord_fixed(xlim=x, ylim=y)
+
+
+def _along(found: Articulation, left: Array, shown: np.ndarray, of: str) -> PlotSpec:
+    """What the joint leaves (N, 3) [m] of the samples that are shown, along its motion in this unit."""
+    import lets_plot as lp
+
+    unit, scale = _UNITS[of]
+    rows = np.flatnonzero(shown)
+    rows = rows[spread_rows(len(rows), MOST_POINTS // 3)]
+    name = f"motion of the joint, {unit}" if unit else "motion of the joint"
+    at = np.repeat(scale * found.choice.fit.configurations[rows], 3)
+    of_axis = np.tile(list("xyz"), len(rows))
+    drawn = plot(*_SIZE, name, "residual, mm", "top", at=at, left=1e3 * left[rows].ravel(), axis=of_axis)
+    what = lp.aes("at", "left", color="axis", shape="axis")
+    drawn += lp.geom_point(what, size=line_size(3.2), stroke=line_size(1.1))
+    order = list("xyz")
+    drawn += lp.scale_color_manual([LIGHT[colour] for colour in OF_AXES], breaks=order, limits=order)
+    drawn += lp.scale_shape_manual([CIRCLE, TRIANGLE, SQUARE], breaks=order, limits=order)
+    if shown.any():  # a few gross outliers do not stretch it
+        reach = 1.15e3 * max(float(np.percentile(np.abs(left[shown]), 99.5)), 1e-6)
+        drawn += lp.coord_cartesian(ylim=[-reach, reach])
+    return drawn

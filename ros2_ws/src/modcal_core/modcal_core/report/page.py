@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-import re
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -20,11 +18,10 @@ from modcal_core.report.palette import DARK, LIGHT, TINT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from matplotlib.figure import Figure
 
     from modcal_core.report.robot_scene import RobotScene
 
-_PX = 1.48  # on the page, per point of a figure: three small charts then fill a row
+_PX = 1.48  # on the page, per point of a small chart: three then fill a row
 _NARROWEST = 300.0  # px; a wider chart is shrunk no further than 0.65 of its size, and can be moved sideways instead
 
 
@@ -46,23 +43,6 @@ class PageTable:
     rows: tuple[tuple[str, ...], ...]
     words: int = 1
     below: str = ""
-
-
-def chart(figure: Figure, name: str, alt: str, caption: str) -> Chart:
-    """The figure for a page. alt: what it shows, for those who do not see it. caption: how to read it."""
-    return Chart(name, _inline(svg(figure), name, alt), caption)
-
-
-def svg(figure: Figure) -> str:
-    """The figure as SVG text, the same bytes for the same figure."""
-    import matplotlib
-
-    # fixed ids and no date: the same report gives the same bytes
-    with matplotlib.rc_context({"svg.hashsalt": "modcal", "svg.fonttype": "none"}):
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
 
 
 def render(template: str, **values: Any) -> str:
@@ -143,27 +123,12 @@ def as_script_data(data: Any) -> str:
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
-def _inline(drawn: str, name: str, alt: str) -> str:
-    """The SVG with colours that follow the page, ids that no other picture has, and words for those who do not see."""
-    width, height = (float(x) for x in re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', drawn)[0])
-    body = drawn[drawn.index(">") + 1 :]
-    body = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
-    body = re.sub(r"<!--.*?-->", "", body, flags=re.DOTALL).replace("xlink:href", "href")
-    used = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', body))
-    body = re.sub(r' id="([^"]+)"', lambda m: f' id="{name}-{m[1]}"' if m[1] in used else "", body)
-    body = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", body)
-    body = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", body)
-    for colour, light in LIGHT.items():
-        body = body.replace(light, f"var(--{colour})")
-    body = body.replace("#000000", "var(--ink)")
-    body = re.sub(r">\s+<", "><", body)
-    body = re.sub(r' d="[^"]*"', lambda m: re.sub(r"(\d\.\d\d)\d+", r"\1", m[0]), body)  # a hundredth of a point
-    return framed(body, width, height, alt)
+def framed(body: str, width: float, height: float, alt: str, px: float = _PX) -> str:
+    """An SVG element of this width and height. body: what stands in it, and its end. px: of the page in a unit of it.
 
-
-def framed(body: str, width: float, height: float, alt: str) -> str:
-    """An SVG element of this width and height [points]. body: what stands in it, and its end. alt: see ``chart``."""
-    natural = _PX * width
+    alt: what it shows, for those who do not see it.
+    """
+    natural = px * width
     least = min(natural, max(_NARROWEST, 0.65 * natural))
     return (
         f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(alt, quote=True)}" '

@@ -1,8 +1,8 @@
 """Small charts of points against one number, written as SVG directly.
 
-A page has dozens of them, all alike: one pair of axes, a few ticks, a line at zero. Matplotlib takes some 30 ms for
-each, nearly all for ticks and the sizes of texts; as text they take one. They look as its charts do, beside which they
-stand: the same sizes, strokes, ticks and letters.
+A page has dozens of them, all alike: one pair of axes, a few ticks, a line at zero. A plotting library takes some 10 to
+30 ms for each, nearly all for ticks and the sizes of texts; as text they take one. They look as those of Lets-Plot do,
+beside which they stand: the same sizes, strokes and letters.
 """
 
 from __future__ import annotations

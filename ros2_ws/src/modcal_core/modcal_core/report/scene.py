@@ -15,19 +15,21 @@ from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.figures import label
-from modcal_core.report.page import Chart, chart
-from modcal_core.report.palette import LIGHT
+from modcal_core.report.page import Chart
+from modcal_core.report.palette import AFTER, BEFORE, INK, LIGHT, SOFT
+from modcal_core.report.plots import chart, columns, limits_to_scale, line_size, plot
 from modcal_core.robots.delta import ARMS, Delta
 from modcal_core.robots.mechanism import tool_frames
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from lets_plot.plot.core import PlotSpec
 
 MOST_ARROWS = 300
 _MOST_POSTURES = 60
 _MOST_STILL = 120  # arrows of the still picture, which cannot be turned or zoomed
 _MOST_STAGES = 7
+_WIDE, _HIGH = 386, 384  # px, either half of the still picture
+_RATIO = 1.0  # width to height of what is between its axes, about
 
 
 @dataclass(frozen=True)
@@ -103,10 +105,8 @@ def _arms(model: Model, samples: Samples) -> list[Array]:
 
 def still(drawn: ReportScene) -> Chart:
     """The same from the side and from above, for paper and where no script runs."""
-    from matplotlib.figure import Figure
+    import lets_plot as lp
 
-    figure = Figure(figsize=(7.4, 3.6))
-    places = ((0.085, 0.13, 0.41, 0.845), (0.58, 0.13, 0.41, 0.845))  # a layout that is found takes as long as drawing
     rows = spread_rows(len(drawn.points), _MOST_STILL)
     points = drawn.points[rows]
     before, after = 1e3 * drawn.stages[0][1][rows], 1e3 * drawn.stages[-1][1][rows]
@@ -114,34 +114,65 @@ def still(drawn: ReportScene) -> Chart:
     usual = float(np.percentile(np.linalg.norm(before, axis=1), 95)) or 1.0
     scale = float(f"{0.15e3 * reach / usual:.1g}")
     arm = drawn.paths[len(drawn.paths) // 2]
-    for place, (i, j), seen in zip(places, ((0, 1), (0, 2)), ("from above", "from the side"), strict=True):
-        axes = figure.add_axes(place)
-        for path in arm:
-            axes.plot(path[:, i], path[:, j], "-o", color=LIGHT["ink"], lw=2.0, ms=3.5)
-        for miss, colour, wide in ((before, "before", 0.8), (after, "after", 1.4)):
-            to = points + 1e-3 * scale * miss
-            ends = np.stack([points, to, np.full_like(to, np.nan)], axis=1).reshape(-1, 3)
-            axes.plot(ends[:, i], ends[:, j], color=LIGHT[colour], lw=wide)
-        axes.plot(points[:, i], points[:, j], ".", ms=2.0, color=LIGHT["soft"])
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.tick_params(labelsize=7.5)
-        label(axes, f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m")
-        _scale_bar(axes, scale)
+    views = [
+        _view(points, ((before, BEFORE, 1.2), (after, AFTER, 2.1)), scale, arm, axes, seen)
+        for axes, seen in (((0, 1), "from above"), ((0, 2), "from the side"))
+    ]
     alt = f"The arm and the errors of {len(points)} held-out samples, from above and from the side."
     words = (
         f"Errors are drawn {scale:g} times as long as they are: thin grey lines with the nominal model, "
         "thick blue ones with the final."
     )
-    return chart(figure, "still", alt, words)
+    return chart(lp.gggrid(views, hspace=16) + lp.ggsize(2 * _WIDE + 16, _HIGH), "still", alt, words)
 
 
-def _scale_bar(axes: Axes, scale: float) -> None:
-    """A stroke as long as a round error is drawn, in the lower left corner."""
-    axes.autoscale_view()
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    room = 0.25 * (right - left) / scale * 1e3  # mm of error
-    mm = 10.0 ** np.floor(np.log10(room))
-    mm *= max(m for m in (1.0, 2.0, 5.0) if m * mm <= room)
-    x, y = left + 0.04 * (right - left), low + 0.05 * (high - low)
-    axes.plot([x, x + 1e-3 * scale * mm], [y, y], "|-", color=LIGHT["ink"], lw=1.6, ms=5.0)
-    axes.text(x, y + 0.02 * (high - low), f"{mm:g} mm of error", fontsize=7)
+def _view(
+    points: Array,
+    misses: tuple[tuple[Array, str, float], ...],
+    scale: float,
+    arm: tuple[Array, ...],
+    axes: tuple[int, int],
+    seen: str,
+) -> PlotSpec:
+    """The arm, the points (N, 3) [m] and their misses, each (N, 3) [mm], a colour and a width, along two axes."""
+    import lets_plot as lp
+
+    i, j = axes
+    x, y = (f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m")
+    view = plot(_WIDE, _HIGH, x, y)
+    place = lp.aes("x", "y")
+    for path in arm:
+        at = columns({"x": path[:, i], "y": path[:, j]})
+        view += lp.geom_path(place, data=at, color=LIGHT[INK], size=line_size(3.0))
+        view += lp.geom_point(place, data=at, color=LIGHT[INK], size=line_size(5.2))
+    tips = [points + 1e-3 * scale * miss for miss, *_ in misses]
+    for to, (_, colour, width) in zip(tips, misses, strict=True):
+        ends = {"x": points[:, i], "y": points[:, j], "to_x": to[:, i], "to_y": to[:, j]}
+        view += lp.geom_segment(
+            lp.aes("x", "y", xend="to_x", yend="to_y"),
+            data=columns(ends),
+            color=LIGHT[colour],
+            size=line_size(width),
+        )
+    at = columns({"x": points[:, i], "y": points[:, j]})
+    view += lp.geom_point(place, data=at, color=LIGHT[SOFT], size=line_size(2.6))
+    every = np.concatenate([points, *tips, *arm])
+    (left, right), (low, high) = limits_to_scale(every[:, i], every[:, j], _RATIO)
+    mm = _round_error(0.25 * (right - left) / scale * 1e3)
+    at_x, at_y, tall = left + 0.04 * (right - left), low + 0.04 * (high - low), 0.01 * (high - low)
+    bar = {"color": LIGHT[INK], "size": line_size(2.0)}
+    end = at_x + 1e-3 * scale * mm
+    view += lp.geom_segment(x=at_x, xend=end, y=at_y, yend=at_y, **bar)
+    for side in (at_x, end):
+        view += lp.geom_segment(x=side, xend=side, y=at_y - tall, yend=at_y + tall, **bar)
+    view += lp.geom_text(
+        x=at_x, y=at_y + 0.025 * (high - low), label=f"{mm:g} mm of error", size=5.0, hjust=0, vjust=0, color=LIGHT[INK]
+    )
+    view += lp.scale_x_continuous(expand=[0, 0]) + lp.scale_y_continuous(expand=[0, 0])
+    return view + lp.coord_fixed(xlim=[left, right], ylim=[low, high])
+
+
+def _round_error(room: float) -> float:
+    """The largest round number [mm] that is no longer than this."""
+    decade = 10.0 ** np.floor(np.log10(room))
+    return float(max(m * decade for m in (1.0, 2.0, 5.0) if m * decade <= room))

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.planning.gain import NAMED
 from modcal_core.planning.study import Study
 from modcal_core.report.counted import percent
-from modcal_core.report.figures import label
-from modcal_core.report.page import PageTable, chart, plain_page, svg
-from modcal_core.report.palette import LIGHT
+from modcal_core.report.page import PageTable, plain_page
+from modcal_core.report.palette import AFTER, GOOD, INK, LIGHT, WARN
+from modcal_core.report.plots import SMALL, chart, columns, line_size, plot, svg
 from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from lets_plot.plot.core import FeatureSpec, PlotSpec
 
 _FILES = [
     ("sensitivity.json", "all numbers, for programs"),
@@ -27,7 +27,7 @@ _FILES = [
 _SAME = 1e-6  # share of an index within which it is the same at every posture
 _LISTED = 10  # parameters of a table on the page
 _PLAIN = ("gain",)  # pictures for everybody; the indices are for experts
-_ROW = 0.2  # inches of a picture, a parameter
+_ROW = 21  # px of a picture, a parameter
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
@@ -165,13 +165,13 @@ def single_csv(study: Study) -> str:
 
 def pictures(study: Study) -> dict[str, str]:
     """Names and texts of the SVG files."""
-    return {f"{name}.svg": svg(drawn) for name, (drawn, _) in _figures(study).items()}
+    return {f"{name}.svg": svg(drawn, name) for name, (drawn, _) in _plots(study).items()}
 
 
 def to_html(study: Study, title: str) -> str:
     """The study as a page: the answer, sentences, the strongest parameters, the robot, and pictures."""
     first, *others = sentences(study)
-    charts = [chart(drawn, name, words, words) for name, (drawn, words) in _figures(study).items()]
+    charts = [chart(drawn, name, words, words) for name, (drawn, words) in _plots(study).items()]
     plain = [one for one in charts if one.name in _PLAIN]
     expert = [one for one in charts if one.name not in _PLAIN]
     return plain_page(
@@ -223,7 +223,7 @@ def _robot(study: Study) -> RobotScene:
     return RobotScene(tuple(paths), tuple(said), points, np.arange(len(rows)), chain.base, alt, weights=weights)
 
 
-def _figures(study: Study) -> dict[str, tuple[Figure, str]]:
+def _plots(study: Study) -> dict[str, tuple[PlotSpec, str]]:
     return {
         "gain": (_gain(study), "Remaining RMS error when the strongest parameters are known, one after the other."),
         "indices": (
@@ -241,62 +241,78 @@ def _figures(study: Study) -> dict[str, tuple[Figure, str]]:
     }
 
 
-def _by_pose(study: Study) -> Figure:
+def _by_pose(study: Study) -> PlotSpec:
     """Relative single-point indices as a map, parameters down and postures across."""
-    from matplotlib.figure import Figure
+    import lets_plot as lp
 
     relative = study.indices.relative_single.T
-    figure = Figure(figsize=(1.5 + min(0.22 * len(study.q), 9.0), 1.2 + _ROW * len(relative)), layout="constrained")
-    axes = figure.subplots()
-    image = axes.imshow(relative, aspect="auto", cmap="viridis")
-    axes.set_yticks(range(len(relative)), study.indices.names, fontsize=7.5)
-    axes.set_xlabel(f"posture of the design {study.design}", fontsize=8)
-    axes.tick_params(labelsize=7.5)
-    bar = figure.colorbar(image, ax=axes, shrink=0.6)
-    bar.ax.tick_params(labelsize=7.5)
-    bar.set_label(f"RSFDPE, {study.indices.names[study.indices.base]} is 1", fontsize=8)
-    return figure
+    wide, high = 160 + min(23 * len(study.q), 960), 120 + _ROW * len(relative)
+    down, across = (n.ravel() for n in np.indices(relative.shape))
+    x = f"posture of the design {study.design}"
+    drawn = plot(wide, high, x, "", "right", across=across, down=down, relative=relative.ravel())
+    drawn += lp.geom_raster(lp.aes("across", "down", fill="relative"))
+    bar = lp.guide_colorbar(barheight=0.5 * high)
+    drawn += lp.scale_fill_viridis(name=f"RSFDPE,\n{study.indices.names[study.indices.base]} is 1", guide=bar)
+    drawn += lp.theme(legend_title=lp.element_text(size=SMALL)) + lp.coord_cartesian()
+    return drawn + lp.scale_x_continuous(expand=[0, 0]) + _parameters(study.indices.names)
 
 
-def _indices(study: Study) -> Figure:
+def _indices(study: Study) -> PlotSpec:
     """Multi-point indices beside the Sobol indices, one bar a parameter, with twice the standard error."""
-    from matplotlib.figure import Figure
+    import lets_plot as lp
 
-    names, y = study.indices.names, np.arange(len(study.indices.names))
-    figure = Figure(figsize=(8.0, 1.2 + _ROW * len(names)), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    low, high = study.indices.relative_single.min(axis=0), study.indices.relative_single.max(axis=0)
-    left.barh(y, study.indices.relative_multi, color=LIGHT["after"], height=0.7)
-    left.hlines(y, low, high, color=LIGHT["ink"], lw=0.8)
-    left.set_xlabel("RSFCDPE", fontsize=8)
-    for output, colour, shift in (("vector", LIGHT["after"], -0.2), ("distance", LIGHT["warn"], 0.2)):
+    row, high = np.arange(len(study.indices.names)), 120 + _ROW * len(study.indices.names)
+    low, top = study.indices.relative_single.min(axis=0), study.indices.relative_single.max(axis=0)
+    left = plot(440, high, "RSFCDPE", "", row=row, low=low, top=top)
+    bars = {"above": row - 0.35, "below": row + 0.35, "all": study.indices.relative_multi}
+    left += lp.geom_rect(
+        lp.aes(ymin="above", ymax="below", xmax="all"), data=columns(bars), xmin=0.0, fill=LIGHT[AFTER], size=0
+    )
+    left += lp.geom_segment(lp.aes("low", "row", xend="top", yend="row"), color=LIGHT[INK], size=line_size(1.2))
+    right = plot(440, high, "S_T of the error", "", "top")
+    for output, shift in (("vector", -0.2), ("distance", 0.2)):
         indices = study.variance[output]
-        bars: Array = 2.0 * indices.std_total
-        right.barh(y + shift, indices.total, 0.38, color=colour, xerr=bars, error_kw={"lw": 0.6}, label=output)
-    right.set_xlabel("S_T of the error", fontsize=8)
-    for axes in (left, right):
-        axes.tick_params(labelsize=7.5)
-        axes.spines[["top", "right"]].set_visible(False)
-    right.legend(loc="upper right", frameon=False, fontsize=7.5)
-    left.set_yticks(y, names, fontsize=7.5)
-    left.invert_yaxis()
-    return figure
+        bars = {
+            "row": row + shift,
+            "above": row + shift - 0.19,
+            "below": row + shift + 0.19,
+            "total": indices.total,
+            "low": indices.total - 2.0 * indices.std_total,
+            "top": indices.total + 2.0 * indices.std_total,
+            "output": np.repeat(output, len(row)),
+        }
+        data = columns(bars)
+        what = lp.aes(ymin="above", ymax="below", xmax="total", fill="output")
+        right += lp.geom_rect(what, data=data, xmin=0.0, size=0)
+        ends = lp.aes("low", "row", xend="top", yend="row")
+        right += lp.geom_segment(ends, data=data, color=LIGHT[INK], size=line_size(0.9))
+    right += lp.scale_fill_manual({"vector": LIGHT[AFTER], "distance": LIGHT[WARN]})
+    names = study.indices.names
+    sides = ((left, names), (right, [""] * len(names)))
+    views = [view + lp.scale_x_continuous(expand=[0, 0, 0.05, 0]) + _parameters(said) for view, said in sides]
+    return lp.gggrid(views, widths=[500, 340], hspace=16, align=True) + lp.ggsize(856, high)
 
 
-def _gain(study: Study) -> Figure:
+def _parameters(names: Sequence[str]) -> FeatureSpec:
+    """An axis of parameters with these names, down."""
+    import lets_plot as lp
+
+    ends, rows = [-0.5, len(names) - 0.5], list(range(len(names)))
+    return lp.scale_y_reverse(limits=ends, expand=[0, 0], breaks=rows, labels=list(names))
+
+
+def _gain(study: Study) -> PlotSpec:
     """The Remaining RMS error when the strongest parameters are known, one after the other."""
-    from matplotlib.figure import Figure
+    import lets_plot as lp
 
     share = np.sort(study.joint.before.share)[::-1]
     left = 1e3 * study.joint.before.rms * np.sqrt(np.maximum(1.0 - np.r_[0.0, np.cumsum(share)], 0.0))
-    figure = Figure(figsize=(4.6, 2.5), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(left, ".-", color=LIGHT["after"], ms=4)
-    axes.axhline(1e3 * study.joint.after.rms, color=LIGHT["good"], lw=1.0, label="left by the measured stations")
     large = int((share >= NAMED).sum())
-    label(axes, f"parameters known, the strongest first (a share above {percent(NAMED)}: {large})", "RMS error, mm")
-    axes.tick_params(labelsize=7.5)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.set_ylim(bottom=0.0)
-    axes.legend(loc="upper right", frameon=False, fontsize=7.5)
-    return figure
+    x = f"parameters known, the strongest first (a share above {percent(NAMED)}: {large})"
+    drawn = plot(490, 266, x, "RMS error, mm", "top", known=np.arange(len(left)), left=left)
+    drawn += lp.geom_line(lp.aes("known", "left"), color=LIGHT[AFTER], size=line_size(1.8))
+    drawn += lp.geom_point(lp.aes("known", "left"), color=LIGHT[AFTER], size=line_size(4.0))
+    rest = {"left": [1e3 * study.joint.after.rms], "said": ["left by the measured stations"]}
+    drawn += lp.geom_hline(lp.aes(yintercept="left", color="said"), data=rest, size=line_size(1.5))
+    drawn += lp.scale_color_manual([LIGHT[GOOD]])
+    return drawn + lp.scale_y_continuous(limits=[0.0, None], expand=[0, 0, 0.05, 0])

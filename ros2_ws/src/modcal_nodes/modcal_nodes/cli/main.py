@@ -155,7 +155,7 @@ _EXTRAS = {
     "dask": "dask",
 }
 # Beside ROS from apt, which has none of them, or an older one
-_PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2"}
+_PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2", "lets_plot": "lets-plot"}
 _ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_py", "rosgraph_msgs", "lifecycle_msgs")
 
 
