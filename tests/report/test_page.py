@@ -215,7 +215,7 @@ def test_a_page_with_many_effects_stays_small_and_says_so() -> None:
     """Thinned charts, and the same numbers."""
     report = warm_cell()
     again = repeated(report, 20)
-    heavy = replace(again, effects=report.effects * 60, steps=again.steps * 5)
+    heavy = replace(again, effects=report.effects * 90, steps=again.steps * 5)
     assert len(_page(heavy, (), "", 1.0).encode()) > MAX_BYTES
     thinner = to_html(heavy)
     assert len(thinner.encode()) < MAX_BYTES
