@@ -103,6 +103,24 @@ def test_a_file_without_it_is_read(calibration: Calibration) -> None:
 
 def test_a_damaged_one_is_refused(calibration: Calibration) -> None:
     data = to_data(calibration)
-    data["uncertainty"]["covariance"].pop()
-    with pytest.raises(BadTable, match="covariance"):
+    rows = data["uncertainty"]["covariance"].splitlines()
+    for damaged in (rows[:-1], [*rows[:-1], f"{rows[-1]} 1.0"], [*rows[:-1], "nan" + rows[-1][rows[-1].index(" ") :]]):
+        data["uncertainty"]["covariance"] = "\n".join(damaged)
+        with pytest.raises(BadTable, match="covariance"):
+            from_data(data)
+    data["uncertainty"]["covariance"] = "\n".join(["one", *rows[1:]])
+    with pytest.raises(BadTable, match="damaged"):
         from_data(data)
+
+
+def test_a_file_of_lists_is_read(calibration: Calibration) -> None:
+    """As older releases wrote them."""
+    assert calibration.uncertainty is not None
+    data = yaml.safe_load(to_yaml(to_data(calibration)))
+    rows = [[float(x) for x in line.split()] for line in data["uncertainty"]["covariance"].splitlines()]
+    assert [len(row) for row in rows] == list(range(1, len(rows) + 1))
+    again = from_data(
+        yaml.safe_load(yaml.safe_dump({**data, "uncertainty": {**data["uncertainty"], "covariance": rows}}))
+    )
+    assert again.uncertainty is not None
+    assert np.array_equal(again.uncertainty.covariance, calibration.uncertainty.covariance)

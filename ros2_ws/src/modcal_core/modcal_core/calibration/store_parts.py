@@ -21,6 +21,7 @@ from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import require_known
 from modcal_core.effects.shapes import Shape
+from modcal_core.files import TextLines
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
@@ -84,7 +85,11 @@ def typical_from_data(data: Any) -> TypicalDriver | None:
 
 
 def uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:
-    """The parameters, and the rows of the covariance up to the diagonal."""
+    """The parameters, and the rows of the covariance up to the diagonal, a line of text each.
+
+    As text, since there may be hundreds of thousands of numbers: a list of as many takes YAML ten times as long.
+    """
+    rows = known.covariance.tolist()
     return {
         "parameters": [
             {
@@ -94,7 +99,7 @@ def uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:
             }
             for p in known.parameters
         ],
-        "covariance": [floats(row[: i + 1]) for i, row in enumerate(known.covariance)],
+        "covariance": TextLines("".join(f"{' '.join(map(repr, row[: i + 1]))}\n" for i, row in enumerate(rows))),
     }
 
 
@@ -110,6 +115,8 @@ def uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
         for p in data["parameters"]
     )
     rows = data["covariance"]
+    if isinstance(rows, str):  # lists in older files
+        rows = [np.array(line.split(), dtype=float) for line in rows.splitlines()]
     K = len(parameters) + sum(len(e.values) for e in model.effects)
     if [len(row) for row in rows] != list(range(1, K + 1)):
         raise ValueError(f"a covariance of {K} values has {K} rows of 1 to {K} numbers")
