@@ -13,14 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modcal_core import evaluation, loop
-from modcal_core.articulation.choice import Choice, choose
-from modcal_core.articulation.quaternion_order import require_order
-from modcal_core.articulation.track import Track
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.stated import Stated
 from modcal_core.calibration.store import Calibration, fingerprint
-from modcal_core.checking.known import PATTERN
-from modcal_core.checkup import Checked, checkup
 from modcal_core.errors import BadRecording, BadRobot, BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry.read_only import sealed
 from modcal_core.measurements.checks import require_usable
@@ -37,6 +32,9 @@ from modcal_core.verdict.readings import COMPUTED
 from modcal_core.verdict.tolerance import STATISTICS, Asked
 
 if TYPE_CHECKING:
+    from modcal_core.articulation.choice import Choice
+    from modcal_core.articulation.track import Track
+    from modcal_core.checkup import Checked
     from modcal_core.planning.plan import Plan
     from modcal_core.planning.site import Site
 
@@ -141,6 +139,9 @@ def check(
     Raises NotEnoughData for fewer than five stations, BadRecording for a recording of another robot, in other units or
     in another convention, BadTable for a frame that the calibration does not know.
     """
+    from modcal_core.checking.known import PATTERN  # not for those who only calibrate
+    from modcal_core.checkup import checkup
+
     asked = tolerance_asked(tolerance_mm, tolerance_of)
     samples = _met(samples, calibration.nominal.chain)
     around = _stated(cell or Cell(), samples)
@@ -160,6 +161,9 @@ def articulate(track: Track, seed: int = 0) -> Choice:
     track: positions or poses of the handle. seed: of the samples that first guesses are made from. Raises BadRecording
     where rotations would follow the handle if their quaternions were w x y z.
     """
+    from modcal_core.articulation.choice import choose  # not for those who only calibrate
+    from modcal_core.articulation.quaternion_order import require_order
+
     rng = np.random.default_rng(seed)
     choice = choose(track, rng)
     require_order(track, choice, rng)

@@ -85,6 +85,9 @@ class _Verbs(click.Group):
             return None
         module, command, _ = VERBS[cmd_name]
         found = getattr(import_module(f"modcal_nodes.cli.{module}"), command)
+        if not gc.isenabled():  # in a process of its own: see main
+            gc.freeze()
+            gc.enable()
         assert isinstance(found, click.Command)
         return found
 
@@ -197,7 +200,10 @@ def main() -> None:
     """Entry point of the executable."""
     limit_blas()
     gc.set_threshold(*_COLLECTED)
-    sys.exit(run())
+    gc.disable()  # until the verb is loaded: what modules make stays
+    code = run()
+    gc.freeze()  # Python ends by looking for circles in all that was loaded, a tenth of a small calibration
+    sys.exit(code)
 
 
 if __name__ == "__main__":
