@@ -151,16 +151,17 @@ def moved(bare: Model, samples: Samples, effects: tuple[Effect, ...]) -> Array:
     return bare.with_effects(effects).predict_samples(samples)[:, :3, 3] - bare.predict_samples(samples)[:, :3, 3]
 
 
-@pytest.mark.parametrize(("block", "thinned"), [(2000, 100_000), (30, 100_000), (2000, 1)])
+@pytest.mark.parametrize(("block", "thinned"), [(2000, 100_000), (30, 100_000), (2000, 1), (30, 1)])
 def test_normal_equations_are_those_of_the_whole_jacobian(
     block: int, thinned: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However many samples are taken at once, and with curves as sparse arrays."""
+    """However many samples are taken at once, and with two curves as sparse arrays."""
     monkeypatch.setattr("modcal_core.calibration.normal_equations.BLOCK", block)
-    monkeypatch.setattr("modcal_core.calibration.normal_equations._LEAST_THINNED", thinned)
-    monkeypatch.setattr("modcal_core.calibration.normal_equations._FULL", 0.3 if thinned > 1 else 1.0)
+    monkeypatch.setattr("modcal_core.calibration.curves._LEAST", thinned)
     samples = recorded(100)
     model = cell(samples, tuple(started(name) for name in ("gear", "curve", "bearing", "bump", "latency", "sensor")))
+    other = Effect("curve", LIFT, AXIS, f"position:{LIFT}", Shape("spline", SPAN | {"count": 9}))
+    model = model.with_effects((*model.effects, other.with_values(np.linspace(-2e-4, 3e-4, 9))))
     parameters = choose_parameters(model, views_of(samples)).parameters
     values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
     at = linearise(model, parameters, values, samples)
@@ -186,6 +187,7 @@ def test_a_curvature_that_is_kept_leads_to_the_same_end(monkeypatch: pytest.Monk
     fits, counted = [], []
     for close in (_CLOSE, 0.0):
         monkeypatch.setattr("modcal_core.calibration.identify._CLOSE", close)
+        monkeypatch.setattr("modcal_core.calibration.identify._WITHIN", min(close, 0.5))
         asked: list[int] = []
 
         def count(*given: Any, asked: list[int] = asked) -> tuple[Array, Array]:

@@ -33,6 +33,7 @@ from modcal_core.diagnosis.loads import Loads, weighed, with_arm
 from modcal_core.diagnosis.locate import located
 from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
 from modcal_core.diagnosis.stated_loads import stated_arm, with_stated
+from modcal_core.effects.drivers import remembered
 from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.computed_part import computed_in_part
@@ -66,6 +67,7 @@ class Solution:
     scored: Fit
 
 
+@remembered()
 def calibrate(
     samples: Samples,
     chain: Mechanism,

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
+from modcal_core.calibration.curvature import Curvature
 from modcal_core.calibration.distances import AnyDistance, distance_cost, distance_rows
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations
 from modcal_core.calibration.model import Model
@@ -49,6 +49,10 @@ _SHRINKING = 0.3
 # shorter than so much of the last, or shrinks as the last with a curvature of its own did: robust weights alone let
 # them shrink by a factor of 1.1 to 10, whatever the curvature
 _LEADING, _CLOSE = 0.7, 10.0  # the latter in standard deviations
+# Within half a standard deviation they are taken with the same one whatever they do, so many at most: a sample near the
+# limit of rejection lets the weights, and with them the steps, go to and fro, which no curvature ends. Where so many
+# steps gain no more together than a tenth of a squared deviation, that is the end.
+_WITHIN, _MOST_SAME, _TO_AND_FRO, _NO_GAIN = 0.5, 10, 8, 0.1
 _SURE = 0.1  # of the tolerance; what is expected to be left
 _LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
 _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
@@ -132,8 +136,7 @@ def identify(
         some = samples.select(slice(None, None, len(samples) // few))
         values = _minimum(start, some, parameters, distances, limit, (), tolerance, values, rough=True).values
     at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(at.H), 1e-300))
-    covariance = np.outer(scale, scale) * _solve(at.H * np.outer(scale, scale), np.eye(len(at.values)), 0.0)
+    covariance = Curvature.of(at.H).inverse()
     model = apply_deviations(start, deviations(start, parameters, at.values[:P]))
     if fitted:
         model = model.with_effects(_estimated(fitted, at.values[P:], np.sqrt(np.diag(covariance)[P:])))
@@ -192,16 +195,19 @@ def _minimum(
     least = _DAMPING  # from which a step is damped that leads uphill
     gained: list[float] = []
     flat = False
-    moved, leading = 0.0, _LEADING  # since the curvature was computed
+    moved, leading, same = 0.0, _LEADING, 0  # since the curvature was computed
+    curvature: Curvature | None = None
+    weighed = 1.0  # all rows, when it was factored
     at = equations.residuals(values)
     for iteration in range(1, int(MAX_ITERATIONS * (1.0 if fitted else _LONGER)) + 1):  # noqa: B007 (reported in the fit)
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
         row_weight = _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
         if near:
             H_samples, g = equations.last_curvature(row_weight), equations.gradient(values, row_weight)
+            same += 1
         else:
             H_samples, g = equations.normal_equations(values, row_weight)
-            moved = 0.0
+            moved, same = 0.0, 0
         H_data, measured = H_samples, 0.0
         if distances:
             H_data = H_samples.copy()
@@ -210,10 +216,13 @@ def _minimum(
             g = g + (rows.J / rows.std**2) @ rows.residual
             measured = rows.cost
         H, g = H_data + known, g - (values - centre) * prior**-2.0
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         last, share = length, 1.0
+        if not (near and fitted):
+            curvature = None
         while True:
-            step = share * scale * _solve(H * np.outer(scale, scale), scale * g, damping)
+            if curvature is None:
+                curvature, weighed = Curvature.of(H, damping), float(row_weight.sum())
+            step = share * weighed / float(row_weight.sum()) * curvature.solve(g)
             length = float(np.sqrt(max(float(step @ H @ step), 0.0))) / share if damping == 0.0 else np.inf
             following = length * min(length / last, 1.0) if last < np.inf else length  # the next step's, most likely
             ended = length <= tolerance or following <= _SURE * tolerance
@@ -235,7 +244,7 @@ def _minimum(
             if damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING:
                 share *= 0.5
             else:
-                damping, share = max(10.0 * damping, least), 1.0
+                damping, share, curvature = max(10.0 * damping, least), 1.0, None
         if damping > 0.0:  # in a long and bent valley a tenth of what was enough is enough again
             least = max(0.1 * damping, _LEAST_DAMPING)
         looked = new is not at
@@ -245,6 +254,8 @@ def _minimum(
         gained.append(before - after if looked else 0.0)
         values, at = values + step, new
         flat = len(gained) >= 2 * _FLAT and sum(gained[-_FLAT:]) < _SHOWN
+        if fitted and length <= _WITHIN and len(gained) > _TO_AND_FRO:
+            flat = flat or sum(gained[-_TO_AND_FRO:]) < _NO_GAIN
         if ended or begun or flat:
             break
         moved = max(moved, float(np.abs(step).max()))
@@ -252,6 +263,7 @@ def _minimum(
             if not near and length < last < np.inf:
                 leading = max(_LEADING, length / last)
             near = length <= leading * last and length <= _CLOSE
+            near = near or (length <= _WITHIN and same < _MOST_SAME)
         else:
             near = length <= _SHRINKING * last and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
         near = near and damping == 0.0 and equations.quick_gradient
@@ -359,14 +371,3 @@ def _of_rows(
 def _cost(at: Linearised, row_weight: Array) -> float:
     N, M = at.position.shape[1], at.rotation.shape[1]
     return float(row_weight[:N] @ at.square_position + row_weight[3 * N : 3 * N + M] @ at.square_rotation)
-
-
-def _solve(H: Array, g: Array, damping: float) -> Array:
-    """Solution of the scaled, damped system; a tiny ridge where it is singular to rounding."""
-    for ridge in (0.0, 1e-12, 1e-10, 1e-8):
-        damped = H.copy()
-        damped.flat[:: len(H) + 1] += damping + ridge
-        _, x, singular = scipy.linalg.lapack.dposv(damped, g, lower=1, overwrite_a=1)
-        if not singular:
-            return np.asarray(x)
-    return np.asarray(np.linalg.lstsq(H, g, rcond=1e-12)[0], dtype=float)

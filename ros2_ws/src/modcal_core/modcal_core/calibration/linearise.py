@@ -146,9 +146,11 @@ def model_at(model: Model, parameters: Sequence[ModelParameter], values: Array) 
     return now.with_effects(tuple(split_values(model.effects, values[P:]))) if len(values) > P else now
 
 
-def geometry_rows(view: RowView, model: Model, parameters: Sequence[ModelParameter], values: Array) -> Array:
-    """d(prediction)/d(parameter), (P, 3 N + 3 M), of the geometry's parameters at these values."""
-    J = np.empty((len(parameters), view.position.size + view.rotation.size))
+def geometry_rows(
+    view: RowView, model: Model, parameters: Sequence[ModelParameter], values: Array, out: Array | None = None
+) -> Array:
+    """d(prediction)/d(parameter), (P, 3 N + 3 M), of the geometry's parameters at these values; in out, where given."""
+    J = np.empty((len(parameters), view.position.size + view.rotation.size)) if out is None else out
     errors = deviations(model, parameters, values[: len(parameters)])
     of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
     own = [i.moved_by(d) for i, d in zip(model.instruments, errors.instruments, strict=True)]
@@ -286,16 +288,28 @@ class RowView:
         out[: 3 * N].reshape(3, N)[:, away] = 0.0
         out[3 * N :].reshape(3, -1)[:, away[self.pose]] = 0.0
 
-    def moved_by(self, terms: Sequence[Term]) -> Array:
-        """The motion of the tool, (3 N + 3 M,), that the terms of one amplitude make together."""
+    def moved_by(self, terms: Sequence[Term], out: Array | None = None) -> Array:
+        """The motion of the tool, (3 N + 3 M,), that the terms of one amplitude make together; in out, where given."""
         N = self.position.shape[1]
-        out = np.zeros(self.position.size + self.rotation.size)
+        out = np.empty(self.position.size + self.rotation.size) if out is None else out
         position, rotation = out[: 3 * N].reshape(3, N), out[3 * N :].reshape(3, -1)
-        for term in terms:
+        turned = slice(None) if len(self.pose) == N else self.pose
+        for i, term in enumerate(terms):
             unit = self.unit_column(term.place, term.direction)
-            position += unit[: 3 * N].reshape(3, N) * term.size
-            rotation += unit[3 * N :].reshape(3, -1) * term.size[self.pose]
+            if i == 0:
+                np.multiply(unit[: 3 * N].reshape(3, N), term.size, out=position)
+                np.multiply(unit[3 * N :].reshape(3, -1), term.size[turned], out=rotation)
+            else:
+                position += unit[: 3 * N].reshape(3, N) * term.size
+                rotation += unit[3 * N :].reshape(3, -1) * term.size[turned]
         return out
+
+    def times(self, unit: Array, numbers: Array, out: Array) -> None:
+        """Write a column (3 N + 3 M,) times the numbers that several amplitudes have at each sample, (b, N)."""
+        N, b = self.position.shape[1], len(numbers)
+        turned = numbers if len(self.pose) == N else numbers[:, self.pose]
+        for rows, factor in ((slice(3 * N), numbers), (slice(3 * N, None), turned)):
+            np.multiply(unit[rows].reshape(1, 3, -1), factor[:, None], out=out[:, rows].reshape(b, 3, -1))
 
     def products(self, rows: Array, unit: Array) -> Array:
         """Sums over the components of each sample, (d, N), of rows (d, 3 N + 3 M) times one row (3 N + 3 M,)."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from modcal_core.calibration.fallback import Fallback
 from modcal_core.calibration.instruments import Instrument
-from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.effects.drivers import Drivers, NominalArm, drivers_at
 from modcal_core.effects.effect import Effect, motion
 from modcal_core.errors import BadRobot
 from modcal_core.geometry.so3 import Array
@@ -67,7 +67,7 @@ class Model:
 
     def drivers(self, samples: Samples) -> Drivers:
         """The drivers at these samples."""
-        return Drivers(samples, self.arm or NominalArm(self.chain))
+        return drivers_at(samples, self.arm or NominalArm(self.chain))
 
     @property
     def serial(self) -> Chain:

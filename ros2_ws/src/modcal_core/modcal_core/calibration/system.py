@@ -67,7 +67,10 @@ class PlainSystem:
 
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
-        H, g = normal_equations(self._start, self._parameters, values, self._samples, row_weight, self._blocks())
+        parts = self._blocks()
+        if isinstance(parts, list) and len(parts) == 1:
+            parts = [replace(parts[0], view=self._view(values))]
+        H, g = normal_equations(self._start, self._parameters, values, self._samples, row_weight, parts)
         self._last = H / float(row_weight.sum())
         return H, g
 
@@ -78,7 +81,7 @@ class PlainSystem:
         if self._kept is None:
             whole = len(self._samples) <= BLOCK
             self._kept = [
-                replace(block, at=self._around if whole else self._start.drivers(block.part))
+                replace(block, at=self._around if whole else Drivers(block.part, self._around.arm))
                 for block in blocks(self._samples)
             ]
         return self._kept

@@ -9,7 +9,9 @@ beside the tip, and ``moment:J`` the two components across the axis. A family ma
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -34,6 +36,7 @@ _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
 _MOST_POINTS = 20_000  # of a signal; a faster one is thinned
 _MOST_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
+_LAST, _LONGEST = 3, 20_000  # sets of samples whose drivers are remembered, and samples of a set
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
 
@@ -69,7 +72,7 @@ class Kept:
 
     def __init__(self) -> None:
         self._arrays: dict[Hashable, Array] = {}
-        self._thin: dict[int, tuple[Array, Any]] = {}
+        self._made: dict[Hashable, tuple[tuple[Any, ...], Any]] = {}
         self._bytes = 0
 
     def of(self, key: Hashable, compute: Callable[[], Array]) -> Array:
@@ -80,16 +83,17 @@ class Kept:
             self._bytes += found.nbytes
             if self._bytes > _MOST_KEPT:
                 self._arrays.clear()
-                self._thin.clear()
+                self._made.clear()
                 self._bytes = found.nbytes
             self._arrays[key] = found
         return found
 
-    def thinned(self, array: Array, make: Callable[[Array], Any]) -> Any:
-        """What is made of an array that is kept here."""
-        if id(array) not in self._thin:
-            self._thin[id(array)] = array, make(array)  # the array itself stays, so that no other takes its number
-        return self._thin[id(array)][1]
+    def made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any:
+        """What is made of arrays that are kept here, or of what was made of them."""
+        key = make, *map(id, parts)
+        if key not in self._made:
+            self._made[key] = parts, make(*parts)  # the parts themselves stay, so that no other takes their numbers
+        return self._made[key][1]
 
 
 @dataclass(frozen=True)
@@ -112,9 +116,9 @@ class Drivers:
         key = "basis", name, lag, shape.kind, *sorted(shape.settings.items())
         return self._kept.of(key, lambda: shape.basis(self.values(name, lag)))
 
-    def thinned(self, basis: Array, make: Callable[[Array], Any]) -> Any:
-        """What is made of the functions of a shape, computed once."""
-        return self._kept.thinned(basis, make)
+    def made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any:
+        """What is made of the functions of shapes, or of what was made of them, computed once."""
+        return self._kept.made_of(parts, make)
 
     def _values(self, name: str, lag: float) -> Array:
         if "," in name:
@@ -194,6 +198,30 @@ class Drivers:
                     return delayed(*staircase(t, x, step), lag, stamps, step)
                 return delayed(t, x, lag, stamps) if len(t) > 1 else np.full(len(self), x[0] if len(x) else 0.0)
         return np.zeros(len(self))
+
+
+_REMEMBERED: ContextVar[list[Drivers] | None] = ContextVar("remembered drivers", default=None)
+
+
+@contextmanager
+def remembered() -> Iterator[None]:
+    """Within this context the drivers at the last few sets of samples are there when they are asked for again."""
+    token = _REMEMBERED.set([])
+    try:
+        yield
+    finally:
+        _REMEMBERED.reset(token)
+
+
+def drivers_at(samples: Samples, arm: NominalArm) -> Drivers:
+    """The drivers at these samples, with what was computed of them already where they are remembered."""
+    known = _REMEMBERED.get()
+    if known is None or len(samples) > _LONGEST:
+        return Drivers(samples, arm)
+    same = [drivers for drivers in known if drivers.samples is samples and drivers.arm is arm]
+    found = same[0] if same else Drivers(samples, arm)
+    known[:] = [*(drivers for drivers in known if drivers is not found), found][-_LAST:]
+    return found
 
 
 DriverKind = Callable[[Drivers, str], Array]  # of the drivers and of what stands behind the colon, (N,)

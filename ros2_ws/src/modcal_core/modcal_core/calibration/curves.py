@@ -1,0 +1,108 @@
+"""Curves of many knots: columns of which every sample has but a few that are not zero.
+
+Of two such curves with a weight for each sample, ``Φ diag(w) Ψᵀ`` is a sum over the samples of small blocks, 4 × 4 of
+cubic curves. Where these blocks stand, and what they are beside w, stays from step to step of a fit, so it is kept as
+one sparse matrix that w is multiplied by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import Term
+from modcal_core.geometry.so3 import Array
+
+_LEAST = 100_000  # numbers of a curve; of fewer, products of whole matrices are quicker
+_MOST_EACH = 8  # functions that are not zero at one sample; of more, blocks are no less work than whole matrices
+_MOST_KEPT = 8e6  # numbers of what is kept of two curves; of more it is made each time
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Functions (b, N) of which few are not zero at a sample. at: numbers of these few, (N, k). value: theirs, (N, k).
+
+    whole: all of them as a sparse array, (b, N).
+    """
+
+    at: np.ndarray
+    value: Array
+    whole: sparse.csr_array
+
+    @classmethod
+    def of(cls, numbers: Array) -> Knots | None:
+        """Those of a shape (b, N), None where many are not zero at some sample."""
+        most = int(np.count_nonzero(numbers, axis=0).max(initial=0))
+        if not 0 < most <= _MOST_EACH:
+            return None
+        whole = sparse.csr_array(numbers)
+        by_sample = whole.tocsc()
+        count = np.diff(by_sample.indptr)
+        column = np.repeat(np.arange(len(count)), count)
+        place = np.arange(len(column)) - np.repeat(by_sample.indptr[:-1], count)
+        at, value = np.zeros((len(count), most), np.int32), np.zeros((len(count), most))
+        at[column, place], value[column, place] = by_sample.indices, by_sample.data
+        return cls(at, value, whole)
+
+    def __len__(self) -> int:
+        return int(self.whole.shape[0])
+
+
+@dataclass(frozen=True)
+class Curve:
+    """All functions of a shape along one direction of a place. at: their numbers among the columns of effects. numbers:
+    (b, N). knots: of a curve of many; None where whole matrices are quicker.
+    """
+
+    place: int
+    direction: int
+    at: slice
+    numbers: Array
+    knots: Knots | None
+
+
+def curves_of(terms: Sequence[list[Term]], at: Drivers) -> tuple[list[Curve], list[int]]:
+    """The curves among columns of effects, and the numbers of all other columns."""
+    curves: list[Curve] = []
+    others: list[int] = []
+    j = 0
+    while j < len(terms):
+        of = terms[j][0].of if len(terms[j]) == 1 else None
+        if of is None or not _is_whole(terms[j : j + len(of)], of):
+            others.append(j)
+            j += 1
+            continue
+        knots = at.made_of((of,), Knots.of) if of.size >= _LEAST else None
+        curves.append(Curve(terms[j][0].place, terms[j][0].direction, slice(j, j + len(of)), of, knots))
+        j += len(of)
+    return curves, others
+
+
+def _is_whole(terms: Sequence[list[Term]], of: Array) -> bool:
+    """Whether these are the columns of all functions of one direction."""
+    return len(terms) == len(of) and all(
+        len(t) == 1 and t[0].of is of and t[0].direction == terms[0][0].direction for t in terms
+    )
+
+
+def product(one: Knots, other: Knots, weight: Array, at: Drivers) -> Array:
+    """``one diag(weight) otherᵀ``, (b, c), of curves at the samples of these drivers."""
+    if one.value.size * other.value.shape[1] > _MOST_KEPT:
+        blocks = _blocks(one, other)
+    else:
+        blocks = at.made_of((one, other), _blocks)
+    return np.asarray(blocks @ weight).reshape(len(one), len(other))
+
+
+def _blocks(one: Knots, other: Knots) -> sparse.csc_array:
+    """What a weight of each sample is multiplied by, (b c, N)."""
+    value = one.value[:, :, None] * other.value[:, None, :]
+    at = one.at[:, :, None] * np.int32(len(other)) + other.at[:, None, :]
+    each = value[0].size
+    begins = np.arange(0, value.size + 1, each, dtype=np.int32)
+    shape = len(one) * len(other), len(value)
+    return sparse.csc_array((value.ravel(), at.ravel(), begins), shape=shape)
