@@ -56,11 +56,12 @@ class Bank(Protocol):
 
 
 class Spectra:
-    """Spectra that were computed already: two banks of one joint share them. Of one scan."""
+    """Spectra and running sums that were computed already: banks of one driver share them. Of one scan."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[int, int], tuple[Array, Array]] = {}
         self._squares: dict[tuple[int, int], tuple[Array, SquaredSums]] = {}
+        self._running: dict[tuple[int, bytes, int], tuple[np.ndarray, Array, Array]] = {}
 
     def of(self, spectrum: Spectrum, columns: Array) -> Array:
         """Sums of columns (N, k) times the waves of a spectrum, (K + 1, k)."""
@@ -75,6 +76,13 @@ class Spectra:
         if key not in self._squares:
             self._squares[key] = columns, spectrum.squares(columns)
         return self._squares[key][1]
+
+    def running(self, order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
+        """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
+        key = id(order), edges.tobytes(), id(matrix)
+        if key not in self._running:
+            self._running[key] = order, matrix, running_sums(order, edges, matrix)
+        return self._running[key][2]
 
 
 @dataclass(frozen=True)
@@ -195,7 +203,8 @@ class StepBank:
     def sums(self, of: Sequence[Array], spectra: Spectra, rows: slice = ALL) -> Array:
         """See :class:`Bank`."""
         sign = 1.0 if self.after else -1.0
-        return np.stack([sign * self._part(matrix)[rows] for matrix in of], axis=1)
+        edges = self._edges
+        return np.stack([sign * self._part(spectra.running(self.order, edges, part))[rows] for part in of], axis=1)
 
     def gram_of_sums(self, of: Sequence[Array], spectra: Spectra) -> Array:
         """See :class:`Bank`."""
@@ -205,19 +214,29 @@ class StepBank:
         """See :class:`Bank`."""
         m = len(columns)
         pairs = [(a, b) for a in range(m) for b in range(a, m)]
-        both = self._part(np.stack([np.sum(columns[a] * columns[b], axis=0) for a, b in pairs], axis=1))
+        columns_of_both = np.stack([np.sum(columns[a] * columns[b], axis=0) for a, b in pairs], axis=1)
+        both = self._part(running_sums(self.order, self._edges, columns_of_both))
         out = np.empty((len(self.before), m, m))
         for (a, b), product in zip(pairs, both.T, strict=True):
             out[:, a, b] = out[:, b, a] = product
         return out
 
-    def _part(self, matrix: Array) -> Array:
-        """Sums of the rows of a matrix (N, k) on the one side of each time, (C, k)."""
-        edges = np.unique(np.r_[0, self.before[self.before < len(matrix)]])
-        running = np.zeros((len(edges) + 1, matrix.shape[1]))
-        np.cumsum(np.add.reduceat(matrix[self.order], edges, axis=0, dtype=float), axis=0, out=running[1:])
-        before = running[np.searchsorted(edges, self.before)]
+    @cached_property
+    def _edges(self) -> np.ndarray:
+        """How many samples are before each of the times, each number once."""
+        return np.unique(np.r_[0, self.before[self.before < len(self.order)]])
+
+    def _part(self, running: Array) -> Array:
+        """Sums on the one side of each time, (C, k), from the running sums."""
+        before = running[np.searchsorted(self._edges, self.before)]
         return np.asarray(running[-1] - before if self.after else before)
+
+
+def running_sums(order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
+    """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
+    running = np.zeros((len(edges) + 1, matrix.shape[1]))
+    np.cumsum(np.add.reduceat(matrix[order], edges, axis=0, dtype=float), axis=0, out=running[1:])
+    return running
 
 
 def _squared(sums: Array) -> Array:

@@ -89,6 +89,7 @@ class Scanner:
         """effects: the candidates. drivers: at the samples they are looked for on."""
         self.drivers = drivers
         self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
+        self._order: dict[str, np.ndarray] = {}  # of the samples along a driver that steps are looked for in
         spectra = SpectraOfDrivers(drivers)
         lists = _alike(effects)
         for alike in lists:
@@ -122,7 +123,7 @@ class Scanner:
         keys, _ = self._factor(first)
         x = self.drivers.values(first.driver)
         if first.shape.kind in STEPS:
-            order = np.argsort(x, kind="stable")
+            order = self._order.setdefault(first.driver, np.argsort(x, kind="stable"))
             before = np.searchsorted(x[order], [e.shape.settings["at"] for e in alike])
             return StepBank(effects, keys, order, before, first.shape.kind == "step")
         cycles = _cycles(alike)
