@@ -15,7 +15,6 @@ from modcal_core.files import write_folder
 from modcal_core.measurements.samples import Samples
 from modcal_core.public import evaluate
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.certificate import is_made_from
 from modcal_core.report.files import report_files
 from modcal_core.report.report import Report
 from modcal_core.robot import Robot
@@ -223,6 +222,8 @@ def evaluate_command(
             )
         files: dict[str, str | bytes] = {**report_files(report, calibration=calibration_name(calibration))}
         if said is not None:
+            from modcal_core.report.certificate import is_made_from
+
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
             own = is_made_from(frozen, samples)

@@ -12,13 +12,13 @@ import click
 
 from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadTable
-from modcal_core.report.certificate import Hashes, certificate
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.report import Report
 from modcal_nodes.io.inputs import read_particulars
 
 if TYPE_CHECKING:
     from modcal_core.camera.solve import CameraSolution
+    from modcal_core.report.certificate import Hashes
     from modcal_core.verdict.tolerance import Tolerance
 
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
@@ -51,6 +51,7 @@ def certificate_files(
     report: Report, stated: Stated, said: Particulars, hashes: Hashes, made_from: bool = False
 ) -> dict[str, str | bytes]:
     """Names and contents of the certificate's files; the arguments are those of the certificate."""
+    from modcal_core.report.certificate import certificate
     from modcal_core.report.certificate_page import to_html
     from modcal_nodes.io.certificate_pdf import to_pdf
 
@@ -77,6 +78,8 @@ def certified_hashes(
 
     images: folders and files that a calibration by camera was made from; of all of them one, as of a bag of many files.
     """
+    from modcal_core.report.certificate import Hashes
+
     if isinstance(calibration, Path) and calibration.is_dir():
         calibration = calibration / "calibration.yaml"
     files = [file for one in images if one is not None for file in (sorted(one.iterdir()) if one.is_dir() else [one])]
