@@ -1,8 +1,9 @@
 """Lens, camera and body to begin with, from all images of a body and the flange poses at which they were taken.
 
-A body is small beside its distance, so its images alone hardly tell the focal length; the arm's motion does. For each
-of some focal lengths the body's poses by single images are held against the flange's, and the one is taken that they
-meet best. Where too few images show a pose by themselves, the sightings of single points from all postures serve.
+A body is small beside its distance, and its markers are not where they are drawn, so single images hardly tell the
+focal length; the arm's motion does. The sightings of single points from all postures show camera, lens and body
+together; where they are too few, the focal length is taken at which the body's poses by single images meet the
+flange's best. Of what is found either way, the one counts that corners are nearer to.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import CornerTable, residuals
 from modcal_core.camera.few_points import Resection, resection
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.mounting import Mounting, find_mounting, mounting_misfit, relative_turns
+from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
 from modcal_core.camera.target import MARKER_CORNERS
-from modcal_core.errors import BadTable, NotEnoughData
+from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
@@ -38,6 +39,11 @@ class BodyStart:
     lens: Lens
     mounting: Mounting
 
+    def miss_px(self, table: CornerTable) -> float:
+        """Median distance of corners from where they should be [px]."""
+        off = residuals(table, self.lens, table.unshaped, self.mounting.T_camera_target)
+        return float(np.median(np.linalg.norm(off, axis=1)))
+
 
 def start_of_body(
     table: CornerTable, A: Array, lens: Lens | None, size: tuple[int, int], model: str, on_tip: bool | None
@@ -48,12 +54,20 @@ def start_of_body(
     the lens. on_tip: the mounting where it is stated. Raises ModcalError for images that do not show it.
     """
     whole = images_with_pose(table)
-    if whole.sum() < _ENOUGH:
-        return _by_points(table, A, lens, size, on_tip)
-    posed, at = table.select(whole), A[whole]
-    if lens is None:
-        lens = _lens_by_arm(posed, at, size, model, on_tip)
-    return BodyStart(lens, _by_arm(find_mounting(at, body_poses(posed, lens), on_tip), A))
+    starts = _by_points(table, A, lens, size, on_tip)
+    if whole.sum() >= _ENOUGH:
+        posed, at = table.select(whole), A[whole]
+        if lens is None:
+            lens = starts[0].lens if starts else _lens_by_arm(posed, at, size, model, on_tip)
+        try:
+            starts.append(BodyStart(lens, _by_arm(find_mounting(at, body_poses(posed, lens), on_tip), A)))
+        except ModcalError:
+            if not starts:
+                raise
+    if not starts:
+        said = f"few show four points that tell a pose, and no point is seen often enough among {table.views} images"
+        raise NotEnoughData("images", said, "take 25 images or more of the same points, or such as show more points")
+    return min(starts, key=lambda start: start.miss_px(table))
 
 
 def default_lens(size: tuple[int, int], model: str) -> Lens:
@@ -111,8 +125,10 @@ def _least(miss: Callable[[float], float], tried: Array) -> float:
 
 def _by_points(
     table: CornerTable, A: Array, lens: Lens | None, size: tuple[int, int], on_tip: bool | None
-) -> BodyStart:
-    """The start from sightings of single points. Raises NotEnoughData."""
+) -> list[BodyStart]:
+    """The start from sightings of single points, nothing where they are too few or tell no mounting."""
+    if table.views < LEAST_VIEWS:
+        return []
     ids, point = np.unique(table.ids, return_inverse=True)
     body = np.array([table.points[table.ids == i][0] for i in ids])
     middle = 0.5 * (np.array(size) - 1.0)
@@ -124,13 +140,11 @@ def _by_points(
         if one is not None:
             found[carried] = one
     if not found:
-        said = f"few show four points that tell a pose, and no point is seen often enough among {table.views} images"
-        raise NotEnoughData("images", said, "take 25 images or more of the same points, or such as show more points")
+        return []
     carried = min(found, key=lambda c: found[c].miss)
     rival = found[not carried].miss / max(found[carried].miss, 1e-12) if len(found) == 2 else np.inf
     if rival < _CLEAR:
-        said = "they fit camera on the tip and camera in the world alike"
-        raise NotEnoughData("images", said, "turn the wrist more, show more points, or state --mounting")
+        return []
     best = found[carried]
     if lens is None:
         f = best.focal * max(size)
@@ -141,10 +155,4 @@ def _by_points(
     away = float(np.median(np.linalg.norm((best.T_camera_base @ (se3.inverse(A) if carried else A))[:, :3, 3], axis=1)))
     misfit = best.miss * away, best.miss
     mounting = Mounting(carried, base, tool, A, *misfit, float(rival), relative_turns(A), np.empty(0))
-    return BodyStart(lens, _by_arm(mounting, A))
-
-
-def gross(table: CornerTable, lens: Lens, T_camera_target: Array, times: float) -> np.ndarray:
-    """Corners (M,) that are farther from where they should be than so many times the median, the body as stated."""
-    off = np.linalg.norm(residuals(table, lens, table.unshaped, T_camera_target), axis=1)
-    return np.asarray(off > times * float(np.median(off)))
+    return [BodyStart(lens, _by_arm(mounting, A))]

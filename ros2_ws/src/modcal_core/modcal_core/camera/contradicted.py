@@ -106,7 +106,7 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
             step = doubt.equations.solve(doubt.sizes).step()[fit.poses.count + 1 :]
             common = fit.state.common + step
             what = {
-                SIZE: f"a {_of_what(fit)} {_percent(common, scale)} off its stated size",
+                SIZE: f"a {_of_what(fit)} {_percent(fit, common, scale)} off its stated size",
                 BOW: f"a sheet bent by {1e3 * float(np.abs(common[BENT]).max()):.1f} mm",
                 LENS_VALUES: "another lens than the stated one",
             }[doubt.what]
@@ -157,7 +157,7 @@ def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
     shape = other.state.shape
     if what == SIZE:
         return (
-            f"The {_of_what(other)} is {_percent(other.state.common, scale)} off its stated size, ± "
+            f"The {_of_what(other)} is {_percent(other, other.state.common, scale)} off its stated size, ± "
             f"{100.0 * float(std[LENS]):.1f} %, or the arm is built to another scale than its URDF: measure "
             f"{'across it' if other.table.places else 'a square'}, and check the target file."
         )
@@ -174,13 +174,15 @@ def _said(what: str, other: CameraFit, lens: Lens, scale: PrintScale) -> str:
 
 
 def _of_what(fit: CameraFit) -> str:
-    """What has a size: a body's own is called x, that of its markers y."""
+    """What has a size."""
     return "body" if fit.table.places else "sheet"
 
 
-def _percent(common: Array, scale: PrintScale) -> str:
+def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
+    """By how much a sheet is off along x and y, or a body as a whole."""
     x, y = common[SCALE] + 1.0
-    return f"{100.0 * (x / scale.x - 1.0):+.1f} % (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
+    along_x = f"{100.0 * (x / scale.x - 1.0):+.1f} %"
+    return along_x if fit.table.places else f"{along_x} (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
 
 
 def is_stated(lens: Lens | None, stated: str) -> str | None:

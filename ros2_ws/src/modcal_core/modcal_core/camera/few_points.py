@@ -19,6 +19,7 @@ from modcal_core.geometry.so3 import Array
 
 _SIGHTINGS = 25  # of one point, for the 38 ratios in their products: two of each, and some to spare
 _LEAST = 12  # of all points, for a camera's 11 numbers twice over
+_MOST = 2000  # sightings, for time; the others come into the fit
 _TRIED = 4  # points that are begun with, those seen most often
 _ROUNDS = 100  # of camera and points in turn
 _OUTLIER = 5.0  # times the median, beyond which a sighting does not count
@@ -43,6 +44,9 @@ def resection(A: Array, point: np.ndarray, rays: Array, body: Array, calibrated:
     A: flange pose at each sighting, (M, 4, 4) [m]. point: which is seen, (M,). rays: where, x and y at depth 1, or,
     unless calibrated, in any unit from the image's middle, (M, 2). body: the points as drawn, (C, 3) [m].
     """
+    if len(A) > _MOST:
+        some = np.linspace(0, len(A) - 1, _MOST).astype(int)
+        A, point, rays = A[some], point[some], rays[some]
     counts = np.bincount(point, minlength=len(body))
     begin = [_matrix(A[:, :, 3], rays)]  # a body about the flange
     for first in np.argsort(-counts)[:_TRIED]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from modcal_core.camera.arm_poses import arm_poses
 from modcal_core.camera.body_clean import elsewhere, mostly_out, point_weights
-from modcal_core.camera.body_start import default_lens, gross, require_order, start_of_body
+from modcal_core.camera.body_start import default_lens, require_order, start_of_body
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.corners import CornerTable, residuals
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import COUNT as LENS
@@ -19,11 +19,12 @@ from modcal_core.camera.lens import FISHEYE, PINHOLE
 from modcal_core.camera.mounting import LEAST_VIEWS
 from modcal_core.camera.prepared import CameraImages, PreparedImages, require_near_arm, require_views
 from modcal_core.camera.priors import common_prior
+from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf_inertias import Inertias
 
-_GROSS = 10.0  # times the median distance from the nominal arm's place: beyond what any arm of this size of faults does
+_GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
 _CLEANED = 5  # times that points and images are looked through
 _ELSEWHERE = "far from where the arm has it"
 
@@ -56,7 +57,7 @@ def prepare_body(
     require_near_arm(mounting, chain, images.name)
     prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
     prior = prior.with_places(target.place_prior())
-    far = gross(table, begin.lens, mounting.T_camera_target, _GROSS)
+    far = _gross(residuals(table, begin.lens, table.unshaped, mounting.T_camera_target))
     strange = mostly_out(table, far)
     if strange.any():
         left_out |= {n: _ELSEWHERE for n, s in zip(table.names, strange, strict=True) if s}
@@ -84,7 +85,8 @@ def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraF
     fit.
     """
     lens, prior = ready.lens_fit.lens, ready.prior
-    fit = fit_camera(ready.table, ready.poses, lens, prior, arm=arm)
+    ready, fit = _without_gross(ready, arm)
+    fit = fit_camera(ready.table, ready.poses, lens, prior, arm=arm, begin=fit.state)
     cleaned = False
     for _ in range(_CLEANED):
         weight = point_weights(fit)
@@ -106,3 +108,30 @@ def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraF
     if cleaned:
         fit = fit_camera(*(ready.table, ready.poses, lens, prior, fit.sizes), arm=arm, begin=fit.state)
     return fit, ready
+
+
+def _without_gross(ready: PreparedImages, arm: float | None) -> tuple[PreparedImages, CameraFit]:
+    """(the images without what is grossly elsewhere, a fit of them with errors as large as usual): one such image would
+    make all errors look as large as its own.
+    """
+    begin = None
+    for _ in range(_CLEANED):
+        fit = fit_camera(
+            *(ready.table, ready.poses, ready.lens_fit.lens, ready.prior), arm=arm, fixed_sizes=True, begin=begin
+        )
+        begin = fit.state
+        far = _gross(fit.pixels)
+        strange = mostly_out(ready.table, far)
+        weight = np.where(far, 0.0, 1.0)
+        if (~strange).sum() < LEAST_VIEWS or (not strange.any() and (weight == ready.table.weight).all()):
+            break
+        ready = replace(ready, table=ready.table.with_weight(weight))
+        if strange.any():
+            ready = ready.select(~strange, _ELSEWHERE)
+    return ready, fit
+
+
+def _gross(off: Array) -> np.ndarray:
+    """Which corners (M,) are farther off, by these residuals (M, 2), than so many times the median."""
+    size = np.linalg.norm(off, axis=1)
+    return np.asarray(size > _GROSS * float(np.median(size)))
