@@ -51,7 +51,7 @@ def read_corner_tables(
     """
     source = str(file)
     rows = corners_of_text(text_of(file), target, source)
-    table = joints_of_text(text_of(joints), names, str(joints))
+    table = joints_of_text(text_of(joints), names, str(joints), joints.resolve() == file.resolve())
     out = {}
     for camera in dict.fromkeys(row.camera for row in rows):
         own = [row for row in rows if row.camera == camera]

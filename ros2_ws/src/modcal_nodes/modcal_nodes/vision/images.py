@@ -242,8 +242,10 @@ def text_of(path: Path) -> str:
         raise BadTable(str(path), "is not UTF-8 text", "give a CSV file") from error
 
 
-def joints_of_text(text: str, names: Sequence[str], source: str) -> JointTable:
-    """The table of joints in a text, checked. Raises BadTable, naming the source."""
+def joints_of_text(text: str, names: Sequence[str], source: str, repeated: bool = False) -> JointTable:
+    """The table of joints in a text, checked. repeated: an image may have several rows of the same joints, as in a
+    table of corners. Raises BadTable, naming the source.
+    """
     try:
         delimiter = ";" if text.partition("\n")[0].count(";") > text.partition("\n")[0].count(",") else ","
         table = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(cell.strip() for cell in row)]
@@ -276,10 +278,11 @@ def joints_of_text(text: str, names: Sequence[str], source: str) -> JointTable:
         raise BadTable(source, said, "give radians and metres")
     if key == "image":
         by_name: dict[str, Array] = {}
-        for name, values_of in zip((Path(k).name for k in keys), q, strict=True):
-            if not np.array_equal(by_name.setdefault(name, values_of), values_of):
-                said = f"has two rows for image {name[:80]} that differ"
-                raise BadTable(source, said, "give one row an image, or the same joints in each")
+        for name, row_q in zip((Path(k).name for k in keys), q, strict=True):
+            if name in by_name and not (repeated and np.array_equal(by_name[name], row_q)):
+                said = f"has two rows for image {name[:80]}" + (" that differ" if repeated else "")
+                raise BadTable(source, said, "give one row an image")
+            by_name[name] = row_q
         return JointTable(source, by_name, np.empty(0), q)
     stamps = np.array([_stamp(k) if _stamp(k) is not None else np.nan for k in keys], dtype=float)
     if not (np.diff(stamps) > 0.0).all():
