@@ -51,4 +51,4 @@ class Curvature:
         else:
             half = np.tril(scipy.linalg.lapack.dpotri(self.lower, lower=1)[0])
             inverse = half + np.tril(half, -1).T
-        return np.asarray(inverse * self.scale * self.scale[:, None], dtype=float)
+        return np.asarray(inverse * np.outer(self.scale, self.scale), dtype=float)
