@@ -98,11 +98,12 @@ def size_open(
 ) -> str:
     """What to do about the sheet's size where it is what keeps the arm from being clearly better, else nothing."""
     if target.scale.measured:
+        what = "sheet" if isinstance(target, PrintedTarget) else "body"
         likeliest_doubt = max(doubted, key=lambda d: d.chance).what == SIZE
         if likeliest_doubt and decide(error.as_stated, True, (), arm_m).word == APPLY:
             return (
-                "If the sheet has the size that is stated, it is clearly better; these images leave that open: measure "
-                "the sheet again, or add a length of another kind, such as a few tracker points."
+                f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
+                f"measure the {what} again, or add a length of another kind, such as a few tracker points."
             )
         return ""
     whole, known = shared.get("print scale", (0.0, 0.0))
