@@ -122,7 +122,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Ten stops of an arm with a camera on its tip, rendered once."""
     s = scene(11, True, count=10, lens=VGA)
     rng = np.random.default_rng(0)
-    pictures = [render(T, VGA, BOARD, rng) for T in se3.inverse(s.T)]
+    pictures = [render(T, VGA, BOARD, rng, rays=4) for T in se3.inverse(s.T)]  # with two, edges wander by 0.1 px
     where = tmp_path_factory.mktemp("bags")
     bag = write_cell(where / "cell", s, pictures, None)
     assert run(["target", "--charuco", "7x5", "--square", "30mm", "--marker", "22mm", "--out", str(where / "t")]) == 0

@@ -12,6 +12,7 @@ from modcal_core.geometry.so3 import Array
 
 _TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
 _CORNER = 6.0  # robust standard deviations: one good corner in a billion
+_CORNER_PX = 0.1  # where printers put a square's corner: 0.03 mm, in an image of a third of a millimetre a pixel
 _IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread: more than a pixel, and than the others
 _ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
 _ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
@@ -20,11 +21,12 @@ LEAST_CORNERS = 4  # of an image, not on one line: the fewest that a homography 
 
 
 def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array) -> Array:
-    """1 for corners that agree with the pose of the target in their own image, else 0, (M,)."""
+    """1 for corners that agree with the pose of the target in their own image, or nearly, else 0, (M,)."""
     rows = corner_rows(table, lens, shape, T_camera_target)
     size = np.abs(rows.residual)
     sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
-    return np.where((size <= _CORNER * max(float(sigma), 1e-9)).all(axis=1), table.weight, 0.0)
+    agrees = (size <= _CORNER * max(float(sigma), 1e-9)) | (np.abs(rows.pixels) <= _CORNER_PX)
+    return np.where(agrees.all(axis=1), table.weight, 0.0)
 
 
 def enough_corners(points: Array) -> bool:
