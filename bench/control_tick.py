@@ -1,11 +1,13 @@
 """What one tick of the setpoint node's core costs, and what hostile input makes it send.
 
-    python bench/control_tick.py [--attempts 100000] [--messages 100000] [--seed 7]
+    python bench/control_tick.py [--attempts 100000] [--messages 100000] [--requests 300] [--seed 7]
 
 1. A door and a drawer are pulled open in the small world of the tests, with a model revised five times a second; every
    tick is timed, as the processor's time and by the clock.
 2. The guard is tried with hostile setpoints and inputs (--attempts), each answer looked at by a witness.
 3. The node is sent hostile messages over DDS while it pulls (--messages; 0: left out).
+4. While it pulls it is asked for illegal transitions, limits that are lowered and parameters that make no sense
+   (--requests; 0: left out). What is held is looked at as well: below 1.2 times `max_force_n`, and let go at the end.
 
 Exits with 1 where a tick's 99th percentile of the processor's time is above 2 ms, or where a witness objects.
 """
@@ -31,6 +33,7 @@ from impedance.test_safety_monitor import fuzz as fuzz_guard  # noqa: E402
 from impedance.toy import PANDA, Toy, door, drawer, pull  # noqa: E402
 from nodes.processes import Process, fresh_domain, listener, running  # noqa: E402
 from nodes.pulled_arm import PulledArm, fuzz  # noqa: E402
+from nodes.random_requests import RandomRequests  # noqa: E402
 
 from modcal_core.impedance.operation import Operation  # noqa: E402
 
@@ -66,8 +69,8 @@ def ticks(rng: np.random.Generator) -> bool:
     return bool(b <= LIMIT_MS)
 
 
-def over_dds(rng: np.random.Generator, messages: int) -> None:
-    """Hostile messages among those of an honest arm; raises AssertionError where the witness objects."""
+def over_dds(rng: np.random.Generator, messages: int, requests: int) -> None:
+    """Hostile messages among those of an honest arm, then requests; raises AssertionError where a witness objects."""
     with tempfile.TemporaryDirectory() as folder:
         domain = fresh_domain()
         process = Process(
@@ -76,10 +79,15 @@ def over_dds(rng: np.random.Generator, messages: int) -> None:
         with running(process), listener(domain) as (node, wait):
             arm = PulledArm(node)
             arm.ready(wait)
-            arm.pull(wait)
-            seen, pulls = fuzz(arm, wait, rng, messages, burst=max(200, messages // 50))
+            if messages:
+                arm.pull(wait)
+                seen, pulls = fuzz(arm, wait, rng, messages, burst=max(200, messages // 50))
+                print(f"{messages} hostile messages in {pulls} pulls: {seen} setpoints, all of them within limits")
+            asked = RandomRequests(arm, wait, rng)
+            asked.run(requests)
+            if requests:
+                print(f"{dict(asked.count)}: {asked.witness.count} setpoints, all of them within limits, all let go")
             assert process.popen.poll() is None, process.output
-            print(f"{messages} hostile messages in {pulls} pulls: {seen} setpoints came out, all of them within limits")
             process.stop()
 
 
@@ -87,14 +95,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--attempts", type=int, default=100_000)
     parser.add_argument("--messages", type=int, default=100_000)
+    parser.add_argument("--requests", type=int, default=300)
     parser.add_argument("--seed", type=int, default=7)
     chosen = parser.parse_args()
     rng = np.random.default_rng(chosen.seed)
     quick = ticks(rng)
     passed = fuzz_guard(chosen.attempts, rng)
     print(f"{chosen.attempts} hostile attempts at the guard: {passed} got through, all of them within limits")
-    if chosen.messages:
-        over_dds(rng, chosen.messages)
+    if chosen.messages or chosen.requests:
+        over_dds(rng, chosen.messages, chosen.requests)
     return int(not quick)
 
 

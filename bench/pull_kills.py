@@ -5,13 +5,12 @@
 Every pull is a random door or drawer in MuJoCo (modcal_nodes/simulation/furniture.py), in real time, with the real
 nodes over DDS. At a random moment one of them is killed (SIGKILL), asked to end (SIGTERM) or paused (SIGSTOP, and
 SIGCONT after `PAUSE` s), or the setpoint node is stopped by its service or deactivated. Then the world goes on for
-three seconds (six after a pause). Asked of every pull:
+some seconds. Asked of every pull:
 
 * each joint reference is finite, within the joints' ranges and speed, and no more than two steps away from the last;
 * the hand feels no more than 1.2 times `max_force_n` at any time;
-* references end within two seconds (after a pause, `PAUSE` later, as the world has to catch up), and the object is let
-  go: less than `LET_GO` N at the end. A setpoint node that was killed sends nothing any more, so there the force must
-  only not grow; where the world was killed, there is none;
+* references end within `QUIET` s, and the object is let go: less than `LET_GO` N at the end. A setpoint node that was
+  killed sends nothing any more, so there the force must only not grow; where the world was killed, there is none;
 * an arm that is heard again after a pause is let go, and not led on.
 
 Ends with exit code 1 where one of them fails. Writes a table, and with --out the runs as JSON.
@@ -69,9 +68,11 @@ RATE, SPEED = 250.0, 1.5  # Hz and rad/s: the defaults of impedance_setpoint
 MAX_FORCE = 60.0  # N, 1.2 times max_force_n
 LET_GO = 10.0  # N; what a closing spring leaves in a hand that holds nothing back
 MOMENTS = (0.5, 9.0)  # s after the pull was asked for
-PAUSE = 1.8  # s, more than patience_s
-AFTER, AFTER_PAUSE = 3.0, 6.0  # s; a world that was paused has to catch up first
-QUIET = 2.0  # s after the event by which references have ended; a world that was paused has PAUSE more to catch up
+PAUSE = 1.3  # s, more than timeout_s and patience_s together
+AFTER, AFTER_PAUSE = 5.0, 8.0  # s; a world that was paused has to catch up first
+# s after the event by which references have ended: a silent estimator is noticed after 1 s, late inputs are waited for
+# 1 s, letting go takes 0.6 s, and a busy machine adds to each; a world that was paused has to catch up as well
+QUIET, QUIET_PAUSE = 4.0, 6.0
 PULLING = 0.1  # s before the event in which a reference was sent, where it met a pull that was going on
 
 EVENTS = (
@@ -188,7 +189,7 @@ def pull(seed: int, event: str) -> Outcome:
     if event == f"kill {SETPOINT}":
         if last > max(before, LET_GO) + 5.0:
             faults.append(f"the force grew from {before:.0f} to {last:.0f} N")
-    elif went_on > QUIET + (PAUSE if event.startswith("pause") else 0.0):
+    elif went_on > (QUIET_PAUSE if event.startswith("pause") else QUIET):
         faults.append(f"references went on for {went_on:.1f} s")
     elif last > LET_GO and event != f"kill {WORLD}":
         faults.append(f"{last:.0f} N are still held")
@@ -220,10 +221,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--pulls", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0, help="of the first scene")
-    parser.add_argument("--only", default="", help="events that have this word in them")
+    parser.add_argument("--only", default="", help="events that have one of these words in them, with commas between")
     parser.add_argument("--out", type=Path, default=None, help="a file for the runs, as JSON")
     chosen = parser.parse_args()
-    events = [event for event in EVENTS if chosen.only in event]
+    events = [event for event in EVENTS if any(word in event for word in chosen.only.split(","))]
     console = Console(width=150)
     runs: list[Outcome] = []
     for k in range(chosen.pulls):
