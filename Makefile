@@ -19,7 +19,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo week test suite quick fleet-workers fuzz mutants lint ruff mypy format bench undeclared imports verdict camera checks constants closed-loop \
-	soak chaos kills live long-bag doors hard-doors pull-kills articulation control-tick synthesis modular planning measure limits delta real-arms outside docs reference wheel lock clean
+	soak chaos kills live long-bag doors hard-doors pull-kills wrong-sensor articulation control-tick synthesis modular planning measure limits delta real-arms outside docs reference wheel lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -121,6 +121,9 @@ hard-doors: setup-test build  ## closers, magnets, gaskets, notches, end stops, 
 
 pull-kills: setup-test build  ## 200 pulls in each of which a node is killed, paused, stopped or deactivated; BENCH_ARGS="--pulls 8"
 	@$(PY) bench/pull_kills.py $(BENCH_ARGS)
+
+wrong-sensor: setup-test build  ## pulls at what jams, with a force sensor that freezes, sticks or is deaf; BENCH_ARGS="--held-back"
+	@$(PY) bench/wrong_sensor.py $(BENCH_ARGS)
 
 articulation: setup-test build  ## joints told, fitted and followed: real tracks, accuracy, time of a pose; BENCH_ARGS="--cut 0.5"
 	@$(PY) bench/articulation.py $(BENCH_ARGS)
