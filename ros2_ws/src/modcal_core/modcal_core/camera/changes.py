@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from modcal_core.camera.corners import COMMON, POSE
+from modcal_core.camera.corners import POSE
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.sizes import likeliest
@@ -60,7 +60,7 @@ def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
     scanned = []
     for in_world, motions in ((True, by_world), (False, by_tool)):
         twists = fit.poses.as_twists(T, motions)
-        at, gain, _ = _scan(fit.equations, fit.sizes, _beside_nothing(twists))
+        at, gain, _ = _scan(fit.equations, fit.sizes, _beside_nothing(fit.equations, twists))
         scanned.append((gain, at, in_world, twists))
     gain, at, in_world, twists = max(scanned, key=lambda s: s[0])
     if gain < _SCREEN:
@@ -72,10 +72,10 @@ def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
     better = fit.equations.solve(without).misfit() - solved.misfit()
     if better < _GAIN:
         return None
-    zoom = np.zeros((N, POSE + COMMON, 1))
+    zoom = _beside_nothing(fit.equations, np.zeros((N, POSE, 1)))
     zoom[:, POSE : POSE + 2, 0] = fit.state.lens.values[:2]
     begin, as_zoom, focal = _scan(fit.equations, along, zoom)
-    if as_zoom > _scan(fit.equations, along, _beside_nothing(twists))[1]:
+    if as_zoom > _scan(fit.equations, along, _beside_nothing(fit.equations, twists))[1]:
         camera_in_world = not fit.poses.camera_on_tip
         return MovedHalf(begin, camera_in_world, 0.0, 0.0, better, float(focal[0]))
     K = fit.equations.moved.shape[2]
@@ -104,14 +104,15 @@ def _with_move(eq: Equations, added: Array) -> Equations:
     )
 
 
-def _beside_nothing(twists: Array) -> Array:
-    """Columns (N, 6 + 15, 6) of what moves the target by twists (N, 6, 6) and leaves all that images share."""
-    return np.concatenate([twists, np.zeros((len(twists), COMMON, twists.shape[2]))], axis=1)
+def _beside_nothing(eq: Equations, twists: Array) -> Array:
+    """Columns (N, 6 + 15 + Z, k) of what moves the target by twists (N, 6, k) and leaves all that images share."""
+    shared = eq.grams.shape[1] - 1 - POSE
+    return np.concatenate([twists, np.zeros((len(twists), shared, twists.shape[2]))], axis=1)
 
 
 def _scan(eq: Equations, sizes: Sizes, columns: Array) -> tuple[int, float, Array]:
     """(first image after the change, gain, its k values) of the best place, for what the change does to the target's
-    twist and to what all images share, (N, 6 + 15, k).
+    twist and to what all images share, (N, 6 + 15 + Z, k).
     """
     solved = eq.solve(sizes)
     E = solved.E
