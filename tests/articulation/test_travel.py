@@ -88,7 +88,7 @@ def test_each_millimetre_is_paid_for_and_no_pose_pays_for_its_neighbours(step: f
     for i in range(400):
         travel.stepped(step, 0.0)
         travel.come(np.array([step * i, 0.0, 0.0]), 1e-4)
-        paid.append(travel.thoughts())
+        paid.append(travel.steps_due())
     assert sum(paid) >= travel.path / 1e-3 - 5
     assert max(paid) <= math.ceil(step / 1e-3)
 
@@ -98,4 +98,4 @@ def test_what_was_owed_before_there_were_enough_poses_is_paid_at_once() -> None:
     for i in range(6):
         travel.stepped(0.02, 0.0)
         travel.come(np.array([0.02 * i, 0.0, 0.0]), 1e-4)
-    assert travel.thoughts() >= 60
+    assert travel.steps_due() >= 60

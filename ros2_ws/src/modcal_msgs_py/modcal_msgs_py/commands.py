@@ -55,7 +55,7 @@ class JointInput:
     """The newest position, velocity and effort of every joint of an arm, from messages in any order and any parts."""
 
     def __init__(self, names: Sequence[str], lower: Array, upper: Array) -> None:
-        """Wait for these joints; positions far outside the limits are not believed."""
+        """Wait for these joints; positions far outside the limits are refused."""
         self.names = tuple(names)
         self._column = {name: j for j, name in enumerate(self.names)}
         self._lower, self._upper = lower - _BEYOND, upper + _BEYOND

@@ -1,4 +1,4 @@
-"""Setpoints of an impedance as the messages that stacks take, wrenches both ways, and what is believed of an object."""
+"""Setpoints of an impedance as the messages that stacks take, wrenches both ways, and the estimate of an object."""
 
 from __future__ import annotations
 

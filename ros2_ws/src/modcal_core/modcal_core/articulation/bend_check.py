@@ -37,7 +37,7 @@ class BendCheck:
         self._stretches, self._asked = stretches, 0.0
 
     def come(self, motion: AxisMotion | None) -> None:
-        """Ask anew where the path has grown. motion: the one that is believed now."""
+        """Ask again where the path has grown. motion: the one that is selected now."""
         path = self._stretches.path
         if motion is None or path - self._asked < _ASKED_EVERY:
             return

@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 
 _DEGREE = 5  # of the bend, a polynomial along the path: two waves, longer than what is alike within a hand's width
 _PARAMETERS = 6  # of a circle in space
-# m: what the joint must leave beside noise for a bend to be thought of, half the usual play, as for two motions
+# m: what the joint must leave beside noise for a bend to be considered, half the usual play, as for two motions
 WORTH = 0.5 * float(np.exp(PLAY[0]))
 _SURELY = 4.0  # deviations by which what is left must be more than noise
 VANISHES = 0.04  # of its squares may stay: less than half of what the smoothest of 47 real tracks keeps
@@ -24,7 +24,7 @@ CAP = 0.03  # m: samples farther off are outliers
 
 
 def bend_explains(track: Track, left: Array, along: Array) -> str:
-    """Why a smooth bend is to be thought of, for a person; empty where it is not.
+    """Why a smooth bend is to be considered, for a person; empty where it is not.
 
     left (n, 3): what the joint leaves of positions [m]. along (n,): configurations of the samples.
     """

@@ -65,8 +65,8 @@ class ModelSelector:
         turn = float(step[3:] @ step[3:]) if len(step) == 6 else 0.0
         self._jitter.append((float(step[:3] @ step[:3]), turn))
 
-    def think(self, nodes: Nodes) -> bool:
-        """A slot of the round, or a step on the nodes of now, or both; whether another kind is believed now.
+    def advance(self, nodes: Nodes) -> bool:
+        """A slot of the round, or a step on the nodes of now, or both; whether another kind is selected now.
 
         What a round has found is concluded where the next one begins.
         """
@@ -86,7 +86,7 @@ class ModelSelector:
         return other
 
     def _improve(self, motion: AxisMotion, nodes: Nodes) -> None:
-        """A step of what is believed, on the nodes of now, at the play and the sway that it was chosen for."""
+        """A step of the selected motion, on the nodes of now, at the play and the sway that it was chosen for."""
         better = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
         assert isinstance(better, AxisMotion)
         self.motion = better

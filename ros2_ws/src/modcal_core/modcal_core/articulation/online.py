@@ -1,9 +1,9 @@
-"""The object while it is moved: what it is, whether to trust that, whether it still behaves; constant time a pose.
+"""Online estimate of an articulated object: its joint, whether its model is trusted, and whether it still moves so.
 
-Poses are pooled into a bounded number of nodes, and thought over a little at each (``model_selector``). Trust is earned
-by predicting (``prediction_check``), and lost by a prediction far off or a handle that leaves the path. Then learning
-goes on; when the model cannot be corrected in two rounds of refinement, what is held is not what it was, and all
-begins anew.
+Poses are pooled into a bounded number of nodes, and a bounded amount of work is done at each pose
+(``model_selector``). A model is trusted once its predictions hold (``prediction_check``), and no longer after one that
+is far off, or when the handle leaves the path. The fit then goes on; where two rounds of refinement do not bring the
+model back to the path, the hand holds something else, and the estimate restarts.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class TrackerState:
-    """What is believed after a pose. kind, probabilities: of the joint; the kind is "none" where the best one leaves
+    """The estimate after a pose. kind, probabilities: of the joint; the kind is "none" where the best one leaves
     too much of the path so far. model: None until something has moved, and of none.
 
     configuration: of this pose [rad or m], 0 where the handle began. trusted: whether the model has predicted well.
@@ -141,7 +141,7 @@ class Tracker:
     def update(
         self, position: ArrayLike, rotation: ArrayLike | None, stamp: float, pulled: bool = False
     ) -> TrackerState:
-        """What is believed after one more pose: position (3,) [m], rotation (3, 3) or None, stamp [s].
+        """The estimate after one more pose: position (3,) [m], rotation (3, 3) or None, stamp [s].
 
         pulled: whether somebody pulls at this moment, which tells a handle that rests from one that is stuck.
         Raises BadCommand for a pose that is not finite, of the wrong shape, or older than the last one.
@@ -165,9 +165,9 @@ class Tracker:
             self._bend.come(motion)
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
-            for _ in range(self._travel.thoughts() if self._nodes.k >= FEWEST else 0):
-                self._two.think(self._selector.scale[0])
-                if self._selector.think(self._nodes):
+            for _ in range(self._travel.steps_due() if self._nodes.k >= FEWEST else 0):
+                self._two.advance(self._selector.scale[0])
+                if self._selector.advance(self._nodes):
                     self._check.begin(*self._reached())
         self._judge()
         if self._two.found and (motion is None or motion.flat):
@@ -195,10 +195,10 @@ class Tracker:
             )
         return p, R
 
-    # what the model that is believed says of this pose
+    # what the selected model says of this pose
 
     def _compare(self, p: Array, R: Array | None) -> tuple[float, float, float, Event | None]:
-        """Configuration, distance from the believed path [m], rotation against it [rad], and whether that was left."""
+        """Configuration, distance from the selected path [m], rotation against it [rad], and whether that was left."""
         motion, follows = self._selector.motion, self._selector.follows
         if motion is None:
             return 0.0, 0.0, 0.0, None
@@ -285,7 +285,7 @@ class Tracker:
         return too_much(*self._left, self._selector.scale)
 
     def _reached(self) -> tuple[float, float]:
-        """Path [m] that the nodes have reached, in the believed motion's configuration."""
+        """Path [m] that the nodes have reached, in the selected motion's configuration."""
         motion, nodes = self._selector.motion, self._nodes
         assert motion is not None
         assert nodes is not None

@@ -19,7 +19,7 @@ LEAST_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
 LEAST = 10  # samples of it
 _TRIED = 24  # places for the cut
 _PARAMETERS = 6  # of a circle in space
-_WORTH = 0.5  # of the usual play: what one motion must leave beside noise for two to be thought of
+_WORTH = 0.5  # of the usual play: what one motion must leave beside noise for two to be considered
 _VANISHES = 0.1  # of its squares may be left by two
 _CAP = 0.03  # m: a sample farther off costs no more
 
@@ -39,7 +39,7 @@ def best_cut(track: Track) -> int | None:
 
 
 def two_explain(track: Track) -> str:
-    """Why two motions are to be thought of where one line or circle was found, for a person; empty where one does."""
+    """Why two motions are to be considered where one line or circle was found, for a person; empty where one does."""
     cut, n = best_cut(track), len(track)
     if cut is None or 2 * n <= 4 * _PARAMETERS:
         return ""

@@ -1,4 +1,4 @@
-"""Whether what was believed after a good half of the path predicts the rest of it, asked again as the path grows.
+"""Whether the model of a good half of the path predicts the rest of it, asked again as the path grows.
 
 A prediction of the next five centimetres says little once half a metre is known: there every smooth path is right. So
 the part that was not used for the fit grows with the path. Models are kept as they were along the path; the one from
@@ -46,7 +46,7 @@ class ShareCheck:
         self._every, self._asked = _KEPT_EVERY, 0.0
 
     def come(self, p: Array, motion: AxisMotion | None, noise: float) -> None:
-        """Take a position (3,) [m] and the motion that is believed there. noise: of one position, on an axis [m]."""
+        """Take a position (3,) [m] and the motion that is selected there. noise: of one position, on an axis [m]."""
         self.stretches.come(p, noise)
         path = self.stretches.path
         if not self._kept or path - self._kept[-1][0] >= self._every:

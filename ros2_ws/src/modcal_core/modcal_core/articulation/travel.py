@@ -1,7 +1,7 @@
-"""How far a handle has come, by its poses, and how much thinking that pays for.
+"""How far a handle has come, by its poses, and how many steps of computation are due for it.
 
-A pull is believed by the way that it took, not by how many poses came on it: so much thought is owed to each
-centimetre, whether fifty poses fell on it or one. Noise is no way: only what lies beyond the last mark counts.
+Evidence grows with the path, not with the number of poses on it: each centimetre gets the same number of steps, whether
+fifty poses fell on it or one. Noise is no path: only what lies beyond the last mark counts.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from modcal_core.geometry.so3 import Array
 
 _MARK = 4e-3  # m from mark to mark
 _NOISE = 4.0  # deviations of noise on an axis from mark to mark, where that is more
-_PER_THOUGHT = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, gives one thought to a pose
-_MOST = 60  # thoughts at one pose, some 40 ms: more than a whole round
-_AHEAD = 5.0  # thoughts that may be had before they are owed
-_LATER = round(_MARK / _PER_THOUGHT)  # thoughts that may be had a pose or some later
+_PER_STEP = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, makes one step due at each pose
+_MOST = 60  # steps at one pose, some 40 ms: more than a whole round
+_AHEAD = 5.0  # steps that may be computed before they are due
+_LATER = round(_MARK / _PER_STEP)  # steps that may be computed a pose or some later
 _STEPS = 7  # of the last poses, whose median is the usual step
 
 
@@ -34,27 +34,27 @@ class Travel:
         self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)
 
     def stepped(self, far: float, turn: float) -> None:
-        """Note a step [m, rad] from one pose to the next that was believed."""
+        """Note a step [m, rad] from one pose to the next that was accepted."""
         self._steps.append((far, turn))
         self.step = (statistics.median(s[0] for s in self._steps), statistics.median(s[1] for s in self._steps))
 
     def come(self, p: Array, noise: float) -> None:
-        """Take a position (3,) [m] that was believed. noise: of one, on an axis [m]."""
+        """Take a position (3,) [m] that was accepted. noise: of one, on an axis [m]."""
         if self._mark is None:
             self._mark = p
         far = math.dist(p, self._mark)
         if far >= max(_MARK, _NOISE * noise):
             self._mark = p
             self.path += far
-            self._owed += far / _PER_THOUGHT
+            self._owed += far / _PER_STEP
 
-    def thoughts(self, least: int = 1) -> int:
-        """How many are due at this pose: so many at least, and what the way since the last pays for.
+    def steps_due(self, least: int = 1) -> int:
+        """How many steps of computation are due at this pose: ``least`` or more, by the path since the last.
 
-        No more than the usual step from pose to pose pays for, where no more than from mark to mark stays owed: what
-        falls due at a mark is spread over the poses up to the next one.
+        No more than the usual motion from pose to pose makes due, where no more than from mark to mark is left over:
+        what falls due at a mark is spread over the poses up to the next one.
         """
-        owed, usual = round(self._owed), math.ceil(self.step[0] / _PER_THOUGHT)
+        owed, usual = round(self._owed), math.ceil(self.step[0] / _PER_STEP)
         due = min(max(min(owed, usual), owed - _LATER, least), _MOST)
         self._owed = max(self._owed - due, -_AHEAD)
         return due

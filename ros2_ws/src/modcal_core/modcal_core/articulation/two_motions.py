@@ -37,11 +37,11 @@ class TwoMotions:
         self._fine = False
 
     def come(self, p: Array, noise: float) -> None:
-        """Take a position (3,) [m] that was believed. noise: of one position, on an axis [m]."""
+        """Take a position (3,) [m] that was accepted. noise: of one position, on an axis [m]."""
         self._stretches.come(p, noise)
 
-    def think(self, noise: float) -> None:
-        """Try one cut, or ask anew where the path has grown. noise: of one position, on an axis [m]."""
+    def advance(self, noise: float) -> None:
+        """Try one cut, or ask again where the path has grown. noise: of one position, on an axis [m]."""
         if self._snapshot is not None:
             self._try(self._snapshot)
             return

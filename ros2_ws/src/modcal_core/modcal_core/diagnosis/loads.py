@@ -35,7 +35,7 @@ from modcal_core.robots.mechanism import is_serial_arm
 _MOST_ASKED = 400  # samples that a suspicion rests on; more are thinned
 _SUSPICIOUS = 20.0  # gain for each number, in units of what is left for each row: chance makes one, other causes some
 _WORTH = 0.2  # gain as a share of what is left: less is not worth another search, nor a word on how an arm stands
-_SURE = 5.0  # standard deviations from which another way of weight or a mass is believed
+_SURE = 5.0  # standard deviations from which another way of weight or a mass is accepted
 _LEAST_TURN = np.radians(2.0)  # a floor is as level as that
 _MOST_STD = np.radians(5.0)  # of the way of weight; known worse it is not known
 _MOST_KG = 100.0  # above what all but the largest arms carry
@@ -107,7 +107,7 @@ def weighed(
             continue
         asked = replace(kept, arm=arm if best is None else _arm_of(best), tilts=tilts, carries=not tilts)
         suspicion = at.suspicion(asked)
-        # 1 kg at the tip is a rough load: where no mass is known, only what is plain is believed of the way of weight
+        # 1 kg at the tip is a rough load: where no mass is known, only a large change of the way of weight is accepted
         if suspicion is None or (tilts and not arm.weighed and not suspicion.plain):
             continue
         if best is None and not suspicion.plain:

@@ -131,7 +131,7 @@ class Operation:
     ) -> ArmSetpoint | Wait | Stop:
         """What to send at time ``now`` [s], or that nothing may be sent yet, or any more.
 
-        T_base_tool (4, 4): where the tool is measured. sensor: has heard the last wrench. state: the belief so far.
+        T_base_tool (4, 4): where the tool is measured. sensor: has the last wrench. state: the estimate so far.
         """
         if self._stop is not None:
             return self._stop
@@ -272,7 +272,7 @@ class Operation:
         return speed if self._answered else min(speed, max(creep, _UNTOLD * speed * creep / _CREEP))
 
     def _check(self, h: float, T: Array, state: ObjectModel) -> None:
-        """Stand, and walk along the way in thought."""
+        """Stand, and check the whole path ahead."""
         course, now = self.course, self._last + h
         assert course is not None
         self.expected = course.advance(self._go(0.0, h))

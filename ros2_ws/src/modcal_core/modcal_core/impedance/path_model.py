@@ -28,7 +28,7 @@ _SLIDES_BEYOND = 1.5
 
 
 class Exploration:
-    """The expected pose while the way is unknown: along the believed direction at first, then where the tool is led.
+    """The expected pose while the way is unknown: along the expected direction at first, then where the tool is led.
 
     What leads the tool aside or turns it is followed, so that a hinge need not fight the arm: a door that turns the
     hand by 10° over 10 cm would otherwise have to turn it against the damping of the impedance law.

@@ -19,7 +19,7 @@ Mode = Literal["expected", "admittance"]
 
 
 class ObjectModel(Protocol):
-    """What is believed of the object: the state of an articulation Tracker, or the like."""
+    """The estimate of the object: the state of an articulation Tracker, or the like."""
 
     @property
     def model(self) -> JointModel | None:
@@ -66,7 +66,7 @@ class Stop:
 class ImpedanceTask:
     """What to do and how gently.
 
-    direction (3,): believed pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to
+    direction (3,): of the pull, seen from the tool. goal_rad, goal_m: how far something that turns, or slides, is to
     be opened. mode: ``admittance`` where the stack that follows is stiff, ``expected`` where it is compliant itself:
     never both. exploration_speed, speed: of the tool while the way is unknown, and once it is known [m/s].
     max_exploration: longest way that is gone unknown [m]. mass, damping, stiffness: of the impedance, each along the

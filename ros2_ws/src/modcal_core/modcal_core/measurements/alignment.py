@@ -20,7 +20,7 @@ from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Record
 
 STEP = 0.02  # s, grid of the speeds
 SEARCH = 5.0  # s, largest lag looked for
-TRUSTED = 0.6  # correlation from which a lag is believed
+TRUSTED = 0.6  # correlation from which a lag is accepted
 APPLIED = 0.002  # s; a smaller offset is below what this method resolves
 CLEARLY = 3.0  # standard deviations beyond which an offset is not chance: one in 370 of clocks that agree
 LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay

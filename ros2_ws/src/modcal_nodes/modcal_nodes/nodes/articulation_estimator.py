@@ -45,7 +45,7 @@ _POSES: dict[str, type] = {
 _JOINTS = "joint_states"
 _HANDLE = "object_handle"
 _REST = 0.002  # s
-_SILENT = 1.0  # s without a pose, after which what is believed is said to be old
+_SILENT = 1.0  # s without a pose, after which the estimate is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
 
@@ -178,7 +178,7 @@ class ArticulationEstimator(GuardedNode):
         self._force = float(np.linalg.norm(left - self._offset))
 
     def _due(self, stamp: float, frame: str) -> bool:
-        """Whether a pose of this time is wanted: not more of them than rate_hz; time that goes back begins anew.
+        """Whether a pose of this time is wanted: not more of them than rate_hz; time that goes back restarts it.
 
         Raises BadCommand for one in another frame, or whose stamp lies alone, seconds from the others.
         """
@@ -199,7 +199,7 @@ class ArticulationEstimator(GuardedNode):
         return order != "late" and stamp - self._last >= 0.999 / self._chosen["rate_hz"]
 
     def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
-        """Take one pose, and say what is believed after it."""
+        """Take one pose, and publish the estimate after it."""
         self._turned = R
         state = self._tracker.update(p, R, stamp, self._force > self._chosen["pull_n"])
         self._state, self._frame, self._last = state, frame, stamp
@@ -292,7 +292,7 @@ class ArticulationEstimator(GuardedNode):
 
 
 def _said(state: TrackerState) -> str:
-    """What is believed, for a person."""
+    """The estimate, for a person."""
     if state.event:
         return state.event
     if state.kind == NONE:

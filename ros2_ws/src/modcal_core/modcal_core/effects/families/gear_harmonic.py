@@ -65,7 +65,7 @@ def cycle_grid(joint_range: float) -> Array:
 
 
 def complexity(effect: Effect) -> int:
-    """A gear's curve is believed sooner than any other free shape: teeth make one."""
+    """A gear's curve is preferred to any other free shape: teeth make one."""
     return USUAL if effect.shape.kind == "spline" else complexity_of_joint(effect)
 
 

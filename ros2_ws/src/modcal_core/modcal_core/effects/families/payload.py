@@ -24,7 +24,7 @@ from modcal_core.robots.mechanism import Mechanism
 NAME = "payload"
 BREAKS_NEARBY = 12  # times between stations that are tried, where it is known about when the mass came
 _MOST_KG = 100.0  # above what all but the largest arms carry; a larger one is another effect that imitates a mass
-_SURE = 5.0  # standard deviations from which a mass is believed
+_SURE = 5.0  # standard deviations from which a mass is accepted
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
