@@ -267,6 +267,7 @@ def test_images_named_by_their_stamps(tmp_path: Path) -> None:
         ("image,a,b\n1.png,x,0\n", "line 2"),
         ("image,a,b\n1.png,90,0\n", "radians"),
         ("image,a,b\n1.png,nan,0\n", "not finite"),
+        ("image,a,b\n1.png,0,0\n1.png,0,0\n", "two rows"),
         ("image,a,b\n1.png,0,0\n1.png,0,1\n", "two rows"),
         ("stamp,a,b\n2,0,0\n1,0,0\n", "do not increase"),
     ],
