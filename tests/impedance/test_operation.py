@@ -328,6 +328,21 @@ def test_without_its_estimator_a_pull_ends(phase: str) -> None:
     assert "articulation_estimator" in outs[-1].why
 
 
+def test_nothing_moves_before_the_estimator_is_received() -> None:
+    still = Still(Operation(PANDA, TASK, LIMITS))
+    still.belief.silent = True
+    outs = [still.tick() for _ in range(int(3.0 / PERIOD))]
+    assert all(isinstance(out, Wait) for out in outs)
+    assert "articulation_estimator" in outs[-1].why
+    still.belief.silent = False
+    still.until("explore")
+    never = Still(Operation(PANDA, TASK, LIMITS))
+    never.belief.silent = True
+    last = [never.tick() for _ in range(int(12.0 / PERIOD))][-1]
+    assert isinstance(last, Stop)
+    assert "articulation_estimator" in last.why
+
+
 def test_a_model_that_is_trusted_already_is_followed() -> None:
     """As from an earlier pull at the same object: it is checked in its own time, and followed."""
     still = Still(Operation(PANDA, TASK, LIMITS))

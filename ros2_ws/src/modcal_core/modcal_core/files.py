@@ -80,19 +80,15 @@ def to_json(data: Any) -> str:
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
-class TextLines(str):
-    """A text of several lines that YAML shows as they are, a line each."""
-
-
 def to_yaml(data: Any) -> str:
-    """YAML text with keys in the order given, short lists in one line, and a :class:`TextLines` as its lines."""
+    """YAML text with keys in the order given, short lists in one line, and a text of several lines as these lines."""
     import yaml  # the mathematics needs NumPy and SciPy only
 
     class Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
         """Ten times as quick, where PyYAML has it in C."""
 
     Dumper.add_representer(
-        TextLines, lambda to, text: to.represent_scalar("tag:yaml.org,2002:str", str(text), style="|")
+        str, lambda to, text: to.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)
     )
     return str(yaml.dump(data, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=160, allow_unicode=True))
 

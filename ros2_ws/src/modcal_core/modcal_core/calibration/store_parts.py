@@ -21,7 +21,6 @@ from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import require_known
 from modcal_core.effects.shapes import Shape
-from modcal_core.files import TextLines
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
@@ -99,7 +98,7 @@ def uncertainty_to_data(known: Uncertainty) -> dict[str, Any]:
             }
             for p in known.parameters
         ],
-        "covariance": TextLines("".join(f"{' '.join(map(repr, row[: i + 1]))}\n" for i, row in enumerate(rows))),
+        "covariance": "".join(f"{' '.join(map(repr, row[: i + 1]))}\n" for i, row in enumerate(rows)),
     }
 
 

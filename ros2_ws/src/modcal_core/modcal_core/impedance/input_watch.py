@@ -12,6 +12,7 @@ import math
 # s: a driver that is restarted publishes again within that; later somebody may have moved the arm, and must not be met
 # by one that moves by itself
 _RECOVERY_TIME = 5.0
+NO_STATUS = "object_status: no recent message: check that articulation_estimator is alive and its input too"
 
 
 class InputWatch:
@@ -45,7 +46,7 @@ class InputWatch:
         silent: whether no recent status was received. patience: what the estimator has for its first one [s].
         """
         if silent and now - self._moving_since > patience:
-            return "object_status: no recent message: check that articulation_estimator is alive and its input too"
+            return NO_STATUS
         return ""
 
     def wait(self, now: float) -> None:

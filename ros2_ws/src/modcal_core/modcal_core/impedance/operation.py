@@ -20,7 +20,7 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.impedance import Impedance
-from modcal_core.impedance.input_watch import InputWatch
+from modcal_core.impedance.input_watch import NO_STATUS, InputWatch
 from modcal_core.impedance.lead_check import LeadCheck, Stiffness
 from modcal_core.impedance.path_check import PathCheck, Reach
 from modcal_core.impedance.path_model import Exploration, PathModel
@@ -152,7 +152,7 @@ class Operation:
                 self._let_go(self._watch.pending, now)
             self._watch.all_fresh()
             if self.phase == "tare":
-                return self._weigh(now, T_base_tool, sensor, joints)
+                return self._weigh(now, T_base_tool, sensor, joints, state)
             return self._go_on(now, T_base_tool, sensor, joints, state)
         except LateInput as error:
             return self._wait(str(error), now)
@@ -167,7 +167,9 @@ class Operation:
         patience = self.task.input_timeout_s if self.phase != "tare" else _TARE_PATIENCE
         return self.stop(why) if self._watch.waited(now, patience) else Wait(why)
 
-    def _weigh(self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions) -> Wait | Stop:
+    def _weigh(
+        self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
+    ) -> Wait | Stop:
         if math.isnan(self._since):
             self._since = now
         at_rest = True
@@ -178,6 +180,8 @@ class Operation:
             if now - self._since > _TARE_PATIENCE:
                 return self.stop("tare: the arm is moving: hold it still before the pull")
             return Wait("taring the wrench: the arm stands still for a moment")
+        if state.silent:  # nothing moves that no estimator follows
+            return self.stop(NO_STATUS) if now - self._since > _TARE_PATIENCE else Wait(NO_STATUS)
         sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self.task.gravity)
         sensor.reset_past()
         self.setpoint_filter.begin(joints.q, T)
