@@ -97,7 +97,7 @@ class MarkerBundle:
 
     @cached_property
     def middles(self) -> Array:
-        """Of the markers, as drawn, (K, 3) [m]."""
+        """Of the markers, nominal, (K, 3) [m]."""
         return np.array([m.xyz for m in self.markers], dtype=float).reshape(-1, 3)
 
     @cached_property
@@ -118,7 +118,7 @@ class MarkerBundle:
 
     @property
     def points(self) -> Array:
-        """Where its points are as drawn, (C, 3) [m]."""
+        """Where its points are nominally, (C, 3) [m]."""
         marker, lever, _ = self._layout
         return np.asarray(self.middles[marker] + lever)
 

@@ -42,7 +42,7 @@ def resection(A: Array, point: np.ndarray, rays: Array, body: Array, calibrated:
     """Camera and body from sightings of points, None where these are too few.
 
     A: flange pose at each sighting, (M, 4, 4) [m]. point: which is seen, (M,). rays: where, x and y at depth 1, or,
-    unless calibrated, in any unit from the image's middle, (M, 2). body: the points as drawn, (C, 3) [m].
+    unless calibrated, in any unit from the image's middle, (M, 2). body: the nominal points, (C, 3) [m].
     """
     if len(A) > _MOST:
         some = np.linspace(0, len(A) - 1, _MOST).astype(int)
