@@ -81,7 +81,7 @@ def furniture(cut: float) -> list[dict[str, Any]]:
             "truth": truth,
             "kind": choice.kind,
             "enough": choice.enough,
-            "probability": choice.probabilities[choice.kind],
+            "probability": choice.probabilities.get(choice.kind),  # of none there is no probability
             "why": choice.why,
             "online": states[-1].kind,
             "trusted_share": float(np.mean([s.trusted for s in states])),

@@ -100,6 +100,7 @@ _SPARSE = 0.6  # of the distance ahead, from one pose to the next: fewer than tw
 _UNMOVED = 3.0  # times what counts as still; a handle that has never moved farther is locked, any other jammed
 _BESIDE = 6  # poses beside the path after which it has been left
 _RECOVERY = 2  # rounds of evaluation that a model gets to follow a handle that has left its path
+_UNCHECKED = 3  # steps of the model by which the checks of the path may be behind it
 _HELD = 20  # poses for which a model that was trusted lately is not bent by what lies beside its path
 
 
@@ -122,6 +123,7 @@ class Tracker:
         self._bend = BendCheck(self._share.stretches)
         self._travel = Travel()
         self._two = TwoMotions()
+        self._unchecked = 0
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
@@ -162,13 +164,13 @@ class Tracker:
             self._travel.come(q, self._selector.scale[0])
             self._two.come(q, self._selector.scale[0])
             self._share.come(q, motion, self._selector.scale[0])
-            self._bend.come(motion)
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
-            for _ in range(self._travel.steps_due() if self._nodes.k >= FEWEST else 0):
-                self._two.advance(self._selector.scale[0])
+            due = self._travel.steps_due() if self._nodes.k >= FEWEST else 0
+            for _ in range(due):
                 if self._selector.advance(self._nodes):
                     self._check.begin(*self._reached())
+            self._check_path(due, motion)
         self._judge()
         if self._two.found and (motion is None or motion.flat):
             self._check.lose()
@@ -194,6 +196,18 @@ class Tracker:
                 "pose of the handle", f"its stamp {stamp:g} s is older than the last", "give poses in order"
             )
         return p, R
+
+    def _check_path(self, due: int, motion: AxisMotion | None) -> None:
+        """Ask whether the path is no joint's: as often as the model advances, but at poses where it does not, if there
+        are some. due: its steps at this pose. motion: the one that was selected before them.
+        """
+        self._unchecked += due
+        steps = min(self._unchecked, 1) if due == 0 else max(self._unchecked - _UNCHECKED, 0)
+        self._unchecked -= steps
+        for _ in range(steps):
+            self._two.advance(self._selector.scale[0])
+        if steps:
+            self._bend.come(motion)
 
     # what the selected model says of this pose
 

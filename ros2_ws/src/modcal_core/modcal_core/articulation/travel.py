@@ -48,13 +48,13 @@ class Travel:
             self.path += far
             self._owed += far / _PER_STEP
 
-    def steps_due(self, least: int = 1) -> int:
-        """How many steps of computation are due at this pose: ``least`` or more, by the path since the last.
+    def steps_due(self) -> int:
+        """How many steps of computation are due at this pose, by the path since the last; one, while few are ahead.
 
         No more than the usual motion from pose to pose makes due, where no more than from mark to mark is left over:
         what falls due at a mark is spread over the poses up to the next one.
         """
         owed, usual = round(self._owed), math.ceil(self.step[0] / _PER_STEP)
-        due = min(max(min(owed, usual), owed - _LATER, least), _MOST)
+        due = min(max(min(owed, usual), owed - _LATER, int(self._owed > -_AHEAD)), _MOST)
         self._owed = max(self._owed - due, -_AHEAD)
         return due
