@@ -36,6 +36,7 @@ import fresh_fifth  # noqa: E402, F401
 import fresh_fourth  # noqa: E402, F401
 import fresh_seventh  # noqa: E402, F401
 import fresh_sixth  # noqa: E402, F401
+import fresh_sixth_cells  # noqa: E402, F401
 import fresh_third  # noqa: E402, F401
 import good  # noqa: E402, F401
 import later  # noqa: E402, F401
