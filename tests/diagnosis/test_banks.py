@@ -8,9 +8,11 @@ from calibration.test_identify import fit_all
 from cells import record, ur10
 
 from modcal_core.calibration.identify import Fit
-from modcal_core.diagnosis.banks import NumberBank, Spectra, StepBank, WaveBank
+from modcal_core.diagnosis.banks import StepBank, WaveBank
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS
 from modcal_core.diagnosis.evidence import Scanner
+from modcal_core.diagnosis.known_sums import KnownSums
+from modcal_core.diagnosis.number_banks import GatheredBank
 from modcal_core.diagnosis.spectra import Spectrum
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.registry import candidates
@@ -24,35 +26,42 @@ def fitted() -> tuple[Fit, Drivers]:
     return fit, fit.model.drivers(samples)
 
 
+@pytest.mark.parametrize("count", [150, 700], ids=["by a table", "by an FFT"])
 @pytest.mark.parametrize("turns", [0.1, 1.0, 40.0])
-def test_a_spectrum_is_the_sum_over_the_samples(rng: np.random.Generator, turns: float) -> None:
+def test_a_spectrum_is_the_sum_over_the_samples(rng: np.random.Generator, turns: float, count: int) -> None:
     """Over a tenth of a turn and over forty."""
-    angle, columns = 2.0 * np.pi * turns * rng.uniform(-0.5, 0.5, 150), rng.normal(size=(150, 70))
+    angle, columns = 2.0 * np.pi * turns * rng.uniform(-0.5, 0.5, count), rng.normal(size=(count, 70))
     step, most = 4.0 / 27.0, 900
-    wave = np.exp(1j * step * np.arange(most + 1)[:, None] * angle)
-    apart = np.abs(Spectrum(angle, step, most).sums(columns) - wave @ columns)
-    assert (apart < 1e-8 * np.abs(columns).sum(axis=0)).all()
+    phase = step * np.arange(most + 1)[:, None] * angle
+    sums = Spectrum.of(angle, step, most).sums(columns)
+    size = 1e-8 * np.abs(columns).sum(axis=0)
+    assert (np.abs(sums[:, 0] - np.sin(phase) @ columns) < size).all()
+    assert (np.abs(sums[:, 1] - np.cos(phase) @ columns) < size).all()
 
 
 def test_each_bank_sums_as_its_numbers_do(fitted: tuple[Fit, Drivers], rng: np.random.Generator) -> None:
     """Every kind of bank of a real scan, beside the numbers of its candidates one by one."""
     _, drivers = fitted
     scanner = Scanner(list(candidates(drivers)), drivers)
-    assert {type(bank) for bank in scanner.banks} == {NumberBank, WaveBank, StepBank}
+    assert {type(bank) for bank in scanner.banks} == {GatheredBank, WaveBank, StepBank}
     assert len(scanner.effects) == len(list(candidates(drivers)))
     for bank in scanner.banks:
-        distinct = dict.fromkeys(bank.keys)
-        unit = {key: rng.normal(size=(6, len(drivers))) for key in distinct}
-        asked = {key: rng.normal(size=(len(drivers), 3)) for key in distinct}
-        sums = bank.sums([asked[key] for key in bank.keys], Spectra())
-        gram = bank.gram([unit[key] for key in bank.keys])
-        for i in {0, len(bank.effects) // 2, len(bank.effects) - 1}:
+        unit = {key: rng.normal(size=(6, len(drivers))) for key in bank.keys}
+        asked = {key: rng.normal(size=(len(drivers), 3)) for key in bank.keys}
+        sums = bank.sums(asked, KnownSums())
+        squares = bank.gram_of_sums(asked, KnownSums())
+        gram = bank.gram(unit)
+        assert sums.shape[:2] == (len(bank.effects), bank.width)
+        some = rng.choice(len(bank.effects), min(len(bank.effects), 12), replace=False)
+        for i in {0, len(bank.effects) - 1, *some.tolist()}:
             keys, numbers = scanner._factor(bank.effects[i])
-            assert keys == bank.keys
+            assert set(keys) <= set(bank.keys)
             columns = np.stack([numbers[a] * unit[key] for a, key in enumerate(keys)])
             expected = np.stack([numbers[a] @ asked[key] for a, key in enumerate(keys)])
             size = np.abs(numbers).sum()
             np.testing.assert_allclose(sums[i], expected, atol=1e-7 * size)
+            np.testing.assert_allclose(bank.sums(asked, KnownSums(), slice(i, i + 1))[0], expected, atol=1e-7 * size)
+            np.testing.assert_allclose(squares[i], expected @ expected.T, atol=1e-6 * size**2)
             np.testing.assert_allclose(gram[i], np.einsum("acN,bcN->ab", columns, columns), atol=1e-6 * size)
 
 
@@ -93,15 +102,15 @@ def test_a_clear_answer_ends_the_trials_and_is_the_same(fitted: tuple[Fit, Drive
     assert FIRST_FLIPS in flips
 
 
+@pytest.mark.parametrize("count", [150, 700], ids=["by a table", "by an FFT"])
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
-def test_squares_of_sums_are_those_of_the_sums(rng: np.random.Generator, kind: type) -> None:
+def test_squares_of_sums_are_those_of_the_sums(rng: np.random.Generator, kind: type, count: int) -> None:
     """Of a wave with itself, and of one with that of twice as many cycles, without a sum being kept."""
-    angle, columns = rng.uniform(-3.0, 3.0, 150), rng.normal(size=(150, 130)).astype(kind)
-    spectrum = Spectrum(angle, 0.25, 301)
-    waves = spectrum.sums(columns.astype(float))
+    angle, columns = rng.uniform(-3.0, 3.0, count), rng.normal(size=(count, 130)).astype(kind)
+    spectrum = Spectrum.of(angle, 0.25, 301)
+    parts = spectrum.sums(columns.astype(float)).transpose(1, 0, 2)  # sine, cosine
     squares = spectrum.squares(columns)
-    size = (1e-9 if kind is np.float64 else 1e-5) * np.sum(np.abs(waves) ** 2, axis=1).max()
-    parts = waves.imag, waves.real
+    size = (1e-9 if kind is np.float64 else 1e-5) * np.sum(parts**2, axis=(0, 2)).max()
     for found, (one, other) in (
         (squares.sine, (0, 0)),
         (squares.cosine, (1, 1)),
@@ -112,3 +121,14 @@ def test_squares_of_sums_are_those_of_the_sums(rng: np.random.Generator, kind: t
         for k in range(2):
             expected = np.sum(parts[i][:151] * parts[k][::2], axis=1)
             np.testing.assert_allclose(squares.doubled[i, k], expected, atol=size)
+
+
+@pytest.mark.parametrize("count", [150, 700], ids=["by a table", "by an FFT"])
+def test_products_of_waves_are_summed_with_a_weight(rng: np.random.Generator, count: int) -> None:
+    """Of sine and cosine of one wave and of another, neither of them twice the other."""
+    angle, weight = rng.uniform(-3.0, 3.0, count), rng.uniform(0.5, 2.0, count)
+    which = np.array([[7, 14], [300, 12], [5, 5], [0, 301]])
+    gram = Spectrum.of(angle, 0.25, 301).gram(which, weight)
+    for found, waves in zip(gram, which, strict=True):
+        rows = np.concatenate([[np.sin(0.25 * k * angle), np.cos(0.25 * k * angle)] for k in waves])
+        np.testing.assert_allclose(found, (rows * weight) @ rows.T, atol=1e-7 * weight.sum())

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.model import place_model
 from modcal_core.calibration.score import errors
 from modcal_core.effects.effect import is_move
 from modcal_core.geometry import se3, so3
@@ -15,6 +16,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.regimes.find import Move, find_regimes, moves_of
+from modcal_core.regimes.setups import SetupReadings
 from tests.cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
 COUNT = 160
@@ -195,3 +197,17 @@ def test_a_move_that_is_told_is_there_however_small() -> None:
     model = find_regimes(samples, ur10(), Cell(), stated=(Move(at, "tool"),))
     assert model is not None
     assert moves_of(model) == (Move(at, "tool"),)
+
+
+@pytest.mark.parametrize("kind", ["pose", "point"])
+def test_windows_at_once_have_the_base_and_tool_that_each_has(kind: str) -> None:
+    samples = recorded([(60, (0.01, 0.0, 0.02, 0.1, 0.0, 0.0), (0.0, 0.03, 0.0, 0.0, 0.0, 0.2))], kind)
+    seen = SetupReadings.of(place_model(ur10(), samples.frames), samples)
+    windows = np.stack([np.arange(a, a + 20) for a in (0, 55, 130)])
+    for each in (lambda rows: seen.tool(rows, seen.setup.D), lambda rows: seen.base(rows, seen.setup.X)):
+        np.testing.assert_allclose(each(windows), np.stack([each(rows) for rows in windows]), atol=1e-9)
+    both = seen.both(windows, seen.setup)
+    for D, X, rows in zip(both.D, both.X, windows, strict=True):
+        alone = seen.both(rows, seen.setup)
+        np.testing.assert_allclose(D, alone.D, atol=1e-9)
+        np.testing.assert_allclose(X, alone.X, atol=1e-9)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Term
@@ -31,7 +31,7 @@ class Knots:
 
     at: np.ndarray
     value: Array
-    whole: sparse.csr_array
+    whole: scipy.sparse.csr_array
 
     @classmethod
     def of(cls, numbers: Array) -> Knots | None:
@@ -39,7 +39,7 @@ class Knots:
         most = int(np.count_nonzero(numbers, axis=0).max(initial=0))
         if not 0 < most <= _MOST_EACH:
             return None
-        whole = sparse.csr_array(numbers)
+        whole = scipy.sparse.csr_array(numbers)
         by_sample = whole.tocsc()
         count = np.diff(by_sample.indptr)
         column = np.repeat(np.arange(len(count)), count)
@@ -98,11 +98,11 @@ def product(one: Knots, other: Knots, weight: Array, at: Drivers) -> Array:
     return np.asarray(blocks @ weight).reshape(len(one), len(other))
 
 
-def _blocks(one: Knots, other: Knots) -> sparse.csc_array:
+def _blocks(one: Knots, other: Knots) -> scipy.sparse.csc_array:
     """What a weight of each sample is multiplied by, (b c, N)."""
     value = one.value[:, :, None] * other.value[:, None, :]
     at = one.at[:, :, None] * np.int32(len(other)) + other.at[:, None, :]
     each = value[0].size
     begins = np.arange(0, value.size + 1, each, dtype=np.int32)
     shape = len(one) * len(other), len(value)
-    return sparse.csc_array((value.ravel(), at.ravel(), begins), shape=shape)
+    return scipy.sparse.csc_array((value.ravel(), at.ravel(), begins), shape=shape)

@@ -172,10 +172,10 @@ def hand_eye(A: Array, B: Array) -> tuple[Array, Array]:
 
 
 def procrustes(a: Array, b: Array) -> Array:
-    """The transform T with ``b ≈ T a`` for points a, b (N, 3) (Kabsch)."""
-    ca, cb = a.mean(axis=0), b.mean(axis=0)
-    R = so3.nearest_rotation((b - cb).T @ (a - ca))
-    return se3.transform(R, cb - R @ ca)
+    """The transforms T (..., 4, 4) with ``b ≈ T a`` for points a, b (..., N, 3) (Kabsch)."""
+    ca, cb = a.mean(axis=-2, keepdims=True), b.mean(axis=-2, keepdims=True)
+    R = so3.nearest_rotation(np.swapaxes(b - cb, -1, -2) @ (a - ca))
+    return se3.transform(R, cb[..., 0, :] - (R @ ca[..., 0, :, None])[..., 0])
 
 
 def _point_tool(A: Array, y: Array) -> tuple[Array, Array]:

@@ -18,8 +18,8 @@ from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.camera.corners import POSE
 from modcal_core.camera.fit import CameraFit, equations_at
-from modcal_core.diagnosis.banks import NumberBank
 from modcal_core.diagnosis.evidence import Scanner
+from modcal_core.diagnosis.number_banks import NumberBank
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect

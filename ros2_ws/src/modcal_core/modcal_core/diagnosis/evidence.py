@@ -16,26 +16,20 @@ residual and with the projector once, and the thousands of candidates that share
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.runs import independent_unit
 from modcal_core.diagnosis.anchor import Anchor
-from modcal_core.diagnosis.banks import (
-    Bank,
-    Key,
-    NumberBank,
-    SpectraOfDrivers,
-    StepBank,
-    WaveBank,
-    gathered,
-    wave_step,
-)
+from modcal_core.diagnosis.banks import Bank, SpectraOfDrivers, StepBank, WaveBank, wave_step
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS, against_noise, is_clear, score_table
+from modcal_core.diagnosis.explained import explained, inverses
+from modcal_core.diagnosis.known_sums import Key
+from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, gathered
 from modcal_core.diagnosis.space import Directions, SignTrials, Space
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index
@@ -45,9 +39,7 @@ from modcal_core.geometry.so3 import Array
 
 LEAST_FREEDOM = 20  # rows beyond what is fitted
 _KEPT = 2  # fits whose rows are kept beside those of the last: a look ahead, and back
-_AT_ONCE = 256  # candidates; what they explain in all trials then stays near the processor
-_ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
-_LEAST_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
+_AT_ONCE = 10_000  # candidates times trials; what they explain then stays near the processor
 
 
 @dataclass(frozen=True)
@@ -106,13 +98,15 @@ class Scanner:
             else:
                 factors = [(effect, *self._factor(effect)) for effect in alike]
                 single += [NumberBank((effect,), keys, numbers[None]) for effect, keys, numbers in factors]
-        self.banks: list[Bank] = sorted([*several, *gathered(single)], key=lambda bank: len(bank.keys))
-        self._keys = dict.fromkeys(key for bank in self.banks for key in bank.keys)
-        self.effects = tuple(effect for bank in self.banks for effect in bank.effects)
+        banks: list[Bank] = sorted([*several, *gathered(single)], key=lambda bank: bank.width)
+        self.effects = tuple(effect for bank in banks for effect in bank.effects)
         self.complexity = np.array([complexity(effect) for effect in self.effects], dtype=int)
-        ends = np.cumsum([0, *(len(bank.effects) for bank in self.banks)])
-        parts = zip(self.banks, ends, ends[1:], strict=False)
-        self._least = {id(bank): int(self.complexity[first:last].min()) for bank, first, last in parts}
+        ends = np.cumsum([0, *(len(bank.effects) for bank in banks)])
+        least = [int(self.complexity[first:last].min()) for first, last in pairwise(ends)]
+        both = list(_gathered(zip(banks, least, strict=True)))
+        self.banks: list[Bank] = [bank for bank, _ in both]
+        self._least = {id(bank): plainest for bank, plainest in both}
+        self._keys = tuple(dict.fromkeys(key for bank in self.banks for key in bank.keys))
         self.unit = independent_unit(drivers.samples)
         self._seen: list[tuple[Fit, Space]] = []
         self._anchor: Anchor | None = None
@@ -131,7 +125,7 @@ class Scanner:
         if step is None:
             return NumberBank(effects, keys, periodic(first.shape.kind, cycles, x))
         which = np.round(cycles / step).astype(np.int64)[:, None] * _multiples(first)
-        return WaveBank(effects, keys, which, *spectra.of(first.driver, step))
+        return WaveBank(effects, keys[0], which, spectra.of(first.driver, step))
 
     def space_of(self, fit: Fit) -> Space:
         """The rows of this fit at the samples."""
@@ -158,7 +152,7 @@ class Scanner:
         if rng is not None:
             signs = np.concatenate([signs, rng.choice([-1.0, 1.0], (flips, self.unit.max() + 1))])
         asked = [bank for bank in self.banks if most is None or self._plainest(bank) <= most]
-        weighed = [self._weighed(tuple(alike), space) for _, alike in groupby(asked, lambda bank: len(bank.keys))]
+        weighed = [self._weighed(tuple(alike), space) for _, alike in groupby(asked, lambda bank: bank.width)]
         size = np.concatenate([part.sizes for part in weighed])
         tables = {int(m): score_table(int(m), space.freedom) for m in np.unique(size)}
         trials = space.trials(signs[: 1 + FIRST_FLIPS][:, self.unit])
@@ -223,9 +217,13 @@ class Scanner:
             space.columns[key] = np.sum([space.column(k, d) * share for k, d, share in parts], axis=0)
         return space.columns[key]
 
+    def _columns(self, keys: Iterable[Key], space: Space) -> dict[Key, Array]:
+        """Unit columns (6, N) of places and directions."""
+        return {key: self._column(key, space) for key in keys}
+
     def _weighed(self, banks: tuple[Bank, ...], space: Space) -> _Weighed:
         grams, squares = zip(*(self._gram(bank, space) for bank in banks), strict=True)
-        return _Weighed(banks, *_inverse(np.concatenate(grams), np.concatenate(squares)))
+        return _Weighed(banks, *inverses(np.concatenate(grams), np.concatenate(squares)))
 
     def _explained(
         self, weighed: Sequence[_Weighed], space: Space, trials: SignTrials, tables: _Tables
@@ -238,22 +236,23 @@ class Scanner:
             for products in self._in_portions(part.banks, space, trials):
                 rows = slice(done, done + len(products))
                 done += len(products)
-                explained = _quadratic(part.inverse[rows], products)
-                squares.append(explained[:, 0])
+                of_trials = explained(part.inverse[rows], products)
+                squares.append(of_trials[:, 0])
                 sizes = part.sizes[rows]
                 for m in set(sizes.tolist()) & most.keys():
-                    np.maximum(most[m], explained[sizes == m].max(axis=0), out=most[m])
+                    np.maximum(most[m], of_trials[sizes == m].max(axis=0), out=most[m])
         # more explained is a better score: of candidates alike in size only the best in a trial is asked for
         scores = [np.interp(so_far / trials.total, *tables[m]) for m, so_far in most.items()]  # type: ignore[misc]
         return np.concatenate(squares), np.max(scores, axis=0, initial=0.0)
 
     def _in_portions(self, banks: Sequence[Bank], space: Space, trials: SignTrials) -> Iterator[Array]:
         """Products of all candidates of these banks with the trials (C, m, trials), some hundred at once."""
+        at_once = max(_AT_ONCE // len(trials.total), 1)
         waiting: list[Array] = []
         for bank in banks:
-            for first in range(0, len(bank.effects), _AT_ONCE):
-                waiting.append(self._products(bank, space, trials, slice(first, first + _AT_ONCE)))
-                if sum(map(len, waiting)) >= _AT_ONCE:
+            for first in range(0, len(bank.effects), at_once):
+                waiting.append(self._products(bank, space, trials, slice(first, first + at_once)))
+                if sum(map(len, waiting)) >= at_once:
                     yield waiting[0] if len(waiting) == 1 else np.concatenate(waiting)
                     waiting = []
         if waiting:
@@ -261,22 +260,21 @@ class Scanner:
 
     def _products(self, bank: Bank, space: Space, trials: SignTrials, rows: slice = slice(None)) -> Array:
         """Products with the trials (C, m, trials) of some of its candidates, the fitted projected out."""
-        for key in bank.keys:
-            if key not in trials.known:
-                trials.known[key] = trials.seen_by(self._column(key, space))
-        return bank.sums([trials.known[key] for key in bank.keys], trials.spectra, rows)
+        if missing := self._missing(bank, trials.known):
+            trials.known.update(trials.seen_by(self._columns(missing, space)))
+        return bank.sums(trials.known, trials.sums, rows)
 
     def _gram(self, bank: Bank, space: Space) -> tuple[Array, Array]:
         """Products of each candidate's columns with each other (C, m, m), the fitted projected out, and their squares
         before that, (C, m).
         """
         if not self._is_own(bank):
-            gram = bank.gram([self._column(key, space) for key in bank.keys])
+            gram = bank.gram(self._columns(bank.keys, space))
             parts = [part.sign * self._along(bank, space, part) for part in space.parts]
             return gram - sum(parts), np.einsum("cii->ci", gram).copy()
         number = id(bank)
         if number not in space.squares:
-            space.squares[number] = bank.gram([self._column(key, space) for key in bank.keys])
+            space.squares[number] = bank.gram(self._columns(bank.keys, space))
         gram = space.squares[number]
         left = gram.copy()
         for part in space.parts:
@@ -291,53 +289,26 @@ class Scanner:
 
     def _along(self, bank: Bank, space: Space, part: Directions) -> Array:
         """Products with each other of what of each candidate's columns lies along these directions, (C, m, m)."""
-        return bank.gram_of_sums([self._against(key, space, part) for key in bank.keys], part.spectra)
+        if missing := self._missing(bank, part.against):
+            part.against.update(part.contract(self._columns(missing, space)))
+        return bank.gram_of_sums(part.against, part.sums)
 
-    def _against(self, key: Key, space: Space, part: Directions) -> Array:
-        """Contraction, sample by sample, of a column with directions, (N, P)."""
-        if key not in part.against:  # of all banks at once: what there is to read of directions is read once
-            keys = [key] if key not in self._keys else [k for k in self._keys if k not in part.against]
-            known = part.contract([self._column(one, space) for one in keys])
-            part.against.update(zip(keys, known, strict=True))
-        return part.against[key]
-
-
-def _inverse(gram: Array, own: Array) -> tuple[Array, np.ndarray]:
-    """Inverses (C, m, m) of products of columns with each other, and how many directions are new, (C,).
-
-    own: squares of the columns (C, m). Directions that the fit can nearly make by itself are left out.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(own, 1e-300))
-    scaled = gram * scale[:, :, None] * scale[:, None, :]
-    # Where all directions are new, which is most often, there is nothing to take apart: the least eigenvalue is no less
-    # than one over the size of the inverse.
-    m = scaled.shape[1]
-    if m == 2:
-        a, b, d = scaled[:, 0, 0], scaled[:, 0, 1], scaled[:, 1, 1]
-        out = np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) / np.maximum(a * d - b * b, 1e-300)[:, None, None]
-        rest = np.flatnonzero(0.5 * (a + d) - np.hypot(0.5 * (a - d), b) <= _LEAST_NEW)
-    else:
-        out = np.asarray(np.linalg.inv(scaled + _ONLY_ROUNDING * np.eye(m)), dtype=float)
-        rest = np.flatnonzero(~(np.einsum("cij,cij->c", out, out) < _LEAST_NEW**-2))
-    sizes = np.full(len(scaled), m)
-    value, vector = np.linalg.eigh(scaled[rest])
-    keep = value > _LEAST_NEW
-    part = np.where(keep, 1.0 / np.maximum(value, _LEAST_NEW), 0.0)[:, None]
-    out[rest], sizes[rest] = (vector * part) @ vector.transpose(0, 2, 1), keep.sum(axis=1)
-    return out * scale[:, :, None] * scale[:, None, :], sizes
+    def _missing(self, bank: Bank, known: Mapping[Key, Array]) -> list[Key]:
+        """Keys whose contraction is to be computed for this bank, and those of all others with it: what there is to
+        read is then read once.
+        """
+        if all(key in known for key in bank.keys):
+            return []
+        return [key for key in (self._keys if self._is_own(bank) else bank.keys) if key not in known]
 
 
-def _quadratic(inverse: Array, n: Array) -> Array:
-    """``nᵀ inverse n`` of each candidate and trial, (C, trials): inverse (C, m, m), n (C, m, trials)."""
-    if n.shape[1] == 1:
-        return np.asarray(n[:, 0] ** 2 * inverse[:, 0])
-    if n.shape[1] == 2:  # nine in ten: without a product of small matrices for each of them
-        out = n[:, 0] * inverse[:, 0, :1]
-        out += n[:, 1] * (2.0 * inverse[:, 0, 1:])
-        out *= n[:, 0]
-        out += n[:, 1] ** 2 * inverse[:, 1, 1:]
-        return np.asarray(out)
-    return np.asarray(np.einsum("cmf,cmf->cf", inverse @ n, n))
+def _gathered(banks: Iterable[tuple[Bank, int]]) -> Iterator[tuple[Bank, int]]:
+    """Banks in their order; neighbours of any numbers, alike in width and in the number beside them, made one."""
+    for (_, least, numbers), some in groupby(banks, lambda b: (b[0].width, b[1], isinstance(b[0], NumberBank))):
+        if numbers:
+            yield GatheredBank(tuple(bank for bank, _ in some if isinstance(bank, NumberBank))), least
+        else:
+            yield from some
 
 
 def _spread(values: np.ndarray, where: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ Each sample has six rows, weighted; what is fitted is projected out of the resid
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -15,7 +15,7 @@ import scipy.linalg
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.noise import Groups
-from modcal_core.diagnosis.banks import Key, Spectra
+from modcal_core.diagnosis.known_sums import Key, KnownSums
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -25,21 +25,28 @@ _MANY = 200_000  # numbers of directions; of fewer, double precision costs nothi
 _FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
 
 
+def _contracted(columns: Mapping[Key, Array], matrix: np.ndarray) -> dict[Key, Array]:
+    """Sums over the components of each sample, (N, k), of columns (6, N) times a matrix (N, rows, k)."""
+    units = np.stack([column[: matrix.shape[1]] for column in columns.values()]).astype(matrix.dtype, copy=False)
+    out = np.ascontiguousarray(units.transpose(2, 0, 1)) @ matrix
+    return {key: out[:, i] for i, key in enumerate(columns)}
+
+
 @dataclass(frozen=True)
 class SignTrials:
     """The residual with the signs of each trial, what is fitted projected out, (rows, N, trials).
 
-    total: squares left, (trials,). known: contractions with columns, (N, trials). spectra: of those.
+    total: squares left, (trials,). known: contractions with columns, (N, trials). sums: of those.
     """
 
     left: Array
     total: Array
     known: dict[Key, Array] = field(default_factory=dict)
-    spectra: Spectra = field(default_factory=Spectra)
+    sums: KnownSums = field(default_factory=KnownSums)
 
-    def seen_by(self, column: Array) -> Array:
-        """Contraction, sample by sample, of a column (6, N) with the trials, (N, trials)."""
-        return np.asarray(np.einsum("cN,cNt->Nt", column[: len(self.left)], self.left))
+    def seen_by(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
+        """Contractions, sample by sample, of columns (6, N) with the trials, (N, trials) each."""
+        return _contracted(columns, self.left.transpose(1, 0, 2))
 
 
 @dataclass(frozen=True)
@@ -47,26 +54,22 @@ class Directions:
     """Orthonormal directions that a projector has, or has no longer. Q: (rows, N, P). sign: 1 or −1.
 
     against: contractions of columns with them, (N, P). grams: of banks, by their number, the products with each other
-    of what lies along them, (C, m, m). spectra: of contractions.
+    of what lies along them, (C, m, m). sums: of contractions.
     """
 
     Q: Array
     sign: float = 1.0
     against: dict[Key, Array] = field(default_factory=dict)
     grams: dict[int, Array] = field(default_factory=dict)
-    spectra: Spectra = field(default_factory=Spectra)
+    sums: KnownSums = field(default_factory=KnownSums)
 
-    def contract(self, columns: Sequence[Array]) -> list[Array]:
+    def contract(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
         """Contractions of columns (6, N) with the directions, sample by sample, (N, P) each.
 
         Of many they are in single precision: what lies along them is known to a millionth of a column's square, and
         of that less than 0.0025 is never asked for.
         """
-        if self.Q.size < _MANY:
-            return [np.einsum("cN,cNp->Np", column[: len(self.Q)], self.Q) for column in columns]
-        units = np.stack([column[: len(self.Q)] for column in columns]).astype(np.float32)
-        out = np.ascontiguousarray(units.transpose(2, 0, 1)) @ self._lean
-        return [out[:, i] for i in range(len(columns))]
+        return _contracted(columns, self.Q.transpose(1, 0, 2) if self.Q.size < _MANY else self._lean)
 
     @cached_property
     def _lean(self) -> np.ndarray:

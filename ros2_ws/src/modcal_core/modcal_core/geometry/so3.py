@@ -188,12 +188,13 @@ def to_rpy(R: ArrayLike) -> Array:
 
 
 def mean(R: ArrayLike, weights: ArrayLike | None = None) -> Array:
-    """Mean rotation (3, 3) of rotations (n, 3, 3): the one with least weighted squared chordal distance.
+    """Mean rotation (..., 3, 3) of rotations (..., n, 3, 3): the one with least weighted squared chordal distance.
 
     It is the polar factor of the weighted sum, so q and −q cannot pull it apart.
     """
     R = np.asarray(R, dtype=float)
-    return nearest_rotation(np.einsum("n,nij->ij", np.ones(len(R)) if weights is None else np.asarray(weights), R))
+    weights = np.ones(R.shape[-3]) if weights is None else np.asarray(weights)
+    return nearest_rotation(np.einsum("n,...nij->...ij", weights, R))
 
 
 def nearest_rotation(A: ArrayLike) -> Array:

@@ -9,7 +9,6 @@ change costs as much as a few stations that are missed by far. The stretches are
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -35,7 +34,10 @@ Stretches = list[tuple[int, int]]  # first, end, in order of time
 
 @dataclass(frozen=True)
 class Setup:
-    """Where base and tool are in a stretch: ``reading = D · T_root_tip · X``, both (4, 4) [m], seen from the root."""
+    """Where base and tool are in a stretch: ``reading = D · T_root_tip · X``, both (4, 4) [m], seen from the root.
+
+    Of several stretches at once both are (W, 4, 4).
+    """
 
     D: Array
     X: Array
@@ -84,28 +86,36 @@ class SetupReadings:
         return np.asarray(np.sqrt(square))
 
     def tool(self, rows: np.ndarray, D: Array) -> Array:
-        """The tool (4, 4) that the readings of these rows show best, the base being at D, (4, 4) or one for each."""
+        """The tools (..., 4, 4) that the readings of these rows (..., n) show best, the base being at D, (4, 4) or one
+        for each reading, (..., n, 4, 4).
+        """
         gap = se3.inverse(D @ self.A[rows]) @ self.B[rows]
-        R = so3.mean(gap[:, :3, :3]) if self.poses else self.setup.X[:3, :3]
-        return se3.transform(R, np.median(gap[:, :3, 3], axis=0))
+        R = so3.mean(gap[..., :3, :3]) if self.poses else self.setup.X[:3, :3]
+        return se3.transform(R, np.median(gap[..., :3, 3], axis=-2))
 
     def base(self, rows: np.ndarray, X: Array) -> Array:
-        """The base (4, 4) that the readings of these rows show best, the tool being at X, (4, 4) or one for each."""
+        """The bases (..., 4, 4) that the readings of these rows (..., n) show best, the tool being at X, (4, 4) or one
+        for each reading, (..., n, 4, 4).
+        """
         T = self.A[rows] @ X
         if not self.poses:
-            return procrustes(T[:, :3, 3], self.B[rows, :3, 3])
-        R = so3.mean(self.B[rows, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2))
-        return se3.transform(R, np.median(self.B[rows, :3, 3] - T[:, :3, 3] @ R.T, axis=0))
+            return procrustes(T[..., :3, 3], self.B[rows, :3, 3])
+        R = so3.mean(self.B[rows, :3, :3] @ np.swapaxes(T[..., :3, :3], -1, -2))
+        gap = self.B[rows, :3, 3] - T[..., :3, 3] @ np.swapaxes(R, -1, -2)
+        return se3.transform(R, np.median(gap, axis=-2))
 
     def both(self, rows: np.ndarray, start: Setup) -> Setup:
-        """Base and tool that the readings of these rows show best. start: where to begin, for points."""
+        """Bases and tools that the readings of these rows (..., n) show best. start: where to begin, for points."""
         if self.poses:
-            return Setup(*hand_eye(self.A[rows], self.B[rows]))
+            if rows.ndim == 1:
+                return Setup(*hand_eye(self.A[rows], self.B[rows]))
+            each = [hand_eye(self.A[some], self.B[some]) for some in rows]
+            return Setup(np.stack([D for D, _ in each]), np.stack([X for _, X in each]))
         X = start.X
         for _ in range(_TURNS):
-            D = self.base(rows, X)
-            X = self.tool(rows, D)
-        return Setup(self.base(rows, X), X)
+            D = self.base(rows, X if X.ndim == 2 else X[..., None, :, :])
+            X = self.tool(rows, D[..., None, :, :])
+        return Setup(self.base(rows, X[..., None, :, :]), X)
 
 
 def stretches(sights: SetupReadings) -> Stretches:
@@ -117,14 +127,14 @@ def stretches(sights: SetupReadings) -> Stretches:
     if 2 * window > N:
         return [(0, N)]
     step = max(window // 2, (N - window) // _MOST_WINDOWS)
-    parts = [np.arange(a, a + window) for a in range(0, N - window + 1, step)]
-    setups = [setup for rows in parts for setup in _setups(sights, rows)]
-    own = [min(_rms(sights.residual(s)[rows]) for s in _setups(sights, rows)) for rows in parts]
-    usual = max(float(np.median(own)), 1e-6)
+    windows = np.arange(0, N - window + 1, step)[:, None] + np.arange(window)
+    setups = _setups(sights, windows)
+    missed = np.stack([sights.residual(s) for s in setups])
+    own = [missed[i::3][np.arange(len(windows))[:, None], windows] for i in range(3)]
+    usual = max(float(np.median(np.sqrt(np.mean(np.square(own), axis=-1)).min(axis=0))), 1e-6)
     found: Stretches = [(0, N)]
     for _ in range(_ROUNDS):
-        cost = np.stack([np.minimum(sights.residual(s) / usual, _FAR) ** 2 for s in setups])
-        before, found = found, _cheapest(cost)
+        before, found = found, _cheapest(np.minimum(missed / usual, _FAR) ** 2)
         if len(found) > MOST_STRETCHES:
             return []
         if found == before:
@@ -132,19 +142,22 @@ def stretches(sights: SetupReadings) -> Stretches:
         largest = max(found, key=lambda part: part[1] - part[0])
         rows = np.arange(*largest)
         reference = sights.both(rows, sights.setup)
-        again = [s for a, b in found for s in _setups(sights, np.arange(a, b), reference)]
-        setups = [reference, *again]
-        usual = max(_rms(sights.residual(reference)[rows]), 1e-6)
+        again = [s for a, b in found for s in _setups(sights, np.arange(a, b)[None], reference)]
+        missed = np.stack([sights.residual(s) for s in (reference, *again)])
+        usual = max(float(np.sqrt(np.mean(missed[0, rows] ** 2))), 1e-6)
     return found
 
 
-def _setups(sights: SetupReadings, rows: np.ndarray, near: Setup | None = None) -> Iterator[Setup]:
-    """What these rows may have: a base, a tool, or both of their own."""
+def _setups(sights: SetupReadings, rows: np.ndarray, near: Setup | None = None) -> list[Setup]:
+    """What each of these windows (W, n) may have: a tool, a base, or, of enough stations, both of its own."""
     known = near or sights.setup
-    yield Setup(known.D, sights.tool(rows, known.D))
-    yield Setup(sights.base(rows, known.X), known.X)
-    if len(rows) >= _WINDOW[sights.poses]:
-        yield sights.both(rows, known)
+    kinds = [
+        Setup(np.broadcast_to(known.D, (len(rows), 4, 4)), sights.tool(rows, known.D)),
+        Setup(sights.base(rows, known.X), np.broadcast_to(known.X, (len(rows), 4, 4))),
+    ]
+    if rows.shape[1] >= _WINDOW[sights.poses]:
+        kinds.append(sights.both(rows, known))
+    return [Setup(kind.D[i], kind.X[i]) for i in range(len(rows)) for kind in kinds]
 
 
 def _cheapest(cost: Array) -> Stretches:
@@ -163,7 +176,3 @@ def _cheapest(cost: Array) -> Stretches:
         state[i - 1] = came[i, state[i]]
     edges = [0, *(np.flatnonzero(np.diff(state)) + 1).tolist(), N]
     return list(pairwise(edges))
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2)))

@@ -18,6 +18,7 @@ from click.shell_completion import CompletionItem
 
 import modcal_core
 from modcal_core.errors import ModcalError, plain
+from modcal_nodes.cli.deferred import defer_imports
 from modcal_nodes.one_thread import limit_blas
 
 # Verb: (module, its command, what stands in the list). Only the verb that is asked for is imported: NumPy, SciPy and
@@ -199,6 +200,7 @@ _COLLECTED = (20_000, 50, 100)
 def main() -> None:
     """Entry point of the executable."""
     limit_blas()
+    defer_imports()
     gc.set_threshold(*_COLLECTED)
     gc.disable()  # until the verb is loaded: what modules make stays
     code = run()

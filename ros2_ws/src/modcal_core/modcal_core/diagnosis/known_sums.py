@@ -1,0 +1,77 @@
+"""Sums over the samples that banks of candidates share within one scan, each computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from modcal_core.diagnosis.spectra import Spectrum, SquaredSums
+from modcal_core.geometry.so3 import Array
+
+Key = tuple[int, object]  # a place, and a direction there or what else moves
+
+
+class Times(Protocol):
+    """What has numbers of its own for each of several keys."""
+
+    def times(self, of: Mapping[Key, Array]) -> Array:
+        """All numbers times the matrices (N, k) of their keys, (R, k)."""
+        ...
+
+
+class KnownSums:
+    """Sums that were computed already: banks share them. Of one scan, whose matrices stay as long."""
+
+    def __init__(self) -> None:
+        self._waves: dict[tuple[int, int], Array] = {}
+        self._squares: dict[tuple[int, int], SquaredSums] = {}
+        self._running: dict[tuple[int, bytes, int], Array] = {}
+        self._numbers: dict[int, Array] = {}
+        self._kept: list[object] = []  # what sums are of, so that nothing else takes its number
+
+    def waves(self, spectrum: Spectrum, columns: Array) -> Array:
+        """Sums of columns (N, k) with the waves of a spectrum, (K + 1, 2, k)."""
+        key = id(spectrum), id(columns)
+        if key not in self._waves:
+            self._waves[key] = spectrum.sums(columns)
+            self._kept.append(columns)
+        return self._waves[key]
+
+    def squares(self, spectrum: Spectrum, columns: Array) -> SquaredSums:
+        """Products of the sums with columns (N, k), summed over these."""
+        key = id(spectrum), id(columns)
+        if key not in self._squares:
+            self._squares[key] = spectrum.squares(columns)
+            self._kept.append(columns)
+        return self._squares[key]
+
+    def running(self, order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
+        """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
+        key = id(order), edges.tobytes(), id(matrix)
+        if key not in self._running:
+            self._running[key] = running_sums(order, edges, matrix)
+            self._kept.append(matrix)
+        return self._running[key]
+
+    def numbers(self, bank: Times, of: Mapping[Key, Array]) -> Array:
+        """All numbers of a bank times the matrices (N, k) of their keys, (R, k)."""
+        if id(bank) not in self._numbers:
+            self._numbers[id(bank)] = bank.times(of)
+            self._kept.append(bank)
+        return self._numbers[id(bank)]
+
+
+def running_sums(order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
+    """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
+    running = np.zeros((len(edges) + 1, matrix.shape[1]))
+    np.cumsum(np.add.reduceat(matrix[order], edges, axis=0, dtype=float), axis=0, out=running[1:])
+    return running
+
+
+def squared(sums: Array) -> Array:
+    """``sums sumsᵀ`` of each candidate, (C, m, m): without a product of small matrices for each where m is small."""
+    if sums.shape[1] == 1:
+        return np.asarray(np.einsum("cmk,cmk->c", sums, sums)[:, None, None])
+    return np.asarray(sums @ sums.transpose(0, 2, 1))
