@@ -120,7 +120,7 @@ CALIBRATION = _all(
     ("sweeps.moments", "sign of the moment", "S[..., 0, y, z] - S[..., 0, z, y]", "S[..., 0, z, y] - S[..., 0, y, z]"),
     ("columns.Columns.combination", "lever in the wrong frame",
      "so3.hat(M[:, :3, 3]) @ R", "R @ so3.hat(M[:, :3, 3])"),
-    ("plausibility.require_plausible", "mistake found but not named", "if best[1] and best[0] <= limit:", "if False:"),
+    ("refusal.refuse", "mistake found but not named", "if best[1] and best[0] <= limit:", "if False:"),
     ("mistakes.of_pairing", "early and late swapped", "if shift > 0 else", "if shift < 0 else"),
 )
 

@@ -160,7 +160,9 @@ def rows(scale: float) -> Iterator[Row]:
 def spent(bag: Path, out: Path, options: tuple[str, ...] = ()) -> tuple[float, float]:
     """Seconds of the processor of one run of the command, and its memory at most [MB]."""
     command = [sys.executable, "-c", "from modcal_nodes.cli.main import main; main()", "calibrate"]
-    child = subprocess.Popen([*command, bag, "--out", out, *options], stdout=subprocess.DEVNULL)
+    # where Python may not keep what it compiled, every run would compile what was edited, and the templates of the page
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    child = subprocess.Popen([*command, bag, "--out", out, *options], stdout=subprocess.DEVNULL, env=kept)
     _, status, usage = os.wait4(child.pid, 0)  # of this child alone, not of all there have been
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode not in (0, 3):

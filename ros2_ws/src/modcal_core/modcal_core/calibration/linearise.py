@@ -36,6 +36,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import Frames
 from modcal_core.robots.mechanism import tool_frames
 
+_AT_ONCE = 256  # samples, whose products then stay near the processor
+
 
 @dataclass(frozen=True)
 class Linearised:
@@ -322,6 +324,32 @@ class RowView:
             else:
                 out[:, self.pose] += turned
         return np.asarray(out)
+
+    def all_products(self, rows: Array, units: Array) -> Array:
+        """Sums over the components of each sample, (k, N, d), of rows (d, 3 N + 3 M) times each of (k, 3 N + 3 M)."""
+        N = self.position.shape[1]
+        out = np.empty((len(units), N, len(rows)))
+        for first in range(0, N, _AT_ONCE):
+            some = slice(first, min(first + _AT_ONCE, N))
+            one, other = self._by_sample(rows, some), self._by_sample(units, some)
+            out[:, some] = (other @ np.swapaxes(one, 1, 2)).transpose(1, 0, 2)
+        return out
+
+    def _by_sample(self, rows: Array, some: slice) -> Array:
+        """Rows (d, 3 N + 3 M) at n of the samples, (n, d, 6), zero where there is no orientation; or (n, d, 3)."""
+        N, d = self.position.shape[1], len(rows)
+        position = rows[:, : 3 * N].reshape(d, 3, N)[:, :, some].transpose(2, 0, 1)
+        if not len(self.pose):
+            return np.ascontiguousarray(position)
+        here = slice(*np.searchsorted(self.pose, (some.start, some.stop)).tolist())
+        out = np.zeros((len(position), d, 6))
+        out[:, :, :3] = position
+        turned = rows[:, 3 * N :].reshape(d, 3, -1)[:, :, here].transpose(2, 0, 1)
+        if len(turned) == len(position):
+            out[:, :, 3:] = turned
+        else:
+            out[self.pose[here] - some.start, :, 3:] = turned
+        return out
 
     def unit_column(self, place: int, direction: int) -> Array:
         """The motion of the tool, (3 N + 3 M,), per unit along one direction of a place; computed once."""

@@ -120,8 +120,10 @@ def _add_knots(
     curves: place and direction of each, its columns among all, and it. dense: the columns of J among all. half: square
     roots of the weights, which J and the residual contain already.
     """
-    units = {key: view.unit_column(*key) * half for key in {key for key, _, _ in curves}}
-    seen = {key: view.products(J, unit).T for key, unit in units.items()}
+    units = {key: view.unit_column(*key) * half for key in dict.fromkeys(key for key, _, _ in curves)}
+    if not units:
+        return
+    seen = dict(zip(units, view.all_products(J, np.stack(list(units.values()))), strict=True))
     missed = {key: view.products(residual[None], unit)[0] for key, unit in units.items()}
     both: dict[object, Array] = {}
     for i, (one, columns, knots) in enumerate(curves):

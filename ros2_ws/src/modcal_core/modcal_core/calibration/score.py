@@ -84,6 +84,11 @@ def errors(model: Model, samples: Samples) -> Errors:
     return Errors(gap, rotation, lever)
 
 
+def usual_miss(model: Model, samples: Samples) -> float:
+    """Median distance [m] by which a model misses samples."""
+    return float(np.median(errors(model, samples).position_norm))
+
+
 def outlying(model: Model, noise: NoiseModel, samples: Samples) -> np.ndarray:
     """True for samples so far outside this noise that a fit would have rejected them, (N,)."""
     return _scores(errors(model, samples), samples, noise, bool(model.instruments)) > REJECT_Z

@@ -13,7 +13,7 @@ from modcal_core.geometry.so3 import Array
 Key = tuple[int, object]  # a place, and a direction there or what else moves
 
 
-class Times(Protocol):
+class NumbersOfKeys(Protocol):
     """What has numbers of its own for each of several keys."""
 
     def times(self, of: Mapping[Key, Array]) -> Array:
@@ -55,7 +55,7 @@ class KnownSums:
             self._kept.append(matrix)
         return self._running[key]
 
-    def numbers(self, bank: Times, of: Mapping[Key, Array]) -> Array:
+    def numbers(self, bank: NumbersOfKeys, of: Mapping[Key, Array]) -> Array:
         """All numbers of a bank times the matrices (N, k) of their keys, (R, k)."""
         if id(bank) not in self._numbers:
             self._numbers[id(bank)] = bank.times(of)

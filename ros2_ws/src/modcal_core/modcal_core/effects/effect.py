@@ -29,6 +29,8 @@ EXPECTED_RODS = 0.02  # of their spacing: 1 mm at 50 mm
 EXPECTED_ANGLE, EXPECTED_LENGTH = 2e-3, 2e-3  # rad, m: how large an effect may be before its prior minds
 EXPECTED_BEND = 5e-4  # rad or m: the same for each coefficient of a free shape
 EXPECTED_DELAY = 0.05  # s
+_NONE = np.empty(0)  # values of thousands of candidates
+_NONE.flags.writeable = False
 _TURNED = 3e-3  # rad or m; what a shorter turn changes in the derivatives hardly changes the steps of a fit
 
 
@@ -60,8 +62,8 @@ class Effect:
     direction: str
     driver: str
     shape: Shape
-    values: Array = field(default_factory=lambda: np.empty(0))
-    std: Array = field(default_factory=lambda: np.empty(0))
+    values: Array = field(default_factory=lambda: _NONE)
+    std: Array = field(default_factory=lambda: _NONE)
 
     @property
     def key(self) -> tuple[str, str, str, str]:

@@ -46,11 +46,14 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
 
     Raises BadTable for a candidate that belongs to another family, or cannot be evaluated.
     """
+    known: set[tuple[str, str]] = set()  # thousands have the same shape and driver
     for name, own in families().items():
         for effect in own.candidates(drivers):
             if name != effect.family:
                 raise BadTable(f"effect {name}", f"yields one of family {effect.family}", "yield its own only")
-            require_known(effect)
+            if (effect.shape.kind, effect.driver) not in known:
+                require_known(effect)
+                known.add((effect.shape.kind, effect.driver))
             yield effect
 
 

@@ -68,9 +68,9 @@ def plot(width: float, height: float, x: str, y: str, legend: str = "none", **da
     return lp.ggplot(columns(data)) + lp.theme_classic() + look + lp.labs(x=x, y=y) + lp.ggsize(width, height)
 
 
-def columns(data: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Columns (N,) as Lets-Plot takes them."""
-    return {name: np.asarray(column).tolist() for name, column in data.items()}
+def columns(data: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Columns (N,) as Lets-Plot takes them: arrays, for it looks at each number of a list."""
+    return {name: np.asarray(column) for name, column in data.items()}
 
 
 def line_size(px: float) -> float:

@@ -1,0 +1,159 @@
+"""When even the fitted model misses by far, the input is wrong: find out in which way, and say it.
+
+The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
+times is named. When none does, one channel of the recording may not go along with the rest
+(:mod:`channels`), or follow another link (:mod:`links`), or only a part of the stations, or one joint
+(:mod:`consistency`), or joints are mixed (:mod:`joint_map`); else the robot or the pairing as a whole is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NoReturn
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.distances import AnyDistance
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.score import usual_miss
+from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.measurements.other_joints import moving_beside
+from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.thinning import spread_rows
+from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
+from modcal_core.plausibility.consistency import disagreement
+from modcal_core.plausibility.coordinates import written_otherwise
+from modcal_core.plausibility.descriptions import other_order, other_type
+from modcal_core.plausibility.joint_map import mixed_joints
+from modcal_core.plausibility.links import other_link
+from modcal_core.plausibility.mistakes import (
+    Mistake,
+    inverse_pose,
+    left_handed,
+    mirror_image,
+    of_joints,
+    of_pairing,
+    of_several_joints,
+    of_units,
+)
+from modcal_core.plausibility.of_a_part import part_apart
+from modcal_core.plausibility.pairing import mispaired
+from modcal_core.plausibility.placements import several_placements
+from modcal_core.plausibility.screening import most_likely
+from modcal_core.plausibility.stated_distances import wrong_distances
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+
+_BETTER = 4.0  # how many times smaller the error must get before a mistake is named
+_AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not explained by it
+_PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
+_WANDER = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
+_SCREENED = 4  # mistakes of several joints that are fitted
+_MOST = 300  # samples are enough to tell
+
+
+def refuse(
+    nominal: Fit, samples: Samples, whole: Samples, distances: Sequence[AnyDistance], missed: float, limit: float
+) -> NoReturn:
+    """Raises BadRecording with the mistake that is likely.
+
+    samples: that were fitted. whole: of the recording. distances: that were stated and fitted beside the readings.
+    missed: what the fitted model misses them by [m]. limit: what an arm's errors may come to.
+    """
+    chain = nominal.model.chain
+    rows = spread_rows(len(samples), _MOST)
+    few = samples.select(np.unique(rows))
+    said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
+    if distances:
+        alone = fit_cell(chain, samples, Cell())
+        told = wrong_distances(alone, distances) if usual_miss(alone.model, samples) < limit else None
+        if told is not None:
+            raise BadRecording(told.what, f"{said}, and it does not without them", told.remedy)
+    usual = usual_miss(nominal.model, few)
+    best: tuple[float, str, str] = (usual / _BETTER, "", "")
+    for mistake in _mistakes(few.names, bool(few.is_pose.all())):
+        best = _weighed(mistake, few, chain, best)
+    if is_serial_arm(chain) and len(few.frames) == 1:  # of several joints, which must explain plainly more
+        several = (_PLAINLY * best[0], "", "")
+        for mistake in most_likely(few, chain, list(of_several_joints(few.names)), _SCREENED):
+            several = _weighed(mistake, few, chain, several)
+        best = several if several[1] else best
+    if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
+        apart = (
+            disagreeing_channel(whole, chain)
+            or written_otherwise(whole, chain)
+            or mispaired(whole, chain)
+            or other_order(whole, chain)
+            or other_type(whole, chain)
+            or other_link(whole, chain)
+            or (mixed_joints(whole, chain) if best[1] else None)  # which explains it wholly, where the lists do not
+        )
+        if apart is not None:
+            raise BadRecording(apart.what, said, apart.remedy)
+    named = f"{said}; with that corrected, it misses by {1e3 * best[0]:.1f} mm"
+    if best[1] and best[0] <= limit:
+        raise BadRecording(best[1], named, best[2])
+    flat = [axis for axis, extent in zip("xyz", np.ptp(samples.reading, axis=0), strict=True) if extent == 0.0]
+    if flat and len(samples.frames) == 1:
+        raise BadRecording(
+            f"coordinate {' and '.join(flat)} of the readings",
+            f"is the same at all {len(samples)} stations, so the readings lie in a plane or on a line; {said}",
+            "record an instrument that measures all three coordinates",
+        )
+    found = disagreement(few, chain) or part_apart(whole, chain) or several_placements(whole, chain)
+    if found is not None:
+        raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
+    if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
+        raise BadRecording(best[1], named, best[2])
+    described = mixed_joints(whole, chain) or wrong_description(whole, chain)
+    if described is not None:
+        raise BadRecording(described.what, said, described.remedy)
+    if (wander := _wander(samples)) > _WANDER * missed:
+        raise BadRecording(
+            "readings",
+            f"go on moving while the joints stand still, by {1e3 * wander:.3g} mm at the usual station; {said}",
+            "see whether the tracker filters, averages or repeats its last readings, or is late, and wait until it has "
+            "settled; see whether both clocks agree",
+        )
+    if beside := moving_beside(samples):
+        raise BadRecording(
+            "joint states and readings",
+            f"{said}; {' and '.join(beside)} moved as well and {'is' if len(beside) == 1 else 'are'} not between base "
+            "and tip",
+            "give --tip (or --base) as the link that carries the target (or the arm)",
+        )
+    raise BadRecording(
+        "joint states and readings",
+        said,
+        "check that the URDF, --base and --tip are those of this robot, and that joint and tracker clocks agree",
+    )
+
+
+def _wander(samples: Samples) -> float:
+    """How far readings move within a station [m], the median; correlated ones, which no mean over a station removes."""
+    sigma = samples.sigma_position[(samples.is_pose | (samples.kind == "point")) & ~samples.moving]
+    known = np.isfinite(sigma)
+    return float(np.median(sigma[known])) if len(sigma) and known.mean() > 0.5 else 0.0
+
+
+def _weighed(
+    mistake: Mistake, samples: Samples, chain: Mechanism, best: tuple[float, str, str]
+) -> tuple[float, str, str]:
+    """The better of the best so far and this mistake: by how much the arm misses with it undone, and what to say."""
+    undone = mistake.undone(samples)
+    try:
+        miss = usual_miss(fit_cell(chain, undone, Cell()).model, undone)
+    except ModcalError:
+        return best
+    return (miss, mistake.offender, mistake.remedy) if miss < best[0] else best
+
+
+def _mistakes(names: tuple[str, ...], poses: bool) -> Iterator[Mistake]:
+    """The mistakes that are weighed here; conventions of orientation have been settled before."""
+    yield from of_joints(names)
+    yield from of_pairing()
+    yield from of_units()
+    yield left_handed()
+    if poses:
+        yield inverse_pose()
+        yield mirror_image()

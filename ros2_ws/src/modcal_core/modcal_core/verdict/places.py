@@ -1,0 +1,97 @@
+"""What the rest of an open verdict depends on, as sentences that say where to look."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from modcal_core.diagnosis.dependence import WORTH_NAMING, asked_of, dependence
+from modcal_core.plausibility.channels import disagreeing_channel
+from modcal_core.plausibility.consistency import disagreement
+from modcal_core.plausibility.coordinates import written_otherwise
+from modcal_core.plausibility.joint_map import mixed_joints
+from modcal_core.plausibility.links import other_link
+from modcal_core.plausibility.of_a_part import part_apart
+from modcal_core.plausibility.pairing import mispaired
+from modcal_core.plausibility.placements import several_placements
+from modcal_core.plausibility.screening import wrong_joints
+from modcal_core.verdict.case import Case, derivatives, weights
+from modcal_core.verdict.rejected_alike import rejected_alike
+from modcal_core.verdict.status import MOST_PREDICTABLE, MOST_REJECTED
+from modcal_core.verdict.verdict import Verdict
+
+_MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
+_LEAST_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
+_SURELY = 0.5  # of the floor; what is less beyond it is not told from it
+_LEAST_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
+
+
+def sentences(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> list[str]:
+    """The sentences, those on what lies outside what a frozen calibration has seen first, where they are not said."""
+    rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
+    samples = case.samples.select(rows)
+    fitted = None
+    if case.fitted:
+        fitted = derivatives(case.model, case.known.parameters, samples.select(asked_of(samples)))[1]
+    both = judged.predictable_both
+    share = both.share if both is not None and both.lower99 > MOST_PREDICTABLE else 1.0
+    least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
+    found = dependence(case.model, samples, weights(case.noise, samples), fitted, least)
+    named = " ".join(judged.open_because)
+    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
+    if found is not None:
+        said.append(f"The residual {found.sentence}.")
+    said += _only_one_kind(judged, case)
+    return said
+
+
+def _only_one_kind(judged: Verdict, case: Case) -> Iterator[str]:
+    """Where positions exceed their floor by more than orientations allow, or the reverse: what cannot be the cause.
+
+    What turns a joint or the base by θ moves the tool by no more than θ times the reach, and turns it by θ.
+    """
+    left = case.errors["final"]
+    if judged.floor_mm is None or judged.floor_deg is None or not len(left.rotation_norm):
+        return
+    moved = 1e-3 * _beyond(1e3 * left.position_norm, judged.floor_mm)
+    turned = np.radians(_beyond(np.degrees(left.rotation_norm), judged.floor_deg))
+    surely_moved, surely_turned = _SURELY * 1e-3 * judged.floor_mm, np.radians(_SURELY * judged.floor_deg)
+    reach = case.model.chain.reach()
+    if moved > 2.0 * reach * max(turned, surely_turned):
+        yield (
+            f"Positions miss by {1e3 * moved:.3g} mm beyond their floor and orientations by {np.degrees(turned):.2g}° "
+            "only: a joint or a tilt of the base would turn the tool by more. Look at what moves points alone: the "
+            "target's seat on the tool, what the tracker reads, lengths."
+        )
+    elif turned * _LEAST_LEVER * reach > max(moved, surely_moved):
+        yield (
+            f"Orientations miss by {np.degrees(turned):.3g}° beyond their floor and positions by {1e3 * moved:.2g} mm "
+            "only: a joint far from the tool would move it by more. Look at what turns the tool alone: its seat, the "
+            "target on it, the last joint, how orientations are read."
+        )
+
+
+def _beyond(size: np.ndarray, floor: float) -> float:
+    return float(np.sqrt(max(float(np.mean(size**2)) - floor**2, 0.0)))
+
+
+def _apart(case: Case) -> Iterator[str]:
+    """What the rejected stations look like, where they are too many to be single wrong readings."""
+    if case.wrong.mean() <= MOST_REJECTED:
+        return
+    other, chain = None, case.model.chain
+    if case.wrong.mean() > 0.5 or not case.fitted:  # something is wrong throughout; a base found again hides how much
+        looks = (disagreeing_channel, written_otherwise, wrong_joints, other_link, mixed_joints)
+        other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
+    other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
+    other = other or part_apart(case.samples, chain) or several_placements(case.samples, chain)
+    if other is not None:
+        what = other.what[0].upper() + other.what[1:]
+        yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
+    yield from rejected_alike(case)
+    if case.fitted:
+        samples = case.samples.select(np.flatnonzero(case.wrong))
+        along = dependence(case.model, samples, weights(case.noise, samples))
+        if along is not None:
+            yield f"The residual of the rejected stations {along.sentence}."
