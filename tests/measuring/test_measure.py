@@ -24,8 +24,9 @@ from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import chance_seen, outlook
 from modcal_core.measuring.pool import of_robot
 from modcal_core.measuring.proof import Proof
-from modcal_core.measuring.record import from_data, to_data, to_table, with_table
+from modcal_core.measuring.record import from_data, to_data
 from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station
+from modcal_core.measuring.table import to_table, with_table
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
@@ -288,7 +289,7 @@ def test_what_a_table_cannot_say_is_refused_with_its_row() -> None:
         assert said in str(refused.value)
     with pytest.raises(BadTable, match="keep the head"):
         with_table(session, "station,x_mm\n1,2", turns, "t")
-    later = with_table(session, text, turns, "t")
+    later = with_table(session, text, turns, "t").session
     assert later.pending == (0, 1)
 
 

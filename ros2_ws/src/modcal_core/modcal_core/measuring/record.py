@@ -1,20 +1,13 @@
-"""A session as plain data and as tables: what a file keeps of it, and what a technician with a spreadsheet fills in.
-
-Angles are in degrees and lengths in millimetres in the tables, for people type them; in the file everything is SI.
-"""
+"""A session as plain data, in SI units: what its file keeps of it."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.measurements.schema import require
@@ -81,10 +74,6 @@ _SCHEMA = {
     },
 }
 _REMEDY = "give the session.yaml that modcal measure wrote, or another folder"
-_POINT_COLUMNS, _POSE_COLUMNS = ("x_mm", "y_mm", "z_mm"), ("rx_deg", "ry_deg", "rz_deg")
-NOTE = "note"  # the column in which a technician says that a station was not seen or not reached
-_UNSEEN_WORDS, _SKIPPED_WORDS = ("unseen", "not seen"), ("skipped", "not reached")
-_OFF = 0.02  # rad or m by which the arm may stand beside the posture that was asked for; more is a mistake of typing
 
 
 def to_data(session: Session, goal: Goal, seed: int, robot: str, began: float | None) -> dict[str, Any]:
@@ -157,95 +146,3 @@ def from_data(data: Any, source: str) -> tuple[Session, Goal, int, str, float | 
 
 def _or_nan(value: float | None) -> float:
     return float("nan") if value is None else float(value)
-
-
-def to_table(session: Session, numbers: Sequence[int], revolute: np.ndarray) -> str:
-    """A CSV table of these stations: number, what it is for, joints, reading and a note, each empty where not known."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["station", "for", *_joint_columns(session.names, revolute), *_reading_columns(session.kind), NOTE])
-    for i in numbers:
-        s = session.stations[i]
-        q = s.asked if s.q is None else s.q
-        shown = [f"{v:.5f}" for v in np.where(revolute, np.degrees(q), 1e3 * q)]
-        note = s.state if s.state in (UNSEEN, SKIPPED) else ""
-        writer.writerow([i + 1, s.role, *shown, *_written(s.reading, session.kind), note])
-    return out.getvalue()
-
-
-def _joint_columns(names: Sequence[str], revolute: np.ndarray) -> list[str]:
-    return [f"{name}_{'deg' if turns else 'mm'}" for name, turns in zip(names, revolute, strict=True)]
-
-
-def _reading_columns(kind: str) -> tuple[str, ...]:
-    return (*_POINT_COLUMNS, *_POSE_COLUMNS) if kind == POSE else _POINT_COLUMNS
-
-
-def _written(reading: Array | None, kind: str) -> list[str]:
-    if reading is None:
-        return [""] * len(_reading_columns(kind))
-    turned: list[float] = np.degrees(so3.to_rpy(so3.from_quaternion(reading[3:]))).tolist() if kind == POSE else []
-    return [f"{v:.5f}" for v in (*(1e3 * reading[:3]), *turned)]
-
-
-@refusing
-def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -> Session:
-    """The session with what a technician wrote into a table of its pending stations.
-
-    A row whose reading is empty and that says nothing in its note is left for later. Raises BadTable with the row for
-    what cannot be: a station that is not pending, half a reading, joints far from where they were asked to be.
-    """
-    lines = list(csv.reader(io.StringIO(text), delimiter=_separator(text)))
-    head = [cell.strip().lstrip("\ufeff") for cell in lines[0]] if lines else []
-    joints, read = _joint_columns(session.names, revolute), _reading_columns(session.kind)
-    for name in ("station", *joints, *read):
-        if head.count(name) != 1:
-            raise BadTable(source, f"has {head.count(name)} columns '{name}'", "keep the head of the table as it was")
-    for row, line in enumerate(lines[1:], 2):
-        cells = {name: (line[k].strip() if k < len(line) else "") for k, name in enumerate(head)}
-        if any(cells.values()):
-            session = _filled(session, cells, joints, read, revolute, f"{source}, row {row}")
-    return session
-
-
-def _separator(text: str) -> str:
-    """Spreadsheets write semicolons where the comma is a decimal point."""
-    first = text.partition("\n")[0]
-    return ";" if first.count(";") > first.count(",") else "\t" if first.count("\t") > first.count(",") else ","
-
-
-def _filled(
-    session: Session, cells: Mapping[str, str], joints: Sequence[str], read: Sequence[str], turns: np.ndarray, at: str
-) -> Session:
-    number = int(_number(cells["station"], f"{at}, station")) - 1
-    if not 0 <= number < len(session.stations) or session.stations[number].state != PLANNED:
-        raise BadTable(at, f"station {number + 1} is not asked for", "keep the numbers of the table as they were")
-    station, note = session.stations[number], cells.get(NOTE, "").lower()
-    given = [cells[name] for name in read]
-    if note in _UNSEEN_WORDS or note in _SKIPPED_WORDS:
-        state = UNSEEN if note in _UNSEEN_WORDS else SKIPPED
-        return session.with_station(number, replace(station, state=state))
-    if not any(given):
-        return session
-    values = np.array([_number(cell, f"{at}, {name}") for cell, name in zip(given, read, strict=True)])
-    stood = np.array([_number(cells[name], f"{at}, {name}") for name in joints])
-    q = np.where(turns, np.radians(stood), 1e-3 * stood)
-    off = np.abs(q - station.asked)
-    if off.max() > _OFF:
-        k = int(np.argmax(off))
-        size = f"{np.degrees(off[k]):.2f}°" if turns[k] else f"{1e3 * off[k]:.1f} mm"
-        raise BadTable(f"{at}, {joints[k]}", f"is {size} from where it was asked to be", "correct it, or note: skipped")
-    reading = 1e-3 * values[:3]
-    if session.kind == POSE:
-        reading = np.r_[reading, so3.to_quaternion(so3.from_rpy(np.radians(values[3:])))]
-    return session.with_station(number, station.measured(reading, q))
-
-
-def _number(cell: str, where: str) -> float:
-    try:
-        value = float(cell.replace(",", "."))
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise BadTable(where, f"'{cell}' is not a number", "write one, or leave the whole reading empty")
-    return value

@@ -16,10 +16,11 @@ from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements.recording import POINT, POSE
 from modcal_core.measuring.advice import BATCH, Advice, Advisor
+from modcal_core.measuring.entries import require_likely
 from modcal_core.measuring.goal import MAX_STATIONS, Goal
 from modcal_core.measuring.pool import of_recording, of_robot
-from modcal_core.measuring.record import with_table
 from modcal_core.measuring.session import Session
+from modcal_core.measuring.table import FilledTable, text_of, with_table
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
@@ -187,13 +188,13 @@ def measure_command(
         lot = batch or (BATCH if measurer is not None else _BY_HAND)
         advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=lot, effects=not geometry_only)
         if measurer is None:
-            advice = _by_hand(place, kept, advisor, watch)
+            advice, filled = _by_hand(place, kept, advisor, watch)
         else:
             advice = _whole(place, kept, advisor, measurer, watch)
         files = {} if advice.outcome is None else place.finish(advice, goal)
     data = outcome_data(advice, goal)
     if advice.outcome is None:
-        output.result(data, partial(_asking, place, advice, robot))
+        output.result(data, partial(_asking, place, advice, filled))
         return 0
     where = written(place.path, files, "Result", "measure.json")
     output.result(data, partial(tell, [arm_line(arm), *_ended(advice)]), where)
@@ -236,25 +237,28 @@ def _whole(place: Folder, kept: StoredSession, advisor: Advisor, measurer: Measu
             place.save(replace(kept, session=session))
 
 
-def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch) -> Advice:
+def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch) -> tuple[Advice, FilledTable]:
     """Take in what was filled in, and ask for the next stations once those asked for are done."""
-    session, table = kept.session, place.path / NEXT
+    filled, table = FilledTable(kept.session), place.path / NEXT
     if table.exists():
         with about(str(table)):
-            text = table.read_text(encoding="utf-8", errors="replace")
-            session = with_table(session, text, np.asarray(place.robot.mechanism.revolute), str(table))
+            text = text_of(table.read_bytes(), str(table))
+            filled = with_table(kept.session, text, np.asarray(place.robot.mechanism.revolute), str(table))
+        new = [i for i in filled.read if i not in filled.checked]
+        require_likely(filled.session, place.robot.mechanism, new, str(table))
     watch("fitting and choosing")
     elapsed = 0.0 if kept.began is None else time.time() - kept.began
-    advice = advisor.advise(session, elapsed)
+    advice = advisor.advise(filled.session, elapsed)
     place.save(replace(kept, session=advice.session))
     place.write_tables(advice.session)
-    return advice
+    return advice, filled
 
 
-def _asking(place: Folder, advice: Advice, robot: Path, page: Console) -> None:
+def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -> None:
     """Say what to measure next."""
     session = advice.session
-    lines = [f"{len(session.rows())} stations measured; {_standing(advice)}".rstrip("; ")]
+    lines = [*_nothing_new(place, filled)]
+    lines.append(f"{len(session.rows())} stations measured; {_standing(advice)}".rstrip("; "))
     lines.append(f"Next: {len(session.pending)} stations ({advice.why}), in {place.path / NEXT}")
     for number in session.pending:
         q = session.stations[number].asked
@@ -266,6 +270,15 @@ def _asking(place: Folder, advice: Advice, robot: Path, page: Console) -> None:
     )
     lines.append("none), and give the same command again.")
     tell(lines, page)
+
+
+def _nothing_new(place: Folder, filled: FilledTable) -> list[str]:
+    """What to say where a table was asked for before and nothing new is in it."""
+    if filled.read or not filled.session.stations or filled.session.pending == ():
+        return []
+    beside = [p.name for p in place.path.glob(f"{Path(NEXT).stem}.*") if p.name != NEXT]
+    saved = f"; {beside[0]} is beside it: save as CSV, under the same name" if beside else ""
+    return [f"{NEXT} has no new reading{saved}."]
 
 
 def _standing(advice: Advice) -> str:

@@ -15,8 +15,9 @@ from modcal_core.files import read_yaml, to_json, to_yaml, write_file, write_fol
 from modcal_core.measurements.origin import Origin
 from modcal_core.measuring.advice import Advice
 from modcal_core.measuring.goal import Goal
-from modcal_core.measuring.record import from_data, to_data, to_table
+from modcal_core.measuring.record import from_data, to_data
 from modcal_core.measuring.session import PROOF, Session
+from modcal_core.measuring.table import to_table
 from modcal_core.report.files import calibration_files, delta_files
 from modcal_core.robot import Robot
 

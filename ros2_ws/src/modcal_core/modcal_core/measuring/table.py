@@ -1,0 +1,182 @@
+"""The tables of a session: what a technician with a spreadsheet is asked for, and what came back.
+
+Angles are in degrees and lengths in millimetres, for people type them. What a spreadsheet does to a file on the way
+(semicolons, decimal commas, byte order marks, UTF-16) is undone; what a person may have typed wrongly is refused with
+its row, and nothing of that table is taken in.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.errors import BadTable, refusing
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.recording import POSE
+from modcal_core.measuring.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
+
+_POINT_COLUMNS, _POSE_COLUMNS = ("x_mm", "y_mm", "z_mm"), ("rx_deg", "ry_deg", "rz_deg")
+NOTE = "note"  # the column in which a technician says what became of a station
+_UNSEEN_WORDS, _SKIPPED_WORDS, _LATER_WORDS = ("unseen", "not seen"), ("skipped", "not reached"), ("", "later")
+CHECKED = "checked"  # of a reading that is as it is, however unlikely
+_OFF = 0.02  # rad or m by which the arm may stand beside the posture that was asked for; more is a mistake of typing
+_SAME = 2e-8  # m, rad; twice the last digit that tables are written with
+_WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # the first bytes of .xlsx and .ods, and of .xls
+
+
+@dataclass(frozen=True)
+class FilledTable:
+    """session: with what the table says. read: numbers of the stations whose readings are new. checked: those of them
+    that somebody has looked at again.
+    """
+
+    session: Session
+    read: tuple[int, ...] = ()
+    checked: tuple[int, ...] = ()
+
+
+def to_table(session: Session, numbers: Sequence[int], revolute: np.ndarray) -> str:
+    """A CSV table of these stations: number, what it is for, joints, reading and a note, each empty where not known."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["station", "for", *_joint_columns(session.names, revolute), *_reading_columns(session.kind), NOTE])
+    for i in numbers:
+        s = session.stations[i]
+        q = s.asked if s.q is None else s.q
+        shown = [f"{v:.5f}" for v in np.where(revolute, np.degrees(q), 1e3 * q)]
+        note = s.state if s.state in (UNSEEN, SKIPPED) else ""
+        writer.writerow([i + 1, s.role, *shown, *_written(s.reading, session.kind), note])
+    return out.getvalue()
+
+
+def _joint_columns(names: Sequence[str], revolute: np.ndarray) -> list[str]:
+    return [f"{name}_{'deg' if turns else 'mm'}" for name, turns in zip(names, revolute, strict=True)]
+
+
+def _reading_columns(kind: str) -> tuple[str, ...]:
+    return (*_POINT_COLUMNS, *_POSE_COLUMNS) if kind == POSE else _POINT_COLUMNS
+
+
+def _written(reading: Array | None, kind: str) -> list[str]:
+    if reading is None:
+        return [""] * len(_reading_columns(kind))
+    turned: list[float] = np.degrees(so3.to_rpy(so3.from_quaternion(reading[3:]))).tolist() if kind == POSE else []
+    return [f"{v:.5f}" for v in (*(1e3 * reading[:3]), *turned)]
+
+
+def text_of(data: bytes, source: str) -> str:
+    """The text of a table as spreadsheets write it. Raises BadTable for a workbook."""
+    if data.startswith(_WORKBOOKS):
+        raise BadTable(source, "is a workbook, not a table of text", "save it as CSV, under the same name")
+    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    return data.decode(encoding, errors="replace")
+
+
+@refusing
+def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -> FilledTable:
+    """The session with what a technician wrote into a table of its pending stations.
+
+    A row whose reading is empty and that says nothing in its note is left for later; one that was taken in before is
+    passed over. Raises BadTable with the row for what cannot be: a station that is not asked for or stands twice, half
+    a reading, joints far from where they were asked to be, a note that says something else.
+    """
+    lines = list(csv.reader(io.StringIO(text.lstrip("\ufeff")), delimiter=_separator(text)))
+    head = [cell.strip() for cell in lines[0]] if lines else []
+    joints, read = _joint_columns(session.names, revolute), _reading_columns(session.kind)
+    for name in ("station", *joints, *read):
+        if head.count(name) != 1:
+            raise BadTable(source, f"has {head.count(name)} columns '{name}'", "keep the head of the table as it was")
+    first: dict[int, int] = {}
+    filled = FilledTable(session)
+    for row, line in enumerate(lines[1:], 2):
+        cells = {name: (line[k].strip() if k < len(line) else "") for k, name in enumerate(head)}
+        at = f"{source}, row {row}"
+        if not any(cells.values()):
+            continue
+        if any(cell.strip() for cell in line[len(head) :]):
+            said = f"has {len(line)} cells, the head has {len(head)}"
+            raise BadTable(at, said, "separate columns by semicolons where the comma is a decimal point")
+        number = int(_number(cells["station"], f"{at}, station")) - 1
+        if number in first:
+            raise BadTable(at, f"station {number + 1} stands in row {first[number]} as well", "keep one of them")
+        first[number] = row
+        filled = _filled(filled, number, cells, joints, read, revolute, at)
+    return filled
+
+
+def _separator(text: str) -> str:
+    """Spreadsheets write semicolons where the comma is a decimal point."""
+    first = text.partition("\n")[0]
+    return ";" if first.count(";") > first.count(",") else "\t" if first.count("\t") > first.count(",") else ","
+
+
+def _filled(
+    filled: FilledTable,
+    number: int,
+    cells: Mapping[str, str],
+    joints: Sequence[str],
+    read: Sequence[str],
+    turns: np.ndarray,
+    at: str,
+) -> FilledTable:
+    session = filled.session
+    if not 0 <= number < len(session.stations):
+        raise BadTable(at, f"station {number + 1} is not asked for", "keep the numbers of the table as they were")
+    station, note = session.stations[number], cells.get(NOTE, "").lower()
+    given = [cells[name] for name in read]
+    if note in _UNSEEN_WORDS or note in _SKIPPED_WORDS:
+        state = UNSEEN if note in _UNSEEN_WORDS else SKIPPED
+        if any(given):
+            raise BadTable(at, f"has a reading and says '{note}'", "delete one of them")
+        if station.state not in (PLANNED, state):
+            raise _taken_before(at, number, station)
+        return replace(filled, session=session.with_station(number, replace(station, state=state)))
+    if not any(given):
+        if note not in _LATER_WORDS:
+            raise BadTable(at, f"has no reading and says '{note}'", "write unseen, skipped or later, or the reading")
+        return filled
+    values = np.array([_number(cell, f"{at}, {name}") for cell, name in zip(given, read, strict=True)])
+    stood = np.array([_number(cells[name], f"{at}, {name}") for name in joints])
+    q = np.where(turns, np.radians(stood), 1e-3 * stood)
+    reading = 1e-3 * values[:3]
+    if session.kind == POSE:
+        reading = np.r_[reading, so3.to_quaternion(so3.from_rpy(np.radians(values[3:])))]
+    if station.state == MEASURED and station.reading is not None and np.abs(station.reading - reading).max() < _SAME:
+        return filled
+    if station.state != PLANNED:
+        raise _taken_before(at, number, station)
+    off = np.abs(q - station.asked)
+    if off.max() > _OFF:
+        k = int(np.argmax(off))
+        size = f"{np.degrees(off[k]):.2f}°" if turns[k] else f"{1e3 * off[k]:.1f} mm"
+        raise BadTable(f"{at}, {joints[k]}", f"is {size} from where it was asked to be", "correct it, or note: skipped")
+    return FilledTable(
+        session.with_station(number, station.measured(reading, q)),
+        (*filled.read, number),
+        (*filled.checked, number) if note == CHECKED else filled.checked,
+    )
+
+
+def _taken_before(at: str, number: int, station: Station) -> BadTable:
+    was = "with another reading" if station.state == MEASURED else f"as {station.state}"
+    return BadTable(
+        at,
+        f"station {number + 1} was taken in before, {was}",
+        "open the table again, which has the stations asked for now",
+    )
+
+
+def _number(cell: str, where: str) -> float:
+    try:
+        value = float(cell.replace(",", "."))
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        remedy = "write one, without separators of thousands, or leave the whole reading empty"
+        raise BadTable(where, f"'{cell}' is not a number", remedy)
+    return value
