@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import NOISE_M, record
-from cli.recordings import START, recorded, stations
+from cli.recordings import START, recorded, stations, with_joints
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -109,4 +109,20 @@ def test_another_unit_is_refused(calibration: Path, tmp_path: Path, capsys: pyte
     bag = later(tmp_path / "bag", np.eye(4), scale=1e-3)
     assert run(["check", str(calibration), str(bag), "--out", str(tmp_path / "out")]) == 2
     assert "millimetres" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_of_another_robot_is_refused_by_its_joints(
+    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = recorded(START + np.arange(10.0), np.zeros((10, 6)), START + np.arange(10.0), np.zeros((10, 7)))
+    renamed = with_joints(other, names=tuple(f"panda_joint{k}" for k in range(1, 7)))
+    write_recording(renamed, tmp_path / "bag")
+    for verb in ("check", "evaluate"):
+        assert run([verb, str(calibration), str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert "joint shoulder_pan_joint, shoulder_lift_joint" in said
+        assert "of the calibration: not among the joint states (panda_joint1" in said
+        assert "give a recording of the arm that was calibrated (base_link → tool0)" in said
+        assert "--base" not in said
     assert not (tmp_path / "out").exists()

@@ -18,11 +18,12 @@ from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
 from modcal_core.checking.looked_at import spread_out
 from modcal_core.checking.naming import named
 from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, Status
+from modcal_core.checking.placed import new_frames, placed_anew, with_new_frames
 from modcal_core.checking.recognise import recognised
 from modcal_core.checking.repair import repaired
 from modcal_core.checking.search import FoundChanges, search
 from modcal_core.checking.state import CheckState
-from modcal_core.errors import BadTable, NotEnoughData
+from modcal_core.errors import NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -47,7 +48,8 @@ class Checked:
     it cannot be. report: of the frozen or, where there is one, the repaired model at these stations, each of them
     predicted by the others. joints: names, in the order of the stations' columns. station_errors: distances [m] before
     and with what changed, of every reading that was used. accuracy: how well the repaired model is known; None without.
-    far_apart: how many stations far apart say as much.
+    far_apart: how many stations far apart say as much. placed: frames that the calibration does not know, which were
+    placed by these stations.
     """
 
     status: Status
@@ -68,6 +70,7 @@ class Checked:
     station_errors: tuple[Array, Array] | None = None
     accuracy: RepairAccuracy | None = None
     far_apart: float = np.inf
+    placed: tuple[str, ...] = ()
 
     @property
     def alike(self) -> bool:
@@ -80,6 +83,11 @@ class Checked:
         seen = f"{self.stations} station{'s' if self.stations != 1 else ''}"
         if self.status == "unchanged" and self.alike:
             return f"No change is seen, by {seen} that say as much as {self.far_apart:.1f} far apart."
+        if self.status == "unchanged" and self.placed:
+            where = (
+                f"frame {self.placed[0]} stands" if len(self.placed) == 1 else f"{len(self.placed)} new frames stand"
+            )
+            return f"Nothing has changed in arm and tool, by {seen}; where {where} was found from them."
         if self.status == "unchanged":
             return f"Nothing has changed, by {seen}."
         said = " ".join(change.sentence for change in self.changes)
@@ -100,8 +108,8 @@ def checkup(
     """What has changed since the calibration, by these samples.
 
     pattern: share of the calibration's noise that neighbouring postures have in common (its predictable share). Raises
-    NotEnoughData for too few stations, BadTable for frames that the calibration does not know, BadRecording for what is
-    not of this robot.
+    NotEnoughData for too few stations, BadTable for unknown frames whose readings do not place them, BadRecording for
+    what is not of this robot.
     """
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
@@ -112,14 +120,16 @@ def checkup(
             f"at least {LEAST} postures are needed to tell changes apart",
             "measure ten stations, spread over the ranges of all joints",
         )
-    known_frames(calibration, samples)
     applied = applicable(calibration, samples)
+    if new := new_frames(calibration, samples):
+        calibration = with_new_frames(calibration, applied.model, samples, new)
+        applied = applicable(calibration, samples)
     begin = frozen(calibration, applied.model, samples, pattern)
     known = recognised(begin.model, samples, calibration.noise)
     samples = known.samples
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MOST))
-    found = search(begin.model, part, begin.known)
+    found = search(begin.model, part, begin.known, placed_anew(part, new))
     if known.doubt is not None:
         require_accounted(found, known.doubt)
     fixed = None if found.more else repaired(calibration, found, begin.index)
@@ -142,13 +152,14 @@ def checkup(
         expected=_expected(found),
         stations=part.stations,
         aside=tuple(int(part.station[i]) + 1 for i in found.aside),
-        noticed=noticed(found.start, CheckState(begin.model, found.samples, begin.known)),
+        noticed=noticed(found.opened, CheckState(begin.model, found.samples, begin.known), found.asked),
         advice=advise(found, calibration, begin, everywhere),
         repaired=fixed,
         report=report,
         joints=samples.names,
         convention=known.undone,
         notes=(
+            *_placed_note(calibration, new),
             *_notes(begin, samples, inside, part, found),
             *_dated(calibration, samples),
             *unseen_note(found.samples, calibration),
@@ -159,6 +170,7 @@ def checkup(
             errors(found.state.model, found.samples).position_norm,
         ),
         far_apart=found.start.null.weight * part.stations,
+        placed=new,
         accuracy=None
         if fixed is None
         else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MOST),
@@ -173,17 +185,6 @@ def distinct_postures(samples: Samples) -> int:
         left = left[np.abs(left - left[0]).max(axis=1) > _SAME_POSTURE]
         count += 1
     return count
-
-
-def known_frames(calibration: Calibration, samples: Samples) -> None:
-    """Raises BadTable for a frame of the samples that the calibration does not know."""
-    for name in samples.frames:
-        if name not in calibration.frames:
-            raise BadTable(
-                f"frame '{name}' of the recording",
-                f"the calibration knows only {', '.join(calibration.frames)}",
-                "give the frame its name of then; for another instrument use modcal evaluate --refit-base",
-            )
 
 
 def _where_curves_are_known(calibration: Calibration, samples: Samples) -> Samples:
@@ -233,7 +234,7 @@ def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
 def _each_by_the_others(report: Report, found: FoundChanges, begin: FrozenCalibration) -> Report:
     """The report with each station predicted by a repair that has not seen it: its sizes are those of the others."""
     state = found.state
-    sized = [c.hypothesis for c in found.changes if c.hypothesis.sizes]
+    sized = [c.hypothesis for c in (*found.given, *found.changes) if c.hypothesis.sizes]
     if not sized:
         return report
     A = np.concatenate([state.columns(h) for h in sized], axis=1)
@@ -273,6 +274,18 @@ def _notes(
     if found.aside:
         out.append("A reading that no change explains was set aside as wrong.")
     return tuple(out)
+
+
+def _placed_note(calibration: Calibration, new: tuple[str, ...]) -> tuple[str, ...]:
+    """A sentence for frames whose place was found."""
+    if not new:
+        return ()
+    old = ", ".join(name for name in calibration.frames if name not in new)
+    which = f"Frame {new[0]} is" if len(new) == 1 else f"Frames {', '.join(new)} are"
+    return (
+        f"{which} not in the calibration, which has {old}: its place was found from these stations; a moved base "
+        "cannot be told there. Of another instrument with a target of its own, a moved tool is that target.",
+    )
 
 
 def _dated(calibration: Calibration, samples: Samples) -> tuple[str, ...]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration
 from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
-from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, hypotheses
+from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, CellChange
 from modcal_core.checking.known import FrozenCalibration
 from modcal_core.checking.outcome import Noticed, Recommendation
 from modcal_core.checking.rivals import FittedChange
@@ -84,9 +86,10 @@ def _weights(state: CheckState) -> Array:
     return np.r_[np.tile(position, 3), np.full(3 * M, 1.0 / max(noise.rotation, 1e-9))]
 
 
-def noticed(judge: ChangeJudge, state: CheckState) -> tuple[Noticed, ...]:
-    """The smallest base, tool, zero and scale that 95 of 100 such checks notice, RMS at the tool [mm]."""
-    asked = hypotheses(state.model, state.samples)
+def noticed(judge: ChangeJudge, state: CheckState, asked: Sequence[CellChange]) -> tuple[Noticed, ...]:
+    """The smallest base, tool, zero and scale of those asked for that 95 of 100 such checks notice, RMS at the tool
+    [mm].
+    """
     prior = log_priors(asked)
     N, n = len(state.samples), len(state.null.residual)
     member = judge.null.reference if judge.null.widest < 0 else judge.null.widest
@@ -129,6 +132,8 @@ def advise(
             "Calibrate again: what is left after the changes above is no noise. Check first that robot, tool and "
             "instrument are those of the calibration.",
         )
+    if not changes and found.given:
+        return Recommendation("refit_base", "Use the repaired model, which knows where the instrument stands now.")
     if not changes:
         return Recommendation("nothing", "Nothing needs to be done.")
     curve = next((c for c in changes if c.hypothesis.curve >= 0), None)

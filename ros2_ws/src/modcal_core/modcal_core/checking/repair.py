@@ -31,7 +31,7 @@ def repaired(calibration: Calibration, found: FoundChanges, index: np.ndarray) -
 
     index: rows of the calibration's covariance that the samples have, as of ``FrozenCalibration``.
     """
-    changes = found.changes
+    changes = (*found.given, *found.changes)
     if not changes or any(not c.hypothesis.sizes and c.hypothesis.kind != NOISE for c in changes):
         return None
     out = calibration

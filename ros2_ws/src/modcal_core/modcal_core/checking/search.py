@@ -3,19 +3,31 @@
 The change that is most probable is taken up, and what is left is asked again. A second change may show that the first
 was mistaken for it, so the first is then chosen again beside the second. What explains the readings as well as what is
 named, whether at these stations or everywhere, is named with it.
+
+Who sets a cell up again moves the instrument and the target at once. So where two changes leave something, base and
+tool are taken for moved, one of them or both, and up to two others are looked for beside them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from modcal_core.calibration.model import Model
-from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, JudgedChange, e_value, is_noise, log_priors
+from modcal_core.checking.evidence import (
+    SIZES,
+    ChangeCandidate,
+    ChangeJudge,
+    JudgedChange,
+    e_value,
+    is_noise,
+    log_priors,
+)
 from modcal_core.checking.fitting import bends, fitted, taken_up
-from modcal_core.checking.hypotheses import NOISE, READING, CellChange, hypotheses
+from modcal_core.checking.hypotheses import BASE, NOISE, READING, TOOL, CellChange, hypotheses
 from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.rivals import FittedChange, most_probable, with_rivals
 from modcal_core.checking.sizes import SizeCovariance, with_sizes
@@ -26,15 +38,19 @@ from modcal_core.measurements.samples import Samples
 
 FALSE_ALARM = 0.01  # chance that something is named while nothing has changed, over all changes together
 _BEAM = 5  # changes that a pair is begun with
+_SET_UP = (BASE, TOOL)  # what is moved when a cell is set up again
 
 
 @dataclass(frozen=True)
 class FoundChanges:
     """What a search found.
 
-    model: with the changes put in. changes: at most two. log_e: logarithms of the e-values by which each was asked for,
-    and, last, of what is left. aside: samples that were set aside as wrong. samples: the others. start: the null
-    before, on them. left: the one after. state: the model with the changes, beside them. sizes: what is known of these.
+    model: with the changes put in. changes: at most two, beside what was moved when the cell was set up again. log_e:
+    logarithms of the e-values by which each was asked for, and, last, of what is left. aside: samples that were set
+    aside as wrong. samples: the others. start: the null before, on them. left: the one after. state: the model with the
+    changes, beside them. sizes: what is known of these, those of what was given before them. opened: the null in which
+    what was given is left open. asked: the changes that were looked for. given: those that were not asked for but
+    given, as fitted.
     """
 
     model: Model
@@ -46,6 +62,9 @@ class FoundChanges:
     left: ChangeJudge
     state: CheckState
     sizes: SizeCovariance
+    opened: ChangeJudge
+    asked: tuple[CellChange, ...]
+    given: tuple[FittedChange, ...] = ()
 
     @property
     def more(self) -> bool:
@@ -53,14 +72,45 @@ class FoundChanges:
         return self.log_e[-1] > -np.log(FALSE_ALARM)
 
 
-def search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChanges:
-    """What has changed since the model was frozen, by these samples."""
+def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequence[CellChange] = ()) -> FoundChanges:
+    """What has changed since the model was frozen, by these samples. given: changes that are known to be the case and
+    whose sizes alone are asked for.
+    """
+    found = _without_wrong(model, samples, known, given, ())
+    if not found.more:
+        return found
+    moved = [h for h in found.asked if h.kind in _SET_UP]
+    while moved:
+        again = _without_wrong(model, samples, known, given, moved)
+        asked_for = [h for h in moved if _is_asked_for(again, h)]
+        if len(asked_for) == len(moved):
+            return again if again.log_e[-1] < found.log_e[-1] else found
+        moved = asked_for
+    return found
+
+
+def _is_asked_for(found: FoundChanges, moved: CellChange) -> bool:
+    """Whether the readings ask for this change beside all others that were found."""
+    change = next((c for c in found.changes if c.hypothesis.key == moved.key), None)
+    if change is None:
+        return False
+    prior = max(float(p) for h, p in zip(found.asked, log_priors(found.asked), strict=True) if h.key == moved.key)
+    return found.start.null.weight * (change.judged.log_factor + prior) > -np.log(FALSE_ALARM)
+
+
+def _without_wrong(
+    model: Model,
+    samples: Samples,
+    known: FrozenKnowledge,
+    given: Sequence[CellChange],
+    moved: Sequence[CellChange],
+) -> FoundChanges:
+    """The search without the single readings that are wrong."""
     rows = np.arange(len(samples))
     aside: list[int] = []
     allowed = max(1, len(samples) // 10)
     while True:
-        part = samples.select(rows)
-        found = _search(model, part, known)
+        found = _Search(model, samples.select(rows), known, tuple(given), tuple(moved)).found()
         wrong = next((c for c in found.changes if c.hypothesis.kind == READING), None)
         if wrong is None or len(aside) >= allowed or len(rows) < 4:
             return replace(found, aside=tuple(aside))
@@ -69,118 +119,190 @@ def search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChang
         rows = rows[rows != out]
 
 
-def _search(model: Model, samples: Samples, known: FrozenKnowledge) -> FoundChanges:
-    state = begin = CheckState(model, samples, known)
-    fits: list[ChangeCandidate] = []
-    start = now = ChangeJudge(state.null)
-    asked = hypotheses(model, samples)
-    judged, prior = _judge_all(start, begin, asked, bent=True)
-    log_e = [e_value(judged, prior, state.null.weight)]
-    picked: list[JudgedChange] = []
-    if log_e[0] > -np.log(FALSE_ALARM):
-        first = most_probable(judged, prior, state.null.weight)
-        if first.candidate.hypothesis.kind == READING:  # the caller sets it aside and begins again
-            wrong = FittedChange(first, 1.0, ())
-            return FoundChanges(
-                model, (wrong,), tuple(log_e), (), samples, start, now, state, SizeCovariance.none(known)
-            )
-        picked = [first]
-        state, fits, now, rest = _taken(model, samples, known, picked, asked)
-        log_e.append(rest)
-        if rest > -np.log(FALSE_ALARM) or is_noise(first):
-            pair = _best_pair(model, samples, known, judged, prior, asked, start)
-            alone = first.log_factor + float(prior[[j is first for j in judged]][0])
-            if pair is not None and (
-                rest > -np.log(FALSE_ALARM) or begin.null.weight * (pair[1] - alone) > -np.log(FALSE_ALARM)
-            ):
-                picked = pair[0]
-                state, fits, now, rest = _taken(model, samples, known, picked, asked)
-                log_e = [log_e[0], begin.null.weight * max(pair[1] - alone, 0.0), rest]
-    for i, one in enumerate(picked):
-        if one.candidate.free:
-            others = [p for j, p in enumerate(picked) if j != i]
-            beside = taken_up(model, samples, known, others)[0]
-            curve = one.candidate.hypothesis.curve
-            wave = wave_of(curve, beside.model, beside.view, beside.drivers, ChangeJudge(beside.null))
-            if wave is not None and wave.log_factor > one.log_factor:
-                picked[i] = wave
-                state, fits, now, log_e[-1] = _taken(model, samples, known, picked, asked)
-    changes = []
-    for i, one in enumerate(picked):
+@dataclass(frozen=True)
+class _Search:
+    """One search. given: changes that are the case. moved: those that are taken up first."""
+
+    model: Model
+    samples: Samples
+    known: FrozenKnowledge
+    given: tuple[CellChange, ...] = ()
+    moved: tuple[CellChange, ...] = ()
+
+    @cached_property
+    def asked(self) -> list[CellChange]:
+        """The changes that are looked for."""
+        known = {h.key for h in self.given}
+        every = [h for h in hypotheses(self.model, self.samples) if h.key not in known]
+        if len(known) == len(self.model.frames):  # each stands where nobody knew it to stand: a base cannot move
+            every = [h for h in every if h.kind != BASE]
+        return every
+
+    @cached_property
+    def plain(self) -> CheckState:
+        """The frozen model beside the readings."""
+        return CheckState(self.model, self.samples, self.known)
+
+    @cached_property
+    def untouched(self) -> ChangeJudge:
+        """Of the frozen model."""
+        return ChangeJudge(self.plain.null)
+
+    @cached_property
+    def fixed(self) -> list[JudgedChange]:
+        """What is given, of any size."""
+        judged, _ = _judge_all(self.untouched, self.plain, self.given) if self.given else ([], None)
+        return [replace(one, size=float(SIZES[-1])) for one in judged]
+
+    @cached_property
+    def begin(self) -> CheckState:
+        """The same with what is given taken up."""
+        return taken_up(self.model, self.samples, self.known, self.fixed)[0] if self.given else self.plain
+
+    @cached_property
+    def start(self) -> ChangeJudge:
+        """Of the same with what is given taken up."""
+        return ChangeJudge(self.begin.null) if self.given else self.untouched
+
+    @property
+    def weight(self) -> float:
+        """Of what the stations say together."""
+        return self.plain.null.weight
+
+    def beside(self, picked: Sequence[JudgedChange]) -> CheckState:
+        """The state with these changes taken up, on top of what is given."""
+        return taken_up(self.model, self.samples, self.known, [*self.fixed, *picked])[0]
+
+    def taken(self, picked: Sequence[JudgedChange]) -> tuple[CheckState, list[ChangeCandidate], ChangeJudge, float]:
+        """The state with these changes taken up, those and what is given as fitted, the judge of what is left, and its
+        e-value.
+        """
+        state, fits = taken_up(self.model, self.samples, self.known, [*self.fixed, *picked])
+        now = ChangeJudge(state.null)
+        judged, prior = _judge_all(now, state, [h for h in self.asked if h.key not in _keys(picked)])
+        return state, fits, now, e_value(judged, prior, self.weight)
+
+    def found(self) -> FoundChanges:
+        """What was found, or the first reading that is wrong."""
+        state, now, moved = self.begin, self.start, self._moved()
+        fits: list[ChangeCandidate] = []
+        if moved:
+            state, fits, now, _ = self.taken(moved)
+        elif self.given:
+            state, fits, now, _ = self.taken([])
+        asked = [h for h in self.asked if h.key not in _keys(moved)]
+        judged, prior = _judge_all(now, state, asked, bent=True)
+        log_e = [e_value(judged, prior, self.weight)]
+        picked = list(moved)
+        if log_e[0] > -np.log(FALSE_ALARM):
+            first = most_probable(judged, prior, self.weight)
+            if first.candidate.hypothesis.kind == READING:  # the caller sets it aside and begins again
+                return self._told([FittedChange(first, 1.0, ())], [], log_e, state, now, None)
+            picked = [*moved, first]
+            state, fits, now, rest = self.taken(picked)
+            log_e.append(rest)
+            if rest > -np.log(FALSE_ALARM) or is_noise(first):
+                pair = self._best_pair(judged, prior, moved)
+                alone = first.log_factor + float(prior[[j is first for j in judged]][0])
+                if pair is not None and (
+                    rest > -np.log(FALSE_ALARM) or self.weight * (pair[1] - alone) > -np.log(FALSE_ALARM)
+                ):
+                    picked = [*moved, *pair[0]]
+                    state, fits, now, rest = self.taken(picked)
+                    log_e = [log_e[0], self.weight * max(pair[1] - alone, 0.0), rest]
+        for i, one in enumerate(picked):
+            if one.candidate.free:
+                others = [p for j, p in enumerate(picked) if j != i]
+                beside = self.beside(others)
+                curve = one.candidate.hypothesis.curve
+                wave = wave_of(curve, beside.model, beside.view, beside.drivers, ChangeJudge(beside.null))
+                if wave is not None and wave.log_factor > one.log_factor:
+                    picked[i] = wave
+                    state, fits, now, log_e[-1] = self.taken(picked)
+        changes = [self._with_rivals(picked, i) for i in range(len(picked))]
+        return self._told(changes, fits, log_e, state, now, now.best)
+
+    def _moved(self) -> list[JudgedChange]:
+        """What is taken up first, each judged beside what is given."""
+        if not self.moved:
+            return []
+        return _judge_all(self.start, self.begin, self.moved, bent=True)[0]
+
+    def _with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
+        """One of the changes that were picked, with what explains the readings as well."""
+        one = picked[i]
         others = [p for j, p in enumerate(picked) if j != i]
-        beside = taken_up(model, samples, known, others)[0]
+        beside = self.beside(others)
         judge = ChangeJudge(beside.null)
-        every, prior = _judge_all(judge, beside, [h for h in asked if h.key not in _keys(others)], bent=True)
-        if not any(h is one.candidate.hypothesis for h in asked):  # a wave that was found by scanning
+        every, prior = _judge_all(judge, beside, [h for h in self.asked if h.key not in _keys(others)], bent=True)
+        if not any(h is one.candidate.hypothesis for h in self.asked):  # a wave that was found by scanning
             own = [
                 p
                 for j, p in zip(every, prior, strict=True)
                 if j.candidate.hypothesis.key == one.candidate.hypothesis.key
             ]
             every, prior = [*every, one], np.r_[prior, max(own)]
-        changes.append(with_rivals(one, every, prior, begin.null.weight))
-    changes, sizes = with_sizes(changes, fits, state, begin.null, now.best)
-    return FoundChanges(state.model, tuple(changes), tuple(log_e), (), samples, start, now, state, sizes)
+        return with_rivals(one, every, prior, self.weight)
 
+    def _told(
+        self,
+        changes: Sequence[FittedChange],
+        fits: Sequence[ChangeCandidate],
+        log_e: Sequence[float],
+        state: CheckState,
+        now: ChangeJudge,
+        member: int | None,
+    ) -> FoundChanges:
+        """What was found. member: of the null's grid, that which suits the readings best; None: sizes are not asked."""
+        given = [FittedChange(judged, 1.0, ()) for judged in self.fixed]
+        sizes = SizeCovariance.none(self.known)
+        if member is not None:
+            every, sizes = with_sizes([*given, *changes], fits, state, self.plain.null, member)
+            given, changes = every[: len(given)], every[len(given) :]
+        return FoundChanges(
+            state.model, tuple(changes), tuple(log_e), (), self.samples, self.untouched, now, state, sizes, self.start,
+            tuple(self.asked), tuple(given),
+        )  # fmt: skip
 
-def _taken(
-    model: Model, samples: Samples, known: FrozenKnowledge, picked: Sequence[JudgedChange], asked: Sequence[CellChange]
-) -> tuple[CheckState, list[ChangeCandidate], ChangeJudge, float]:
-    """The state with these changes taken up, the changes as fitted, the judge of what is left, and its e-value."""
-    state, fits = taken_up(model, samples, known, picked)
-    now = ChangeJudge(state.null)
-    judged, prior = _judge_all(now, state, [h for h in asked if h.key not in _keys(picked)])
-    return state, fits, now, e_value(judged, prior, state.null.weight)
+    def _best_pair(
+        self, judged: Sequence[JudgedChange], prior: Array, moved: Sequence[JudgedChange]
+    ) -> tuple[list[JudgedChange], float] | None:
+        """The two changes that are most probable together beside what was moved, and the logarithm of how much.
 
+        One of them is among the few most probable alone; it is chosen again beside the other.
+        """
+        by_key: dict[tuple[str, str], tuple[float, JudgedChange]] = {}
+        for j, p in zip(judged, prior, strict=True):
+            value = j.log_factor + float(p)
+            h = j.candidate.hypothesis
+            if h.kind not in (READING, NOISE) and value > by_key.get(h.key, (-np.inf, j))[0]:
+                by_key[h.key] = (value, j)
+        tried = [first for _, first in sorted(by_key.values(), key=lambda pair: -pair[0])[:_BEAM]]
+        best: tuple[list[JudgedChange], float] | None = None
+        for first in tried:
+            found = self._second(first, moved)
+            if best is None or found[1] > best[1]:
+                best = found
+        if best is not None:  # the second may be the better beginning
+            again = self._second(best[0][1], moved)
+            best = max(best, again, key=lambda pair: pair[1])
+        return best
 
-def _best_pair(
-    model: Model,
-    samples: Samples,
-    known: FrozenKnowledge,
-    judged: Sequence[JudgedChange],
-    prior: Array,
-    asked: Sequence[CellChange],
-    start: ChangeJudge,
-) -> tuple[list[JudgedChange], float] | None:
-    """The two changes that are most probable together, and the logarithm of how much.
+    def _second(self, first: JudgedChange, moved: Sequence[JudgedChange]) -> tuple[list[JudgedChange], float]:
+        """The most probable change beside a first one, and how probable both are together."""
+        beside = self.beside([*moved, first])
+        judge = ChangeJudge(beside.null)
+        known = _keys([*moved, first])
+        rest = [h for h in self.asked if h.key not in known and h.kind != READING]
+        judged, prior = _judge_all(judge, beside, rest)
+        value = np.array([j.log_factor for j in judged]) + prior
+        at = int(np.argmax(value))
+        own = log_priors(self.asked)[next(i for i, h in enumerate(self.asked) if h is first.candidate.hypothesis)]
+        return [first, judged[at]], float(judge.log_null - self._before(moved) + value[at] + own)
 
-    One of them is among the few most probable alone; it is chosen again beside the other.
-    """
-    by_key: dict[tuple[str, str], tuple[float, JudgedChange]] = {}
-    for j, p in zip(judged, prior, strict=True):
-        value = j.log_factor + float(p)
-        h = j.candidate.hypothesis
-        if h.kind not in (READING, NOISE) and value > by_key.get(h.key, (-np.inf, j))[0]:
-            by_key[h.key] = (value, j)
-    tried = [first for _, first in sorted(by_key.values(), key=lambda pair: -pair[0])[:_BEAM]]
-    best: tuple[list[JudgedChange], float] | None = None
-    for first in tried:
-        found = _second(model, samples, known, first, start, asked)
-        if best is None or found[1] > best[1]:
-            best = found
-    if best is not None:  # the second may be the better beginning
-        again = _second(model, samples, known, best[0][1], start, asked)
-        best = max(best, again, key=lambda pair: pair[1])
-    return best
-
-
-def _second(
-    model: Model,
-    samples: Samples,
-    known: FrozenKnowledge,
-    first: JudgedChange,
-    start: ChangeJudge,
-    asked: Sequence[CellChange],
-) -> tuple[list[JudgedChange], float]:
-    """The most probable change beside a first one, and how probable both are together."""
-    beside = taken_up(model, samples, known, [first])[0]
-    judge = ChangeJudge(beside.null)
-    rest = [h for h in asked if h.key != first.candidate.hypothesis.key and h.kind != READING]
-    judged, prior = _judge_all(judge, beside, rest)
-    value = np.array([j.log_factor for j in judged]) + prior
-    at = int(np.argmax(value))
-    own = log_priors(asked)[next(i for i, h in enumerate(asked) if h is first.candidate.hypothesis)]
-    return [first, judged[at]], float(judge.log_null - start.log_null + value[at] + own)
+    def _before(self, moved: Sequence[JudgedChange]) -> float:
+        """Logarithm of the probability of the readings before either of a pair."""
+        return ChangeJudge(self.beside(moved).null).log_null if moved else self.start.log_null
 
 
 def _keys(judged: Sequence[JudgedChange]) -> set[tuple[str, str]]:

@@ -17,7 +17,6 @@ from modcal_core.public import evaluate
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.files import report_files
 from modcal_core.report.report import Report
-from modcal_core.robot import Robot
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.camera import by_camera, calibrate_images, camera_options, split_options
@@ -29,7 +28,7 @@ from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
-from modcal_nodes.io.recorded import calibrate_bag, opened
+from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
 
 SEED = click.IntRange(min=0)  # what NumPy takes
 _SPLITS = click.option(
@@ -206,7 +205,7 @@ def evaluate_command(
     cell = read_cell(cell_file, stated=stated_from(stated))
     with output.working() as watch:
         recorded = opened(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
-        samples = recorded.samples(Robot(frozen.nominal.chain), clock_limit)
+        samples = of_calibrated(recorded, frozen, clock_limit)
         watch("scoring")
         with of_cell(cell_file):
             report = evaluate(

@@ -20,7 +20,6 @@ from modcal_core.public import check
 from modcal_core.report.certificate import is_made_from
 from modcal_core.report.checkup import summary, to_html, to_json_data
 from modcal_core.report.files import calibration_files, delta_files, report_files
-from modcal_core.robot import Robot
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.calibrate import (
@@ -40,7 +39,7 @@ from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
-from modcal_nodes.io.recorded import opened
+from modcal_nodes.io.recorded import of_calibrated, opened
 
 _MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
 
@@ -82,7 +81,7 @@ def check_command(
     cell = read_cell(cell_file, stated=stated_from(stated))
     with output.working() as watch:
         recorded = opened(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
-        samples = recorded.samples(Robot(frozen.nominal.chain), clock_limit)
+        samples = of_calibrated(recorded, frozen, clock_limit)
         watch("checking")
         with of_cell(cell_file):
             found = check(

@@ -10,7 +10,8 @@ from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.moves import Move
 from modcal_core.calibration.own_statement import together_stated
 from modcal_core.calibration.stated import Stated
-from modcal_core.errors import about
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadRecording, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements.dropped import together
 from modcal_core.measurements.origin import Origin
@@ -18,6 +19,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.sequence import after, between
 from modcal_core.public import calibrate, tolerance_asked
 from modcal_core.result import Result
+from modcal_core.robot import Robot
 from modcal_msgs_py.bag import Bag, read_bag
 from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.robot import described
@@ -70,6 +72,24 @@ def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watc
 def opened(bag: Path, watch: Watch = silent, topics: Topics | None = None) -> Bag:
     """A bag, the watch being told how far it has been read."""
     return read_bag(bag, topics or Topics(), heard=lambda share: watch(f"reading {bag.name}", share))
+
+
+def of_calibrated(recorded: Bag, frozen: Calibration, clock_limit: float) -> Samples:
+    """The samples of a bag for the arm of a frozen calibration, which knows its base, its tip and its joints. Raises
+    BadRecording, for a bag without these joints with the remedy of one who states no robot.
+    """
+    chain = frozen.nominal.chain
+    try:
+        return recorded.samples(Robot(chain), clock_limit)
+    except BadRecording as error:
+        missing = [name for name in chain.names if name not in recorded.joints]
+        if not missing or not recorded.joints:
+            raise
+        raise BadRecording(
+            f"joint {', '.join(missing)} of the calibration",
+            f"not among the joint states ({', '.join(sorted(recorded.joints))})",
+            f"give a recording of the arm that was calibrated ({chain.base} → {chain.tip}), its joints named as then",
+        ) from error
 
 
 def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samples, Cell]:
