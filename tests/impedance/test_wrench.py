@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.wrench import DOWN, Load, LowPass, Tare, WrenchSensor
+from modcal_core.impedance.tare import Tare
+from modcal_core.impedance.wrench import DOWN, Load, LowPass, WrenchSensor
 
 LOAD = Load(1.3, np.array([0.01, -0.02, 0.06]), np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3]))
 

@@ -19,30 +19,27 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance import tare
 from modcal_core.impedance.impedance import Impedance
-from modcal_core.impedance.input_watch import NO_STATUS, InputWatch
-from modcal_core.impedance.lead_check import LeadCheck, Stiffness
+from modcal_core.impedance.input_watch import InputWatch
 from modcal_core.impedance.path_check import PathCheck, Reach
 from modcal_core.impedance.path_model import Exploration, PathModel
 from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.setpoint_filter import SetpointFilter
-from modcal_core.impedance.speed_governor import ForcePrediction, SpeedGovernor
+from modcal_core.impedance.speed_governor import SpeedGovernor
 from modcal_core.impedance.task import ImpedanceTask, JointPositions, ObjectModel, Stop, Wait
-from modcal_core.impedance.wrench import Tare, WrenchSensor
+from modcal_core.impedance.tool_force import ToolForce
+from modcal_core.impedance.wrench import WrenchSensor
 from modcal_core.robots.chain import Chain
 
-_REST = 0.01  # rad/s or m/s of a joint that still counts as standing
 _STOOD = 2e-3  # m/s at which the tool has arrived
-_TARE_PATIENCE, _CHECK_PATIENCE = 10.0, 5.0  # s
+_CHECK_PATIENCE = 5.0  # s
 _STEPS_A_TICK = 2  # of the walk along the way that is to be checked
 _MEASURED_EVERY = 4  # ticks, after which it is looked anew how far it is open: some tenths of a millimetre
 _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely reached
 _STAND_PATIENCE = 2.0  # s
 _PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _RELEASE = 0.6  # s in which the force is let go
-_CREEP, _FREE = 0.01, 8e-3  # m/s for the first m, which no hand goes without what it holds
-_UNTOLD = 0.5  # of the usual speed beyond that, until the force sensor has felt anything
-_TOLD = 2.0  # N that tell that it does: ten times the noise of a usual one
 _MOVING = ("explore", "check", "follow")  # phases in which the hand is led
 _OVER = 0.05  # m that the expected pose may lie beyond the goal
 _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
@@ -59,15 +56,12 @@ class Operation:
         self.setpoint_filter = SetpointFilter(chain, limits)
         self.impedance = Impedance(task.gains(task.direction), task.blend)
         self.governor = SpeedGovernor(task.governor)
-        self.lead_check = LeadCheck(_stiffness(task))
+        self._force = ToolForce(chain.n, task, limits)
         self.reached: Reach | None = None
         self.course: PathModel | None = None
-        self.force, self._foreseen, self._foresight = np.zeros(6), np.zeros(6), ForcePrediction()
-        self._answered = False
-        self._delay = 0.0  # s from a touch until the arm begins to brake
         self.expected = self._measured = np.eye(4)
         self._pull: Exploration | None = None
-        self._tare = Tare(task.tare_s)
+        self._tare = tare.TarePhase(task.tare_s, task.gravity)
         self._path_check: tuple[PathCheck, Array] | None = None
         self._checked = np.eye(4)
         self._walked_from = 0.0
@@ -77,7 +71,6 @@ class Operation:
         self._ticks = 0
         self._at: float | None = None
         self._watch, self._caution = InputWatch(limits.timeout), 1.0
-        self._before: tuple[float, Array] | None = None
         self._stop: Stop | None = None
         self._tell: dict[str, Callable[[float, Array, ObjectModel], None]] = {
             "explore": self._explore,
@@ -86,6 +79,11 @@ class Operation:
             "arrive": self._arrive,
             "release": self._release,
         }
+
+    @property
+    def force(self) -> Array:
+        """The wrench (6,) that is felt on the tool, in its axes."""
+        return self._force.felt
 
     def stop(self, why: str) -> Stop:
         """End it now, whatever it does; what is let go says why it was."""
@@ -110,7 +108,6 @@ class Operation:
             self.task, speed=task.speed, exploration_speed=task.exploration_speed, governor=task.governor
         )
         self.governor.settings = task.governor
-        self.lead_check.stiffness = _stiffness(self.task)
         lead, turned = speeds(self._measured, self.setpoint_filter.pose) if self.phase != "tare" else (0.0, 0.0)
         why = ""
         if lead > limits.displacement or turned > limits.rotation:
@@ -121,6 +118,7 @@ class Operation:
             kept = self.limits
             limits = replace(limits, displacement=kept.displacement, rotation=kept.rotation, gain=kept.gain)
         self.limits, self._watch.timeout = limits, limits.timeout
+        self._force.restrict(self.task, limits)
         self.monitor.restrict(limits, now)
         self.setpoint_filter.limits = limits
         if why and self.phase != "release":
@@ -164,26 +162,15 @@ class Operation:
     def _wait(self, why: str, now: float) -> Wait | Stop:
         """Stand until it comes, but not for ever."""
         self._watch.wait(now)
-        patience = self.task.input_timeout_s if self.phase != "tare" else _TARE_PATIENCE
+        patience = self.task.input_timeout_s if self.phase != "tare" else tare.PATIENCE
         return self.stop(why) if self._watch.waited(now, patience) else Wait(why)
 
     def _weigh(
         self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
     ) -> Wait | Stop:
-        if math.isnan(self._since):
-            self._since = now
-        at_rest = True
-        if self._before is not None and now > self._before[0]:
-            at_rest = bool(np.abs(joints.q - self._before[1]).max() <= _REST * max(now - self._before[0], 0.02))
-        self._before = now, joints.q
-        if not self._tare.add(sensor.raw, sensor.stamp, at_rest):
-            if now - self._since > _TARE_PATIENCE:
-                return self.stop("tare: the arm is moving: hold it still before the pull")
-            return Wait("taring the wrench: the arm stands still for a moment")
-        if state.silent:  # nothing moves that no estimator follows
-            return self.stop(NO_STATUS) if now - self._since > _TARE_PATIENCE else Wait(NO_STATUS)
-        sensor.load = self._tare.load(sensor.rotation(T), sensor.load, self.task.gravity)
-        sensor.reset_past()
+        over, why = self._tare.step(now, T, sensor, joints, state.silent)
+        if why:
+            return self.stop(why) if over else Wait(why)
         self.setpoint_filter.begin(joints.q, T)
         self.monitor.open(T, joints.q, now)
         self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)
@@ -209,15 +196,10 @@ class Operation:
         self._measured = T
         age = max(now - joints.stamp, now - sensor.stamp)
         self._heed(age, h)
-        self.force = sensor.on_tool(T, self.task.gravity)
-        self._delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + self.task.servo_lag
-        self._foreseen = self._foresight.ahead(self.force, sensor.stamp, self._delay + self.governor.braking)
+        self._force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
         refused = self.monitor.overload(self.force)
-        self.lead_check.felt(sensor.raw, sensor.stamp)
         if refused is None and self.phase in _MOVING:
-            felt = math.sqrt(self.force[:3] @ self.force[:3])
-            moved = self.setpoint_filter.moved_by(self.force)
-            refused = self.lead_check.refused(T[:3, 3], felt, joints.stamp, self.limits.force, moved)
+            refused = self._force.refused(T, joints.stamp, self.setpoint_filter)
         lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
         if (refused is not None or lost) and self.phase != "release":
             self._let_go(str(refused or lost), now)
@@ -233,7 +215,7 @@ class Operation:
         else:
             goal = self.expected
         self.setpoint_filter.step(goal, h, self._posture())
-        self.lead_check.sent(self.setpoint_filter.pose[:3, 3], now)
+        self._force.sent(self.setpoint_filter, now)
         self._last = now
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
         heard = SensorReadings(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
@@ -250,7 +232,7 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self._unknown_speed(pull.progress(T)), h)
+        ds = self._go(self._force.unknown_speed(pull.progress(T)), h)
         sent = self.setpoint_filter.pose if self.task.mode == "admittance" else None
         self.expected = pull.advance(ds, T, h, sent)
         if state.trusted and state.model is not None:
@@ -261,19 +243,6 @@ class Operation:
         elif pull.way - math.dist(self.expected[:3, 3], T[:3, 3]) > self.task.max_exploration:
             said = state.event or "no model predicts it"
             self._let_go(f"motion not identified after {100.0 * pull.progress(T):.0f} cm ({said})", now)
-
-    def _unknown_speed(self, progress: float) -> float:
-        """The speed [m/s] at which to go on into the unknown, with the tool so far [m] from where it began.
-
-        A force sensor that has not told of anything may be stuck, and so may one that told of little: until the hand
-        has come some way, and until the sensor has told, little may come of that.
-        """
-        felt = math.sqrt(self.force[:3] @ self.force[:3])
-        self._answered = (self._answered or felt >= _TOLD) and not self.lead_check.repeats
-        speed, creep = self.task.exploration_speed, min(_CREEP, self.lead_check.creep(self.limits.force))
-        if progress < _FREE:
-            return min(speed, creep)
-        return speed if self._answered else min(speed, max(creep, _UNTOLD * speed * creep / _CREEP))
 
     def _check(self, h: float, T: Array, state: ObjectModel) -> None:
         """Stand, and check the whole path ahead."""
@@ -344,8 +313,8 @@ class Operation:
 
     def _go(self, wanted: float, h: float) -> float:
         """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it."""
-        sight = self.governor.in_sight(math.sqrt(self.force[:3] @ self.force[:3]), self._delay)
-        return self.governor.step(min(wanted / self._caution, sight), self._foreseen, h)
+        sight = self.governor.in_sight(self._force.size, self._force.delay)
+        return self.governor.step(min(wanted / self._caution, sight), self._force.foreseen, h)
 
     def _enter(self, phase: str, now: float) -> None:
         self.phase, self._since = phase, now
@@ -429,10 +398,3 @@ class Operation:
 
     def _pushed(self) -> str:
         return f"{math.sqrt(self.force[:3] @ self.force[:3]):.0f} N"
-
-
-def _stiffness(task: ImpedanceTask) -> Stiffness:
-    """What is known of the stack that follows: a stiff one, or one that is as compliant as it is asked to be."""
-    if task.mode == "admittance":
-        return Stiffness.of(task.governor.contact_stiffness, task.stack[0], task.servo_lag, task.arm_stiffness)
-    return Stiffness(task.stiffness[0], task.stiffness[0], task.servo_lag)

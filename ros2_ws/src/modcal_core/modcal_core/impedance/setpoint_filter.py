@@ -82,6 +82,11 @@ class SetpointFilter:
         self._rates = np.concatenate([self.pose[:3, 3] - before[:3, 3], rotation_vector(D)]) / h
         self._h = h
 
+    @property
+    def jacobian(self) -> Array:
+        """The tool's Jacobian (6, n) of the last step, in the tool's axes."""
+        return self._J
+
     def moved_by(self, wrench: Array) -> tuple[float, float]:
         """How far a wrench (6,) on the tool, in its axes, moves it where every joint yields by 1 rad to 1 N m, and how
         far one newton does at most [N m²].

@@ -43,40 +43,6 @@ class Load:
         return out
 
 
-class Tare:
-    """The offset of the sensor, as a mean while the arm stands still."""
-
-    def __init__(self, seconds: float = 0.5, least: int = 25, noise: tuple[float, float] = (2.0, 0.2)) -> None:
-        """Take readings for some seconds, at least so many. noise: largest deviation of one [N, N m]."""
-        self._seconds, self._least, self._noise = seconds, least, noise
-        self._readings: list[Array] = []
-        self._begun = math.nan
-
-    def add(self, wrench: Array, stamp: float, at_rest: bool) -> bool:
-        """Take one reading (6,) of a time [s]; whether there are enough. An arm that moves starts the tare again."""
-        if not at_rest or not self._readings:
-            self._readings, self._begun = [], stamp
-        self._readings.append(np.array(wrench, dtype=float))
-        return len(self._readings) >= self._least and stamp - self._begun >= self._seconds
-
-    def load(self, R_base_sensor: Array, known: Load, down: Array = DOWN) -> Load:
-        """The known load with the offset that was found. Raises BadCommand where the readings scatter too much."""
-        readings = np.array(self._readings)
-        scatter = readings.std(axis=0)
-        for what, worst, most, unit in (
-            ("force", float(scatter[:3].max()), self._noise[0], "N"),
-            ("moment", float(scatter[3:].max()), self._noise[1], "N m"),
-        ):
-            if not worst <= most:
-                raise BadCommand(
-                    f"tare of the {what}",
-                    f"readings scatter by {worst:.3g} {unit}, {most:g} is the limit",
-                    "keep the arm still and its surroundings quiet, or check the sensor",
-                )
-        weight = Load(known.mass, known.centre).wrench(R_base_sensor, down)
-        return Load(known.mass, known.centre, readings.mean(axis=0) - weight)
-
-
 class LowPass:
     """A first-order low-pass of a vector, that begins at what it first hears."""
 

@@ -1,0 +1,92 @@
+"""Which force is on the tool, what it is about to be, and whether the force sensor can be believed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from modcal_core.errors import BadCommand
+from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.lead_check import LeadCheck, Stiffness
+from modcal_core.impedance.safety_monitor import Limits
+from modcal_core.impedance.setpoint_filter import SetpointFilter
+from modcal_core.impedance.speed_governor import ForcePrediction
+from modcal_core.impedance.task import ImpedanceTask, JointPositions
+from modcal_core.impedance.unfelt_force import UnfeltForce
+from modcal_core.impedance.wrench import WrenchSensor
+
+_CREEP, _FREE = 0.01, 8e-3  # m/s for the first m, which no hand goes without what it holds
+_UNTOLD = 0.5  # of the usual speed beyond that, until the force sensor has felt anything
+_TOLD = 2.0  # N that tell that it does: ten times the noise of a usual one
+
+
+class ToolForce:
+    """felt (6,): wrench on the tool in its axes. foreseen (6,): what it will have come to when the arm stands.
+
+    delay: from a touch until the arm begins to brake [s]. size: of the felt force and of what the servos show beside
+    it [N]; ``foreseen`` has that as well.
+    """
+
+    def __init__(self, joints: int, task: ImpedanceTask, limits: Limits) -> None:
+        """Nothing is felt yet."""
+        self.task, self.limits = task, limits
+        self.felt, self.foreseen = np.zeros(6), np.zeros(6)
+        self.delay = self.size = 0.0
+        self._foresight = ForcePrediction()
+        self._leads = LeadCheck(_stiffness(task))
+        self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
+        self._answered = False
+
+    def restrict(self, task: ImpedanceTask, limits: Limits) -> None:
+        """Keep to other limits, and to the stiffness that another task states."""
+        self.task, self.limits = task, limits
+        self._leads.stiffness = _stiffness(task)
+
+    def take(
+        self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, sent: SetpointFilter, braking: float
+    ) -> None:
+        """Look at the readings of now [s]. sent: has the last setpoint. braking: time until the arm stands [s]."""
+        task = self.task
+        self.felt = sensor.on_tool(T, task.gravity)
+        age = max(now - joints.stamp, now - sensor.stamp)
+        self.delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
+        self._leads.felt(sensor.raw, sensor.stamp)
+        if task.mode == "admittance":  # a compliant stack takes no joint references
+            self._unfelt.take(joints.q, joints.stamp, now, self.felt, sent.jacobian, self.limits.force)
+        felt = math.sqrt(self.felt[:3] @ self.felt[:3])
+        self.size = felt + self._unfelt.force
+        known = self.felt.copy()
+        known[:3] = known[:3] * (self.size / felt) if felt > 0.0 else (self.size, 0.0, 0.0)
+        self.foreseen = self._foresight.ahead(known, sensor.stamp, self.delay + braking)
+
+    def sent(self, setpoint: SetpointFilter, now: float) -> None:
+        """Note the setpoint that is sent at time ``now`` [s]."""
+        self._leads.sent(setpoint.pose[:3, 3], now)
+        self._unfelt.sent(setpoint.q, now)
+
+    def refused(self, T: Array, stamp: float, sent: SetpointFilter) -> BadCommand | None:
+        """Why to let go: more than is allowed may be on the tool, as of ``stamp`` [s], and is not felt; or None."""
+        felt, most = math.sqrt(self.felt[:3] @ self.felt[:3]), self.limits.force
+        refused = self._leads.refused(T[:3, 3], felt, stamp, most, sent.moved_by(self.felt))
+        return refused or self._unfelt.refused(self.felt, most)
+
+    def unknown_speed(self, progress: float) -> float:
+        """The speed [m/s] at which to go on into the unknown, with the tool so far [m] from where it began.
+
+        A force sensor that has not told of anything may be stuck, and so may one that told of little: until the hand
+        has come some way, and until the sensor has told, little may come of that.
+        """
+        felt = math.sqrt(self.felt[:3] @ self.felt[:3])
+        self._answered = (self._answered or felt >= _TOLD) and not self._leads.repeats
+        speed, creep = self.task.exploration_speed, min(_CREEP, self._leads.creep(self.limits.force))
+        if progress < _FREE:
+            return min(speed, creep)
+        return speed if self._answered else min(speed, max(creep, _UNTOLD * speed * creep / _CREEP))
+
+
+def _stiffness(task: ImpedanceTask) -> Stiffness:
+    """What is known of the stack that follows: a stiff one, or one that is as compliant as it is asked to be."""
+    if task.mode == "admittance":
+        return Stiffness.of(task.governor.contact_stiffness, task.stack[0], task.servo_lag, task.arm_stiffness)
+    return Stiffness(task.stiffness[0], task.stiffness[0], task.servo_lag)
