@@ -21,15 +21,15 @@ from modcal_core.geometry.so3 import Array
 
 _ALIKE = 4.0  # neighbouring moments that depart from the model alike: so much fewer they count
 FEWEST = 4  # moments from which three numbers are learned
-_FLOOR = 5e-5  # rad or m: encoders, friction in the joints
+FLOOR = 2e-5  # rad or m: encoders; what is left of what was learned is as large or larger
 _LAG_UNKNOWN = 0.5  # of the stated lag, by which that of a servo may differ before it is learned
 _REST = 1e-4  # rad or m: what dry friction leaves in a lead as the arm stands
-_JITTER = 2e-3  # s by which a reading may be of another time than its stamp says
-_BEYOND = 0.5  # of what a load larger than any that was learned of explains: a servo need not be linear
 
 
 class ServoModel:
-    """Rows e = l v + c τ + b, all learned at once."""
+    """Rows e = l v + c τ + b, all learned at once. compliance (m,): of each, 0 where none shows. unsure_by (m,): its
+    standard deviation.
+    """
 
     def __init__(self, softest: Array, lag: float) -> None:
         """softest (m,): compliance that a row may have before it is learned [rad/N m, m/N]. lag: stated [s]."""
@@ -39,25 +39,27 @@ class ServoModel:
         self._prior = prior**-2.0  # (m, 3)
         self._sums = np.zeros((m, 4, 4))  # of products of speed, load, one and lead
         self.count = 0
-        self._largest = np.zeros(m)  # load that was learned of
-        self._x, self._covariance, self._variance = np.tile(self._guess, (m, 1)), np.zeros((m, 3, 3)), np.zeros(m)
+        self._x, self._covariance = np.tile(self._guess, (m, 1)), np.zeros((m, 3, 3))
+        self.compliance, self.unsure_by = np.zeros(m), np.asarray(softest, dtype=float)
+        self._against = np.zeros((m, 4))  # what the four are multiplied by for what is left
 
-    def learn(self, speed: Array, load: Array, lead: Array) -> None:
-        """Take a moment: speeds, loads and leads of the rows (m,). :meth:`solve` makes use of it."""
-        z = np.stack([speed, load, np.ones(len(speed)), lead], axis=1)
-        self._sums += z[:, :, None] * z[:, None, :]
+    def learn(self, moment: Array) -> None:
+        """Take a moment (m, 4): speed, load, one and lead of every row. :meth:`solve` makes use of it."""
+        self._sums += moment[:, :, None] * moment[:, None, :]
         self.count += 1
-        self._largest = np.maximum(self._largest, np.abs(load))
 
     def solve(self) -> None:
         """Find lag, compliance and rest of all rows from the moments so far; fewer than four change nothing."""
         if self.count < FEWEST:
             return
         A, b, squares = self._sums[:, :3, :3], self._sums[:, :3, 3], self._sums[:, 3, 3]
-        x, _ = self._solved(A, b, np.full(len(A), _FLOOR**2))
+        x, _ = self._solved(A, b, np.full(len(A), FLOOR**2))
         left = squares - 2.0 * (x * b).sum(axis=1) + np.einsum("ni,nij,nj->n", x, A, x)
-        self._variance = np.maximum(left, 0.0) / (self.count - 3) + _FLOOR**2
-        self._x, self._covariance = self._solved(A, b, _ALIKE * self._variance)
+        variance = np.maximum(left, 0.0) / (self.count - 3) + FLOOR**2
+        self._x, self._covariance = self._solved(A, b, _ALIKE * variance)
+        self.compliance = np.maximum(self._x[:, 1], 0.0)
+        self.unsure_by = np.sqrt(self._covariance[:, 1, 1])
+        self._against[:, :3], self._against[:, 3] = -self._x, 1.0
 
     def _solved(self, A: Array, b: Array, variance: Array) -> tuple[Array, Array]:
         weighted = A / variance[:, None, None]
@@ -65,18 +67,16 @@ class ServoModel:
         covariance = np.asarray(np.linalg.inv(weighted), dtype=float)
         return np.einsum("nij,nj->ni", covariance, b / variance[:, None] + self._prior * self._guess), covariance
 
-    def predicted(self, speed: Array, load: Array) -> Array:
-        """The leads (m,) that speeds and loads (m,) take."""
-        return self._x[:, 0] * speed + self._x[:, 1] * load + self._x[:, 2]
+    def left(self, mean: Array) -> Array:
+        """What the model leaves (m,) of means (m, 4) of speed, load, one and lead."""
+        return np.asarray((mean * self._against).sum(axis=1))
 
-    def spread(self, speed: Array, load: Array) -> Array:
-        """By how much leads (m,) depart from that, one standard deviation."""
-        z = np.stack([speed, load, np.ones(len(speed))], axis=1)
-        beyond = _BEYOND * self._x[:, 1] * np.maximum(np.abs(load) - self._largest, 0.0)
-        known = np.einsum("ni,nij,nj->n", z, self._covariance, z)
-        return np.sqrt(self._variance + known + beyond**2 + (_JITTER * speed) ** 2)
+    def scatter(self, squares: Array, mean: Array) -> Array:
+        """Variance (m,) of what is left of single readings; squares (m, 4, 4): mean products of the same four."""
+        a = self._against
+        return np.maximum(np.einsum("ni,nij,nj->n", a, squares, a) - (mean * a).sum(axis=1) ** 2, 0.0)
 
-    def compliance(self, deviations: float) -> Array:
-        """Compliance (m,), zero where it is not as many standard deviations from zero: such a row shows no force."""
-        c = self._x[:, 1]
-        return np.where(c > deviations * np.sqrt(self._covariance[:, 1, 1]), c, 0.0)
+    def unsure(self, change: Array) -> Array:
+        """Variance (m,) of what is said of a change (m, 4) of the four."""
+        z = change[:, :3]
+        return np.einsum("ni,nij,nj->n", z, self._covariance, z)

@@ -18,6 +18,7 @@ from modcal_core.impedance.wrench import WrenchSensor
 
 _CREEP, _FREE = 0.01, 8e-3  # m/s for the first m, which no hand goes without what it holds
 _UNTOLD = 0.5  # of the usual speed beyond that, until the force sensor has felt anything
+_TOGETHER = 0.02  # s by which a wrench may be older than joints that it is compared with: one of 50 Hz
 _TOLD = 2.0  # N that tell that it does: ten times the noise of a usual one
 
 
@@ -52,7 +53,8 @@ class ToolForce:
         age = max(now - joints.stamp, now - sensor.stamp)
         self.delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
         self._leads.felt(sensor.raw, sensor.stamp)
-        if task.mode == "admittance":  # a compliant stack takes no joint references
+        # a compliant stack takes no joint references; and what was felt long before the joints were read tells nothing
+        if task.mode == "admittance" and sensor.stamp >= joints.stamp - _TOGETHER:
             self._unfelt.take(joints.q, joints.stamp, now, self.felt, sent.jacobian, self.limits.force)
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])
         self.size = felt + self._unfelt.force

@@ -2,13 +2,13 @@
 
 What the lag and the compliance of the servos (:mod:`~modcal_core.impedance.servo_model`) do not explain of a lead is a
 load that is not felt. Of all rows together it is a wrench on the tool, found by least squares; a row that was hardly
-loaded, or does not behave so, has a large uncertainty and counts for little. Where both stacks explain what was seen,
-the one that shows less force is believed.
+loaded, or does not behave so, has a large uncertainty and counts for little. Of the two stacks the one that explains
+better what was seen is believed; where both do, the one that shows less force says what is sure.
 
-A model is never exact, and a sensor that follows must not be taken for one that does not. So what counts is how much
-the hidden force has *grown* within half a second while the felt one stood still: a sensor that follows shows that by
-what it says, however wrong the model. What counts so slows the pull down as a felt force does
-(:meth:`UnfeltForce.take`); the pull is let go where it stays (:meth:`UnfeltForce.refused`).
+A model is never exact, and a sensor that follows must not be taken for one that does not. So the leads of now are
+compared with those of the last half second, in which the same errors were made, and by what the felt force has changed
+meanwhile less is taken to be hidden. What is then hidden slows the pull down as a felt force does
+(:attr:`UnfeltForce.force`); the pull is let go where it is much (:meth:`UnfeltForce.refused`).
 
 What is learned must not explain a jam. So a moment is learned only after a while in which nothing was suspected, and
 only where the felt wrench or the speed has changed since the last one: a sensor that has frozen teaches nothing,
@@ -29,7 +29,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.servo_model import FEWEST, ServoModel
+from modcal_core.impedance.servo_model import FEWEST, FLOOR, ServoModel
 
 _SPAN = 0.012  # s over which a joint's speed is measured: three readings at 250 Hz
 _MEAN = 0.04  # s over which what is learned is averaged: noise is a third of what it is in one reading
@@ -39,33 +39,37 @@ _DELAY = 0.25  # s after which a moment is learned: a jam is suspected within a 
 _CHANGED = 0.5, 0.05  # N, N m of the felt wrench: more than a usual sensor's noise, smoothed
 _FASTER = 5e-3  # m/s of the tool: a sixth of the speed of exploration
 _SOFTEST = 1e-3  # rad/N m, m/N or rad/N: a compliance may be as large before it is learned
-_SURE = 2.0  # standard deviations of a compliance from zero, below which it counts for nothing
-_DEVIATIONS = 2.0  # by which the force that is not felt is taken to be smaller than it seems
-_FORCE, _MOMENT = 100.0, 5.0  # N, N m: how large it may be where rows that count for nothing would have to show it
-_GROWTH = 0.5  # s within which a hidden force grows: a jam is met by a setpoint that goes on, not by one that creeps
-_MOVED_ON = 5e-3  # m: a tool that went on by as much was not held; then the model is wrong, in this posture
-_SHARE = 0.5  # of a change of the felt wrench that may be hidden beside it, for the model is wrong by as much at most
+_SURE = 2.0  # standard deviations by which a force is taken to be smaller than it seems, to let go
+# N, N m: how large it may be where nothing shows it; a hand holds a handle some centimetres off its middle at most
+_PRIOR = np.diag([200.0**-2.0] * 3 + [3.0**-2.0] * 3)
+_STANDS_OUT = 3.0  # standard deviations: where no row departs by more nothing is hidden
+_PASSES = 3  # in which rows whose compliance is unsure come to count by how large a load is hidden
+_BEFORE = 0.04, 0.5  # s ago: between these lie the leads that those of now are compared with
+_LEAST = 10  # of them
+# m: a tool that went on by as much was not held, for fingers yield half of it to 60 N; then the model is wrong
+_MOVED_ON = 8e-3
+_SHARE = 0.5  # of a change of the felt force that may be hidden beside it, for the model is wrong by as much at most
 _MOST = 0.4  # of max_force_n may go unfelt, for as much again comes until the arm stands
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
-_WORSE = 2.0  # times the error of the other model: then it is the other one
-_EXACT = 5e-5  # m: errors that differ by less do not tell
+_WORSE = 1.5  # times the error of the other model: then it is the other one
 _IN_A_ROW = 2  # readings, for one may be late
+_STAYS = 0.4  # s for which as much is likely: ten lags of a servo, in which what is no force has gone
 
 
 @dataclass(frozen=True)
 class _Moment:
-    """speed, load, lead: (m,) of the rows. wrench (6,): felt. J (6, n)."""
+    """rows (m, 4): speed, load, one and lead. felt (3,): force. way: that the tool has gone so far [m]. J (6, n)."""
 
     stamp: float
-    speed: Array
-    load: Array
-    lead: Array
+    rows: Array
+    felt: Array
+    way: float
     J: Array
 
 
 class UnfeltForce:
-    """Take every tick; ``force`` [N] is what grew without being felt, ``sure`` [N] as much of it as is certain."""
+    """Take every tick; ``force`` [N] is what is not felt, ``sure`` [N] what of it no late message explains."""
 
     def __init__(self, joints: int, lag: float, period: float) -> None:
         """For a number of joints whose servos lag by about so much, with a reference every period [s]."""
@@ -81,11 +85,12 @@ class UnfeltForce:
         self._noted: tuple[Array, Array] | None = None  # felt wrench, and twist of the tool
         self._waiting: deque[_Moment] = deque()
         self._errors = np.zeros(2)  # m², of the joints' rows and of the tool's
-        self._weight = 0.0
-        self._past: deque[tuple[float, float, Array, Array]] = deque()  # stamp, way [m], hidden [N], felt (3,)
-        self._way = 0.0  # m that the tool has gone
+        self._before = _Window(joints + 6)
+        self._recent: deque[_Moment] = deque()  # too new to be compared with
+        self._way = 0.0
         self._suspected = -math.inf
         self._beyond = 0
+        self._little = math.inf  # s, when little was hidden
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
@@ -124,7 +129,7 @@ class UnfeltForce:
         if len(self._read) < 2:
             return
         older = self._reference(stamp - max((by for _, by in self._late), default=0.0))
-        self._judge(stamp, None if older is None else older - reference, J, most)
+        self._judge(self._moment(stamp - _SPAN, J), None if older is None else older - reference, most)
         self._note(J)
         self._learn(stamp)
 
@@ -132,61 +137,72 @@ class UnfeltForce:
         """The newest reference (n,) that was sent by then [s]; None where none was."""
         return next((r for t, r in reversed(self._sent) if t <= stamp), None)
 
-    def _moment(self, since: float, J: Array, mean: bool) -> _Moment:
-        """The readings since then as one: the last one, or their mean, with their mean speed."""
+    def _moment(self, since: float, J: Array) -> _Moment:
+        """The last reading, with the mean speed since then [s]; the mean of all, where that is before them."""
         stamp, q, lead, wrench = self._read[-1]
         lately = [one for one in self._read if one[0] >= since - 1e-6]
         first = lately[0] if len(lately) > 1 else self._read[-2]
-        if mean:
+        if not math.isfinite(since):
             lead = np.mean([e for _, _, e, _ in lately], axis=0)
             wrench = np.mean([w for *_, w in lately], axis=0)
         speed = (q - first[1]) / (stamp - first[0])
-        load = np.concatenate([-J.T @ wrench, -wrench])
-        return _Moment(stamp, np.concatenate([speed, J @ speed]), load, np.concatenate([lead, J @ lead]), J)
+        n = self._n
+        rows = np.empty((n + 6, 4))
+        rows[:n, 0], rows[n:, 0] = speed, J @ speed
+        rows[:n, 1], rows[n:, 1] = -J.T @ wrench, -wrench
+        rows[:, 2] = 1.0
+        rows[:n, 3], rows[n:, 3] = lead, J @ lead
+        return _Moment(stamp, rows, wrench[:3], self._way, J)
 
-    def _judge(self, stamp: float, by: Array | None, J: Array, most: float) -> None:
+    def _judge(self, at: _Moment, by: Array | None, most: float) -> None:
         """What is hidden, if the newest reference is in effect and if one is that leads by more (n,)."""
-        at, felt = self._moment(stamp - _SPAN, J, mean=False), self._read[-1][3][:3]
-        leads = at.lead[:, None]
-        if by is not None:
-            leads = np.stack([at.lead, at.lead + np.concatenate([by, J @ by])], axis=1)
-        hidden = self._hidden(at, leads)
-        grown = np.zeros(len(hidden))
-        for _, _, then, said in self._past:
-            away = felt - said
-            grown = np.maximum(grown, hidden - then[: len(hidden)] - _SHARE * math.sqrt(away @ away))
-        self.force, self.sure = float(grown[0]), float(grown.min())
-        v = at.speed[self._n : self._n + 3]
-        self._way += math.sqrt(v @ v) * (stamp - self._read[-2][0])
-        suspected = bool(grown.max() > _SUSPECTED * most)
-        if suspected:
-            self._suspected = stamp
-        else:
-            self._past.append((stamp, self._way, np.array([hidden[0], hidden[-1]]), felt))
-        while len(self._past) > 1 and self._past[0][0] < stamp - _GROWTH:
-            if suspected and self._way - self._past[0][1] <= _MOVED_ON:  # of what is suspected the beginning is kept
-                break
-            self._past.popleft()
+        v = at.rows[self._n : self._n + 3, 0]
+        self._way += math.sqrt(v @ v) * (at.stamp - self._read[-2][0])
+        self.force, self.sure = self._hidden(at, by)
         self._beyond = self._beyond + 1 if self.sure > _MOST * most else 0
+        if self.force <= _MOST * most:
+            self._little = at.stamp
+        if at.stamp - self._little > _STAYS:
+            self._beyond, self.sure = _IN_A_ROW, max(self.sure, self.force)
+        self._recent.append(at)
+        if self.force > _SUSPECTED * most:  # what it is compared with stays, unless the tool goes on
+            self._suspected = at.stamp
+            if self._before.count and self._way - self._before.last.way > _MOVED_ON:
+                self._before.clear()
+                self._little = at.stamp
+            return
+        while self._recent and self._recent[0].stamp <= at.stamp - _BEFORE[0]:
+            self._before.add(self._recent.popleft())
+        self._before.drop(at.stamp - _BEFORE[1])
 
-    def _hidden(self, at: _Moment, leads: Array) -> Array:
-        """The forces (k,) [N] that are not felt, at least, for leads (m, k) of the rows."""
-        if self.model.count < FEWEST:
-            return np.zeros(leads.shape[1])
-        left = leads - self.model.predicted(at.speed, at.load)[:, None]
-        spread, compliance = self.model.spread(at.speed, at.load), self.model.compliance(_SURE)
-        errors = np.sqrt(self._errors / max(self._weight, 1e-9)) + _EXACT
-        n, shown = self._n, np.full(leads.shape[1], math.inf)
+    def _hidden(self, at: _Moment, by: Array | None) -> tuple[float, float]:
+        """The force [N] that is not felt: likely, by the leads of now, and surely, by an older reference as well."""
+        model, before, n = self.model, self._before, self._n
+        if model.count < FEWEST or before.count < _LEAST:
+            return 0.0, 0.0
+        mean, squares, felt = before.means()
+        change = at.rows - mean
+        left = model.left(change)[:, None]  # what is the same of both is no change
+        if by is not None:
+            left = np.concatenate([left, left + np.concatenate([by, at.J @ by])[:, None]], axis=1)
+        spread = np.sqrt(model.scatter(squares, mean) + model.unsure(change) + FLOOR**2)
+        if (np.abs(left[:, 0]) < _STANDS_OUT * spread).all():
+            return 0.0, 0.0
+        away, errors = at.felt - felt, np.sqrt(self._errors) + FLOOR
+        likely, sure = 0.0, math.inf
         for rows, L, error in ((slice(0, n), at.J, errors[0]), (slice(n, n + 6), np.eye(6), errors[1])):
             if error <= _WORSE * errors.min():
-                shown = np.minimum(shown, _force(left[rows], spread[rows], compliance[rows], L))
-        return shown
+                size, deviation = _force(left[rows], spread[rows], model.compliance[rows], model.unsure_by[rows], L)
+                sure = min(sure, float((size - _SURE * deviation).min()))
+                if error == errors.min():
+                    likely = float(size[0])
+        followed = _SHARE * math.sqrt(away @ away)
+        return max(likely - followed, 0.0), max(sure - followed, 0.0)
 
     def _note(self, J: Array) -> None:
         """Have a moment learned later, if it differs from the one before."""
-        moment = self._moment(-math.inf, J, mean=True)
-        n = self._n
-        felt, twist = -moment.load[n:], moment.speed[n:]
+        moment, n = self._moment(-math.inf, J), self._n
+        felt, twist = -moment.rows[n:, 1], moment.rows[n:, 0]
         if self._noted is not None:
             off, faster = felt - self._noted[0], (twist - self._noted[1])[:3]
             sizes = math.sqrt(off[:3] @ off[:3]), math.sqrt(off[3:] @ off[3:]), math.sqrt(faster @ faster)
@@ -203,22 +219,70 @@ class UnfeltForce:
             if self._suspected >= at.stamp:
                 continue
             if self.model.count >= FEWEST:
-                left = at.lead - self.model.predicted(at.speed, at.load)
+                left = self.model.left(at.rows)
                 joints = at.J[:3] @ left[:n]
-                self._errors = _FORGETS * self._errors + (joints @ joints, left[n : n + 3] @ left[n : n + 3])
-                self._weight = _FORGETS * self._weight + 1.0
-            self.model.learn(at.speed, at.load, at.lead)
+                squares = np.array([joints @ joints, left[n : n + 3] @ left[n : n + 3]])
+                self._errors = self._errors + (1.0 - _FORGETS) * (squares - self._errors)
+            self.model.learn(at.rows)
             learned = True
         if learned:
             self.model.solve()
 
 
-def _force(left: Array, spread: Array, compliance: Array, L: Array) -> Array:
-    """The forces (k,) [N] that rows show by what is left of their leads (m, k), at least. L (6, m): their levers."""
-    A = -(compliance / spread)[:, None] * L.T  # (m, 6)
-    P = np.linalg.inv(A.T @ A + np.diag([_FORCE**-2.0] * 3 + [_MOMENT**-2.0] * 3))
-    shown = (P @ A.T)[:3]  # (3, m): the smallest wrench that shows as these leads; a larger one may
-    f = shown @ (left / spread[:, None])  # (3, k)
+class _Window:
+    """Moments of the last while, as sums. last: the newest of them."""
+
+    last: _Moment
+
+    def __init__(self, rows: int) -> None:
+        self._moments: deque[_Moment] = deque()
+        self._rows, self._squares, self._felt = np.zeros((rows, 4)), np.zeros((rows, 4, 4)), np.zeros(3)
+
+    @property
+    def count(self) -> int:
+        return len(self._moments)
+
+    def add(self, moment: _Moment) -> None:
+        self._moments.append(moment)
+        self.last = moment
+        self._sum(moment, 1.0)
+
+    def drop(self, before: float) -> None:
+        """Forget what is older [s]."""
+        while self._moments and self._moments[0].stamp < before:
+            self._sum(self._moments.popleft(), -1.0)
+        if not self._moments:
+            self.clear()  # of what rounding leaves
+
+    def clear(self) -> None:
+        self.__init__(len(self._rows))  # type: ignore[misc]
+
+    def means(self) -> tuple[Array, Array, Array]:
+        """Of the rows (m, 4), of their products (m, 4, 4), and of the felt force (3,)."""
+        n = len(self._moments)
+        return self._rows / n, self._squares / n, self._felt / n
+
+    def _sum(self, moment: _Moment, sign: float) -> None:
+        z = sign * moment.rows
+        self._rows += z
+        self._squares += z[:, :, None] * moment.rows[:, None, :]
+        self._felt += sign * moment.felt
+
+
+def _force(left: Array, spread: Array, compliance: Array, unsure: Array, L: Array) -> tuple[Array, Array]:
+    """The forces (k,) [N] that rows show by what is left of their leads (m, k), and their standard deviations.
+
+    spread (m,): of what is left. compliance, unsure (m,): of the rows, and how uncertain that is. L (6, m): their
+    levers.
+    """
+    load = left[:, 0] / np.maximum(compliance, unsure)  # at first what every row shows by itself
+    for _ in range(_PASSES):
+        s = np.sqrt(spread**2 + (unsure * load) ** 2)
+        A = -(compliance / s)[:, None] * L.T  # (m, 6)
+        shown = np.linalg.solve(A.T @ A + _PRIOR, A.T)  # (6, m): the smallest wrench that shows as these leads
+        wrench = shown @ (left / s[:, None])  # (6, k)
+        load = L.T @ wrench[:, 0]
+    f = wrench[:3]
     size = np.sqrt((f * f).sum(axis=0))
-    along = f.T @ shown  # (k, m)
-    return np.asarray(np.maximum(size - _DEVIATIONS * np.sqrt((along**2).sum(axis=1)) / np.maximum(size, 1e-9), 0.0))
+    along = f.T @ shown[:3]  # (k, m)
+    return size, np.sqrt((along**2).sum(axis=1)) / np.maximum(size, 1e-9)
