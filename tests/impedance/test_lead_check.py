@@ -66,3 +66,28 @@ def test_what_a_force_explains_goes_with_the_levers_of_the_posture() -> None:
 def test_a_stiffer_arm_creeps_slower() -> None:
     assert LeadCheck(known(300e3)).creep(MOST) == pytest.approx(LeadCheck(known(100e3)).creep(MOST) / 3.0)
     assert LeadCheck(known(0.0)).creep(MOST) == math.inf
+
+
+def test_a_sensor_that_repeats_itself_longer_than_ever_is_stuck() -> None:
+    """Sent twice each: that is how this driver is. Then it says the same for a tenth of a second."""
+    check, rng = LeadCheck(known()), np.random.default_rng(0)
+    readings = [r for _ in range(150) for r in 2 * [rng.normal(0.0, 0.2, 6)]]
+    held = [readings[-1]] * 30
+    for k, raw in enumerate(readings + held):
+        assert not check.stuck or k > len(readings) + 20
+        check.felt(raw, PERIOD * k)
+        check.sent(np.array([1e-4 * k, 0.0, 0.0]), PERIOD * k)
+    assert check.stuck
+    refused = check.refused(check._sent[-1][1], 5.0, PERIOD * k, MOST)
+    assert refused is not None
+    assert "to the last digit" in str(refused)
+
+
+def test_a_coarse_sensor_on_an_arm_that_stands_is_not_stuck() -> None:
+    """It says whole newtons, and something new at each as the arm shakes while it moves; then the arm stands."""
+    check, rng = LeadCheck(known()), np.random.default_rng(0)
+    for k in range(2000):
+        moves = k < 1000
+        check.felt(np.round(3.0 + rng.normal(0.0, 2.0 if moves else 0.01, 6)), PERIOD * k)
+        check.sent(np.array([1e-4 * min(k, 1000), 0.0, 0.0]), PERIOD * k)
+        assert not check.stuck

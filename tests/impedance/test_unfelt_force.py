@@ -110,7 +110,7 @@ def test_a_sensor_that_follows_hides_nothing(stack: str, late: float, rng: np.ra
     """Up to a force beyond what is stated, in a jam at full speed, with messages that come late at random."""
     force, hidden = pulled(Arm(stack, 0.15, rng), follows=True, late=late, slows=False)
     assert force > 1.2 * MOST
-    assert hidden < 0.2 * MOST
+    assert hidden < (0.4 if late else 0.2) * MOST
 
 
 @pytest.mark.parametrize("late", [0.005, 0.01])

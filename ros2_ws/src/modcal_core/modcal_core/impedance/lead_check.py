@@ -7,7 +7,7 @@ that is asked for. What is left, times the stiffness by which the servos hold th
 stiffness depends on the posture, and is largest along an outstretched arm; what the object and the fingers yield by
 does not make it less, as the tool is measured. So the stiffest that an arm may be is what counts, and the lead may be
 some tenths of a millimetre. A sensor that says the same to the last digit while the arm is
-moved may be stuck, or coarse: what it says explains nothing.
+moved may be stuck, or coarse: what it says explains nothing. Where it always said something new before, it is stuck.
 
 A sensor that is stuck while its noise goes on repeats nothing. But by how much the servos yield to a newton is learned
 from what it said while it followed: whenever the felt force has changed by half a newton, the lead and the force of
@@ -32,6 +32,10 @@ _REMEMBERED = 0.5  # s of setpoints
 _LEAST_LEAD = 1.5e-3  # m that are not explained, below which nothing is said: servos and measurements are no better
 _LEAST_SHARE = 0.4  # of the lead that takes the whole force, where that is less: what is stiff is pulled slowly
 _SAME, _SAME_WAY = 5, 0.2e-3  # readings in a row that are alike to the last digit; m that the setpoint moved meanwhile
+# Readings that must have differed before; how often as long as ever a sensor repeats itself when it is stuck, and for
+# how long [s], while the setpoint moved by so much [m]: drivers send a reading again while the next is late, and what
+# is coarse says the same as the arm stands
+_DIFFERED, _AS_LONG, _STUCK, _STUCK_WAY = 100, 5, 0.1, 1e-3
 _SOFTER = 3.0  # times softer than a contact may an arm be that is felt
 _SHARE = 0.5  # of the force that may go unfelt, for as much again comes until the arm stands
 _LAG_OFF = 0.5  # of the servo's lag by which that may be misstated, in what the setpoint moves meanwhile
@@ -77,6 +81,7 @@ class LeadCheck:
         self._raw: tuple[float, ...] = ()
         self._stamp = -math.inf
         self._same, self._way = 0, 0.0
+        self._differed, self._longest, self._changed = 0, 1, math.inf  # readings, readings in a row, stamp [s]
         self._gone, self._sag = 0.0, np.zeros(3)
         self._beyond = 0
         self._looked = -math.inf
@@ -100,13 +105,22 @@ class LeadCheck:
         self._stamp, now = stamp, tuple(raw.tolist())
         if now == self._raw:
             self._same += 1
-        else:
-            self._raw, self._same, self._way = now, 0, 0.0
+            return
+        if not self.stuck:  # one that was stuck and says something again has taught nothing of how it is when sound
+            self._longest = max(self._longest, self._same + 1)
+        self._differed += 1
+        self._raw, self._same, self._way, self._changed = now, 0, 0.0, stamp
 
     @property
     def repeats(self) -> bool:
         """Whether the sensor says the same again and again while the arm is moved."""
         return self._same >= _SAME and self._way >= _SAME_WAY
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the sensor repeats itself to the last digit for much longer than it ever did."""
+        long = self._same >= _AS_LONG * self._longest and self._stamp - self._changed >= _STUCK
+        return self._differed >= _DIFFERED and long and self._way >= _STUCK_WAY
 
     def creep(self, most: float) -> float:
         """The speed [m/s] at which what a misstated lag hides is a small share of a force [N]; inf where none is."""
@@ -168,15 +182,24 @@ class LeadCheck:
     def refused(
         self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
     ) -> BadCommand | None:
-        """Why to let go: more than ``most`` [N] is not felt; None where all is well. moved: as of :meth:`unfelt`."""
+        """Why to let go: more than ``most`` [N] is not felt, or the sensor is stuck; None where all is well.
+
+        moved: as of :meth:`unfelt`.
+        """
         if stamp <= self._looked:
             return None
         self._looked = stamp
         hidden, stiff = self.unfelt(tool, force, stamp, most, moved), self.stiffness.stiffest > 0.0
+        lead = math.dist(self._sent[-1][1], tool)
+        if self.stuck:
+            said = (
+                f"the force sensor says {force:.0f} N to the last digit, {self._same + 1} times in a row, never more "
+                f"than {self._longest} before, while the setpoint leads the tool by {1e3 * lead:.1f} mm"
+            )
+            return BadCommand("wrench", said, "check the force sensor and its driver")
         self._beyond = self._beyond + 1 if hidden > (_SHARE if stiff else 1.0) * most else 0
         if self._beyond < (_IN_A_ROW if stiff else 1):
             return None
-        lead = math.dist(self._sent[-1][1], tool)
         said = (
             f"{force:.0f} N are felt{', always the same,' if self.repeats else ''} but the setpoint leads the tool by "
             f"{1e3 * lead:.1f} mm, which may take {hidden:.0f} N more"
