@@ -14,8 +14,8 @@ from nodes.pulled_arm import NASTY, PulledArm, Witness
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from modcal_nodes.nodes.impedance_setpoint import _WHILE_PULLING
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
+from modcal_nodes.setpoint.changes import WHILE_PULLING
 
 Wait = Callable[[Callable[[], Any], float], Any]
 _BY_ITSELF = 6.0  # s
@@ -24,7 +24,7 @@ _ILLEGAL = (
     Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CLEANUP,
     Transition.TRANSITION_CREATE, 99,
 )  # fmt: skip
-_DEFAULTS = {name: float(IMPEDANCE_SETPOINT[name].default) for name in _WHILE_PULLING}
+_DEFAULTS = {name: float(IMPEDANCE_SETPOINT[name].default) for name in WHILE_PULLING}
 # limits that a witness of the defaults can judge are only lowered; a smaller one of these lets more happen
 _NOT_LOWERED = ("min_gain", "contact_stiffness_n_m", "arm_stiffness_n_m")
 
@@ -77,7 +77,7 @@ class RandomRequests:
             if self.parameters({"blend_s": 0.5 * default}):
                 self.parameters({"blend_s": default})
         else:
-            names = sorted(_WHILE_PULLING)
+            names = sorted(WHILE_PULLING)
             name = names[rng.integers(len(names))]
             if kind == "limit":
                 share = 1.0 / rng.uniform(0.1, 1.0) if name in _NOT_LOWERED else rng.uniform(0.1, 1.0)

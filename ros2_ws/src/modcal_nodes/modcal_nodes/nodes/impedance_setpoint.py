@@ -36,21 +36,11 @@ from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
 from modcal_nodes.setpoint.arm import limits, task
 from modcal_nodes.setpoint.arm_inputs import ArmInputs
+from modcal_nodes.setpoint.changes import require_changeable
 from modcal_nodes.setpoint.publishers import SetpointPublishers
 
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
-_AT_CONFIGURE = (
-    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "timeout_s",
-    "rate_hz",
-)  # fmt: skip
-_WHILE_PULLING = {
-    "speed_m_s", "exploration_speed_m_s", "slowdown_force_n", "slowdown_moment_nm", "stop_force_n", "stop_moment_nm",
-    "max_force_n", "max_moment_nm", "max_speed_m_s", "max_acceleration_m_s2", "max_angular_speed_rad_s",
-    "max_angular_acceleration_rad_s2", "max_displacement_m", "max_rotation_rad", "joint_speed_rad_s", "joint_speed_m_s",
-    "joint_acceleration_rad_s2", "joint_acceleration_m_s2", "min_gain", "contact_stiffness_n_m",
-    "arm_stiffness_n_m",
-}  # fmt: skip
 _RCLError = rclpy_implementation.RCLError
 
 
@@ -131,13 +121,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def _check(self, new: dict[str, Any]) -> None:
         """Raises BadCommand for a change that would have no effect now, BadTable for values that cannot be."""
-        changed = [name for name, value in new.items() if value != self._chosen[name]]
-        fixed = [name for name in changed if name not in _WHILE_PULLING]
-        if fixed and self._operation is not None:
-            raise BadCommand(f"parameter {fixed[0]}", "cannot change while it pulls", "call ~/stop first")
-        for name in changed:
-            if name in _AT_CONFIGURE and self._configured:
-                raise BadCommand(f"parameter {name}", "is read when the node is configured", "clean it up first")
+        require_changeable(new, self._chosen, self._configured, self._operation is not None)
         task(new)
 
     def _restrict(self) -> None:
