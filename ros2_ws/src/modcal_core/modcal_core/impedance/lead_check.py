@@ -190,8 +190,8 @@ class LeadCheck:
             return None
         self._looked = stamp
         hidden, stiff = self.unfelt(tool, force, stamp, most, moved), self.stiffness.stiffest > 0.0
-        lead = math.dist(self._sent[-1][1], tool)
-        if self.stuck:
+        if self.stuck and self._sent:
+            lead = math.dist(self._sent[-1][1], tool)
             said = (
                 f"the force sensor says {force:.0f} N to the last digit, {self._same + 1} times in a row, never more "
                 f"than {self._longest} before, while the setpoint leads the tool by {1e3 * lead:.1f} mm"
@@ -200,6 +200,7 @@ class LeadCheck:
         self._beyond = self._beyond + 1 if hidden > (_SHARE if stiff else 1.0) * most else 0
         if self._beyond < (_IN_A_ROW if stiff else 1):
             return None
+        lead = math.dist(self._sent[-1][1], tool)
         said = (
             f"{force:.0f} N are felt{', always the same,' if self.repeats else ''} but the setpoint leads the tool by "
             f"{1e3 * lead:.1f} mm, which may take {hidden:.0f} N more"

@@ -22,6 +22,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance import tare
 from modcal_core.impedance.impedance import Impedance
 from modcal_core.impedance.input_watch import InputWatch
+from modcal_core.impedance.letting_go import LettingGo
 from modcal_core.impedance.path_check import PathCheck, Reach
 from modcal_core.impedance.path_model import Exploration, PathModel
 from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, Limits, SafetyMonitor, SensorReadings
@@ -39,7 +40,6 @@ _MEASURED_EVERY = 4  # ticks, after which it is looked anew how far it is open: 
 _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely reached
 _STAND_PATIENCE = 2.0  # s
 _PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
-_RELEASE = 0.6  # s in which the force is let go
 _MOVING = ("explore", "check", "follow")  # phases in which the hand is led
 _OVER = 0.05  # m that the expected pose may lie beyond the goal
 _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
@@ -66,7 +66,7 @@ class Operation:
         self._checked = np.eye(4)
         self._walked_from = 0.0
         self._untrusted = 0.0
-        self._why, self._since = "", math.nan
+        self._why, self._since, self._letting_go = "", math.nan, LettingGo()
         self._last = -math.inf
         self._ticks = 0
         self._at: float | None = None
@@ -301,7 +301,7 @@ class Operation:
 
         That is stable however late the tool is measured, and what is felt moves nothing, only a force does.
         """
-        if self._last + h - self._since > _RELEASE:
+        if self._letting_go.over(self._last + h - self._since, T[:3, 3]):
             self.stop(self._why)
 
     # what several of them do

@@ -6,13 +6,13 @@ loaded, or does not behave so, has a large uncertainty and counts for little. Of
 better what was seen is believed; where both do, the one that shows less force says what is sure.
 
 A model is never exact, and a sensor that follows must not be taken for one that does not. So the leads of now are
-compared with those of the last half second, in which the same errors were made, and by what the felt force has changed
-meanwhile less is taken to be hidden. What is then hidden slows the pull down as a felt force does
+compared with those of the last centimetre or two, where the same errors were made, and by what the felt force has
+changed meanwhile less is taken to be hidden. What is then hidden slows the pull down as a felt force does
 (:attr:`UnfeltForce.force`); the pull is let go where it is much (:meth:`UnfeltForce.refused`).
 
 What is learned must not explain a jam. So a moment is learned only after a while in which nothing was suspected, and
-only where the felt wrench or the speed has changed since the last one: a sensor that has frozen teaches nothing,
-however long the lead grows.
+only where the felt wrench has changed since the last one, or the speed of a tool that goes on: a sensor that has frozen
+teaches nothing, however long the lead grows.
 
 Which reference a servo followed at the time of a reading is known as well as messages come in time. As late as they
 came of late, an older reference may have been in effect. A pull slows down for what one of them shows, and is let go
@@ -37,14 +37,18 @@ _REMEMBERED = 0.5  # s of references
 _SETTLES = 3e-4  # rad or m that a reference has gone, up to which the lead is how the arm sags, and no force
 _DELAY = 0.25  # s after which a moment is learned: a jam is suspected within a tenth of that
 _CHANGED = 0.5, 0.05  # N, N m of the felt wrench: more than a usual sensor's noise, smoothed
-_FASTER = 5e-3  # m/s of the tool: a sixth of the speed of exploration
+_FASTER = 5e-3, 1e-3  # m/s of the tool, a sixth of the speed of exploration, and m that it has gone on meanwhile
 _SOFTEST = 1e-3  # rad/N m, m/N or rad/N: a compliance may be as large before it is learned
-_SURE = 2.0  # standard deviations by which a force is taken to be smaller than it seems, to let go
+_SURE = 2.0  # standard deviations by which a force must stand out, and is taken to be smaller than it seems to let go
 # N, N m: how large it may be where nothing shows it; a hand holds a handle some centimetres off its middle at most
 _PRIOR = np.diag([200.0**-2.0] * 3 + [3.0**-2.0] * 3)
 _STANDS_OUT = 3.0  # standard deviations: where no row departs by more nothing is hidden
 _PASSES = 3  # in which rows whose compliance is unsure come to count by how large a load is hidden
-_BEFORE = 0.04, 0.5  # s ago: between these lie the leads that those of now are compared with
+_SETTLED = 0.04  # s after which leads are such as those of now are compared with
+_BEFORE = (
+    0.015  # m of the tool's way on which they lie: half a second of exploration; of an arm that stands, none is new
+)
+_STEP = 1e-4  # m from one to the next
 _LEAST = 10  # of them
 # m: a tool that went on by as much was not held, for fingers yield half of it to 60 N; then the model is wrong
 _MOVED_ON = 8e-3
@@ -82,7 +86,7 @@ class UnfeltForce:
         self._read: deque[tuple[float, Array, Array, Array]] = deque()  # stamp, q, lead, wrench
         self._begun: Array | None = None
         self._zero = np.zeros(joints), np.zeros(6)  # lead of the arm as it stood, and wrench
-        self._noted: tuple[Array, Array] | None = None  # felt wrench, and twist of the tool
+        self._noted: tuple[Array, Array, float] | None = None  # felt wrench, twist of the tool, its way [m]
         self._waiting: deque[_Moment] = deque()
         self._errors = np.zeros(2)  # m², of the joints' rows and of the tool's
         self._before = _Window(joints + 6)
@@ -158,28 +162,28 @@ class UnfeltForce:
         """What is hidden, if the newest reference is in effect and if one is that leads by more (n,)."""
         v = at.rows[self._n : self._n + 3, 0]
         self._way += math.sqrt(v @ v) * (at.stamp - self._read[-2][0])
-        self.force, self.sure = self._hidden(at, by)
+        maybe, self.force, self.sure = self._hidden(at, by)
         self._beyond = self._beyond + 1 if self.sure > _MOST * most else 0
         if self.force <= _MOST * most:
             self._little = at.stamp
         if at.stamp - self._little > _STAYS:
             self._beyond, self.sure = _IN_A_ROW, max(self.sure, self.force)
         self._recent.append(at)
-        if self.force > _SUSPECTED * most:  # what it is compared with stays, unless the tool goes on
+        if maybe > _SUSPECTED * most:  # what it is compared with stays, unless the tool goes on
             self._suspected = at.stamp
+            self._recent.clear()
             if self._before.count and self._way - self._before.last.way > _MOVED_ON:
                 self._before.clear()
                 self._little = at.stamp
             return
-        while self._recent and self._recent[0].stamp <= at.stamp - _BEFORE[0]:
+        while self._recent and self._recent[0].stamp <= at.stamp - _SETTLED:
             self._before.add(self._recent.popleft())
-        self._before.drop(at.stamp - _BEFORE[1])
 
-    def _hidden(self, at: _Moment, by: Array | None) -> tuple[float, float]:
-        """The force [N] that is not felt: likely, by the leads of now, and surely, by an older reference as well."""
+    def _hidden(self, at: _Moment, by: Array | None) -> tuple[float, float, float]:
+        """The force [N] that may not be felt; that likely is not; and that surely is not, by an older reference too."""
         model, before, n = self.model, self._before, self._n
         if model.count < FEWEST or before.count < _LEAST:
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
         mean, squares, felt = before.means()
         change = at.rows - mean
         left = model.left(change)[:, None]  # what is the same of both is no change
@@ -187,17 +191,18 @@ class UnfeltForce:
             left = np.concatenate([left, left + np.concatenate([by, at.J @ by])[:, None]], axis=1)
         spread = np.sqrt(model.scatter(squares, mean) + model.unsure(change) + FLOOR**2)
         if (np.abs(left[:, 0]) < _STANDS_OUT * spread).all():
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
         away, errors = at.felt - felt, np.sqrt(self._errors) + FLOOR
-        likely, sure = 0.0, math.inf
+        maybe, likely, sure = 0.0, 0.0, math.inf
+        followed = _SHARE * math.sqrt(away @ away)
         for rows, L, error in ((slice(0, n), at.J, errors[0]), (slice(n, n + 6), np.eye(6), errors[1])):
             if error <= _WORSE * errors.min():
                 size, deviation = _force(left[rows], spread[rows], model.compliance[rows], model.unsure_by[rows], L)
                 sure = min(sure, float((size - _SURE * deviation).min()))
                 if error == errors.min():
-                    likely = float(size[0])
-        followed = _SHARE * math.sqrt(away @ away)
-        return max(likely - followed, 0.0), max(sure - followed, 0.0)
+                    maybe = max(float(size[0]) - followed, 0.0)
+                    likely = maybe if size[0] > _SURE * deviation[0] else 0.0
+        return maybe, likely, max(sure - followed, 0.0)
 
     def _note(self, J: Array) -> None:
         """Have a moment learned later, if it differs from the one before."""
@@ -206,9 +211,10 @@ class UnfeltForce:
         if self._noted is not None:
             off, faster = felt - self._noted[0], (twist - self._noted[1])[:3]
             sizes = math.sqrt(off[:3] @ off[:3]), math.sqrt(off[3:] @ off[3:]), math.sqrt(faster @ faster)
-            if sizes[0] < _CHANGED[0] and sizes[1] < _CHANGED[1] and sizes[2] < _FASTER:
+            still = sizes[2] < _FASTER[0] or self._way - self._noted[2] < _FASTER[1]
+            if sizes[0] < _CHANGED[0] and sizes[1] < _CHANGED[1] and still:
                 return
-        self._noted = felt, twist
+        self._noted = felt, twist, self._way
         self._waiting.append(moment)
 
     def _learn(self, now: float) -> None:
@@ -230,7 +236,7 @@ class UnfeltForce:
 
 
 class _Window:
-    """Moments of the last while, as sums. last: the newest of them."""
+    """Moments on the last of the tool's way, as sums. last: the newest of them."""
 
     last: _Moment
 
@@ -243,16 +249,14 @@ class _Window:
         return len(self._moments)
 
     def add(self, moment: _Moment) -> None:
+        """Take a moment, if the tool has gone on since the last, and forget those that are far behind."""
+        if self._moments and moment.way - self.last.way < _STEP:
+            return
         self._moments.append(moment)
         self.last = moment
         self._sum(moment, 1.0)
-
-    def drop(self, before: float) -> None:
-        """Forget what is older [s]."""
-        while self._moments and self._moments[0].stamp < before:
+        while self._moments[0].way < moment.way - _BEFORE:
             self._sum(self._moments.popleft(), -1.0)
-        if not self._moments:
-            self.clear()  # of what rounding leaves
 
     def clear(self) -> None:
         self.__init__(len(self._rows))  # type: ignore[misc]
