@@ -182,9 +182,14 @@ class ArmPoses:
 
     def of_root(self, now: Model, motions: Array) -> Array:
         """Motions (K, 6, N) of the tool, position and turn as seen from the root, along the frame, (N, 6, K)."""
-        turn = now.T_frame_base[0, :3, :3] @ now.chain.T_base_root[:3, :3]
+        turn = self.R_frame_root(now)
         parts = (turn @ part.transpose(2, 1, 0) for part in (motions[:, :3], motions[:, 3:]))
         return np.concatenate(list(parts), axis=1)
+
+    @staticmethod
+    def R_frame_root(now: Model) -> Array:
+        """The turn from the arm's root to the frame, (3, 3)."""
+        return np.asarray(now.T_frame_base[0, :3, :3] @ now.chain.T_base_root[:3, :3])
 
     def tool_at(self, values: Array) -> Array:
         """T_frame_tool, (N, 4, 4), the clock as stated."""

@@ -7,13 +7,14 @@ columns, corners' noise counted,
 
     G_eff = G − G_p S G_pᵀ,   S = Q (1 + G_pp Q)⁻¹
 
-so images never tie parameters together, and the equations are a sum of small ones (Woodbury). The sizes of noise, ξ and
+so images never tie parameters together, and the equations are a sum of small ones (Woodbury). Images that several
+cameras took at one stop have one such twist between them (stops). The sizes of noise, ξ and
 the arm's expected faults are those that make the data likeliest, the parameters integrated out (evidence, type II).
 """
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +24,7 @@ from modcal_core.camera.beside import BesideRows
 from modcal_core.camera.corners import POSE
 from modcal_core.camera.faults import ArmFaults
 from modcal_core.camera.places import PlacePrior
+from modcal_core.camera.stops import ALONE, SeenStops, tied
 from modcal_core.geometry.so3 import Array
 
 
@@ -81,7 +83,8 @@ class Equations:
     arm. offset (K + 15 + Z,): the state less the prior's mean. information: of the prior but for the arm's faults and
     the places of markers, (K + 15 + Z, K + 15 + Z). free: (K + 15 + Z,) bool. corners: number of corners in use.
     beside: rows of other instruments. others: images of further cameras. faults: of those of the K that are the arm's.
-    places: of the last Z, None of a flat sheet.
+    places: of the last Z, None of a flat sheet. stop: of each image, which images of others may share, (N,), empty
+    where none does.
     """
 
     grams: Array
@@ -97,6 +100,17 @@ class Equations:
     others: tuple[OtherBlock, ...] = ()
     faults: ArmFaults | None = None
     places: PlacePrior | None = None
+    stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
+
+    @cached_property
+    def _shared(self) -> tuple[tuple[Equations, np.ndarray, np.ndarray], ...]:
+        """(equations of a camera, its columns among those of all, which of its images others share), of each camera."""
+        every = [(self, np.arange(len(self.offset))), *((o.equations, o.columns) for o in self.others)]
+        stops = np.concatenate([eq.stop for eq, _ in every])
+        number, seen = np.unique(stops, return_counts=True)
+        often = number[(seen > 1) & (number != ALONE)]
+        shares = [np.isin(eq.stop, often) if len(eq.stop) else np.zeros(len(eq.grams), bool) for eq, _ in every]
+        return tuple((eq, columns, share) for (eq, columns), share in zip(every, shares, strict=True))
 
     @cached_property
     def _total(self) -> Array:
@@ -119,20 +133,27 @@ class Equations:
             out[first:, first:] = self.places.information(sizes.places)
         return out
 
-    def _reduced(self, sizes: Sizes) -> _Reduced:
-        """What the images say with these sizes."""
+    def _own(self, sizes: Sizes, rows: np.ndarray) -> Array:
+        """Twists of these images by what joints and tool are off by, each of one standard deviation, (R, 6, n + 3)."""
+        return np.concatenate([sizes.joint * self.joints[rows], sizes.shift * self.shifts[rows]], axis=2)
+
+    def _reduced(self, sizes: Sizes, shared: np.ndarray | None = None) -> _Reduced:
+        """What the images say with these sizes. shared: images whose own twists are not integrated out, (N,) bool."""
         K = self.moved.shape[2]
         own = self.grams[:, :POSE] / sizes.noise**2  # an image's pose against everything
         Q = self.covariance_of_views(sizes)
         inner = np.eye(POSE) + own[:, :, :POSE] @ Q
         S = Q @ np.linalg.inv(inner)
-        taken = S @ own
-        rows = own - own[:, :, :POSE] @ taken
-        shared = own.shape[2] - POSE
-        size = shared - 1
+        log_det = np.linalg.slogdet(inner)[1]
+        alone = slice(None) if shared is None else ~shared
+        taken = S[alone] @ own[alone]
+        rows = own.copy()
+        rows[alone] -= own[alone][:, :, :POSE] @ taken
+        width = own.shape[2] - POSE
+        size = width - 1
         # one product over all images rather than a sum of many
         E = self._total / sizes.noise**2
-        E = E - own[:, :, POSE:].reshape(-1, shared).T @ taken[:, :, POSE:].reshape(-1, shared)
+        E = E - own[alone][:, :, POSE:].reshape(-1, width).T @ taken[:, :, POSE:].reshape(-1, width)
         H = np.empty((K + size, K + size))
         b = np.empty(K + size)
         A = self.moved.reshape(-1, K)
@@ -142,21 +163,38 @@ class Equations:
         H[K:, K:] = E[:-1, :-1]
         b[:K] = A.T @ rows[:, :, -1].reshape(-1)
         b[K:] = E[:-1, -1]
-        spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(np.linalg.slogdet(inner)[1].sum())
+        spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(log_det[alone].sum())
         return _Reduced(H, b, float(E[-1, -1]), spread, S)
 
     def of_others(self, sizes: Sizes) -> tuple[Array, Array, float, float]:
-        """(H (K + 15 + Z, K + 15 + Z), b (K + 15 + Z,), cost, spread) of further cameras and other instruments."""
-        size = len(self.offset)
+        """(H (K + 15 + Z, K + 15 + Z), b (K + 15 + Z,), cost, spread) of further cameras and other instruments, beside
+        what the images of this camera say by themselves.
+        """
+        every, own = self._of_all(sizes), self._reduced(sizes)
+        return every.H - own.H, every.b - own.b, every.cost - own.cost, every.spread - own.spread
+
+    def _of_all(self, sizes: Sizes) -> _Reduced:
+        """What all images and instruments say. S: of the first camera's, each by itself."""
+        out = self._reduced(sizes, self._shared[0][2] if self.others else None)
+        if not self.others and self.beside is None:
+            return out
         K = self.moved.shape[2]
-        H, b, cost, spread = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
-        for block in self.others:
-            there = block.equations._reduced(sizes)
-            keep = np.flatnonzero(block.columns >= 0)
-            at = block.columns[keep]
+        H, b, cost, spread = out.H, out.b, out.cost, out.spread
+        for eq, columns, share in self._shared[1:]:
+            there = eq._reduced(sizes, share)
+            keep = np.flatnonzero(columns >= 0)
+            at = columns[keep]
             H[np.ix_(at, at)] += there.H[np.ix_(keep, keep)]
             b[at] += there.b[keep]
             cost, spread = cost + there.cost, spread + there.spread
+        if any(share.any() for *_, share in self._shared):
+            seen = [
+                SeenStops(eq.grams[s] / sizes.noise**2, eq.moved[s], eq._own(sizes, s), columns, eq.stop[s])
+                for eq, columns, s in self._shared
+                if s.any()
+            ]
+            off = tied(seen, len(self.offset))
+            H, b, cost, spread = H - off[0], b - off[1], cost - off[2], spread + off[3]
         if self.beside is not None:
             variance = self.beside.variance(sizes.other)
             weighted = self.beside.J / variance[:, None]
@@ -164,22 +202,19 @@ class Equations:
             b[:K] += weighted.T @ self.beside.residual
             cost += float((self.beside.residual**2 / variance).sum())
             spread += float(self.beside.share @ np.log(variance))
-        return H, b, cost, spread
+        return _Reduced(H, b, cost, spread, out.S)
 
     def solve(self, sizes: Sizes) -> SolvedEquations:
         """The normal equations with these sizes."""
-        own = self._reduced(sizes)
-        H, b, cost, spread = own.H, own.b, own.cost, own.spread
-        if self.others or self.beside is not None:
-            more = self.of_others(sizes)
-            H, b, cost, spread = H + more[0], b + more[1], cost + more[2], spread + more[3]
+        data = self._of_all(sizes)
+        H, b, cost = data.H, data.b, data.cost
         prior = self.prior(sizes)
         use = np.flatnonzero(self.free)
         P = prior[np.ix_(use, use)]
         pull = prior[use] @ self.offset
         cost += float(self.offset @ prior @ self.offset)
         return SolvedEquations(
-            *(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, spread, own.S),
+            *(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, data.spread, data.S),
             self.grams,
             sizes.noise,
         )

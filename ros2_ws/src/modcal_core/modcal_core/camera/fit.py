@@ -112,7 +112,7 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     clocked = bool(np.abs(poses.velocity).max(initial=0.0) > _MOVING)
     moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
     shifts = np.zeros((N, 6, 3))
-    shifts[:, :3] = np.eye(3)
+    shifts[:, :3] = poses.R_frame_root(poses.model_at(state.values))  # along axes that other cameras share
     sweep = moved[:, :, P] if clocked else None
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
     information = np.zeros((P + 1 + len(prior.mean), P + 1 + len(prior.mean)))
@@ -140,6 +140,7 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
         tuple(_block(camera, poses, state, first) for camera, first in zip(further, places, strict=True)),
         poses.faults,
         prior.places,
+        poses.moments.stop,
     )
 
 

@@ -11,6 +11,7 @@ from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare
 from modcal_core.camera.prepared_body import first_fit_of_body, prepare_body
+from modcal_core.camera.stops import numbered
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
 
@@ -28,6 +29,18 @@ def only_seen(cameras: Sequence[CameraImages]) -> list[CameraImages]:
             one = replace(one, target=target, views=target.renumbered(one.views, one.target))
         out.append(one)
     return out
+
+
+def with_stops(cameras: Sequence[CameraImages]) -> list[CameraImages]:
+    """The same images, those of several cameras that were taken at one stop of the arm numbered as such."""
+    if len(cameras) == 1:
+        return list(cameras)
+    stops = numbered(
+        [one.q for one in cameras],
+        [[v.name for v in one.views] for one in cameras],
+        [one.moments.stamps for one in cameras],
+    )
+    return [replace(one, moments=replace(one.moments, stop=stop)) for one, stop in zip(cameras, stops, strict=True)]
 
 
 def prepare_images(

@@ -20,18 +20,21 @@ def _nothing() -> Array:
 class ImageMoments:
     """stamps: of the images [s], (N,); empty where only their order is known. approach: the direction each joint last
     moved in, −1, 0 (unknown) or 1, (N, n). effort: of the actuators, (N, n). Empty where unknown. signals: tracks of
-    whatever else was recorded.
+    whatever else was recorded. stop: number of the stop of each image, which images of other cameras share, (N,); −1,
+    or empty, where none does.
     """
 
     stamps: Array = field(default_factory=lambda: np.empty(0))
     approach: Array = field(default_factory=_nothing)
     effort: Array = field(default_factory=_nothing)
     signals: tuple[SignalTrack, ...] = ()
+    stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
 
     def select(self, rows: np.ndarray) -> ImageMoments:
         """Those of some of the images."""
-        stamps, approach, effort = (a[rows] if len(a) else a for a in (self.stamps, self.approach, self.effort))
-        return ImageMoments(stamps, approach, effort, self.signals)
+        each = (self.stamps, self.approach, self.effort, self.stop)
+        stamps, approach, effort, stop = (a[rows] if len(a) else a for a in each)
+        return ImageMoments(stamps, approach, effort, self.signals, stop)
 
     def elsewhere(self) -> ImageMoments:
         """What is known of postures that nobody has measured: nothing."""

@@ -11,6 +11,7 @@ from modcal_core.camera.changes import MovedHalf
 from modcal_core.camera.contradicted import SIZE, DoubtedStatement
 from modcal_core.camera.decision import APPLY, decide
 from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.focus import UnsteadyFocus
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.target import CalibrationTarget, PrintedTarget
 from modcal_core.camera.tool_error import ToolError
@@ -31,6 +32,7 @@ def problems(
     count: int,
     corners_out: float,
     target: CalibrationTarget,
+    focus: UnsteadyFocus | None = None,
 ) -> tuple[str, ...]:
     """What contradicts the fit, in sentences."""
     out = []
@@ -38,6 +40,8 @@ def problems(
         out.append("The fit did not reach its minimum.")
     if moved is not None:
         out.append(moved_sentence(fit, moved))
+    if focus is not None:
+        out.append(focus.sentence)
     out += wrong
     if fit.sizes.joint > _UNSTEADY:
         out.append(

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.changes import moved_half
 from modcal_core.camera.corners import BOW, COMMON, READOUT, SCALE
 from modcal_core.camera.fit import CameraFit, CameraState, missed_pixels
+from modcal_core.camera.focus import what_changed
 from modcal_core.camera.further import FurtherCamera, further_cameras, places_of
 from modcal_core.camera.images_of_cameras import begin_fit, prepare_images
 from modcal_core.camera.mounting import Mounting
@@ -87,8 +87,11 @@ def further_of(
     out = []
     if not fit.converged:
         out.append(f"The fit of {images.name} by itself did not reach its minimum.")
-    if (moved := moved_half(fit, arm)) is not None:
+    moved, focus = what_changed(fit, arm)
+    if moved is not None:
         out.append(moved_sentence(fit, moved, f" of {images.name}"))
+    if focus is not None:
+        out.append(f"{images.name}: {focus.sentence}")
     if len(ready.left_out) > MANY_OUT * len(images.views):
         out.append(f"{len(ready.left_out)} of {len(images.views)} images of {images.name} were left out.")
     camera = _camera(images.name, fit, images.target == first.target, same_side)

@@ -17,13 +17,14 @@ from modcal_core.camera.arm_class import arm_size
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.beside import LEAST, ReadingsBeside
 from modcal_core.camera.causes import CameraCause, find_causes
-from modcal_core.camera.changes import MovedHalf, moved_half
+from modcal_core.camera.changes import MovedHalf
 from modcal_core.camera.contradicted import SIZE, contradictions, doubts, in_doubt, is_stated
 from modcal_core.camera.decision import CANNOT_TELL, Decision, decide
 from modcal_core.camera.findings import CameraFinding, findings
 from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.focus import what_changed
 from modcal_core.camera.held_out import held_out
-from modcal_core.camera.images_of_cameras import begin_fit, only_seen, prepare_images
+from modcal_core.camera.images_of_cameras import begin_fit, only_seen, prepare_images, with_stops
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
@@ -139,7 +140,7 @@ def solve_camera(
     images = CameraImages(
         *(q, views, target, size, velocity, lens, stated, camera_on_tip, flat, moments, fisheye),
     )
-    images, *further = only_seen((images, *further))
+    images, *further = with_stops(only_seen((images, *further)))
     target = images.target
     ready = prepare_images(chain, images, fixed, inertias, progress)
 
@@ -163,7 +164,7 @@ def solve_camera(
         fit, causes, left = find_causes(fit, rng, size_of_arm, progress)
 
     progress("verdict")
-    moved = moved_half(fit, size_of_arm)
+    moved, focus = what_changed(fit, size_of_arm)
     near, _ = postures_in_view(fit, rng)
     used_lens = lens or lens_fit.lens
     doubted = doubts(fit, used_lens, is_stated(lens, stated), size_of_arm)
@@ -175,7 +176,7 @@ def solve_camera(
     metric = metric_of(target, arm_m, beside)
     other_length = arm_m is not None or (beside is not None and beside.metric)
     wrong = contradictions(fit, doubted, used_lens, target.scale, size_of_arm)
-    against = problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target)
+    against = problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target, focus)
     against += tuple(said for one in others for said in one.problems)
     shared = shares(fit, near)
     rests = rests_on(fit, doubted, near, in_view)

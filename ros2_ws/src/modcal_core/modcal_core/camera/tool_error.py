@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.camera.at_tool import at_flange, flange_in_tool
 from modcal_core.camera.contradicted import IN_DOUBT, DoubtedStatement
 from modcal_core.camera.corners import CornerTable
@@ -46,7 +47,8 @@ class ToolError:
     being wrong by its chance, sum 1, (D,). of: which statement is wrong in each, an index into ``wrong``, −1 for none,
     (D,). wrong: what these are. in_doubt: those that the intervals hold without as well.
 
-    both_ends: whether the intervals leave out the same on either side.
+    both_ends: whether the intervals leave out the same on either side. worse: chance that the calibrated arm is no
+    better than the nominal one in the normal distribution that each is drawn from, (D,); None: of the draws themselves.
     """
 
     calibrated: Array
@@ -56,6 +58,7 @@ class ToolError:
     wrong: tuple[str, ...] = ()
     in_doubt: tuple[str, ...] = ()
     both_ends: bool = False
+    worse: Array | None = None
 
     @property
     def interval(self) -> tuple[float, float, float]:
@@ -81,7 +84,7 @@ class ToolError:
     @property
     def chance_worse(self) -> float:
         """Chance that the calibrated arm is no better than the nominal one, every statement wrong by its chance."""
-        return float(self.weight @ (self.calibrated >= self.nominal))
+        return float(self.weight @ (self.calibrated >= self.nominal if self.worse is None else self.worse))
 
     def if_wrong(self, what: str) -> tuple[float, float, float]:
         """(median, lower, upper end of the 95 % interval) of the calibrated arm's error if this statement is wrong [m].
@@ -101,7 +104,9 @@ class ToolError:
         """What it is if all that was stated is right."""
         right = self.of < 0
         even = np.full(int(right.sum()), 1.0 / right.sum())
-        return ToolError(self.calibrated[right], self.nominal[right], even, self.of[right], both_ends=self.both_ends)
+        worse = None if self.worse is None else self.worse[right]
+        some = (self.calibrated[right], self.nominal[right], even, self.of[right])
+        return ToolError(*some, both_ends=self.both_ends, worse=worse)
 
 
 def _interval(values: Array, shortest: bool) -> tuple[float, float, float]:
@@ -116,9 +121,14 @@ def _interval(values: Array, shortest: bool) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class ParameterDraws:
-    """D draws of what the arm's parameters are off by. values: (D, P). The rest as of a ToolError."""
+    """D draws of what the arm's parameters are off by. values: (D, P). means (C, P), roots (C, P, P): of the normal
+    distributions that they are from. source: which of these each is from, (D,). The rest as of a ToolError.
+    """
 
     values: Array
+    means: Array
+    roots: Array
+    source: np.ndarray
     weight: Array
     of: np.ndarray
     wrong: tuple[str, ...]
@@ -133,9 +143,13 @@ def parameter_draws(
     parts = [_draws(fit, fit.equations, fit.sizes, P, rng)]
     parts += [_draws(fit, d.equations, d.sizes, P, rng) for d in doubted]
     chance = np.array([1.0 - sum(d.chance for d in doubted), *(d.chance for d in doubted)])
-    counts = [len(part) for part in parts]
+    counts = [sum(len(one.values) for one in part) for part in parts]
+    every = [one for part in parts for one in part]
     return ParameterDraws(
-        np.concatenate(parts),
+        np.concatenate([one.values for one in every]),
+        np.stack([one.mean for one in every]),
+        np.stack([one.root for one in every]),
+        np.repeat(np.arange(len(every)), [len(one.values) for one in every]),
         np.repeat(chance / counts, counts),
         np.repeat(np.arange(len(parts)) - 1, counts),
         tuple(d.what for d in doubted),
@@ -176,11 +190,24 @@ def tool_error(
     own = ((draws.values @ gram) * draws.values).sum(axis=1)
     calibrated = np.sqrt(np.maximum(own, 0.0) / len(q) + scatter)
     against = np.sqrt(np.maximum(own - 2.0 * draws.values @ cross + square, 0.0) / len(q) + scatter)
-    return ToolError(calibrated, against, draws.weight, draws.of, draws.wrong, draws.in_doubt, both_ends)
+    # own ≥ against where what is drawn reaches far enough along what both arms differ by: exact where draws are few
+    along, across = draws.means @ cross, np.linalg.norm(np.swapaxes(draws.roots, 1, 2) @ cross, axis=1)
+    short = (0.5 * square - along) / np.maximum(across, 1e-300)
+    worse = np.array([beyond_normal(float(z)) for z in short])[draws.source]
+    return ToolError(calibrated, against, draws.weight, draws.of, draws.wrong, draws.in_doubt, both_ends, worse)
 
 
-def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> Array:
-    """Draws (D, P) of what the arm's parameters are off by, by these equations of the fit and about these sizes.
+@dataclass(frozen=True)
+class _NormalDraws:
+    """values (D, P): drawn about mean (P,) with the covariance root rootᵀ (P, P)."""
+
+    values: Array
+    mean: Array
+    root: Array
+
+
+def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> list[_NormalDraws]:
+    """Draws of what the arm's P parameters are off by, by these equations of the fit and about these sizes.
 
     How faulty this arm is, is known from these images only where it is not stated; so the draws are from a mixture over
     the sizes that its faults may have, each as likely as the data make it.
@@ -196,12 +223,12 @@ def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.ra
     misfit = np.array([s.misfit() + usual(size) for s, size in zip(solved, sizes, strict=True)])
     share = np.exp(-0.5 * (misfit - misfit.min()))
     counts = rng.multinomial(_DRAWS, share / share.sum())
-    out = [
-        s.step()[:P] + rng.standard_normal((count, P)) @ _root(s.covariance()[:P, :P]).T
-        for s, count in zip(solved, counts, strict=True)
-        if count
-    ]
-    return np.concatenate(out)
+    out = []
+    for s, count in zip(solved, counts, strict=True):
+        if count:
+            mean, root = s.step()[:P], _root(s.covariance()[:P, :P])
+            out.append(_NormalDraws(mean + rng.standard_normal((count, P)) @ root.T, mean, root))
+    return out
 
 
 def postures_in_view(fit: CameraFit, rng: np.random.Generator, count: int = _POSTURES) -> tuple[Array, bool]:

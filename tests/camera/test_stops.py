@@ -1,0 +1,79 @@
+"""Images of one stop of the arm by several cameras: one error of the arm, and which images are of one stop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.camera.equations import Equations, OtherBlock, Sizes
+from modcal_core.camera.stops import ALONE, numbered
+from modcal_core.geometry.so3 import Array
+
+SIZES = Sizes(noise=1.3, joint=0.2, shift=0.3, arm=0.1)
+JOINTS, ROWS = 4, 30
+
+
+def camera(rng: np.random.Generator, stop: list[int], K: int, Z: int) -> tuple[Array, Equations]:
+    """(rows of each image by its pose, what images share, and the residual, (N, 30, 22 + Z); the equations of these)."""
+    N = len(stop)
+    rows = rng.normal(size=(N, ROWS, 22 + Z))
+    size = K + 15 + Z
+    return rows, Equations(
+        *(np.swapaxes(rows, 1, 2) @ rows, rng.normal(size=(N, 6, K)), rng.normal(size=(N, 6, JOINTS))),
+        *(rng.normal(size=(N, 6, 3)), np.zeros(K, bool), rng.normal(size=size), np.diag(rng.uniform(1.0, 2.0, size))),
+        *(np.ones(size, bool), N * ROWS // 2),
+        stop=np.array(stop),
+    )
+
+
+def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leave() -> None:
+    """Against normal equations in which what joints and tool are off by at every stop are parameters themselves."""
+    rng = np.random.default_rng(4)
+    cameras = [camera(rng, [0, 1, 2, ALONE, ALONE, 3, ALONE, ALONE], 5, 4), camera(rng, [3, 2, 9, ALONE, 1, 0], 3, 2)]
+    (_, first), (_, second) = cameras
+    count = len(first.offset)
+    columns = [np.arange(count), np.r_[0, 1, -1, 5 + np.arange(17)]]
+    together: dict[tuple[int, int], int] = {}
+    rows, right = [], []
+    for k, (seen, eq) in enumerate(cameras):
+        for i, (own, stop) in enumerate(zip(seen / SIZES.noise, eq.stop, strict=True)):
+            at = together.setdefault((0, int(stop)) if stop != ALONE and stop != 9 else (1 + k, i), len(together))
+            row = np.zeros((ROWS, count + 20 * (JOINTS + 3)))
+            by = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
+            row[:, columns[k][columns[k] >= 0]] = by[:, columns[k] >= 0]
+            of_stop = np.concatenate([SIZES.joint * eq.joints[i], SIZES.shift * eq.shifts[i]], axis=1)
+            row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ of_stop
+            rows.append(row)
+            right.append(own[:, -1])
+    assert len(together) == 8 + 6 - 4
+    A, y = np.concatenate(rows), np.concatenate(right)
+    H, b = A.T @ A, A.T @ y
+    inner = H[count:, count:] + np.eye(len(H) - count)
+    left = np.linalg.solve(inner, np.c_[H[count:, :count], b[count:]])
+    expected = H[:count, :count] - H[:count, count:] @ left[:, :-1] + first.information
+    found = replace(first, others=(OtherBlock(second, columns[1]),)).solve(SIZES)
+    assert np.allclose(found.H, expected, rtol=1e-12)
+    assert np.allclose(found.b, b[:count] - H[:count, count:] @ left[:, -1] - first.information @ first.offset)
+    prior = first.offset @ first.information @ first.offset
+    assert np.isclose(found.cost, y @ y - b[count:] @ left[:, -1] + prior)
+    noise = 2.0 * (first.corners + second.corners) * np.log(SIZES.noise**2)
+    assert np.isclose(found.spread, noise + np.linalg.slogdet(inner)[1])
+
+
+def test_images_of_one_stop_by_name_by_joints_or_by_time() -> None:
+    q = np.array([[0.0, 1.0], [0.5, 1.0], [0.0, 1.0], [2.0, 0.0]])
+    unknown = [np.empty(0), np.empty(0)]
+    named = numbered([q, q[[2, 0, 1]]], [["1", "2", "3", "4"], ["3", "1", "2"]], unknown)
+    assert [list(one) for one in named] == [[0, 1, 2, ALONE], [2, 0, 1]]
+    # names of their own: joints that come twice may be another visit
+    by_joints = numbered([q, q[[2, 0, 1]]], [["a1", "a2", "a3", "a4"], ["b1", "b2", "b3"]], unknown)
+    assert [list(one) for one in by_joints] == [[ALONE, 0, ALONE, ALONE], [ALONE, ALONE, 0]]
+    timed = numbered(
+        [q, q[[0, 2]] + 2e-4],
+        [["10", "20", "30", "40"], ["10.1", "30.1"]],
+        [np.arange(1, 5) * 10.0, np.array([10.1, 30.1])],
+    )
+    assert [list(one) for one in timed] == [[0, ALONE, 1, ALONE], [0, 1]]
+    far = numbered([q[:1], q[:1]], [["10"], ["90"]], [np.array([10.0]), np.array([90.0])])
+    assert [list(one) for one in far] == [[ALONE], [ALONE]]
