@@ -50,9 +50,8 @@ def problems(
         )
     if len(left_out) > MANY_OUT * count:
         out.append(f"{len(left_out)} of {count} images were left out.")
-    if corners_out > _CORNERS_OUT:
-        what = "target" if fit.table.places else "flat target"
-        out.append(f"{100.0 * corners_out:.0f} % of all corners fit no {what} of the stated form.")
+    if corners_out > _CORNERS_OUT and not fit.table.places:  # of bodies: misread
+        out.append(f"{100.0 * corners_out:.0f} % of all corners fit no flat target of the stated form.")
     P = fit.poses.count
     # the places of a body's markers say what is wrong of its size as well
     for i, axis in enumerate("" if wrong or fit.table.places else "xy"):

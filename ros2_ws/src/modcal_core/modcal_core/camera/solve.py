@@ -16,6 +16,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.camera.arm_class import arm_size
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.beside import LEAST, ReadingsBeside
+from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf
 from modcal_core.camera.contradicted import SIZE, contradictions, doubts, in_doubt, is_stated
@@ -27,6 +28,7 @@ from modcal_core.camera.held_out import held_out
 from modcal_core.camera.images_of_cameras import begin_fit, only_seen, prepare_images, with_stops
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import Lens
+from modcal_core.camera.misread import LeftOutPoints, left_out_points
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.not_shown import HiddenSpring, hidden_springs
@@ -63,6 +65,7 @@ class CameraSolution:
     left: what is significant and could not be turned into one. notes: what was done to the images, in sentences.
     rests_on: what the sheet's stated size is worth, where the images do not show it. further: of other cameras.
     hidden: springs that these images would not show. alone: as in_view, the frame put where it suits best.
+    open_points: of a body, what a verdict may not pass over of points that were left out, in sentences.
     """
 
     fit: CameraFit
@@ -89,6 +92,7 @@ class CameraSolution:
     further: tuple[FurtherSeen, ...] = ()
     hidden: tuple[HiddenSpring, ...] = ()
     alone: ToolError | None = None
+    open_points: tuple[str, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -178,6 +182,11 @@ def solve_camera(
     wrong = contradictions(fit, doubted, used_lens, target.scale, size_of_arm)
     against = problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target, focus)
     against += tuple(said for one in others for said in one.problems)
+    points_out = LeftOutPoints()
+    if isinstance(target, MarkerBundle):
+        same = [(f" of {one.images.name}", one.camera.table) for one in others if one.images.target == target]
+        points_out = left_out_points([(" of the first camera" if same else "", table), *same], target)
+        against += points_out.problems
     shared = shares(fit, near)
     rests = rests_on(fit, doubted, near, in_view)
     doubtful = in_doubt(fit, doubted, target.scale)
@@ -217,6 +226,7 @@ def solve_camera(
         further=tuple(one.seen_by(fit) for one in others),
         hidden=hidden_springs(fit) if look_for_effects else (),
         alone=alone,
+        open_points=points_out.open,
     )
 
 

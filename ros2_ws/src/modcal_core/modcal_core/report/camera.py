@@ -143,8 +143,8 @@ def camera_report(
         "effects": effect_entries(solution),
         "unexplained": None if solution.left is None else _left(solution),
         "identifiability": None,
-        "status": "open" if problems else "cannot_tell",
-        "open_because": list(problems),
+        "status": "open" if problems or solution.open_points else "cannot_tell",
+        "open_because": [*problems, *solution.open_points],
         "remedy": decision.because[0] if decision.word == CANNOT_TELL else None,
         "converged": fit.converged,
         "regimes": [],
@@ -211,7 +211,7 @@ def camera_report(
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
     out = [f"{sentence}." for _, sentence in _named(solution)] + [found.sentence for found in solution.findings]
-    out += (*body_notes(solution), *solution.notes)
+    out += (*body_notes(solution), *solution.open_points, *solution.notes)
     if solution.left is not None:
         said = solution.left.effect.label
         out.append(f"Something is left that correlates with {said}, and no effect was found that predicts it.")
