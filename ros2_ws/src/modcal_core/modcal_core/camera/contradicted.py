@@ -37,6 +37,9 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 # Chance of a stated value that is grossly wrong (another printer's sheet, a slip of the pen), before the images are
 # looked at: what a 95 % interval leaves out, and the odds of _GAIN.
 _WRONG = 0.05
+# The same of a sheet whose two rulers were read, and neither at its nominal length, which who does not measure states:
+# two slips that agree, as 0.05² has it, or one ruler, or sheet, that is another than was meant.
+_READ_WRONG = 0.01
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
@@ -56,16 +59,19 @@ class DoubtedStatement:
     chance: float
 
 
-def doubts(fit: CameraFit, lens: Lens, stated: str | None, arm: float | None) -> tuple[DoubtedStatement, ...]:
+def doubts(
+    fit: CameraFit, lens: Lens, stated: str | None, scale: PrintScale, arm: float | None
+) -> tuple[DoubtedStatement, ...]:
     """Each of the statements taken back, with the chance that it is wrong.
 
-    lens: as stated. stated: what became of its values, None where nobody stated any. arm: as in the fit.
+    lens, scale: as stated. stated: what became of the lens's values, None where nobody stated any. arm: as in the fit.
     """
     wider = _wider(fit.prior, lens, stated)
     if fit.prior.places is not None:
         wider.pop(BOW)  # which a body has none of
     weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in wider.items()]
-    odds = np.array([_WRONG * np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
+    before = np.array([_READ_WRONG if what == SIZE and _was_read(scale) else _WRONG for what in wider])
+    odds = before * np.array([np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
     chances = odds / (1.0 + odds.sum())
     return tuple(DoubtedStatement(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
 
@@ -118,11 +124,19 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
     return tuple(out)
 
 
+def _was_read(scale: PrintScale) -> bool:
+    """Whether both rulers of a sheet read something that nobody would state who has not measured them."""
+    off = np.abs(np.array([scale.x, scale.y]) - 1.0)
+    return bool(scale.measured and (off > np.sqrt(np.diag(scale.covariance))).all())
+
+
 def _wider(prior: CommonPrior, lens: Lens, stated: str | None) -> dict[str, CommonPrior]:
     """The prior with each of the statements taken back, by what it is about."""
     size = prior.information.copy()
     both, apart = _ANY_SIZE**2, (0.5 * _ANY_SHAPE) ** 2
     cov = np.array([[both + apart, both - apart], [both - apart, both + apart]])
+    if prior.places is not None:  # the print of its markers is another statement, and stands
+        cov = np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([both, 0.0])
     size[SCALE, SCALE] = np.linalg.inv(cov)
     bow = prior.information.copy()
     bow[BENT, BENT] = np.eye(SHAPE - 2) / _ANY_BOW_M**2

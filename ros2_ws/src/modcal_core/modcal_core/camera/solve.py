@@ -171,7 +171,7 @@ def solve_camera(
     moved, focus = what_changed(fit, size_of_arm)
     near, _ = postures_in_view(fit, rng)
     used_lens = lens or lens_fit.lens
-    doubted = doubts(fit, used_lens, is_stated(lens, stated), size_of_arm)
+    doubted = doubts(fit, used_lens, is_stated(lens, stated), target.scale, size_of_arm)
     draws = parameter_draws(fit, rng, doubted)
     in_view = tool_error(fit, nominal, near, draws)
     anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), draws, both_ends=True)

@@ -377,7 +377,7 @@ def _further(
 
 def camera_urdf(path: Path) -> Path:
     """The path of a URDF; raises BadTable for a table, which has no origins to write back into."""
-    if path.suffix in (".yaml", ".yml"):
+    if path.suffix in (".yaml", ".yml", ".csv"):
         raise BadTable(str(path), "is a table", "give a URDF: modcal import makes one of a table")
     return path
 
