@@ -33,7 +33,7 @@ def test_a_spectrum_is_the_sum_over_the_samples(rng: np.random.Generator, turns:
     angle, columns = 2.0 * np.pi * turns * rng.uniform(-0.5, 0.5, count), rng.normal(size=(count, 70))
     step, most = 4.0 / 27.0, 900
     phase = step * np.arange(most + 1)[:, None] * angle
-    sums = Spectrum.of(angle, step, most).sums(columns)
+    sums = Spectrum(angle, step, most).sums(columns)
     size = 1e-8 * np.abs(columns).sum(axis=0)
     assert (np.abs(sums[:, 0] - np.sin(phase) @ columns) < size).all()
     assert (np.abs(sums[:, 1] - np.cos(phase) @ columns) < size).all()
@@ -107,7 +107,7 @@ def test_a_clear_answer_ends_the_trials_and_is_the_same(fitted: tuple[Fit, Drive
 def test_squares_of_sums_are_those_of_the_sums(rng: np.random.Generator, kind: type, count: int) -> None:
     """Of a wave with itself, and of one with that of twice as many cycles, without a sum being kept."""
     angle, columns = rng.uniform(-3.0, 3.0, count), rng.normal(size=(count, 130)).astype(kind)
-    spectrum = Spectrum.of(angle, 0.25, 301)
+    spectrum = Spectrum(angle, 0.25, 301)
     parts = spectrum.sums(columns.astype(float)).transpose(1, 0, 2)  # sine, cosine
     squares = spectrum.squares(columns)
     size = (1e-9 if kind is np.float64 else 1e-5) * np.sum(parts**2, axis=(0, 2)).max()
@@ -128,7 +128,7 @@ def test_products_of_waves_are_summed_with_a_weight(rng: np.random.Generator, co
     """Of sine and cosine of one wave and of another, neither of them twice the other."""
     angle, weight = rng.uniform(-3.0, 3.0, count), rng.uniform(0.5, 2.0, count)
     which = np.array([[7, 14], [300, 12], [5, 5], [0, 301]])
-    gram = Spectrum.of(angle, 0.25, 301).gram(which, weight)
+    gram = Spectrum(angle, 0.25, 301).gram(which, weight)
     for found, waves in zip(gram, which, strict=True):
         rows = np.concatenate([[np.sin(0.25 * k * angle), np.cos(0.25 * k * angle)] for k in waves])
         np.testing.assert_allclose(found, (rows * weight) @ rows.T, atol=1e-7 * weight.sum())

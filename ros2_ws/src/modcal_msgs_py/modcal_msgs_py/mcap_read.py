@@ -39,6 +39,7 @@ _MOST_LAYOUTS = 8  # of one topic in one block; more than that, and one by one i
 _MOST_KEPT = 64
 _HOPELESS = 1000  # messages of a topic in a row that cannot be decoded, after which the rest of a block is not tried
 _SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below which one by one is quicker
+_FEW_RUNS = 8  # which take less than reading the definitions of all types, without which nothing goes one by one
 
 
 def read_bag(path: Path, layouts: bool = True, topics: Topics = _NO_TOPICS) -> Recording:
@@ -275,7 +276,7 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[Me
         if not len(left):
             break
     ends = np.flatnonzero(np.r_[number[1:] != number[:-1], True]) + 1
-    if len(ends) * _SHORTEST_RUN > len(which) + _SHORTEST_RUN:
+    if len(ends) > _FEW_RUNS and len(ends) * _SHORTEST_RUN > len(which) + _SHORTEST_RUN:
         return []
     pieces = []
     for start, stop in zip(np.r_[0, ends[:-1]].tolist(), ends.tolist(), strict=True):

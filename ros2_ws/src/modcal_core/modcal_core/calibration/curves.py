@@ -15,41 +15,10 @@ import scipy
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Term
+from modcal_core.effects.knots import Knots, knots_of
 from modcal_core.geometry.so3 import Array
 
-_LEAST = 100_000  # numbers of a curve; of fewer, products of whole matrices are quicker
-_MOST_EACH = 8  # functions that are not zero at one sample; of more, blocks are no less work than whole matrices
 _MOST_KEPT = 8e6  # numbers of what is kept of two curves; of more it is made each time
-
-
-@dataclass(frozen=True)
-class Knots:
-    """Functions (b, N) of which few are not zero at a sample. at: numbers of these few, (N, k). value: theirs, (N, k).
-
-    whole: all of them as a sparse array, (b, N).
-    """
-
-    at: np.ndarray
-    value: Array
-    whole: scipy.sparse.csr_array
-
-    @classmethod
-    def of(cls, numbers: Array) -> Knots | None:
-        """Those of a shape (b, N), None where many are not zero at some sample."""
-        most = int(np.count_nonzero(numbers, axis=0).max(initial=0))
-        if not 0 < most <= _MOST_EACH:
-            return None
-        whole = scipy.sparse.csr_array(numbers)
-        by_sample = whole.tocsc()
-        count = np.diff(by_sample.indptr)
-        column = np.repeat(np.arange(len(count)), count)
-        place = np.arange(len(column)) - np.repeat(by_sample.indptr[:-1], count)
-        at, value = np.zeros((len(count), most), np.int32), np.zeros((len(count), most))
-        at[column, place], value[column, place] = by_sample.indices, by_sample.data
-        return cls(at, value, whole)
-
-    def __len__(self) -> int:
-        return int(self.whole.shape[0])
 
 
 @dataclass(frozen=True)
@@ -76,8 +45,7 @@ def curves_of(terms: Sequence[list[Term]], at: Drivers) -> tuple[list[Curve], li
             others.append(j)
             j += 1
             continue
-        knots = at.made_of((of,), Knots.of) if of.size >= _LEAST else None
-        curves.append(Curve(terms[j][0].place, terms[j][0].direction, slice(j, j + len(of)), of, knots))
+        curves.append(Curve(terms[j][0].place, terms[j][0].direction, slice(j, j + len(of)), of, knots_of(of, at)))
         j += len(of)
     return curves, others
 

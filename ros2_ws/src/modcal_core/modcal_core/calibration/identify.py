@@ -47,12 +47,12 @@ _NEAR = 1e-4
 _SHRINKING = 0.3
 # With effects, whose curvature takes far longer than their gradient, steps are taken with the same one while each is
 # shorter than so much of the last, or shrinks as the last with a curvature of its own did: robust weights alone let
-# them shrink by a factor of 1.1 to 10, whatever the curvature
-_LEADING, _CLOSE = 0.7, 10.0  # the latter in standard deviations
+# them shrink by a factor of 1.1 to 10, whatever the curvature; so no more than that is expected of the next one
+_LEADING, _CLOSE, _SLOWLY = 0.7, 10.0, 0.1  # the second in standard deviations
 # Within half a standard deviation they are taken with the same one whatever they do, so many at most: a sample near the
 # limit of rejection lets the weights, and with them the steps, go to and fro, which no curvature ends. Where so many
 # steps gain no more together than a tenth of a squared deviation, that is the end.
-_WITHIN, _MOST_SAME, _TO_AND_FRO, _NO_GAIN = 0.5, 10, 8, 0.1
+_WITHIN, _MOST_SAME, _TO_AND_FRO, _NO_GAIN = 0.5, 10, 4, 0.1
 _SURE = 0.1  # of the tolerance; what is expected to be left
 _LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
 _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
@@ -217,6 +217,7 @@ def _minimum(
             measured = rows.cost
         H, g = H_data + known, g - (values - centre) * prior**-2.0
         last, share = length, 1.0
+        room = tolerance**2 if near and fitted else 0.0  # what a step as long as the tolerance would gain is nothing
         if not (near and fitted):
             curvature = None
         while True:
@@ -224,7 +225,8 @@ def _minimum(
                 curvature, weighed = Curvature.of(H, damping), float(row_weight.sum())
             step = share * weighed / float(row_weight.sum()) * curvature.solve(g)
             length = float(np.sqrt(max(float(step @ H @ step), 0.0))) / share if damping == 0.0 else np.inf
-            following = length * min(length / last, 1.0) if last < np.inf else length  # the next step's, most likely
+            shrinks = min(max(length / last, _SLOWLY if fitted else 0.0), 1.0) if last < np.inf else 1.0
+            following = length * shrinks  # the next step's, most likely
             ended = length <= tolerance or following <= _SURE * tolerance
             begun = rough and damping == 0.0 and float(np.abs(step).max()) <= _ROUGHLY
             if begun or (ended and length <= _UNSEEN):
@@ -236,7 +238,8 @@ def _minimum(
             after = _cost(new, row_weight) + float(np.sum(((trial - centre) / prior) ** 2))
             if distances:
                 after += distance_cost(start, parameters, trial, distances)
-            if after <= before * (1.0 + 1e-6) + 1e-12 or damping > 1e6:
+            downhill = after <= before * (1.0 + 1e-6) + 1e-12 + room
+            if downhill or damping > 1e6:
                 break
             if near and fitted:  # that curvature has done its service: look again from here
                 break
@@ -248,7 +251,7 @@ def _minimum(
         if damping > 0.0:  # in a long and bent valley a tenth of what was enough is enough again
             least = max(0.1 * damping, _LEAST_DAMPING)
         looked = new is not at
-        if near and fitted and looked and not after <= before * (1.0 + 1e-6) + 1e-12:
+        if near and fitted and looked and not downhill:
             near, length = False, last
             continue
         gained.append(before - after if looked else 0.0)

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.curves import Knots, curves_of, product
+from modcal_core.calibration.curves import curves_of, product
 from modcal_core.calibration.linearise import RowView, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import all_columns
+from modcal_core.effects.knots import Knots
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 

@@ -189,7 +189,7 @@ class SpectraOfDrivers:
         """That of a driver."""
         key = driver, round(step, 12)
         if key not in self._made:
-            self._made[key] = Spectrum.of(self._drivers.values(driver), step, self._most[key])
+            self._made[key] = Spectrum(self._drivers.values(driver), step, self._most[key])
         return self._made[key]
 
 

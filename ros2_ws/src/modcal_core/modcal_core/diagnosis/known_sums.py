@@ -66,7 +66,7 @@ class KnownSums:
 def running_sums(order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
     """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
     running = np.zeros((len(edges) + 1, matrix.shape[1]))
-    np.cumsum(np.add.reduceat(matrix[order], edges, axis=0, dtype=float), axis=0, out=running[1:])
+    np.cumsum(np.add.reduceat(matrix[order], edges, axis=0), axis=0, dtype=float, out=running[1:])
     return running
 
 

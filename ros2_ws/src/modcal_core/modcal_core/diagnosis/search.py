@@ -37,7 +37,9 @@ SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes
 MOST_EFFECTS = 30  # for time
 _MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
-_TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
+# A fit is brought so near while searching that what its squares may still lose is this share of what an effect must
+# take from them; in the end to FITTED
+_LEFT = 1e-3
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3  # choices in a row that did not predict, before the search ends
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
@@ -197,6 +199,8 @@ class _Search:
     def __post_init__(self) -> None:
         self.causes: list[Cause] = list(self.known)
         self._geometric = self.fit
+        rows = 3 * (len(self.train) + int(self.train.is_pose.sum()))
+        self._tolerance = float(np.sqrt(_LEFT * LEAST_GAIN * rows))  # a step of so many deviations gains its square
         self._stale = False  # whether the causes' own fits are those of another order
 
     def add(self, choice: EffectChoice) -> bool:
@@ -240,7 +244,7 @@ class _Search:
             self.train,
             fit.parameters,
             self.distances,
-            tolerance=_TOLERANCE,
+            tolerance=self._tolerance,
             begin=self.fit.values,
             reject=self.reject,
         )

@@ -1,15 +1,14 @@
-"""Sums of many columns times waves of an angle: ``Σ f_n exp(i k s q_n)`` for k from 0 to thousands.
+"""Sums of columns times waves of an angle: ``Σ f_n exp(i k s q_n)`` for k from 0 to thousands.
 
-Of few angles the waves are a table, and the sums one product of matrices: N angles and K waves take 4 N K operations a
-column. Of many an FFT takes less. The angles are irregular, so each column is first spread over a regular grid by a
-kernel a few points wide, and what the kernel does to each frequency is divided out again (non-uniform FFT of type 1,
-with the kernel of Barnett, Magland & af Klinteberg, SIAM J. Sci. Comput. 2019). This takes some 10 N + 20 K log K, and
-agrees to 1e-8 of the sum of the |f_n|.
+Directly, N angles and K waves take 4 N K operations a column. By an FFT some 10 N + 20 K log K: the angles are
+irregular, so each column is first spread over a regular grid by a kernel a few points wide, and what the kernel does to
+each frequency is divided out again (non-uniform FFT of type 1, with the kernel of Barnett, Magland & af Klinteberg,
+SIAM J. Sci. Comput. 2019); it agrees to 1e-8 of the sum of the |f_n|. Where angles are few and columns many, a table of
+the waves is quicker still, for a product of matrices goes through it once for all columns.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -21,6 +20,7 @@ from modcal_core.effects.shapes import periodic
 from modcal_core.geometry.so3 import Array
 
 _FEW = 400  # angles up to which a table is quicker: half of the time of an FFT with 300, as much with 500 to 700
+_SINGLE = 12  # columns; of fewer, each for itself by an FFT takes less than to read the table
 _WIDTH = 10  # points of the grid that an angle is spread over: one decimal each, less one
 _STEEP = 2.30 * _WIDTH  # of the kernel, for a grid twice as fine as the highest wave needs
 _NODES = 40  # of the quadrature for the kernel's transform
@@ -41,93 +41,46 @@ class SquaredSums:
     doubled: Array
 
 
-class Spectrum(ABC):
+class Spectrum:
     """Waves of N angles, at multiples of a step."""
 
-    def __init__(self, step: float, most: int) -> None:
-        """step: cycles a turn between neighbouring waves. most: the number of the highest wave."""
-        self.step, self.most = step, most
+    def __init__(self, angle: Array, step: float, most: int) -> None:
+        """angle: (N,) [rad]. step: cycles a turn between neighbouring waves. most: the number of the highest wave."""
+        self._angle, self._step, self.most = angle, step, most
 
-    @staticmethod
-    def of(angle: Array, step: float, most: int) -> Spectrum:
-        """Those of angles (N,) [rad], by the quicker way."""
-        return _Table(angle, step, most) if len(angle) <= _FEW else _Transform(angle, step, most)
-
-    @abstractmethod
     def sums(self, columns: Array) -> Array:
         """Sums with the sine and the cosine of each wave, (most + 1, 2, m), of columns (N, m)."""
+        if self._has_table(columns):
+            return self._by_table(columns)
+        out = np.empty((self.most + 1, 2, columns.shape[1]))
+        if columns.shape[1] < _SINGLE:
+            for i, column in enumerate(columns.T):
+                out[:, 0, i], out[:, 1, i] = self._grid.sums(column, self.most)
+            return out
+        for some, waves in self._portions(columns):
+            share = self._grid.share[:, None]
+            np.multiply(waves.imag, -share, out=out[:, 0, some])  # the transform turns the other way
+            np.multiply(waves.real, share, out=out[:, 1, some])
+        return out
 
-    @abstractmethod
     def squares(self, columns: Array) -> SquaredSums:
         """Products of the sums with columns (N, m), summed over these; without keeping a sum."""
-
-    @abstractmethod
-    def gram(self, which: np.ndarray, square: Array) -> Array:
-        """Products with each other, (C, 2 w, 2 w), of sine and cosine of w waves, (C, w) numbers, times a weight (N,)
-        of the samples.
-        """
-
-
-class _Table(Spectrum):
-    """Few angles: the waves themselves, (most + 1, 2, N)."""
-
-    def __init__(self, angle: Array, step: float, most: int) -> None:
-        super().__init__(step, most)
-        self._waves = periodic("turn", step * np.arange(most + 1, dtype=float), angle)
-
-    def sums(self, columns: Array) -> Array:
-        waves = self._lean if columns.dtype == np.float32 else self._waves
-        flat = waves.reshape(-1, waves.shape[2]) @ columns
-        return np.asarray(flat.reshape(self.most + 1, 2, -1))
-
-    def squares(self, columns: Array) -> SquaredSums:
         squares = _Squares(self.most)
+        if columns.shape[1] >= _SINGLE and not self._has_table(columns):
+            for _, waves in self._portions(columns):
+                squares.add(waves.imag, waves.real)
+            return squares.all(self._grid.share, turned=-1.0)
         for first in range(0, columns.shape[1], _AT_ONCE):
             sums = self.sums(columns[:, first : first + _AT_ONCE])
             squares.add(sums[:, 0], sums[:, 1])
         return squares.all(np.ones(self.most + 1))
 
-    def gram(self, which: np.ndarray, square: Array) -> Array:
-        waves = self._waves[which].reshape(len(which), 2 * which.shape[1], -1)
-        return np.asarray((waves * square) @ waves.transpose(0, 2, 1))
+    def gram(self, which: np.ndarray, weight: Array) -> Array:
+        """Products with each other, (C, 2 w, 2 w), of sine and cosine of w waves, (C, w) numbers, times a weight (N,).
 
-    @cached_property
-    def _lean(self) -> np.ndarray:
-        return self._waves.astype(np.float32)
-
-
-class _Transform(Spectrum):
-    """Many angles: by an FFT."""
-
-    def __init__(self, angle: Array, step: float, most: int) -> None:
-        super().__init__(step, most)
-        self._angle = angle
-        points = scipy.fft.next_fast_len(4 * most + 2 * _WIDTH, real=True)
-        at = np.mod(step * angle, 2.0 * np.pi) * (points / (2.0 * np.pi))
-        near = np.ceil(at - 0.5 * _WIDTH)[:, None] + np.arange(_WIDTH)
-        value = _kernel((near - at[:, None]) * (2.0 / _WIDTH))
-        where = near.astype(np.int64) % points
-        begins = np.arange(0, value.size + 1, _WIDTH)
-        shape = len(angle), points
-        self._spread = scipy.sparse.csr_array((value.ravel(), where.ravel(), begins), shape=shape).T.tocsr()
-        self._share = _shares(points, most)
-
-    def sums(self, columns: Array) -> Array:
-        out = np.empty((self.most + 1, 2, columns.shape[1]))
-        for some, waves in self._portions(columns):
-            np.multiply(waves.imag, -self._share[:, None], out=out[:, 0, some])  # the transform turns the other way
-            np.multiply(waves.real, self._share[:, None], out=out[:, 1, some])
-        return out
-
-    def squares(self, columns: Array) -> SquaredSums:
-        squares = _Squares(self.most)
-        for _, waves in self._portions(columns):
-            squares.add(waves.imag, waves.real)
-        return squares.all(self._share, turned=-1.0)
-
-    def gram(self, which: np.ndarray, square: Array) -> Array:
-        # a product of two waves is a wave of their sum and one of their difference
-        sine, cosine = self._doubled.sums(square[:, None])[:, :, 0].T
+        A product of two waves is a wave of their sum and one of their difference.
+        """
+        sine, cosine = _Grid(self._angle, self._step, 2 * self.most).sums(weight, 2 * self.most)
         C, w = which.shape
         out = np.empty((C, 2 * w, 2 * w))
         for a in range(w):
@@ -140,23 +93,64 @@ class _Transform(Spectrum):
                 out[:, 2 * a + 1, 2 * b] = 0.5 * (sine[more] - turned)
         return out
 
+    def _has_table(self, columns: Array) -> bool:
+        """Whether a table serves these columns."""
+        return len(self._angle) <= _FEW and columns.shape[1] >= _SINGLE
+
+    def _by_table(self, columns: Array) -> Array:
+        waves = self._lean_table if columns.dtype == np.float32 else self._table
+        return np.asarray((waves.reshape(-1, waves.shape[2]) @ columns).reshape(self.most + 1, 2, -1))
+
+    @cached_property
+    def _table(self) -> Array:
+        """The waves themselves, (most + 1, 2, N)."""
+        return periodic("turn", self._step * np.arange(self.most + 1, dtype=float), self._angle)
+
+    @cached_property
+    def _lean_table(self) -> np.ndarray:
+        return self._table.astype(np.float32)
+
+    @cached_property
+    def _grid(self) -> _Grid:
+        return _Grid(self._angle, self._step, self.most)
+
     def _portions(self, columns: Array) -> Iterator[tuple[slice, Array]]:
         """Transforms (most + 1, some) of some columns at a time, which turn the other way."""
-        single = columns.dtype == np.float32
-        spread = self._lean if single else self._spread
+        spread = self._grid.lean if columns.dtype == np.float32 else self._grid.spread
         for first in range(0, columns.shape[1], _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
             grid = np.asarray(spread @ np.ascontiguousarray(columns[:, some]))
             yield some, scipy.fft.rfft(grid, axis=0, overwrite_x=True)[: self.most + 1]
 
-    @cached_property
-    def _lean(self) -> scipy.sparse.csr_array:
-        return self._spread.astype(np.float32)
+
+class _Grid:
+    """A regular grid that columns are spread over. share: what each wave is to be multiplied by, (most + 1,)."""
+
+    def __init__(self, angle: Array, step: float, most: int) -> None:
+        self.points = _fast_length(4 * most + 2 * _WIDTH)
+        at = np.mod(step * angle, 2.0 * np.pi) * (self.points / (2.0 * np.pi))
+        near = np.ceil(at - 0.5 * _WIDTH)[:, None] + np.arange(_WIDTH)
+        self._value = _kernel((near - at[:, None]) * (2.0 / _WIDTH))
+        self._where = near.astype(np.int64) % self.points
+        self.share = _shares(self.points, most)
+
+    def sums(self, column: Array, most: int) -> tuple[Array, Array]:
+        """Sums of one column (N,) with the sine and the cosine of each wave, (most + 1,) each."""
+        spread = np.bincount(self._where.ravel(), (self._value * column[:, None]).ravel(), self.points)
+        waves = np.fft.rfft(spread)[: most + 1] * self.share
+        return -waves.imag, waves.real
 
     @cached_property
-    def _doubled(self) -> Spectrum:
-        """One up to twice the highest wave."""
-        return _Transform(self._angle, self.step, 2 * self.most)
+    def spread(self) -> scipy.sparse.csr_array:
+        """What takes columns (N, m) to the grid, (points, N)."""
+        begins = np.arange(0, self._value.size + 1, _WIDTH)
+        shape = len(self._value), self.points
+        return scipy.sparse.csr_array((self._value.ravel(), self._where.ravel(), begins), shape=shape).T.tocsr()
+
+    @cached_property
+    def lean(self) -> scipy.sparse.csr_array:
+        """The same in single precision."""
+        return self.spread.astype(np.float32)
 
 
 class _Squares:
@@ -180,6 +174,15 @@ class _Squares:
         own[2] *= turned
         doubled[1:3] *= turned
         return SquaredSums(own[0], own[1], own[2], doubled.reshape(2, 2, -1))
+
+
+def _fast_length(least: int) -> int:
+    """The least number of points from there on that has no other factors than 2, 3 and 5, and is even."""
+    best = 1 << (least - 1).bit_length()
+    for odd in (3, 5, 9, 15, 25, 27, 45, 75):
+        power = 1 << max((-(-least // odd) - 1).bit_length(), 1)
+        best = min(best, odd * power)
+    return best
 
 
 def _kernel(z: Array) -> Array:

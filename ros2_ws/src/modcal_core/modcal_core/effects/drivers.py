@@ -95,6 +95,11 @@ class Kept:
             self._made[key] = parts, make(*parts)  # the parts themselves stay, so that no other takes their numbers
         return self._made[key][1]
 
+    def already_made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
+        """The same where it was asked for before, else None."""
+        found = self._made.get((make, *map(id, parts)))
+        return None if found is None else found[1]
+
 
 @dataclass(frozen=True)
 class Drivers:
@@ -119,6 +124,10 @@ class Drivers:
     def made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any:
         """What is made of the functions of shapes, or of what was made of them, computed once."""
         return self._kept.made_of(parts, make)
+
+    def already_made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
+        """The same where it was asked for before, else None."""
+        return self._kept.already_made_of(parts, make)
 
     def _values(self, name: str, lag: float) -> Array:
         if "," in name:

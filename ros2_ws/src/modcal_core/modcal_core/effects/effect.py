@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modcal_core.effects.drivers import Drivers, public_driver
+from modcal_core.effects.knots import Knots
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import DIRECTIONS, local_twists
@@ -206,7 +207,9 @@ def _moved(effect: Effect, drivers: Drivers) -> Iterator[Term]:
     k = place_index(effect.place, drivers.arm.chain)
     basis = drivers.basis(effect.driver, effect.lag, effect.shape)
     towards = _directions(effect.direction, drivers.arm.chain, k)
-    sizes = effect.amplitudes.reshape(len(towards), len(basis)) @ basis
+    amplitudes = effect.amplitudes.reshape(len(towards), len(basis))
+    knots = drivers.already_made_of((basis,), Knots.of)  # of curves in a fit, which asks again and again
+    sizes = amplitudes @ basis if knots is None else knots.curves(amplitudes)
     for several, size in zip(towards, sizes, strict=True):
         yield from (Term(k, direction, share * size) for direction, share in several)
 
@@ -215,7 +218,6 @@ def prior_stds(effect: Effect, drivers: Drivers) -> Array:
     """How large each value may be expected to be, (m,): wide, it only keeps what the data does not show at rest."""
     out = []
     for terms in columns(effect, drivers):
-        rms = max(float(np.sqrt(np.mean(sum(t.size**2 for t in terms)))), 1e-12)
         if effect.direction == JOINTS or effect.driver == "velocity":
             out.append(EXPECTED_DELAY)
         elif effect.direction == PAIRS:
@@ -223,6 +225,7 @@ def prior_stds(effect: Effect, drivers: Drivers) -> Array:
         elif effect.shape.kind in ("spline", "waves"):
             out.append(EXPECTED_BEND)
         else:
+            rms = max(float(np.sqrt(np.mean(sum(t.size**2 for t in terms)))), 1e-12)
             out.append((EXPECTED_LENGTH if terms[0].direction < 3 else EXPECTED_ANGLE) / rms)
     if effect.shape.kind == "until" and len(effect.amplitudes):  # a move may be of any size
         out = np.maximum(out, np.abs(effect.amplitudes).max()).tolist()

@@ -28,6 +28,8 @@ HAT = np.array(
 )
 
 _EYE = np.eye(3)
+_FIRST, _LATER = [1, 2, 0], [2, 0, 1]  # rows and columns of the odd part
+_SMALL_SINE = 0.1  # of angles whose cosine says nothing that their sine does not
 
 
 def hat(w: ArrayLike) -> Array:
@@ -80,6 +82,13 @@ def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
 
 def log(R: ArrayLike) -> Array:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), with angle in [0, π]."""
+    R = np.asarray(R, dtype=float)
+    if R.size:  # where all are small, as residuals are: the sine of the angle along its axis is the odd part
+        sine = 0.5 * (R[..., _LATER, _FIRST] - R[..., _FIRST, _LATER])
+        n = np.sqrt(np.einsum("...i,...i->...", sine, sine))
+        if n.max() < _SMALL_SINE and np.einsum("...ii->...", R).min() > 1.0:
+            safe = np.maximum(n, _LOG_SERIES_BELOW)
+            return np.asarray(sine * np.where(n < safe, 1.0 + n * n / 6.0, np.arcsin(safe) / safe)[..., None])
     q = to_quaternion(R)
     q = np.where(q[..., 3:] < 0.0, -q, q)
     v, s = q[..., :3], q[..., 3]

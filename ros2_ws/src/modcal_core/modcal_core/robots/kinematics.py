@@ -159,15 +159,20 @@ def moved_frame(axes: Array, p: Array, twist: Array) -> None:
     """Shift a frame by the first three rows of a twist (6, N) and turn it by the next three, seen from itself."""
     twist = twist[:6]
     if twist[:3].any():
-        p += np.einsum("dcn,dn->cn", axes, twist[:3])
+        for axis, size in zip(axes, twist[:3], strict=True):
+            p += axis * size
     if twist[5].any() and not twist[3:5].any():  # about the joint's axis, as most are
         c, s = np.cos(twist[5]), np.sin(twist[5])
         x, y = axes[0].copy(), axes[1].copy()
         axes[0] = c * x + s * y
         axes[1] = c * y - s * x
     elif twist[3:].any():
-        R = so3.exp(twist[3:].T)  # (N, 3, 3)
-        axes[...] = np.einsum("dcn,ndk->kcn", axes, R)
+        R = np.ascontiguousarray(so3.exp(twist[3:].T).transpose(1, 2, 0))  # (3, 3, N)
+        x, y, z = axes.copy()
+        for k, turned in enumerate(axes):
+            np.multiply(x, R[0, k], out=turned)
+            turned += y * R[1, k]
+            turned += z * R[2, k]
 
 
 def forward(chain: Chain, q: ArrayLike) -> Array:
