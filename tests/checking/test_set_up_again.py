@@ -129,10 +129,9 @@ def test_a_zero_is_named_beside_base_and_tool_that_were_set_up_again(cell: tuple
 
 
 def test_another_arm_of_the_make_is_not_explained_by_setting_up_again(cell: tuple[Recorded, Calibration]) -> None:
-    for seed in range(9, 13):
-        other = replace(record(seed, 14).samples, frames=cell[1].frames)
+    for seed, frame in ((9, "tracker"), (10, "leica")):
+        other = replace(record(seed, 14).samples, frames=(frame,))
         assert check(cell[1], other).status == "unexplained"
-        assert check(cell[1], replace(other, frames=("leica",))).status == "unexplained"
 
 
 def held(world: World, frame: str, zero: Array, rng: np.random.Generator, count: int = 14) -> Samples:

@@ -14,6 +14,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.checking.accounted import require_accounted
 from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
 from modcal_core.checking.advice import advise, noticed, same_everywhere
+from modcal_core.checking.beyond import UNTRIED, BeyondRanges, beyond_ranges
 from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
 from modcal_core.checking.looked_at import spread_out
 from modcal_core.checking.naming import named
@@ -33,6 +34,7 @@ from modcal_core.verdict.not_applied import applicable
 
 LEAST = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
+_NAMED = 4  # frames that a note has room for
 _DATES = 1.2e9  # s since 1970: 2008. No ROS recorded before
 MOST = 48  # stations of a longer recording that are looked at
 
@@ -49,7 +51,7 @@ class Checked:
     predicted by the others. joints: names, in the order of the stations' columns. station_errors: distances [m] before
     and with what changed, of every reading that was used. accuracy: how well the repaired model is known; None without.
     far_apart: how many stations far apart say as much. placed: frames that the calibration does not know, which were
-    placed by these stations.
+    placed by these stations. beyond: how many stand where the calibration was not made.
     """
 
     status: Status
@@ -71,6 +73,7 @@ class Checked:
     accuracy: RepairAccuracy | None = None
     far_apart: float = np.inf
     placed: tuple[str, ...] = ()
+    beyond: BeyondRanges | None = None
 
     @property
     def alike(self) -> bool:
@@ -92,9 +95,15 @@ class Checked:
             return f"Nothing has changed, by {seen}."
         said = " ".join(change.sentence for change in self.changes)
         if self.status == "unexplained":
-            return f"Something has changed that no single change or pair of changes explains, by {seen}." + (
-                f" Nearest: {said}" if said else ""
-            )
+            said = " ".join(c.sentence for c in self.changes if c.likely)
+            what = f"Something has changed that no single change or pair of changes explains, by {seen}."
+            if self.beyond is not None and self.beyond.mostly:
+                what = (
+                    f"The readings are not those that are expected, and no change or pair of changes explains them: "
+                    f"{self.beyond.outside} of {seen} stand beyond the joint ranges of the calibration, which may be "
+                    "what is wrong there."
+                )
+            return what + (f" Nearest: {said}" if said else "")
         return f"{said} ({seen}.)"
 
 
@@ -135,16 +144,18 @@ def checkup(
     fixed = None if found.more else repaired(calibration, found, begin.index)
     everywhere = [same_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
     N = len(found.samples)
+    beyond = beyond_ranges(calibration, begin.model, found.samples)
     changes = tuple(
-        named(change, _motions(found, i), 3 * N, same)
+        named(change, _motions(found, i), 3 * N, same, beyond)
         for i, (change, same) in enumerate(zip(found.changes, everywhere, strict=True))
     )
+    untried = any(UNTRIED in c.same_as for c in changes) or (found.more and beyond.mostly)
     used = fixed if fixed is not None else calibration
     report = evaluate(used, found.samples, rng, cell=cell)
     if fixed is not None:
         report = _each_by_the_others(report, found, begin)
     return Checked(
-        status=_status(found, everywhere),
+        status=_status(found, changes),
         changes=changes,
         chance=float(np.exp(min(0.0, -found.log_e[0]))),
         before=_size(errors(begin.model, found.samples)),
@@ -153,13 +164,13 @@ def checkup(
         stations=part.stations,
         aside=tuple(int(part.station[i]) + 1 for i in found.aside),
         noticed=noticed(found.opened, CheckState(begin.model, found.samples, begin.known), found.asked),
-        advice=advise(found, calibration, begin, everywhere),
+        advice=advise(found, calibration, begin, everywhere, untried),
         repaired=fixed,
         report=report,
         joints=samples.names,
         convention=known.undone,
         notes=(
-            *_placed_note(calibration, new),
+            *_placed_note(calibration, samples, new),
             *_notes(begin, samples, inside, part, found),
             *_dated(calibration, samples),
             *unseen_note(found.samples, calibration),
@@ -171,6 +182,7 @@ def checkup(
         ),
         far_apart=found.start.null.weight * part.stations,
         placed=new,
+        beyond=beyond,
         accuracy=None
         if fixed is None
         else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MOST),
@@ -200,13 +212,12 @@ def _where_curves_are_known(calibration: Calibration, samples: Samples) -> Sampl
     return left if left.stations >= LEAST else samples
 
 
-def _status(found: FoundChanges, everywhere: list[bool]) -> Status:
+def _status(found: FoundChanges, changes: tuple[NamedChange, ...]) -> Status:
     if found.more:
         return "unexplained"
-    if not found.changes:
+    if not changes:
         return "unchanged"
-    told = [not c.same_as or same for c, same in zip(found.changes, everywhere, strict=True)]
-    return "changed" if all(told) else "ambiguous"
+    return "changed" if all(not c.same_as or c.everywhere for c in changes) else "ambiguous"
 
 
 def _motions(found: FoundChanges, i: int) -> np.ndarray:
@@ -276,16 +287,23 @@ def _notes(
     return tuple(out)
 
 
-def _placed_note(calibration: Calibration, new: tuple[str, ...]) -> tuple[str, ...]:
-    """A sentence for frames whose place was found."""
-    if not new:
-        return ()
-    old = ", ".join(name for name in calibration.frames if name not in new)
-    which = f"Frame {new[0]} is" if len(new) == 1 else f"Frames {', '.join(new)} are"
-    return (
-        f"{which} not in the calibration, which has {old}: its place was found from these stations; a moved base "
-        "cannot be told there. Of another instrument with a target of its own, a moved tool is that target.",
-    )
+def _placed_note(calibration: Calibration, samples: Samples, new: tuple[str, ...]) -> tuple[str, ...]:
+    """Sentences for frames whose place was found."""
+    sockets = [name for name in new if samples.is_same_point(samples.frames.index(name))]
+    out = []
+    if sockets:
+        which = f"Socket {sockets[0]} is" if len(sockets) == 1 else f"{len(sockets)} sockets are"
+        out.append(f"{which} not in the calibration: where they are was found from these stations.")
+    for name in new:
+        if name not in sockets:
+            old = [known for known in calibration.frames if known not in new]
+            known = ", ".join(old[:_NAMED]) + (f" and {len(old) - _NAMED} more" if len(old) > _NAMED else "")
+            out.append(
+                f"Frame {name} is not in the calibration, which has {known}: its place was found from these stations; "
+                "a moved base cannot be told there. Of another instrument with a target of its own, a moved tool is "
+                "that target."
+            )
+    return tuple(out)
 
 
 def _dated(calibration: Calibration, samples: Samples) -> tuple[str, ...]:

@@ -9,13 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LOAD, TOOL, ZERO
+from modcal_core.checking.outcome import OF_A_GEAR
 from modcal_core.checking.search import FoundChanges
 from modcal_core.errors import BadRecording
 
 _CHANGES = (BASE, FRAME, TOOL, ZERO, GEAR, LOAD)  # not a metre or links of another length, nor readings that scatter
-# RMS, rad: six degrees, some teeth of a gear at an arm's joint. Angles that differ by more, by another amount at every
-# station, are another joint's or no angles of the arm, and a model with them repaired would be nobody's
-_OF_A_GEAR = 0.1
 
 
 def require_accounted(found: FoundChanges, doubt: BadRecording) -> None:
@@ -29,7 +27,7 @@ def require_accounted(found: FoundChanges, doubt: BadRecording) -> None:
         raise doubt
     for curve in curves:
         rms = float(np.sqrt(np.mean(curve.sizes**2)))
-        if rms > _OF_A_GEAR:
+        if rms > OF_A_GEAR:
             raise BadRecording(
                 f"angles of {curve.hypothesis.place}",
                 f"differ from those of the calibrated arm by {np.degrees(rms):.3g}° RMS, another at every station",

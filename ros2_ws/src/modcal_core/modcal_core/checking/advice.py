@@ -8,6 +8,7 @@ import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration
+from modcal_core.checking.beyond import tried_stations
 from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, CellChange
 from modcal_core.checking.known import FrozenCalibration
@@ -20,6 +21,7 @@ from modcal_core.measurements.samples import Samples
 
 STATIONS = 6  # that are proposed at a time
 _SAME = 0.0025  # of the squares: what differs by less over all recorded postures is the same motion (as plan --decide)
+_LISTED = 4  # changes that a sentence has room for
 _SURE = 1.645  # standard deviations: 95 of 100
 _SWEEP = 24  # stations that show a gear's curve: a wave of a turn or two, and some of any other
 
@@ -122,17 +124,20 @@ def _needed(k: int, n: int, log_prior: float, weight: float) -> float:
 
 
 def advise(
-    found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, everywhere: list[bool]
+    found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, everywhere: list[bool], untried: bool
 ) -> Recommendation:
-    """What to do."""
+    """What to do. untried: whether what was found may be the calibration itself, where it was not made."""
     changes = found.changes
+    if untried and len(calibration.postures):
+        said = "Measure these stations, which lie in the joint ranges that were calibrated, and check with them alone."
+        return Recommendation("add_stations", said, tried_stations(calibration))
     if found.more:
         return Recommendation(
             "calibrate_again",
             "Calibrate again: what is left after the changes above is no noise. Check first that robot, tool and "
             "instrument are those of the calibration.",
         )
-    if not changes and found.given:
+    if not changes and any(len(c.hypothesis.motions) == 6 for c in found.given):
         return Recommendation("refit_base", "Use the repaired model, which knows where the instrument stands now.")
     if not changes:
         return Recommendation("nothing", "Nothing needs to be done.")
@@ -147,7 +152,8 @@ def advise(
     for change, same in zip(changes, everywhere, strict=True):
         if change.same_as and not same and change.hypothesis.kind != NOISE:
             stations = telling_stations(change, calibration, frozen.model, found.samples)
-            rivals = " and ".join((change.judged.label, *(j.label for j in change.same_as)))
+            every = [change.judged.label, *dict.fromkeys(j.label for j in change.same_as)]
+            rivals = " and ".join(every if len(every) <= _LISTED else (*every[:_LISTED], "others"))
             said = f"Measure these {len(stations)} stations as well and check again with all: they tell {rivals} apart."
             return Recommendation("add_stations", said, stations)
     kinds = {c.hypothesis.kind for c in changes}

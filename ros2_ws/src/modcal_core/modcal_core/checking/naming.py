@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.checking.beyond import UNTRIED, BeyondRanges
 from modcal_core.checking.hypotheses import (
     BASE,
     FRAME,
@@ -21,12 +22,18 @@ from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry.so3 import Array
 
 _95 = 1.959964  # standard deviations
+_LISTED = 3  # others that a sentence has room for; check.json and the page have them all
 _SHIFTS, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
 
 
-def named(change: FittedChange, columns: Array, positions: int, everywhere: bool) -> NamedChange:
-    """The change for people. columns: motions of the readings per unit of each size (n, k), whose first ``positions``
-    rows are positions, component by component; of a curve the motion of each station's angle (n, S).
+def named(
+    change: FittedChange, columns: Array, positions: int, everywhere: bool, beyond: BeyondRanges | None = None
+) -> NamedChange:
+    """The change for people.
+
+    columns: motions of the readings per unit of each size (n, k), whose first ``positions`` rows are positions,
+    component by component; of a curve the motion of each station's angle (n, S). beyond: how many of the stations stand
+    where the calibration was not made.
     """
     h = change.hypothesis
     sizes = _sizes(change)
@@ -34,6 +41,8 @@ def named(change: FittedChange, columns: Array, positions: int, everywhere: bool
     turned = None if h.kind == NOISE or len(columns) <= positions else _turned(change, columns[positions:])
     repairable = h.kind == NOISE or bool(h.sizes)
     same_as = tuple(dict.fromkeys(j.label for j in change.same_as))
+    if beyond is not None and beyond.doubts(moved[0]):
+        same_as, everywhere = (UNTRIED, *same_as), False
     return NamedChange(
         h.kind,
         h.place,
@@ -164,7 +173,9 @@ def _sentence(
         out = f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.4g} a turn, {rms}."
     if not same_as:
         return out
-    others = " or ".join(same_as)
+    others = " or ".join(same_as[:_LISTED])
+    if len(same_as) > _LISTED:
+        others += f" or one of {len(same_as) - _LISTED} other changes"
     if everywhere:
         return (
             f"{out} It may as well be {others}: the same motion at every posture, so the repaired poses are the same."

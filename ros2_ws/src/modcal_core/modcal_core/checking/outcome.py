@@ -10,6 +10,9 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 
 Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
+# RMS, rad: six degrees, some teeth of a gear at an arm's joint. Angles that differ by more, by another amount at every
+# station, are another joint's or no angles of the arm, and a model with them repaired would be nobody's
+OF_A_GEAR = 0.1
 Action = Literal["nothing", "use_repaired", "refit_base", "add_stations", "calibrate_again", "check_instrument"]
 
 
@@ -46,6 +49,11 @@ class NamedChange:
     same_as: tuple[str, ...]
     everywhere: bool
     repairable: bool
+
+    @property
+    def likely(self) -> bool:
+        """Whether angles are off by no more than a gear can be; a curve of any course may take up anything."""
+        return all(s.name != "rms_over_stations" or s.value < 1e3 * OF_A_GEAR for s in self.sizes)
 
 
 @dataclass(frozen=True)

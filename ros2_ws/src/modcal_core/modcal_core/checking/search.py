@@ -29,7 +29,8 @@ from modcal_core.checking.evidence import (
 from modcal_core.checking.fitting import bends, fitted, taken_up
 from modcal_core.checking.hypotheses import BASE, NOISE, READING, TOOL, CellChange, hypotheses
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.checking.rivals import FittedChange, most_probable, with_rivals
+from modcal_core.checking.rivals import FittedChange, most_probable
+from modcal_core.checking.rivals import with_rivals as fitted_with_rivals
 from modcal_core.checking.sizes import SizeCovariance, with_sizes
 from modcal_core.checking.state import CheckState
 from modcal_core.checking.waves import wave_of
@@ -76,45 +77,83 @@ def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequen
     """What has changed since the model was frozen, by these samples. given: changes that are known to be the case and
     whose sizes alone are asked for.
     """
-    found = _without_wrong(model, samples, known, given, ())
-    if not found.more:
-        return found
-    moved = [h for h in found.asked if h.kind in _SET_UP]
+    plain = _without_wrong(model, samples, known, tuple(given), ())
+    best = plain
+    moved = tuple(h for h in plain.by.asked if h.kind in _SET_UP) if plain.more else ()
     while moved:
-        again = _without_wrong(model, samples, known, given, moved)
-        asked_for = [h for h in moved if _is_asked_for(again, h)]
+        again = _without_wrong(model, samples, known, tuple(given), moved)
+        asked_for = tuple(h for h in moved if again.asks_for(h))
         if len(asked_for) == len(moved):
-            return again if again.log_e[-1] < found.log_e[-1] else found
+            best = again if again.log_e[-1] < plain.log_e[-1] else plain
+            break
         moved = asked_for
-    return found
+    return best.told()
 
 
-def _is_asked_for(found: FoundChanges, moved: CellChange) -> bool:
-    """Whether the readings ask for this change beside all others that were found."""
-    change = next((c for c in found.changes if c.hypothesis.key == moved.key), None)
-    if change is None:
-        return False
-    prior = max(float(p) for h, p in zip(found.asked, log_priors(found.asked), strict=True) if h.key == moved.key)
-    return found.start.null.weight * (change.judged.log_factor + prior) > -np.log(FALSE_ALARM)
+@dataclass(frozen=True)
+class _Picked:
+    """What a search picked. by: the search. changes: as judged. fits: what is given and these, as fitted. log_e: as of
+    :class:`FoundChanges`. state: with them taken up. now: the judge of what is left. aside: samples set aside as wrong.
+    """
+
+    by: _Search
+    changes: tuple[JudgedChange, ...]
+    fits: tuple[ChangeCandidate, ...]
+    log_e: tuple[float, ...]
+    state: CheckState
+    now: ChangeJudge
+    aside: tuple[int, ...] = ()
+
+    @property
+    def more(self) -> bool:
+        """Whether this does not explain all."""
+        return self.log_e[-1] > -np.log(FALSE_ALARM)
+
+    @property
+    def wrong(self) -> int:
+        """The sample that is wrong; -1 where none is."""
+        numbers = [c.candidate.hypothesis.sample for c in self.changes]
+        return max(numbers, default=-1)
+
+    def asks_for(self, moved: CellChange) -> bool:
+        """Whether the readings ask for one of these changes beside all others."""
+        beside = self.by.beside([c for c in self.changes if c.candidate.hypothesis.key != moved.key])
+        judged, _ = _judge_all(ChangeJudge(beside.null), beside, [moved], bent=True)
+        prior = log_priors(self.by.asked)[next(i for i, h in enumerate(self.by.asked) if h.key == moved.key)]
+        return self.by.weight * (judged[0].log_factor + float(prior)) > -np.log(FALSE_ALARM)
+
+    def told(self) -> FoundChanges:
+        """The same with what explains the readings as well, and with sizes."""
+        by = self.by
+        given = [FittedChange(judged, 1.0, ()) for judged in by.fixed]
+        if self.wrong >= 0:  # more readings are wrong than are set aside: sizes are not asked
+            changes, sizes = [FittedChange(c, 1.0, ()) for c in self.changes], SizeCovariance.none(by.known)
+        else:
+            changes = [by.with_rivals(self.changes, i) for i in range(len(self.changes))]
+            every, sizes = with_sizes([*given, *changes], self.fits, self.state, by.plain.null, self.now.best)
+            given, changes = every[: len(given)], every[len(given) :]
+        return FoundChanges(
+            self.state.model, tuple(changes), self.log_e, self.aside, by.samples, by.untouched, self.now, self.state,
+            sizes, by.start, tuple(by.asked), tuple(given),
+        )  # fmt: skip
 
 
 def _without_wrong(
     model: Model,
     samples: Samples,
     known: FrozenKnowledge,
-    given: Sequence[CellChange],
-    moved: Sequence[CellChange],
-) -> FoundChanges:
-    """The search without the single readings that are wrong."""
+    given: tuple[CellChange, ...],
+    moved: tuple[CellChange, ...],
+) -> _Picked:
+    """What is picked without the single readings that are wrong."""
     rows = np.arange(len(samples))
     aside: list[int] = []
     allowed = max(1, len(samples) // 10)
     while True:
-        found = _Search(model, samples.select(rows), known, tuple(given), tuple(moved)).found()
-        wrong = next((c for c in found.changes if c.hypothesis.kind == READING), None)
-        if wrong is None or len(aside) >= allowed or len(rows) < 4:
+        found = _Search(model, samples.select(rows), known, given, moved).picked()
+        if found.wrong < 0 or len(aside) >= allowed or len(rows) < 4:
             return replace(found, aside=tuple(aside))
-        out = rows[wrong.hypothesis.sample]
+        out = rows[found.wrong]
         aside.append(int(out))
         rows = rows[rows != out]
 
@@ -182,8 +221,8 @@ class _Search:
         judged, prior = _judge_all(now, state, [h for h in self.asked if h.key not in _keys(picked)])
         return state, fits, now, e_value(judged, prior, self.weight)
 
-    def found(self) -> FoundChanges:
-        """What was found, or the first reading that is wrong."""
+    def picked(self) -> _Picked:
+        """What explains the readings, or the first of them that is wrong."""
         state, now, moved = self.begin, self.start, self._moved()
         fits: list[ChangeCandidate] = []
         if moved:
@@ -197,7 +236,7 @@ class _Search:
         if log_e[0] > -np.log(FALSE_ALARM):
             first = most_probable(judged, prior, self.weight)
             if first.candidate.hypothesis.kind == READING:  # the caller sets it aside and begins again
-                return self._told([FittedChange(first, 1.0, ())], [], log_e, state, now, None)
+                return _Picked(self, (first,), tuple(fits), tuple(log_e), state, now)
             picked = [*moved, first]
             state, fits, now, rest = self.taken(picked)
             log_e.append(rest)
@@ -219,8 +258,7 @@ class _Search:
                 if wave is not None and wave.log_factor > one.log_factor:
                     picked[i] = wave
                     state, fits, now, log_e[-1] = self.taken(picked)
-        changes = [self._with_rivals(picked, i) for i in range(len(picked))]
-        return self._told(changes, fits, log_e, state, now, now.best)
+        return _Picked(self, tuple(picked), tuple(fits), tuple(log_e), state, now)
 
     def _moved(self) -> list[JudgedChange]:
         """What is taken up first, each judged beside what is given."""
@@ -228,7 +266,7 @@ class _Search:
             return []
         return _judge_all(self.start, self.begin, self.moved, bent=True)[0]
 
-    def _with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
+    def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""
         one = picked[i]
         others = [p for j, p in enumerate(picked) if j != i]
@@ -242,27 +280,7 @@ class _Search:
                 if j.candidate.hypothesis.key == one.candidate.hypothesis.key
             ]
             every, prior = [*every, one], np.r_[prior, max(own)]
-        return with_rivals(one, every, prior, self.weight)
-
-    def _told(
-        self,
-        changes: Sequence[FittedChange],
-        fits: Sequence[ChangeCandidate],
-        log_e: Sequence[float],
-        state: CheckState,
-        now: ChangeJudge,
-        member: int | None,
-    ) -> FoundChanges:
-        """What was found. member: of the null's grid, that which suits the readings best; None: sizes are not asked."""
-        given = [FittedChange(judged, 1.0, ()) for judged in self.fixed]
-        sizes = SizeCovariance.none(self.known)
-        if member is not None:
-            every, sizes = with_sizes([*given, *changes], fits, state, self.plain.null, member)
-            given, changes = every[: len(given)], every[len(given) :]
-        return FoundChanges(
-            state.model, tuple(changes), tuple(log_e), (), self.samples, self.untouched, now, state, sizes, self.start,
-            tuple(self.asked), tuple(given),
-        )  # fmt: skip
+        return fitted_with_rivals(one, every, prior, self.weight)
 
     def _best_pair(
         self, judged: Sequence[JudgedChange], prior: Array, moved: Sequence[JudgedChange]
@@ -278,18 +296,24 @@ class _Search:
             if h.kind not in (READING, NOISE) and value > by_key.get(h.key, (-np.inf, j))[0]:
                 by_key[h.key] = (value, j)
         tried = [first for _, first in sorted(by_key.values(), key=lambda pair: -pair[0])[:_BEAM]]
+        before = ChangeJudge(self.beside(moved).null).log_null if moved else self.start.log_null
         best: tuple[list[JudgedChange], float] | None = None
         for first in tried:
-            found = self._second(first, moved)
+            found = self._second(first, moved, before)
             if best is None or found[1] > best[1]:
                 best = found
         if best is not None:  # the second may be the better beginning
-            again = self._second(best[0][1], moved)
+            again = self._second(best[0][1], moved, before)
             best = max(best, again, key=lambda pair: pair[1])
         return best
 
-    def _second(self, first: JudgedChange, moved: Sequence[JudgedChange]) -> tuple[list[JudgedChange], float]:
-        """The most probable change beside a first one, and how probable both are together."""
+    def _second(
+        self, first: JudgedChange, moved: Sequence[JudgedChange], before: float
+    ) -> tuple[list[JudgedChange], float]:
+        """The most probable change beside a first one, and how probable both are together.
+
+        before: logarithm of the probability of the readings without them.
+        """
         beside = self.beside([*moved, first])
         judge = ChangeJudge(beside.null)
         known = _keys([*moved, first])
@@ -298,11 +322,7 @@ class _Search:
         value = np.array([j.log_factor for j in judged]) + prior
         at = int(np.argmax(value))
         own = log_priors(self.asked)[next(i for i, h in enumerate(self.asked) if h is first.candidate.hypothesis)]
-        return [first, judged[at]], float(judge.log_null - self._before(moved) + value[at] + own)
-
-    def _before(self, moved: Sequence[JudgedChange]) -> float:
-        """Logarithm of the probability of the readings before either of a pair."""
-        return ChangeJudge(self.beside(moved).null).log_null if moved else self.start.log_null
+        return [first, judged[at]], float(judge.log_null - before + value[at] + own)
 
 
 def _keys(judged: Sequence[JudgedChange]) -> set[tuple[str, str]]:
