@@ -27,8 +27,9 @@ _REST = 1e-4  # rad or m: what dry friction leaves in a lead as the arm stands
 
 
 class ServoModel:
-    """Rows e = l v + c τ + b, all learned at once. compliance (m,): of each, 0 where none shows. unsure_by (m,): its
-    standard deviation.
+    """Rows e = l v + c τ + b, all learned at once.
+
+    compliance (m,): of each, 0 where none stands out. unsure_by (m,): its standard deviation.
     """
 
     def __init__(self, softest: Array, lag: float) -> None:
@@ -57,8 +58,8 @@ class ServoModel:
         left = squares - 2.0 * (x * b).sum(axis=1) + np.einsum("ni,nij,nj->n", x, A, x)
         variance = np.maximum(left, 0.0) / (self.count - 3) + FLOOR**2
         self._x, self._covariance = self._solved(A, b, _ALIKE * variance)
-        self.compliance = np.maximum(self._x[:, 1], 0.0)
         self.unsure_by = np.sqrt(self._covariance[:, 1, 1])
+        self.compliance = np.where(self._x[:, 1] > self.unsure_by, self._x[:, 1], 0.0)
         self._against[:, :3], self._against[:, 3] = -self._x, 1.0
 
     def _solved(self, A: Array, b: Array, variance: Array) -> tuple[Array, Array]:

@@ -52,7 +52,8 @@ _STEP = 1e-4  # m from one to the next
 _LEAST = 10  # of them
 # m: a tool that went on by as much was not held, for fingers yield half of it to 60 N; then the model is wrong
 _MOVED_ON = 8e-3
-_SHARE = 0.5  # of a change of the felt force that may be hidden beside it, for the model is wrong by as much at most
+_SHARE = 1.0  # of a change of the felt force that is not believed to be hidden beside it: what is learned of a servo
+# that yields by half as much as it does would show that
 _MOST = 0.4  # of max_force_n may go unfelt, for as much again comes until the arm stands
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
