@@ -37,6 +37,7 @@ _REMEMBERED = 0.5  # s of references
 _SETTLES = 3e-4  # rad or m that a reference has gone, up to which the lead is how the arm sags, and no force
 _DELAY = 0.25  # s after which a moment is learned: a jam is suspected within a tenth of that
 _CHANGED = 0.5, 0.05  # N, N m of the felt wrench: more than a usual sensor's noise, smoothed
+_NEARLY = 0.5  # of that, by which a single reading must differ before a mean is looked at
 _FASTER = 5e-3, 1e-3  # m/s of the tool, a sixth of the speed of exploration, and m that it has gone on meanwhile
 _SOFTEST = 1e-3  # rad/N m, m/N or rad/N: a compliance may be as large before it is learned
 _SURE = 2.0  # standard deviations by which a force must stand out, and is taken to be smaller than it seems to let go
@@ -48,7 +49,7 @@ _SETTLED = 0.04  # s after which leads are such as those of now are compared wit
 _BEFORE = (
     0.015  # m of the tool's way on which they lie: half a second of exploration; of an arm that stands, none is new
 )
-_STEP = 1e-4  # m from one to the next
+_STEP = 3e-4  # m from one to the next: fifty, of which a mean and a scatter are known to a tenth
 _LEAST = 10  # of them
 # m: a tool that went on by as much was not held, for fingers yield half of it to 60 N; then the model is wrong
 _MOVED_ON = 8e-3
@@ -58,7 +59,10 @@ _MOST = 0.4  # of max_force_n may go unfelt, for as much again comes until the a
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
 _WORSE = 1.5  # times the error of the other model: then it is the other one
-_IN_A_ROW = 2  # readings, for one may be late
+_RINGS = (
+    0.06  # s for which that must last: an arm that was jerked rings, and its inertia shows as a load for half of that
+)
+_AT_ONCE = 3  # readings of which the least is what a pull slows down for: one may be late
 _STAYS = 0.4  # s for which as much is likely: ten lags of a servo, in which what is no force has gone
 
 
@@ -87,14 +91,17 @@ class UnfeltForce:
         self._read: deque[tuple[float, Array, Array, Array]] = deque()  # stamp, q, lead, wrench
         self._begun: Array | None = None
         self._zero = np.zeros(joints), np.zeros(6)  # lead of the arm as it stood, and wrench
-        self._noted: tuple[Array, Array, float] | None = None  # felt wrench, twist of the tool, its way [m]
+        self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
         self._errors = np.zeros(2)  # m², of the joints' rows and of the tool's
         self._before = _Window(joints + 6)
+        self._compared = (0, 0)  # how often there was a new one, of the leads before and of the model
+        self._base = np.zeros((joints + 6, 4)), np.zeros(3), np.zeros(joints + 6)
         self._recent: deque[_Moment] = deque()  # too new to be compared with
         self._way = 0.0
         self._suspected = -math.inf
-        self._beyond = 0
+        self._likely: deque[float] = deque(maxlen=_AT_ONCE)
+        self._sure_since, self._lasts = math.inf, False
         self._little = math.inf  # s, when little was hidden
 
     def sent(self, q: Array, now: float) -> None:
@@ -106,7 +113,7 @@ class UnfeltForce:
 
     def refused(self, wrench: Array, most: float) -> BadCommand | None:
         """Why to let go: too much of ``most`` [N] is surely not felt; None where all is well."""
-        if self._beyond < _IN_A_ROW:
+        if not self._lasts:
             return None
         felt = math.sqrt(wrench[:3] @ wrench[:3])
         said = f"{felt:.0f} N are felt but the setpoint leads the tool as if {self.sure:.0f} N more were on it"
@@ -134,8 +141,13 @@ class UnfeltForce:
         if len(self._read) < 2:
             return
         older = self._reference(stamp - max((by for _, by in self._late), default=0.0))
-        self._judge(self._moment(stamp - _SPAN, J), None if older is None else older - reference, most)
-        self._note(J)
+        at = self._moment(stamp - _SPAN, J)
+        self._judge(at, None if older is None else older - reference, most)
+        if self._differs(at, _NEARLY):  # before the mean is taken, which costs more
+            mean = self._moment(-math.inf, J)
+            if self._differs(mean):
+                self._noted = mean
+                self._waiting.append(mean)
         self._learn(stamp)
 
     def _reference(self, stamp: float) -> Array | None:
@@ -163,12 +175,19 @@ class UnfeltForce:
         """What is hidden, if the newest reference is in effect and if one is that leads by more (n,)."""
         v = at.rows[self._n : self._n + 3, 0]
         self._way += math.sqrt(v @ v) * (at.stamp - self._read[-2][0])
-        maybe, self.force, self.sure = self._hidden(at, by)
-        self._beyond = self._beyond + 1 if self.sure > _MOST * most else 0
-        if self.force <= _MOST * most:
+        maybe, likely, self.sure = self._hidden(at, by)
+        self._likely.append(likely)
+        self.force = min(self._likely)
+        if self.sure <= _MOST * most:
+            self._sure_since = math.inf
+        elif math.isinf(self._sure_since):
+            self._sure_since = at.stamp
+        if likely <= _MOST * most:
             self._little = at.stamp
-        if at.stamp - self._little > _STAYS:
-            self._beyond, self.sure = _IN_A_ROW, max(self.sure, self.force)
+        stays = at.stamp - self._little > _STAYS
+        self._lasts = at.stamp - self._sure_since >= _RINGS or stays
+        if stays:
+            self.sure = max(self.sure, likely)
         self._recent.append(at)
         if maybe > _SUSPECTED * most:  # what it is compared with stays, unless the tool goes on
             self._suspected = at.stamp
@@ -185,12 +204,15 @@ class UnfeltForce:
         model, before, n = self.model, self._before, self._n
         if model.count < FEWEST or before.count < _LEAST:
             return 0.0, 0.0, 0.0
-        mean, squares, felt = before.means()
+        if self._compared != (key := (before.added, model.count)):
+            mean, squares, felt = before.means()
+            self._compared, self._base = key, (mean, felt, model.scatter(squares, mean) + FLOOR**2)
+        mean, felt, variance = self._base
         change = at.rows - mean
         left = model.left(change)[:, None]  # what is the same of both is no change
         if by is not None:
             left = np.concatenate([left, left + np.concatenate([by, at.J @ by])[:, None]], axis=1)
-        spread = np.sqrt(model.scatter(squares, mean) + model.unsure(change) + FLOOR**2)
+        spread = np.sqrt(variance + model.unsure(change))
         if (np.abs(left[:, 0]) < _STANDS_OUT * spread).all():
             return 0.0, 0.0, 0.0
         away, errors = at.felt - felt, np.sqrt(self._errors) + FLOOR
@@ -205,18 +227,17 @@ class UnfeltForce:
                     likely = maybe if size[0] > _SURE * deviation[0] else 0.0
         return maybe, likely, max(sure - followed, 0.0)
 
-    def _note(self, J: Array) -> None:
-        """Have a moment learned later, if it differs from the one before."""
-        moment, n = self._moment(-math.inf, J), self._n
-        felt, twist = -moment.rows[n:, 1], moment.rows[n:, 0]
-        if self._noted is not None:
-            off, faster = felt - self._noted[0], (twist - self._noted[1])[:3]
-            sizes = math.sqrt(off[:3] @ off[:3]), math.sqrt(off[3:] @ off[3:]), math.sqrt(faster @ faster)
-            still = sizes[2] < _FASTER[0] or self._way - self._noted[2] < _FASTER[1]
-            if sizes[0] < _CHANGED[0] and sizes[1] < _CHANGED[1] and still:
-                return
-        self._noted = felt, twist, self._way
-        self._waiting.append(moment)
+    def _differs(self, moment: _Moment, share: float = 1.0) -> bool:
+        """Whether a moment tells something that the last one which was noted does not. share: of what differs."""
+        if self._noted is None:
+            return True
+        speed, load = (moment.rows[self._n :, :2] - self._noted.rows[self._n :, :2]).T
+        if (
+            math.sqrt(load[:3] @ load[:3]) >= share * _CHANGED[0]
+            or math.sqrt(load[3:] @ load[3:]) >= share * _CHANGED[1]
+        ):
+            return True
+        return self._way - self._noted.way >= _FASTER[1] and math.sqrt(speed[:3] @ speed[:3]) >= share * _FASTER[0]
 
     def _learn(self, now: float) -> None:
         """Learn what was noted long enough ago, unless something was suspected since."""
@@ -237,9 +258,10 @@ class UnfeltForce:
 
 
 class _Window:
-    """Moments on the last of the tool's way, as sums. last: the newest of them."""
+    """Moments on the last of the tool's way, as sums. last: the newest of them. added: how many ever were."""
 
     last: _Moment
+    added = 0
 
     def __init__(self, rows: int) -> None:
         self._moments: deque[_Moment] = deque()
@@ -255,6 +277,7 @@ class _Window:
             return
         self._moments.append(moment)
         self.last = moment
+        self.added += 1
         self._sum(moment, 1.0)
         while self._moments[0].way < moment.way - _BEFORE:
             self._sum(self._moments.popleft(), -1.0)
