@@ -24,7 +24,7 @@ from modcal_core.camera.beside import BesideRows
 from modcal_core.camera.corners import POSE
 from modcal_core.camera.faults import ArmFaults
 from modcal_core.camera.places import PlacePrior
-from modcal_core.camera.stops import ALONE, SeenStops, tied
+from modcal_core.camera.stops import ALONE, SeenStops, TiedStops
 from modcal_core.geometry.so3 import Array
 
 
@@ -113,6 +113,18 @@ class Equations:
         return tuple((eq, columns, share) for (eq, columns), share in zip(every, shares, strict=True))
 
     @cached_property
+    def _tied(self) -> TiedStops | None:
+        """The stops that several cameras saw, None where there are none."""
+        seen = [
+            SeenStops(
+                eq.grams[s], eq.moved[s], np.concatenate([eq.joints[s], eq.shifts[s]], axis=2), columns, eq.stop[s]
+            )
+            for eq, columns, s in self._shared
+            if s.any()
+        ]
+        return TiedStops.of(seen, len(self.offset)) if seen else None
+
+    @cached_property
     def _total(self) -> Array:
         """Sum over all images of what no image has of its own, at noise 1: (16 + Z, 16 + Z)."""
         return np.asarray(self.grams[:, POSE:, POSE:].sum(0))
@@ -132,10 +144,6 @@ class Equations:
             first = len(out) - len(self.places.apart)
             out[first:, first:] = self.places.information(sizes.places)
         return out
-
-    def _own(self, sizes: Sizes, rows: np.ndarray) -> Array:
-        """Twists of these images by what joints and tool are off by, each of one standard deviation, (R, 6, n + 3)."""
-        return np.concatenate([sizes.joint * self.joints[rows], sizes.shift * self.shifts[rows]], axis=2)
 
     def _reduced(self, sizes: Sizes, shared: np.ndarray | None = None) -> _Reduced:
         """What the images say with these sizes. shared: images whose own twists are not integrated out, (N,) bool."""
@@ -187,14 +195,10 @@ class Equations:
             H[np.ix_(at, at)] += there.H[np.ix_(keep, keep)]
             b[at] += there.b[keep]
             cost, spread = cost + there.cost, spread + there.spread
-        if any(share.any() for *_, share in self._shared):
-            seen = [
-                SeenStops(eq.grams[s] / sizes.noise**2, eq.moved[s], eq._own(sizes, s), columns, eq.stop[s])
-                for eq, columns, s in self._shared
-                if s.any()
-            ]
-            off = tied(seen, len(self.offset))
-            H, b, cost, spread = H - off[0], b - off[1], cost - off[2], spread + off[3]
+        if self._tied is not None:
+            off = np.r_[np.full(self.joints.shape[2], sizes.joint), np.full(3, sizes.shift)]
+            taken = self._tied.taken(off, sizes.noise)
+            H, b, cost, spread = H - taken[0], b - taken[1], cost - taken[2], spread + taken[3]
         if self.beside is not None:
             variance = self.beside.variance(sizes.other)
             weighted = self.beside.J / variance[:, None]

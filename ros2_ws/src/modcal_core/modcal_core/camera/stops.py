@@ -27,8 +27,8 @@ _NEAR_S = 2.0  # s, between two images of one stop: each camera's is taken from 
 @dataclass(frozen=True)
 class SeenStops:
     """Images of one camera at stops that others saw as well. grams (R, 22 + Z, 22 + Z), moved (R, 6, K): as in the
-    equations. own: (R, 6, n + 3), twists by what joints and tool are off by, of one standard deviation. columns: where
-    each of its parameters stands among those of all, −1 for one that is not fitted. stop: number of each, (R,).
+    equations. own: (R, 6, m), twists by what joints and tool are off by, per unit. columns: where each of its
+    parameters stands among those of all, −1 for one that is not fitted. stop: number of each, (R,).
     """
 
     grams: Array
@@ -38,30 +38,48 @@ class SeenStops:
     stop: np.ndarray
 
     def rows(self) -> tuple[Array, Array]:
-        """(M − 1 (R, m, m), U by its own columns and the residual (R, m, K + 15 + Z + 1))."""
+        """(Bᵀ G_pp B (R, m, m), Bᵀ G_p by its own columns and the residual (R, m, K + 15 + Z + 1)), at noise 1."""
         to_pose = np.swapaxes(self.own, 1, 2) @ self.grams[:, :POSE]
         by_pose = to_pose[:, :, :POSE]
         return by_pose @ self.own, np.concatenate([by_pose @ self.moved, to_pose[:, :, POSE:]], axis=2)
 
 
-def tied(seen: Sequence[SeenStops], size: int) -> tuple[Array, Array, float, float]:
-    """(Uᵀ M⁻¹ U (size, size), Uᵀ M⁻¹ r (size,), rᵀ M⁻¹ r, log det M), summed over all stops of these cameras."""
-    stops = np.unique(np.concatenate([one.stop for one in seen]))
-    m = seen[0].own.shape[2]
-    M = np.zeros((len(stops), m, m)) + np.eye(m)
-    U = np.zeros((len(stops), m, size + 1))
-    for one in seen:
-        at = np.searchsorted(stops, one.stop)
-        inner, rows = one.rows()
-        keep = np.flatnonzero(one.columns >= 0)
-        M[at] += inner
-        U[at[:, None], :, one.columns[keep]] += rows[:, :, keep].transpose(0, 2, 1)
-        U[at, :, size] += rows[:, :, -1]
-    L = np.linalg.cholesky(M)
-    V = np.linalg.solve(L, U).reshape(-1, size + 1)
-    square = V.T @ V
-    log_det = 2.0 * float(np.log(np.einsum("sii->si", L)).sum())
-    return square[:size, :size], square[:size, size], float(square[size, size]), log_det
+@dataclass(frozen=True)
+class TiedStops:
+    """S stops that several cameras saw. inner: Σ Bᵀ G_pp B, (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual,
+    (S, m, size + 1). Both per unit of what is off, at noise 1.
+    """
+
+    inner: Array
+    rows: Array
+
+    @classmethod
+    def of(cls, seen: Sequence[SeenStops], size: int) -> TiedStops:
+        """The stops of these cameras. size: number of all columns."""
+        stops = np.unique(np.concatenate([one.stop for one in seen]))
+        m = seen[0].own.shape[2]
+        inner, rows = np.zeros((len(stops), m, m)), np.zeros((len(stops), m, size + 1))
+        for one in seen:
+            at = np.searchsorted(stops, one.stop)
+            own_inner, own_rows = one.rows()
+            keep = np.flatnonzero(one.columns >= 0)
+            inner[at] += own_inner
+            rows[at[:, None], :, np.r_[one.columns[keep], size]] += own_rows[:, :, np.r_[keep, -1]].transpose(0, 2, 1)
+        return cls(inner, rows)
+
+    def taken(self, off: Array, noise: float) -> tuple[Array, Array, float, float]:
+        """(Uᵀ M⁻¹ U (size, size), Uᵀ M⁻¹ r (size,), rᵀ M⁻¹ r, log det M), summed over all stops.
+
+        off: standard deviation of what is off, (m,). noise: of corners.
+        """
+        scale = off / noise
+        M = np.eye(len(off)) + scale[:, None] * self.inner * scale
+        L = np.linalg.cholesky(M)
+        to_white = np.linalg.inv(L) * (off / noise**2)
+        V = (to_white @ self.rows).reshape(-1, self.rows.shape[2])
+        square = V.T @ V
+        log_det = 2.0 * float(np.log(np.einsum("sii->si", L)).sum())
+        return square[:-1, :-1], square[:-1, -1], float(square[-1, -1]), log_det
 
 
 def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequence[Array]) -> list[np.ndarray]:
