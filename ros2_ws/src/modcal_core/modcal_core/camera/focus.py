@@ -3,6 +3,9 @@
 Each image gets a relative change of the focal length of its own, drawn from a spread that the images decide. Integrated
 out with everything else, that spread has a likelihood; the sizes of all other errors are found again with it, for a
 focus that hunts makes the images' own errors look large.
+
+A lens that bends as no parameter of the model does also makes images differ in size, by less, and as much in shape. So
+it is held against what no focus does: heights and widths that differ against each other from image to image.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ import scipy.linalg
 
 from modcal_core.camera.changes import MovedHalf, moved_half
 from modcal_core.camera.corners import POSE
-from modcal_core.camera.equations import SolvedEquations
+from modcal_core.camera.equations import Sizes, SolvedEquations
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.sizes import likeliest, usual
 from modcal_core.geometry.so3 import Array
@@ -22,6 +25,8 @@ from modcal_core.geometry.so3 import Array
 _GAIN = 20.0  # of −2 log likelihood, as of a move
 _SCREEN = 6.0  # the same at the sizes of the fit, below which they are not found again
 _SPREADS = np.geomspace(2e-4, 0.1, 28)  # relative, from what no image shows to another lens
+_LEAST = 1e-3  # relative; lenses breathe by more than that when they focus anew, and a fixed one by less as it warms
+_FOCUS, _SHAPE = np.array([1.0, 1.0]), np.array([1.0, -1.0])  # of focal lengths x and y
 
 
 @dataclass(frozen=True)
@@ -52,22 +57,33 @@ def what_changed(fit: CameraFit, arm: float | None = None) -> tuple[MovedHalf | 
 
 def unsteady_focus(fit: CameraFit, arm: float | None = None) -> UnsteadyFocus | None:
     """The spread of focal lengths among the images of a fit, None where none is beyond doubt. arm: as in the fit."""
-    if _best(fit, fit.equations.solve(fit.sizes))[0] < _SCREEN:
+    if _best(fit, fit.equations.solve(fit.sizes), _FOCUS)[0] < _SCREEN:
         return None
+    without = likeliest(fit.equations, fit.sizes, arm)
+    plain = fit.equations.solve(without).misfit() + usual(without)
+    misfit, spread = _found_again(fit, without, arm, _FOCUS)
+    if plain - misfit < _GAIN or spread < _LEAST:
+        return None
+    rival, _ = _found_again(fit, without, arm, _SHAPE)
+    return UnsteadyFocus(spread, plain - misfit) if rival - misfit >= _GAIN else None
+
+
+def _found_again(fit: CameraFit, sizes: Sizes, arm: float | None, which: Array) -> tuple[float, float]:
+    """(−2 log likelihood, spread) where focal lengths x and y differ by ``which``, with the sizes of all errors found
+    again from these.
+    """
 
     def misfit(solved: SolvedEquations) -> float:
-        return solved.misfit() - _best(fit, solved)[0]
+        return solved.misfit() - _best(fit, solved, which)[0]
 
-    without = likeliest(fit.equations, fit.sizes, arm)
-    along = likeliest(fit.equations, without, arm, misfit)
+    along = likeliest(fit.equations, sizes, arm, misfit)
     solved = fit.equations.solve(along)
-    gain = fit.equations.solve(without).misfit() + usual(without) - misfit(solved) - usual(along)
-    return UnsteadyFocus(_best(fit, solved)[1], gain) if gain >= _GAIN else None
+    return misfit(solved) + usual(along), _best(fit, solved, which)[1]
 
 
-def _best(fit: CameraFit, solved: SolvedEquations) -> tuple[float, float]:
+def _best(fit: CameraFit, solved: SolvedEquations, which: Array) -> tuple[float, float]:
     """(gain of −2 log likelihood, spread) of the likeliest spread of focal lengths, at these sizes."""
-    C, b = _by_focal(fit, solved)
+    C, b = _by_focal(fit, solved, which)
     values, vectors = np.linalg.eigh(C)
     square = (vectors.T @ b) ** 2
     inside = 1.0 + np.outer(_SPREADS**2, np.maximum(values, 0.0))
@@ -76,12 +92,12 @@ def _best(fit: CameraFit, solved: SolvedEquations) -> tuple[float, float]:
     return float(gains[best]), float(_SPREADS[best])
 
 
-def _by_focal(fit: CameraFit, solved: SolvedEquations) -> tuple[Array, Array]:
-    """(information (N, N), score (N,)) of a relative change of the focal length of each image, all else integrated
-    out.
+def _by_focal(fit: CameraFit, solved: SolvedEquations, which: Array) -> tuple[Array, Array]:
+    """(information (N, N), score (N,)) of a relative change of the focal lengths of each image, x and y by ``which``,
+    all else integrated out.
     """
     lens = slice(POSE, POSE + 2)
-    G, focal = solved.grams / solved.noise**2, fit.state.lens.values[:2]
+    G, focal = solved.grams / solved.noise**2, which * fit.state.lens.values[:2]
     row = np.einsum("f,nfk->nk", focal, G[:, lens])
     weighed = row - np.einsum("np,npq,nqk->nk", row[:, :POSE], solved.S, G[:, :POSE], optimize=True)
     own = weighed[:, lens] @ focal
