@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from camera.bodies import icosahedron
+import pytest
+from camera.bodies import Faults, body_scene, icosahedron, measured
 
 from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.images_of_cameras import begin_fit, only_seen, prepare_images
 from modcal_core.camera.misread import left_out_points
 from modcal_core.camera.views import BoardView
 from modcal_core.geometry.so3 import Array
@@ -57,3 +59,23 @@ def test_a_marker_most_of_whose_points_are_out_is_named(rng: np.random.Generator
     )
     seldom = replace(rare, marker=np.where((rare.marker == 6) & (rare.view > 5), 7, rare.marker))
     assert left_out_points([("", without(seldom, seldom.marker == 6))], BODY).open == ()
+
+
+@pytest.mark.slow
+def test_one_sighting_under_another_number_opens_no_places() -> None:
+    """Of a marker that is seen once, and that is another's: its place could be anywhere, and all others as uncertain."""
+    s = body_scene(
+        11, 60, 1, Faults(misread=0.0, late=0, arm_m=3e-4, arm_rad=6e-4), False, drawing=measured(icosahedron())
+    )
+    one = s.images[0]
+    points, counts = np.unique(np.concatenate([v.ids for v in one.views]), return_counts=True)
+    rare = int(points[counts.argmin()])
+    views = [v.select(v.ids != rare) for v in one.views]
+    at = next(i for i, v in enumerate(views) if len(v) > 3 and rare not in one.views[i].ids)
+    views[at] = replace(views[at], ids=np.r_[rare, views[at].ids[1:]])
+    (images,) = only_seen((replace(one, views=views),))
+    fit, ready = begin_fit(prepare_images(s.chain, images), None)
+    (row,) = np.flatnonzero(ready.table.ids == images.target.point(s.drawing.markers[rare // 5].id, None))
+    assert ready.table.weight[row] == 0.0
+    assert ready.table.weight.mean() > 0.98
+    assert fit.sizes.places < 2.0

@@ -9,14 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.calibration.distributions import exceeded_chi2, median_chi2
-from modcal_core.camera.corners import POSE, CornerTable, corner_rows
+from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows
 from modcal_core.camera.fit import CameraFit
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
 _TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
 _POINT = 6.0  # robust standard deviations, as of corners of a sheet: one good point in a billion
 _MOSTLY = 0.5  # of the points of an image, beyond which it is the image that is elsewhere
 _VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
+# Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
+# another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
+_FAR = 6.0
+_LEAST_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
 _SEEN = 1e-9  # of an image's information; directions below it are none that it shows
 
 
@@ -27,6 +32,36 @@ def point_weights(fit: CameraFit) -> Array:
     size = np.abs(off)
     sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
     return np.asarray((size <= _POINT * max(float(sigma), 1e-9)).all(axis=1), dtype=float)
+
+
+def far_markers(fit: CameraFit) -> np.ndarray:
+    """Markers (K,) whose place is not where any hand would have glued them, in which points in use have a part.
+
+    The body's frame is that of all its markers together, so each is held against the motion that the others show.
+    """
+    table, prior = fit.table, fit.prior.places
+    assert prior is not None
+    K, values = table.markers, table.places
+    used = np.flatnonzero(np.bincount(table.marker, table.weight, K) > 0.0)
+    out = np.zeros(K, bool)
+    if len(used) < _LEAST_MARKERS:
+        return out
+    middles = np.zeros((K, 3))
+    middles[table.marker] = table.points - table.lever
+    motion = np.zeros((K, values, 6))
+    motion[:, :3, :3] = np.eye(3)
+    motion[:, :3, 3:] = -so3.hat(middles)
+    motion[:, 3:, 3:] = np.eye(3)[: values - 3]
+    apart = prior.apart.reshape(K, values, K, values)[np.arange(K), :, np.arange(K)]
+    white = np.swapaxes(np.linalg.cholesky(apart), 1, 2)
+    off = (white @ fit.state.shape[SHAPE:].reshape(K, values, 1))[:, :, 0]
+    moved = white @ motion
+    for k in used:
+        others = used[used != k]
+        by = np.linalg.lstsq(moved[others].reshape(-1, 6), off[others].reshape(-1), rcond=None)[0]
+        size = np.sqrt(((off - moved @ by) ** 2).mean(axis=1))
+        out[k] = size[k] > _FAR * max(1.0, float(np.median(size[others])))
+    return out
 
 
 def mostly_out(table: CornerTable, out: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.camera.arm_poses import arm_poses
-from modcal_core.camera.body_clean import elsewhere, mostly_out, point_weights
+from modcal_core.camera.body_clean import elsewhere, far_markers, mostly_out, point_weights
 from modcal_core.camera.body_start import default_lens, require_order, start_of_body
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import CornerTable, residuals
@@ -85,11 +85,13 @@ def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraF
     fit.
     """
     lens, prior = ready.lens_fit.lens, ready.prior
-    ready, fit = _without_gross(ready, arm)
+    ready, fit, far = _without_gross(ready, arm)
     fit = fit_camera(ready.table, ready.poses, lens, prior, arm=arm, begin=fit.state)
     cleaned = False
     for _ in range(_CLEANED):
-        weight = point_weights(fit)
+        more = far_markers(fit) & ~far
+        far |= more
+        weight = np.where(far[ready.table.marker], 0.0, point_weights(fit))
         strange = mostly_out(ready.table, weight == 0.0)
         if (weight == ready.table.weight).all() and not strange.any():
             strange = elsewhere(fit)  # not before misread points are out, which draw their image away
@@ -100,9 +102,9 @@ def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraF
         ready = replace(ready, table=ready.table.with_weight(weight))
         if strange.any():
             ready = ready.select(~strange, _ELSEWHERE)
-        # the sizes of errors hardly change, and take most of the time
+        # the sizes of errors hardly change but for a marker that was far off, and take most of the time
         fit = fit_camera(
-            *(ready.table, ready.poses, lens, prior, fit.sizes), arm=arm, fixed_sizes=True, begin=fit.state
+            *(ready.table, ready.poses, lens, prior, fit.sizes), arm=arm, fixed_sizes=not more.any(), begin=fit.state
         )
         cleaned = True
     if cleaned:
@@ -110,17 +112,19 @@ def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraF
     return fit, ready
 
 
-def _without_gross(ready: PreparedImages, arm: float | None) -> tuple[PreparedImages, CameraFit]:
-    """(the images without what is grossly elsewhere, a fit of them with errors as large as usual): one such image would
-    make all errors look as large as its own.
+def _without_gross(ready: PreparedImages, arm: float | None) -> tuple[PreparedImages, CameraFit, np.ndarray]:
+    """(the images without what is grossly elsewhere, a fit of them with errors as large as usual, markers (K,) that are
+    far off): one such image, or marker, would make all errors look as large as its own.
     """
     begin = None
+    markers = np.zeros(ready.table.markers, bool)
     for _ in range(_CLEANED):
         fit = fit_camera(
             *(ready.table, ready.poses, ready.lens_fit.lens, ready.prior), arm=arm, fixed_sizes=True, begin=begin
         )
         begin = fit.state
-        far = _gross(fit.pixels)
+        markers |= far_markers(fit)
+        far = _gross(fit.pixels) | markers[ready.table.marker]
         strange = mostly_out(ready.table, far)
         weight = np.where(far, 0.0, 1.0)
         if (~strange).sum() < LEAST_VIEWS or (not strange.any() and (weight == ready.table.weight).all()):
@@ -128,7 +132,7 @@ def _without_gross(ready: PreparedImages, arm: float | None) -> tuple[PreparedIm
         ready = replace(ready, table=ready.table.with_weight(weight))
         if strange.any():
             ready = ready.select(~strange, _ELSEWHERE)
-    return ready, fit
+    return ready, fit, markers
 
 
 def _gross(off: Array) -> np.ndarray:
