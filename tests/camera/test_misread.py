@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from camera.bodies import Faults, body_scene, icosahedron, measured
 
-from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.images_of_cameras import begin_fit, only_seen, prepare_images
+from modcal_core.camera.body_clean import far_markers
+from modcal_core.camera.corners import SHAPE, CornerTable
+from modcal_core.camera.fit import fit_camera
+from modcal_core.camera.images_of_cameras import only_seen, prepare_images
 from modcal_core.camera.misread import left_out_points
 from modcal_core.camera.views import BoardView
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
 BODY = replace(icosahedron(), turning=True)
@@ -62,20 +65,26 @@ def test_a_marker_most_of_whose_points_are_out_is_named(rng: np.random.Generator
 
 
 @pytest.mark.slow
-def test_one_sighting_under_another_number_opens_no_places() -> None:
-    """Of a marker that is seen once, and that is another's: its place could be anywhere, and all others as uncertain."""
-    s = body_scene(
-        11, 60, 1, Faults(misread=0.0, late=0, arm_m=3e-4, arm_rad=6e-4), False, drawing=measured(icosahedron())
-    )
-    one = s.images[0]
-    points, counts = np.unique(np.concatenate([v.ids for v in one.views]), return_counts=True)
-    rare = int(points[counts.argmin()])
-    views = [v.select(v.ids != rare) for v in one.views]
-    at = next(i for i, v in enumerate(views) if len(v) > 3 and rare not in one.views[i].ids)
-    views[at] = replace(views[at], ids=np.r_[rare, views[at].ids[1:]])
-    (images,) = only_seen((replace(one, views=views),))
-    fit, ready = begin_fit(prepare_images(s.chain, images), None)
-    (row,) = np.flatnonzero(ready.table.ids == images.target.point(s.drawing.markers[rare // 5].id, None))
-    assert ready.table.weight[row] == 0.0
-    assert ready.table.weight.mean() > 0.98
-    assert fit.sizes.places < 2.0
+@pytest.mark.parametrize("corners", [False, True])
+def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
+    """The body's frame is that of all markers together: one an inch away moves all others off by millimetres."""
+    s = body_scene(11, 40, 1, Faults(misread=0.0, late=0), corners, drawing=measured(icosahedron()))
+    (images,) = only_seen((s.images[0],))
+    ready = prepare_images(s.chain, images)
+    fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fixed_sizes=True)
+    assert not far_markers(fit).any()
+    K, values = ready.table.markers, ready.table.places
+    used = np.flatnonzero(np.bincount(ready.table.marker, minlength=K) > 5)
+    places = np.zeros((K, values))
+    places[:, :3] = 3e-4 * np.random.default_rng(6).standard_normal((K, 3))
+    for off_m, far in ((3e-3, []), (0.026, [int(used[2])])):
+        there = places.copy()
+        there[used[2], 0] = off_m
+        middles = images.target.middles
+        motion = np.zeros((K, values, 6))
+        motion[:, :3, :3] = np.eye(3)
+        motion[:, :3, 3:] = -so3.hat(middles)
+        motion[:, 3:, 3:] = np.eye(3)[: values - 3]
+        by = np.linalg.lstsq(motion.reshape(-1, 6), there.ravel(), rcond=None)[0]
+        moved = replace(fit.state, shape=np.r_[fit.state.shape[:SHAPE], (there.ravel() - motion.reshape(-1, 6) @ by)])
+        assert list(np.flatnonzero(far_markers(replace(fit, state=moved)))) == far
