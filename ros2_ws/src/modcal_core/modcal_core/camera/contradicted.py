@@ -37,8 +37,9 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 # Chance of a stated value that is grossly wrong (another printer's sheet, a slip of the pen), before the images are
 # looked at: what a 95 % interval leaves out, and the odds of _GAIN.
 _WRONG = 0.05
-# The same of a sheet whose two rulers were read, and neither at its nominal length, which who does not measure states:
-# two slips that agree, as 0.05² has it, or one ruler, or sheet, that is another than was meant.
+# The same of a size that two say: of a sheet whose two rulers were read, and neither at its nominal length, which who does
+# not measure states; of a body that was measured and has the size that is drawn. It takes two slips that agree, as 0.05²
+# has it, or one ruler, sheet or body that is another than was meant.
 _READ_WRONG = 0.01
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
@@ -70,7 +71,8 @@ def doubts(
     if fit.prior.places is not None:
         wider.pop(BOW)  # which a body has none of
     weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in wider.items()]
-    before = np.array([_READ_WRONG if what == SIZE and _was_read(scale) else _WRONG for what in wider])
+    twice = _said_twice(scale, fit.prior.places is not None)
+    before = np.array([_READ_WRONG if what == SIZE and twice else _WRONG for what in wider])
     odds = before * np.array([np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
     chances = odds / (1.0 + odds.sum())
     return tuple(DoubtedStatement(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
@@ -124,10 +126,12 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
     return tuple(out)
 
 
-def _was_read(scale: PrintScale) -> bool:
-    """Whether both rulers of a sheet read something that nobody would state who has not measured them."""
+def _said_twice(scale: PrintScale, body: bool) -> bool:
+    """Whether two agree on a size: both rulers of a sheet, which read something that nobody would state who has not
+    measured them, or the drawing of a body and who measured it.
+    """
     off = np.abs(np.array([scale.x, scale.y]) - 1.0)
-    return bool(scale.measured and (off > np.sqrt(np.diag(scale.covariance))).all())
+    return bool(scale.measured and (body or (off > np.sqrt(np.diag(scale.covariance))).all()))
 
 
 def _wider(prior: CommonPrior, lens: Lens, stated: str | None) -> dict[str, CommonPrior]:

@@ -49,6 +49,7 @@ class ToolError:
 
     both_ends: whether the intervals leave out the same on either side. worse: chance that the calibrated arm is no
     better than the nominal one in the normal distribution that each is drawn from, (D,); None: of the draws themselves.
+    model: the calibrated arm's without what each image has of its own, (D,), None where that is not known apart.
     """
 
     calibrated: Array
@@ -59,14 +60,18 @@ class ToolError:
     in_doubt: tuple[str, ...] = ()
     both_ends: bool = False
     worse: Array | None = None
+    model: Array | None = None
 
     @property
     def interval(self) -> tuple[float, float, float]:
         """(median, lower, upper end of the 95 % interval) of the calibrated arm's [m].
 
-        The interval is the shortest that holds 95 %, or leaves out the same on either side.
+        The interval is the shortest that holds 95 %, or leaves out the same on either side. What each image has of its
+        own is joints that do not repeat, no error of the model, or what no parameter describes, which is one: the
+        interval holds either way.
         """
-        return self._holding(self.calibrated)
+        middle, low, high = self._holding(self.calibrated)
+        return middle, low if self.model is None else min(low, self._holding(self.model)[1]), high
 
     @property
     def nominal_interval(self) -> tuple[float, float, float]:
@@ -104,9 +109,9 @@ class ToolError:
         """What it is if all that was stated is right."""
         right = self.of < 0
         even = np.full(int(right.sum()), 1.0 / right.sum())
-        worse = None if self.worse is None else self.worse[right]
+        worse, model = (None if one is None else one[right] for one in (self.worse, self.model))
         some = (self.calibrated[right], self.nominal[right], even, self.of[right])
-        return ToolError(*some, both_ends=self.both_ends, worse=worse)
+        return ToolError(*some, both_ends=self.both_ends, worse=worse, model=model)
 
 
 def _interval(values: Array, shortest: bool) -> tuple[float, float, float]:
@@ -188,13 +193,14 @@ def tool_error(
     throw = at_flange(T, point, at.joint_motions(fit.state.values, T))
     scatter = fit.sizes.joint**2 * float((throw**2).sum() / len(q)) + 3.0 * fit.sizes.shift**2
     own = ((draws.values @ gram) * draws.values).sum(axis=1)
-    calibrated = np.sqrt(np.maximum(own, 0.0) / len(q) + scatter)
+    model = np.sqrt(np.maximum(own, 0.0) / len(q))
+    calibrated = np.hypot(model, np.sqrt(scatter))
     against = np.sqrt(np.maximum(own - 2.0 * draws.values @ cross + square, 0.0) / len(q) + scatter)
     # own ≥ against where what is drawn reaches far enough along what both arms differ by: exact where draws are few
     along, across = draws.means @ cross, np.linalg.norm(np.swapaxes(draws.roots, 1, 2) @ cross, axis=1)
     short = (0.5 * square - along) / np.maximum(across, 1e-300)
     worse = np.array([beyond_normal(float(z)) for z in short])[draws.source]
-    return ToolError(calibrated, against, draws.weight, draws.of, draws.wrong, draws.in_doubt, both_ends, worse)
+    return ToolError(calibrated, against, draws.weight, draws.of, draws.wrong, draws.in_doubt, both_ends, worse, model)
 
 
 @dataclass(frozen=True)
