@@ -144,6 +144,7 @@ def test_a_certificate_of_images(cell: tuple[Path, CameraScene], capsys: pytest.
         (["--joints", "J", "--target", "T", "--urdf", "U", "--block", "2"], "--block does not work with images."),
         (["--joints", "J", "--target", "J", "--urdf", "U"], "is not a target file"),
         (["--joints", "J", "--target", "T", "--urdf", "U"], "no column for joint"),
+        (["--joints", "J", "--target", "T", "--urdf", "D"], "is a table: give a URDF: modcal import makes one"),
     ],
 )
 def test_calls_that_cannot_be_done(
@@ -153,7 +154,8 @@ def test_calls_that_cannot_be_done(
     cv2.imwrite(str(tmp_path / "images" / "1.png"), np.zeros((48, 64), np.uint8))
     (tmp_path / "joints.csv").write_text("image,a\n1.png,0\n")
     (tmp_path / "target.yaml").write_text("{modcal_target: 1, type: chessboard, columns: 7, rows: 4, square_m: 0.03}")
-    paths = {"J": tmp_path / "joints.csv", "T": tmp_path / "target.yaml", "U": PANDA}
+    (tmp_path / "dh.csv").write_text("# convention: dh\nname,type,theta,d,a,alpha\na,revolute,0,0.1,0.3,0\n")
+    paths = {"J": tmp_path / "joints.csv", "T": tmp_path / "target.yaml", "U": PANDA, "D": tmp_path / "dh.csv"}
     given = [str(paths.get(word, word)) for word in more]
     assert run(["calibrate", "--images", str(tmp_path / "images"), *given]) == 2
     err = capsys.readouterr().err

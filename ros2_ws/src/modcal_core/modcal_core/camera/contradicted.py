@@ -37,9 +37,9 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 # Chance of a stated value that is grossly wrong (another printer's sheet, a slip of the pen), before the images are
 # looked at: what a 95 % interval leaves out, and the odds of _GAIN.
 _WRONG = 0.05
-# The same of a size that two say: of a sheet whose two rulers were read, and neither at its nominal length, which who does
-# not measure states; of a body that was measured and has the size that is drawn. It takes two slips that agree, as 0.05²
-# has it, or one ruler, sheet or body that is another than was meant.
+# The same of a size that two say: of a sheet whose two rulers were read, and neither at its nominal length, which who
+# does not measure states; of a body that was measured and has the size that is drawn. It takes two slips that agree, as
+# 0.05² has it, or one ruler, sheet or body that is another than was meant.
 _READ_WRONG = 0.01
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
