@@ -173,7 +173,7 @@ def calibrate(
         rejected=int(wrong.sum()),
         errors=left,
         effects=(
-            *findings(replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, train, scored, cell.distances),
+            *findings(replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, scored, case.known),
             *load_findings(loads, final.model, scored),
         ),
         left=diagnosis.left or (located(final, samples) if judged.status == "open" else None),
@@ -185,7 +185,7 @@ def calibrate(
         steps=steps,
         evidence=diagnosis.maps,
         model=final.model,
-        residuals=errors(final.model, samples).position_norm,
+        residuals=case.residuals.position_norm,
         wrong=wrong,
         searched=look_for_effects,
         rejection=rejection(errors(final.model, held_out), wrong, samples, sets.held_out),

@@ -117,12 +117,14 @@ def identify(
     tolerance: float = CONVERGED,
     begin: Array | None = None,
     reject: bool = True,
+    most: int | None = None,
 ) -> Fit:
     """The fit of these parameters, and of the model's effects with them, about this model, to the samples.
 
     keep_effects: leave the effects as they are. tolerance: standard deviations within which no value moves any more.
     begin: values of the parameters to begin from; zero by default. reject: give samples far outside no weight at all;
-    otherwise, where wrong ones have been left out already, they only count less.
+    otherwise, where wrong ones have been left out already, they only count less. most: iterations, where fewer than
+    usual are enough.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -135,7 +137,7 @@ def identify(
     if begin is None and not start.effects and few >= _EACH * P:
         some = samples.select(slice(None, None, len(samples) // few))
         values = _minimum(start, some, parameters, distances, limit, (), tolerance, values, rough=True).values
-    at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values)
+    at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values, most=most)
     covariance = Curvature.of(at.H).inverse()
     model = apply_deviations(start, deviations(start, parameters, at.values[:P]))
     if fitted:
@@ -177,11 +179,12 @@ def _minimum(
     tolerance: float,
     begin: Array,
     rough: bool = False,
+    most: int | None = None,
 ) -> _Minimum:
     """The least cost that is reached from these values of the parameters.
 
     limit: standard score beyond which a sample is rejected; None for least squares. rough: no more than a beginning;
-    its last step is taken without looking where it leads.
+    its last step is taken without looking where it leads. most: iterations; None for as many as a fit may need.
     """
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
@@ -199,7 +202,8 @@ def _minimum(
     curvature: Curvature | None = None
     weighed = 1.0  # all rows, when it was factored
     at = equations.residuals(values)
-    for iteration in range(1, int(MAX_ITERATIONS * (1.0 if fitted else _LONGER)) + 1):  # noqa: B007 (reported in the fit)
+    most = int(MAX_ITERATIONS * (1.0 if fitted else _LONGER)) if most is None else most
+    for iteration in range(1, most + 1):  # noqa: B007 (reported in the fit)
         weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
         row_weight = _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
         if near:

@@ -37,9 +37,10 @@ SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes
 MOST_EFFECTS = 30  # for time
 _MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
 _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
-# A fit is brought so near while searching that what its squares may still lose is this share of what an effect must
-# take from them; in the end to FITTED
-_LEFT = 1e-3
+# Standard deviations to which a fit is brought while searching; of many rows as near as leaves its squares to lose no
+# more than this share of what an effect must take from them. In the end it is FITTED
+_TOLERANCE, _LEFT = 0.05, 1e-4
+_MOST_STEPS = 15  # of such a fit: usual are three to eight, and where a wave's cycles wander for more it has none
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3  # choices in a row that did not predict, before the search ends
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
@@ -200,7 +201,8 @@ class _Search:
         self.causes: list[Cause] = list(self.known)
         self._geometric = self.fit
         rows = 3 * (len(self.train) + int(self.train.is_pose.sum()))
-        self._tolerance = float(np.sqrt(_LEFT * LEAST_GAIN * rows))  # a step of so many deviations gains its square
+        # a step of so many deviations gains its square
+        self._tolerance = max(_TOLERANCE, float(np.sqrt(_LEFT * LEAST_GAIN * rows)))
         self._stale = False  # whether the causes' own fits are those of another order
 
     def add(self, choice: EffectChoice) -> bool:
@@ -247,6 +249,7 @@ class _Search:
             tolerance=self._tolerance,
             begin=self.fit.values,
             reject=self.reject,
+            most=_MOST_STEPS,
         )
 
     def _exchange(self) -> None:

@@ -95,6 +95,12 @@ class Kept:
             self._made[key] = parts, make(*parts)  # the parts themselves stay, so that no other takes their numbers
         return self._made[key][1]
 
+    def made_as(self, name: tuple[Hashable, ...], make: Callable[[], Any]) -> Any:
+        """What is made under a name."""
+        if name not in self._made:
+            self._made[name] = (), make()
+        return self._made[name][1]
+
     def already_made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
         """The same where it was asked for before, else None."""
         found = self._made.get((make, *map(id, parts)))
@@ -124,6 +130,10 @@ class Drivers:
     def made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any:
         """What is made of the functions of shapes, or of what was made of them, computed once."""
         return self._kept.made_of(parts, make)
+
+    def made_as(self, name: tuple[Hashable, ...], make: Callable[[], Any]) -> Any:
+        """What is made of these drivers under a name, computed once."""
+        return self._kept.made_as(name, make)
 
     def already_made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
         """The same where it was asked for before, else None."""

@@ -127,12 +127,20 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
         return [[Term(i, RODS, x), *(Term(i, RODS + 1 + d, size * x) for d, size in enumerate(lengths))] for i in arms]
     if effect.driver.startswith("moment:"):  # a bearing deflects in the direction it is bent
         return [[Term(k, 3, x[0]), Term(k, 4, x[1])]]
-    basis = drivers.basis(effect.driver, effect.lag, effect.shape)
-    return [
-        [Term(k, d, phi, basis) if share == 1.0 else Term(k, d, share * phi) for d, share in towards]
-        for towards in _directions(effect.direction, chain, k)
-        for phi in basis
-    ]
+
+    def made() -> list[list[Term]]:
+        basis = drivers.basis(effect.driver, effect.lag, effect.shape)
+        return [
+            [Term(k, d, phi, basis) if share == 1.0 else Term(k, d, share * phi) for d, share in towards]
+            for towards in _directions(effect.direction, chain, k)
+            for phi in basis
+        ]
+
+    if not effect.shape.is_free:
+        return made()
+    name = "columns", k, effect.direction, effect.driver, effect.shape.kind, *sorted(effect.shape.settings.items())
+    found: list[list[Term]] = drivers.made_as(name, made)  # hundreds, which a fit asks for at every step
+    return found
 
 
 def shape_columns(effect: Effect, drivers: Drivers) -> Iterator[list[Term]]:

@@ -7,30 +7,29 @@ everything else fitted again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors, outlying
-from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
+from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.diagnosis.search import Diagnosis
 from modcal_core.effects.effect import ALL, AXIS, Effect, is_large_move, is_move
 from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.families import outliers
 from modcal_core.effects.registry import family
 from modcal_core.effects.sizes import Quantity
+from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.verdict.contributions import resampled
 
-_MOST_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
 _MOST_SEEN = 500  # samples at which the size at the tool is taken
 
 
@@ -93,21 +92,20 @@ def findings(
     shipped: Model,
     samples: Samples,
     wrong: np.ndarray,
-    train: Samples,
     scored: Samples,
-    distances: Sequence[AnyDistance] = (),
+    known: Uncertainty,
 ) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
     shipped: the model fitted to all samples, its effects in the same order. wrong: samples far from the scored fit.
-    train, scored: what the scored model was fitted to, and the held-out samples it is judged by.
+    scored: the held-out samples it is judged by. known: how well the scored fit's values are known.
     """
     groups: dict[tuple[object, ...], list[int]] = {}
     for i, effect in enumerate(shipped.effects):
         # each move is an entry of its own
         key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
         groups.setdefault(key, []).append(i)
-    known = _known_of(diagnosis.fit, train, distances) if groups and len(scored) else None
+    left = errors(diagnosis.fit.model, scored).position_norm ** 2 if groups and len(scored) else None
     few = samples.select(spread_rows(len(samples), _MOST_SEEN))
     entries = []
     for numbers in groups.values():
@@ -118,7 +116,7 @@ def findings(
             for e, c in zip(effects, causes, strict=True)
             for name in (*_link_name(e, shipped), *family(e.family).same_as(e, samples), *c.same_as)
         )
-        before, after, gain, interval = _worth(diagnosis.fit.model, known, numbers, scored)
+        before, after, gain, interval = _worth(diagnosis.fit.model, known, numbers, scored, left)
         first = effects[0]
         entries.append(
             Finding(
@@ -139,21 +137,15 @@ def findings(
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
 
-def _known_of(fit: Fit, train: Samples, distances: Sequence[AnyDistance]) -> Uncertainty:
-    """The covariance of the final fit, from a part of *train* where that is long."""
-    rows = spread_rows(len(train), _MOST_FITTED)
-    weights = fit.weights[rows] * (len(train) / max(len(rows), 1))
-    part = replace(fit, weights=weights)
-    return uncertainty(fit.model, train.select(rows), fit.parameters, part, distances)
-
-
 def _worth(
-    model: Model, known: Uncertainty | None, numbers: Sequence[int], scored: Samples
+    model: Model, known: Uncertainty, numbers: Sequence[int], scored: Samples, with_them: Array | None
 ) -> tuple[float, float, float | None, tuple[float, float] | None]:
-    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples."""
-    if known is None:
+    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples.
+
+    with_them: squares that the whole model leaves, (N,) [m²]; None where none are scored.
+    """
+    if with_them is None:
         return float("nan"), float("nan"), None, None
-    with_them = errors(model, scored).position_norm ** 2
     without_them = errors(without(model, known, numbers), scored).position_norm ** 2
     cost, interval = resampled(1e6 * (without_them - with_them), scored.station)
     return float(np.sqrt(without_them.mean())), float(np.sqrt(with_them.mean())), cost, interval
