@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -202,3 +204,16 @@ def test_a_message_that_is_cut_costs_itself(tmp_path: Path, rng: np.random.Gener
             "1 messages on /joint_states were left out: they are not of type sensor_msgs/msg/JointState."
             in recording.warnings
         )
+
+
+def test_a_few_texts_that_differ_need_no_definitions_of_types(tmp_path: Path) -> None:
+    """Which take longer to read than a small recording."""
+    kind = "std_msgs/msg/String"
+    notes = [("/modcal/notes", kind, message_class(kind)(data=text)) for text in ("a first", "another, longer", "last")]
+    path = written(tmp_path / "notes.mcap", notes)
+    same(read_bag(path), read_bag(path, layouts=False))
+    read = f"from modcal_msgs_py.mcap_read import read_bag; read_bag(pathlib.Path({str(path)!r}))"
+    ask = f"import pathlib, sys; {read}; print(*sys.modules)"
+    out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
+    assert "modcal_msgs_py.mcap_read" in out.split()
+    assert "modcal_msgs_py.types" not in out.split()
