@@ -69,8 +69,12 @@ def test_a_file_has_colours_of_its_own() -> None:
     assert ElementTree.fromstring(drawn).tag.endswith("svg")
 
 
-def test_columns_are_plain_numbers() -> None:
-    assert columns({"a": np.array([1, 2]), "b": ["x", "y"]}) == {"a": [1, 2], "b": ["x", "y"]}
+def test_columns_are_arrays_and_drawn_as_lists_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = {"a": np.array([1, 2]), "b": ["x", "y"]}
+    assert {name: column.tolist() for name, column in columns(data).items()} == {"a": [1, 2], "b": ["x", "y"]}
+    drawn = svg(_plotted(), "one")  # type: ignore[arg-type]
+    monkeypatch.setattr("modcal_core.report.plots.columns", lambda data: {k: list(v) for k, v in data.items()})
+    assert svg(_plotted(), "one") == drawn  # type: ignore[arg-type]
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
