@@ -96,11 +96,13 @@ def _whole_curve(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
     line = evidence.effects[best]
     if line.shape.is_free:
         return best
-    for i, effect in enumerate(evidence.effects):
-        if effect.shape.kind == "spline" and effect.key == line.key and allowed[i]:
+    enough = _PLAINLY_MORE * evidence.explained[best]
+    for i in np.flatnonzero(allowed & (evidence.explained > enough)).tolist():
+        effect = evidence.effects[i]
+        if effect.shape.kind == "spline" and effect.key == line.key:
             by_chance = effect.shape.size / evidence.freedom
-            if evidence.explained[i] - by_chance > _PLAINLY_MORE * evidence.explained[best]:
-                return i
+            if evidence.explained[i] - by_chance > enough:
+                return int(i)
     return best
 
 

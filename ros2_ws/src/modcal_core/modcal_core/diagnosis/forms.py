@@ -18,11 +18,12 @@ def other_forms(effect: Effect, candidates: Iterable[Effect]) -> tuple[Effect, .
     """The candidates of the same family, place and direction by another driver, where the scan sees one of the two to
     first order only; each has as many amplitudes as the effect. Empty for an effect that has one form.
     """
+    late = effect.driver == _NOT_LINEAR
     return tuple(
         other
         for other in candidates
-        if (other.family, other.place, other.direction) == (effect.family, effect.place, effect.direction)
+        if (late or other.driver == _NOT_LINEAR)
         and other.driver != effect.driver
-        and _NOT_LINEAR in (other.driver, effect.driver)
+        and (other.family, other.place, other.direction) == (effect.family, effect.place, effect.direction)
         and other.shape.size == effect.shape.size
     )
