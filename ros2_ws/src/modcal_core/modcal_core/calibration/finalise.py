@@ -13,7 +13,8 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.outermost import geometry_is_better
-from modcal_core.calibration.score import errors, typical_scatter
+from modcal_core.calibration.readmitted import uncontradicted
+from modcal_core.calibration.score import errors, outlying, typical_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.calibration.typical import driver_ranges, typical_sizes
@@ -41,13 +42,14 @@ def finalise(
     """The calibration fitted to every accepted sample, written with the least change to the nominal arm.
 
     scored: the fit whose effects it has, and which it begins from. wrong: True for samples that the score rejects,
-    (N,): they are left out, and no others; by default the fit decides. regimes: a model to begin from where base or
-    tool moved. geometry: the fit of geometry alone, from whose start all fits here begin; None: from the nominal arm's.
+    (N,): they are left out, but for those that nothing speaks against, and no others; by default the fit decides.
+    regimes: a model to begin from where base or tool moved. geometry: the fit of geometry alone, from whose start all
+    fits here begin; None: from the nominal arm's.
     """
     decided = wrong is not None
     watched = float(samples.stamps.min()), float(samples.stamps.max())
     if wrong is not None and wrong.any():
-        samples = samples.select(np.flatnonzero(~wrong))
+        samples = samples.select(~wrong | _right_after_all(scored, samples, choice, cell, wrong))
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
     begun = nominal.model if geometry is None else geometry.start
     fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
@@ -78,6 +80,23 @@ def finalise(
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
     )
+
+
+def _right_after_all(
+    scored: Fit | None, samples: Samples, choice: ParameterChoice, cell: Cell, wrong: np.ndarray
+) -> np.ndarray:
+    """True for samples that the scored fit had no others beside of, and that a fit to all of them explains, (N,).
+
+    What was held out from it may be all that there is of a place.
+    """
+    alone = np.zeros(len(wrong), bool) if scored is None else uncontradicted(scored.model, samples, wrong)
+    if scored is None or not alone.any():
+        return alone
+    start = scored.start.with_effects(sharpened(scored.model, samples).effects)
+    fit = identify(
+        start, samples.select(~wrong | alone), choice.parameters, cell.distances, begin=scored.values, reject=False
+    )
+    return alone & ~outlying(fit.model, scored.noise, samples)
 
 
 def _left(model: Model, samples: Samples) -> float:

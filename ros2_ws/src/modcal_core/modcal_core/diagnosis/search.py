@@ -15,6 +15,7 @@ import numpy as np
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.readmitted import uncontradicted
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import uncertainty
@@ -179,10 +180,24 @@ def _searched(
     if final.model.effects:
         start = fit.start.with_effects(final.model.effects)
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
-        final = search.prune(final, train)
+        final = search.prune(_with_uncontradicted(final, train, distances), train)
     effects = final.model.effects
     causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=False))
     return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
+
+
+def _with_uncontradicted(final: Fit, train: Samples, distances: Sequence[AnyDistance]) -> Fit:
+    """The fit with rejected samples taken in that nothing speaks against, if then fewer are rejected."""
+    rejected = final.weights == 0.0
+    alone = uncontradicted(final.model, train, rejected)
+    if not alone.any():
+        return final
+    start = final.start.with_effects(final.model.effects)
+    some = train.select(~rejected | alone)
+    bent = identify(start, some, final.parameters, distances, tolerance=FITTED, begin=final.values, reject=False)
+    start = final.start.with_effects(bent.model.effects)
+    again = identify(start, train, final.parameters, distances, tolerance=FITTED, begin=bent.values)
+    return again if _rejected(again) < _rejected(final) else final
 
 
 @dataclass
