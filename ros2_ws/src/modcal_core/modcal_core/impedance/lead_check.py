@@ -192,11 +192,11 @@ class LeadCheck:
         hidden, stiff = self.unfelt(tool, force, stamp, most, moved), self.stiffness.stiffest > 0.0
         if self.stuck and self._sent:
             lead = math.dist(self._sent[-1][1], tool)
-            said = (
+            repeats = (
                 f"the force sensor says {force:.0f} N to the last digit, {self._same + 1} times in a row, never more "
                 f"than {self._longest} before, while the setpoint leads the tool by {1e3 * lead:.1f} mm"
             )
-            return BadCommand("wrench", said, "check the force sensor and its driver")
+            return BadCommand("wrench", repeats, "check the force sensor and its driver")
         self._beyond = self._beyond + 1 if hidden > (_SHARE if stiff else 1.0) * most else 0
         if self._beyond < (_IN_A_ROW if stiff else 1):
             return None

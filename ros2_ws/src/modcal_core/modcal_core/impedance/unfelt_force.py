@@ -59,9 +59,7 @@ _MOST = 0.4  # of max_force_n may go unfelt, for as much again comes until the a
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
 _WORSE = 1.5  # times the error of the other model: then it is the other one
-_RINGS = (
-    0.06  # s for which that must last: an arm that was jerked rings, and its inertia shows as a load for half of that
-)
+_RINGS = 0.06  # s for which that must last: an arm that was jerked rings, and for half of that its inertia is a load
 _AT_ONCE = 3  # readings of which the least is what a pull slows down for: one may be late
 _STAYS = 0.4  # s for which as much is likely: ten lags of a servo, in which what is no force has gone
 
@@ -93,6 +91,7 @@ class UnfeltForce:
         self._zero = np.zeros(joints), np.zeros(6)  # lead of the arm as it stood, and wrench
         self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
+        self._learned = False
         self._errors = np.zeros(2)  # m², of the joints' rows and of the tool's
         self._before = _Window(joints + 6)
         self._compared = (0, 0)  # how often there was a new one, of the leads before and of the model
@@ -142,13 +141,16 @@ class UnfeltForce:
             return
         older = self._reference(stamp - max((by for _, by in self._late), default=0.0))
         at = self._moment(stamp - _SPAN, J)
-        self._judge(at, None if older is None else older - reference, most)
+        v = at.rows[self._n : self._n + 3, 0]
+        self._way += math.sqrt(v @ v) * (stamp - self._read[-2][0])
+        self._learned = self._learn(stamp) and not self._learned
+        if not self._learned:  # both together would take too long for a tick
+            self._judge(at, None if older is None else older - reference, most)
         if self._differs(at, _NEARLY):  # before the mean is taken, which costs more
             mean = self._moment(-math.inf, J)
             if self._differs(mean):
                 self._noted = mean
                 self._waiting.append(mean)
-        self._learn(stamp)
 
     def _reference(self, stamp: float) -> Array | None:
         """The newest reference (n,) that was sent by then [s]; None where none was."""
@@ -173,8 +175,6 @@ class UnfeltForce:
 
     def _judge(self, at: _Moment, by: Array | None, most: float) -> None:
         """What is hidden, if the newest reference is in effect and if one is that leads by more (n,)."""
-        v = at.rows[self._n : self._n + 3, 0]
-        self._way += math.sqrt(v @ v) * (at.stamp - self._read[-2][0])
         maybe, likely, self.sure = self._hidden(at, by)
         self._likely.append(likely)
         self.force = min(self._likely)
@@ -239,8 +239,8 @@ class UnfeltForce:
             return True
         return self._way - self._noted.way >= _FASTER[1] and math.sqrt(speed[:3] @ speed[:3]) >= share * _FASTER[0]
 
-    def _learn(self, now: float) -> None:
-        """Learn what was noted long enough ago, unless something was suspected since."""
+    def _learn(self, now: float) -> bool:
+        """Learn what was noted long enough ago, unless something was suspected since; whether there was anything."""
         learned, n = False, self._n
         while self._waiting and self._waiting[0].stamp < now - _DELAY:
             at = self._waiting.popleft()
@@ -255,6 +255,7 @@ class UnfeltForce:
             learned = True
         if learned:
             self.model.solve()
+        return learned
 
 
 class _Window:

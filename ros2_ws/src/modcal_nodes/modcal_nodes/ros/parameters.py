@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from modcal_core.planning.returns import RETURNS
-from modcal_nodes.ros import pulling_parameters
+from modcal_nodes.ros import pulling_parameters as pulling
 from modcal_nodes.ros.parameter import Parameter
 
 RECORDER = {
@@ -272,12 +272,9 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
         "target stream horizon_s timeout_s goal_timeout_s joint_speed_rad_s joint_speed_m_s tolerance_m tolerance_rad "
         "switch_step_rad blend_s rate_hz",
     ),
-    "articulation_estimator": (
-        pulling_parameters.ARTICULATION_ESTIMATOR,
-        "rate_hz model_hz timeout_s lookahead_m pull_n",
-    ),
+    "articulation_estimator": (pulling.ARTICULATION_ESTIMATOR, "rate_hz model_hz timeout_s lookahead_m pull_n"),
     "impedance_setpoint": (
-        pulling_parameters.IMPEDANCE_SETPOINT,
+        pulling.IMPEDANCE_SETPOINT,
         "mode direction goal goal_rad goal_m exploration_speed_m_s speed_m_s max_exploration_m mass damping "
         "stiffness stack_stiffness blend_s slowdown_force_n slowdown_moment_nm stop_force_n stop_moment_nm "
         "max_force_n max_moment_nm max_speed_m_s max_acceleration_m_s2 max_angular_speed_rad_s "
