@@ -50,12 +50,12 @@ class ToolForce:
         """Look at the readings of now [s]. sent: has the last setpoint. braking: time until the arm stands [s]."""
         task = self.task
         self.felt = sensor.on_tool(T, task.gravity)
-        age = max(now - joints.stamp, now - sensor.stamp)
-        self.delay = max(age, 0.0) + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
         self._leads.felt(sensor.raw, sensor.stamp)
         # a compliant stack takes no joint references; and what was felt long before the joints were read tells nothing
         if task.mode == "admittance" and sensor.stamp >= joints.stamp - _TOGETHER:
             self._unfelt.take(joints.q, joints.stamp, now, self.felt, sent.jacobian, self.limits.force)
+        age = max(now - joints.stamp, now - sensor.stamp, 0.0)
+        self.delay = age + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])
         self.size = felt + self._unfelt.force
         known = self.felt.copy()

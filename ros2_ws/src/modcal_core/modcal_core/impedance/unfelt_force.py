@@ -139,7 +139,7 @@ class UnfeltForce:
             self._read.popleft()
         if len(self._read) < 2:
             return
-        older = self._reference(stamp - max((by for _, by in self._late), default=0.0))
+        older = self._reference(stamp - max(by for _, by in self._late))
         at = self._moment(stamp - _SPAN, J)
         v = at.rows[self._n : self._n + 3, 0]
         self._way += math.sqrt(v @ v) * (stamp - self._read[-2][0])
