@@ -95,6 +95,13 @@ class CameraSolution:
     open_points: tuple[str, ...] = ()
 
     @property
+    def judged(self) -> ToolError:
+        """The error that counts: where the target is in view, with a body the arm's by itself, for fixed cameras are
+        there for the arm, wherever they stand.
+        """
+        return self.alone if self.fit.table.places and self.alone is not None else self.in_view
+
+    @property
     def model(self) -> Model:
         """The calibrated model, with the least change to the drawing that gives these kinematics."""
         return _nearest(self.fit)

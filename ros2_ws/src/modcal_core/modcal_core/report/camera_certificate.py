@@ -29,8 +29,10 @@ _SILENT_ON = (
 
 
 def camera_tolerance(solution: CameraSolution, tolerance_mm: float) -> Tolerance:
-    """Whether the calibrated arm stays within a tolerance, RMS at the tool where the target is in view."""
-    middle, low, high = (1e3 * end for end in solution.in_view.interval)
+    """Whether the calibrated arm stays within a tolerance, RMS at the tool where the target is in view, with a body the
+    arm by itself.
+    """
+    middle, low, high = (1e3 * end for end in solution.judged.interval)
     asked = Asked(tolerance_mm, "rms")
     limit = f"{tolerance_mm:g} mm"
     if low > tolerance_mm:
@@ -59,7 +61,8 @@ def camera_certificate(
     tones: dict[str, Tone] = {"PASS": "warn", "FAIL": "bad"}
     fit = solution.fit
     low, high = met.ci95
-    before = 1e3 * solution.in_view.nominal_interval[0]
+    before = 1e3 * solution.judged.nominal_interval[0]
+    where = "by itself" if solution.judged is solution.alone else "in view"
     facts = (
         ("Robot", said.robot or robot or None),
         ("Serial number", said.serial or None),
@@ -68,8 +71,8 @@ def camera_certificate(
         ("Instrument", said.instrument or f"camera of {fit.state.lens.size[0]} × {fit.state.lens.size[1]} pixels"),
         ("Target", f"{solution.target.label}; {solution.mounting.label}"),
         ("Its lengths by", "; ".join(solution.metric) or "nothing"),
-        ("Nominal arm, in view", _size(solution.in_view, calibrated=False)),
-        ("Calibrated arm, in view", _size(solution.in_view)),
+        (f"Nominal arm, {where}", _size(solution.judged, calibrated=False)),
+        (f"Calibrated arm, {where}", _size(solution.judged)),
         ("Anywhere", _size(solution.anywhere)),
         ("Advice", solution.decision.word),
         ("Volume", _volume(solution)),
