@@ -13,7 +13,7 @@ from modcal_core.camera.tool_error import ToolError
 
 APPLY, DO_NOT_APPLY, CANNOT_TELL = "apply", "do not apply", "cannot tell"
 # Chance of an arm made worse that may be taken. Few calibrations come near it: with 1 %, the chances of a hundred of
-# them add up to 0.05 arms that are made worse (40 simulated cells), with 2 % to 0.2.
+# them add up to 0.05 arms that are made worse (38 simulated cells), with 2 % to 0.1, with 5 % to 0.4.
 _WORSE = 0.01
 _WHAT_TELLS = (
     "measure the two rulers on the sheet (modcal target --measured), state the arm's accuracy (--arm-mm), "
