@@ -25,7 +25,7 @@ from modcal_core.geometry.so3 import Array
 _GAIN = 20.0  # of −2 log likelihood, as of a move
 _SCREEN = 6.0  # the same at the sizes of the fit, below which they are not found again
 _SPREADS = np.geomspace(2e-4, 0.1, 28)  # relative, from what no image shows to another lens
-_LEAST = 1e-3  # relative; lenses breathe by more than that when they focus anew, and a fixed one by less as it warms
+_LEAST = 1e-3  # relative; lenses breathe by more than that when they focus again, and a fixed one by less as it warms
 _FOCUS, _SHAPE = np.array([1.0, 1.0]), np.array([1.0, -1.0])  # of focal lengths x and y
 
 
