@@ -53,6 +53,16 @@ def test_cameras_markers_and_middles(tmp_path: Path) -> None:
     assert right.notes == ("Image 2 has a marker twice, which is left out of it.",)
 
 
+def test_rows_of_corners_that_were_not_seen(tmp_path: Path) -> None:
+    rows = "image,id,u,v\n1,3,10,20\n1,4,,\n1,5,NaN,nan\n2,3,30,40\n"
+    (found,) = read_corner_tables(*tables(tmp_path, rows), JOINTS, BOARD, {"": (100, 80)}).values()
+    assert [list(v.ids) for v in found.views] == [[3], [3]]
+    with pytest.raises(BadTable, match="line 2: holds a number that is not finite"):
+        read_corner_tables(*tables(tmp_path, "image,id,u,v\n1,4,nan,20\n"), JOINTS, BOARD, {"": (100, 80)})
+    with pytest.raises(NotEnoughData, match="holds no corner"):
+        read_corner_tables(*tables(tmp_path, "image,id,u,v\n1,4,nan,nan\n"), JOINTS, BOARD, {"": (100, 80)})
+
+
 def test_joints_may_stand_in_the_table_of_corners(tmp_path: Path) -> None:
     rows = "image,marker,u,v,a,b,width,height\n1,3,10,20,0,0.5,100,80\n1,4,10,20,0,0.5,100,80\n2,3,1,2,1,0,100,80\n"
     file, _ = tables(tmp_path, rows)

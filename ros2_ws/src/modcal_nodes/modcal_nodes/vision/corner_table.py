@@ -18,6 +18,7 @@ from modcal_nodes.vision.images import ImageFolder, JointTable, joints_of_text, 
 
 _COLUMNS = ("image", "u", "v")
 _SIGMA_PX = 0.1  # of a corner whose row has none: that of a sharp ChArUco corner
+_NOT_SEEN = ("", "nan")  # u and v of a corner that an image does not show, as tables with a row for each have it
 _LARGEST_PX = 100_000  # of a side of an image
 _REMEDY = "give columns image, id (or marker and corner), u, v, and camera and sigma where they are known"
 _MARKERS = (ARUCO_GRID, APRIL_GRID, TAG)  # sheets whose corners are those of numbered markers
@@ -46,8 +47,9 @@ def read_corner_tables(
     """The corners of a table as the views of a folder's images, by camera, in the order in which the table has these.
 
     file: CSV, its first line the columns: image, u, v [px] and id, or marker and corner (0 to 3, empty for a marker's
-    middle), and, where they are known, camera, sigma [px], width and height of the images [px]. joints, names: as of a
-    folder. sizes: of the images by camera, "" for any, where the table has none. Raises ModcalError.
+    middle), and, where they are known, camera, sigma [px], width and height of the images [px]; rows without u and v
+    (empty, or nan) are of corners that were not seen. joints, names: as of a folder. sizes: of the images by camera, ""
+    for any, where the table has none. Raises ModcalError.
     """
     source = str(file)
     rows = corners_of_text(text_of(file), target, source)
@@ -119,6 +121,8 @@ def corners_of_text(text: str, target: PrintedTarget | MarkerBundle, source: str
         where = f"{source}: line {number}"
         try:
             one = {name: cell.strip() for name, cell in zip(header, row, strict=True)}
+            if one["u"].lower() in _NOT_SEEN and one["v"].lower() in _NOT_SEEN:
+                continue
             values = float(one["u"]), float(one["v"]), float(one.get("sigma") or _SIGMA_PX)
             size = (int(one["width"]), int(one["height"])) if "width" in one and "height" in one else None
             point = _point(one, target, where)
