@@ -8,11 +8,14 @@ deflects against its load: that is what tells down from up.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
+from modcal_core.calibration.nonnegative import nonnegative
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.carried import Carried
 from modcal_core.effects.drivers import Drivers, NominalArm
@@ -24,6 +27,7 @@ from modcal_core.robots.urdf_inertias import Inertias, weightless
 
 USUAL_KG, USUAL_PLACE = 20.0, 0.15  # kg, m from the tip: what arms carry, and where, before the data say more
 _WAYS = 150  # directions that are tried, some 15° apart; the best is then refined
+_APART, _FINE = 0.13, 1e-4  # rad: half of what those lie apart, and as finely as anybody asks for
 _STARTS_KG = (0.0, 3.0)  # masses that are begun from
 _PLAIN = 3.0  # gain in units of what is left: then three quarters of what was left are these loads and no others
 _RIDGE = 1e-9  # of the largest square; loads of joints may be alike
@@ -142,13 +146,10 @@ class LoadHypothesis:
         known = missed(np.zeros(self.size))
         if known + most < worth * (total - most):
             return None
-        from scipy.optimize import minimize  # slow to import, and of most arms not asked for
-
         starts = sorted(self._starts(), key=missed)[:2]
-        found = [minimize(missed, x, method="Nelder-Mead" if self.size <= 2 else "BFGS") for x in starts]
-        best = min(found, key=lambda result: float(result.fun))
-        gain, left = known - float(best.fun), max(total + float(best.fun), 0.0)
-        return Suspicion(np.asarray(best.x), gain, left) if gain >= worth * left else None
+        least, x = min((_lowest(missed, start) for start in starts), key=lambda found: found[0])
+        gain, left = known - least, max(total + least, 0.0)
+        return Suspicion(x, gain, left) if gain >= worth * left else None
 
     def _starts(self) -> list[Array]:
         if self.tilts:
@@ -214,16 +215,30 @@ def _with(inertias: Inertias, arm: NominalArm, carried: Array) -> Inertias:
     return replace(inertias, mass=mass, com=com)
 
 
+def _lowest(missed: Callable[[Array], float], start: Array) -> tuple[float, Array]:
+    """The least that is found downhill from a start (k,), and where."""
+    if len(start) > 2:
+        from scipy.optimize import minimize  # slow to import, and of most arms not asked for
+
+        found = minimize(missed, start, method="BFGS")
+        return float(found.fun), np.asarray(found.x)
+    x, least, step = start, missed(start), _APART  # around a point, and half as far where nothing is lower
+    while step > _FINE:
+        around = [x + step * np.array(way) for way in product((-1.0, 0.0, 1.0), repeat=len(x)) if any(way)]
+        values = [missed(point) for point in around]
+        if min(values) < least:
+            least, x = min(values), around[int(np.argmin(values))]
+        else:
+            step *= 0.5
+    return least, x
+
+
 def _explained(M: Array, v: Array) -> float:
     """The most of a square that columns with these products explain without a negative share."""
-    from scipy.optimize import nnls  # slow to import
-
     unit = float(np.trace(M)) / max(len(M), 1)
     if not unit > 0.0:
         return 0.0
-    L = np.linalg.cholesky(M + _RIDGE * unit * np.eye(len(M)))
-    target = np.linalg.solve(L, v)
-    return float(target @ target - nnls(L.T, target)[1] ** 2)
+    return float(v @ nonnegative(M + _RIDGE * unit * np.eye(len(M)), v))
 
 
 def _all_explained(A: Array, v: Array) -> float:

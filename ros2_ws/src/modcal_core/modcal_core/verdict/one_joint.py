@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.linearise import RowView
+from modcal_core.calibration.nonnegative import nonnegative
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
@@ -140,9 +141,6 @@ def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Ar
 
 def _variances(products: Array, seen: Array) -> Array:
     """Variances that are not negative, by least squares over all elements of the outer products."""
-    from scipy.optimize import nnls  # slow to import
-
     size = np.sqrt(np.maximum(np.diag(products), 1e-300))
     G = products / np.outer(size, size)
-    L = np.linalg.cholesky(G + 1e-9 * np.eye(len(G)))
-    return np.asarray(nnls(L.T, np.linalg.solve(L, seen / size))[0] / size)
+    return nonnegative(G + 1e-9 * np.eye(len(G)), seen / size) / size
