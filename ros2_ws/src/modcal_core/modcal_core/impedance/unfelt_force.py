@@ -273,8 +273,11 @@ class _Window:
         return len(self._moments)
 
     def add(self, moment: _Moment) -> None:
-        """Take a moment, if the tool has gone on since the last, and forget those that are far behind."""
-        if self._moments and moment.way - self.last.way < _STEP:
+        """Take a moment, if the tool has gone on since the last, and forget those that are far behind.
+
+        The first few count as they come: what is locked is never moved, and is compared with the arm as it stood.
+        """
+        if len(self._moments) >= _LEAST and moment.way - self.last.way < _STEP:
             return
         self._moments.append(moment)
         self.last = moment
