@@ -139,7 +139,8 @@ class UnfeltForce:
             self._read.popleft()
         if len(self._read) < 2:
             return
-        older = self._reference(stamp - max(by for _, by in self._late))
+        late = max(by for _, by in self._late)
+        older = self._reference(stamp - late) if late > 0.0 else None
         at = self._moment(stamp - _SPAN, J)
         v = at.rows[self._n : self._n + 3, 0]
         self._way += math.sqrt(v @ v) * (stamp - self._read[-2][0])
@@ -209,12 +210,13 @@ class UnfeltForce:
             self._compared, self._base = key, (mean, felt, model.scatter(squares, mean) + FLOOR**2)
         mean, felt, variance = self._base
         change = at.rows - mean
-        left = model.left(change)[:, None]  # what is the same of both is no change
-        if by is not None:
-            left = np.concatenate([left, left + np.concatenate([by, at.J @ by])[:, None]], axis=1)
+        alone = model.left(change)  # what is the same of both is no change
         spread = np.sqrt(variance + model.unsure(change))
-        if (np.abs(left[:, 0]) < _STANDS_OUT * spread).all():
+        if (np.abs(alone) < _STANDS_OUT * spread).all():
             return 0.0, 0.0, 0.0
+        left = alone[:, None]
+        if by is not None:
+            left = np.stack([alone, alone + np.concatenate([by, at.J @ by])], axis=1)
         away, errors = at.felt - felt, np.sqrt(self._errors) + FLOOR
         maybe, likely, sure = 0.0, 0.0, math.inf
         followed = _SHARE * math.sqrt(away @ away)
