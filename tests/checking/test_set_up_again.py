@@ -180,6 +180,25 @@ def test_sockets_of_another_place_are_placed_and_the_arm_is_checked() -> None:
         assert not moved.any() or "zero of elbow_joint" in labels, found.sentence
 
 
+def test_beyond_the_calibrated_ranges_scatter_may_be_the_calibration(cell: tuple[Recorded, Calibration]) -> None:
+    narrow = replace(cell[1], seen=np.array([np.full(6, -0.5), np.full(6, 0.5)]))
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-2.5, 2.5, (14, 6))
+    for noise, tool, kind in ((4.0, 0.0, "tracker_noise"), (1.0, 3e-4, "tool")):
+        T = cell[0].world.tool_in_tracker(q) @ se3.exp(tool * np.array([1, 0.5, -1, 1, -1, 1]))
+        T[:, :3, 3] += noise * NOISE_M * rng.standard_normal((14, 3))
+        T[:, :3, :3] = T[:, :3, :3] @ so3.exp(noise * NOISE_RAD * rng.standard_normal((14, 3)))
+        samples = Samples.from_arrays(q, poses=T, names=ur10().names)
+        for calibration, doubted in ((cell[1], False), (narrow, kind == "tracker_noise")):
+            found = check(calibration, samples)
+            assert [c.kind for c in found.changes] == [kind], found.sentence
+            assert ("beyond the joint ranges" in found.sentence) == doubted
+            assert (found.advice.action == "add_stations") == doubted
+            if doubted:
+                assert found.status == "ambiguous"
+                assert np.isin(found.advice.stations, calibration.postures).all()
+
+
 def test_readings_that_place_no_frame_are_refused(cell: tuple[Recorded, Calibration]) -> None:
     q = np.random.default_rng(0).uniform(-2.5, 2.5, (10, 6))
     samples = Samples.from_arrays(q, poses=cell[0].world.tool_in_tracker(q), names=ur10().names, frame="wire")

@@ -41,7 +41,8 @@ def named(
     turned = None if h.kind == NOISE or len(columns) <= positions else _turned(change, columns[positions:])
     repairable = h.kind == NOISE or bool(h.sizes)
     same_as = tuple(dict.fromkeys(j.label for j in change.same_as))
-    if beyond is not None and beyond.doubts(moved[0]):
+    shapeless = h.kind == NOISE or h.curve >= 0  # what any error would look like; a move that leaves noise is a move
+    if shapeless and beyond is not None and beyond.doubts(moved[0]):
         same_as, everywhere = (UNTRIED, *same_as), False
     return NamedChange(
         h.kind,
