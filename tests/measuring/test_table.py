@@ -12,9 +12,12 @@ from cells import NOISE_M, World, ur10
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measuring.advice import Advance, Advice
 from modcal_core.measuring.entries import require_likely
+from modcal_core.measuring.refit import refit
 from modcal_core.measuring.session import MEASURED, UNSEEN, Session, Station
 from modcal_core.measuring.table import FilledTable, text_of, to_table, with_table
+from modcal_nodes.cli.measure import left_out
 
 TURNS = np.ones(2, bool)
 COUNT, TYPED = 14, 5  # stations, and the one whose reading is typed wrongly
@@ -162,3 +165,16 @@ def test_an_orientation_that_was_typed_wrongly_is_named() -> None:
     stations = tuple(Station(a).measured(b) for a, b in zip(q, se3.to_pose(T), strict=True))
     with pytest.raises(BadTable, match=rf"station {TYPED + 1}: is turned by 11\.\d°"):
         require_likely(Session(ur10().names, "pose", stations), ur10(), range(COUNT), "t")
+
+
+@pytest.mark.slow
+def test_a_reading_that_the_fit_leaves_out_is_said() -> None:
+    session = measured(lambda p: p + [0.01, 0, 0])
+    found = refit(session.samples(session.fitted), ur10(), 0, effects=False)
+    said = left_out(Advice(session, "", Advance(COUNT, COUNT, 0), refitted=found))
+    assert len(said) == 1
+    assert said[0].startswith(f"Station {TYPED + 1} is left out of the fit: its reading lies ")
+    assert 8.0 < float(said[0].partition(" mm")[0].split()[-1]) < 12.0
+    right = measured(None)
+    found = refit(right.samples(right.fitted), ur10(), 0, effects=False)
+    assert left_out(Advice(right, "", Advance(COUNT, COUNT, 0), refitted=found)) == []

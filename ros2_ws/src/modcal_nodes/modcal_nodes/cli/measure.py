@@ -12,6 +12,7 @@ import click
 import numpy as np
 from rich.console import Console
 
+from modcal_core.calibration.score import errors
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements.recording import POINT, POSE
@@ -257,7 +258,7 @@ def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch)
 def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -> None:
     """Say what to measure next."""
     session = advice.session
-    lines = [*_nothing_new(place, filled)]
+    lines = [*_nothing_new(place, filled), *left_out(advice)]
     lines.append(f"{len(session.rows())} stations measured; {_standing(advice)}".rstrip("; "))
     lines.append(f"Next: {len(session.pending)} stations ({advice.why}), in {place.path / NEXT}")
     for number in session.pending:
@@ -270,6 +271,19 @@ def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -
     )
     lines.append("none), and give the same command again.")
     tell(lines, page)
+
+
+def left_out(advice: Advice) -> list[str]:
+    """A sentence for each station whose reading the fit leaves out, for whoever can look at it again."""
+    found = advice.refitted
+    if found is None or not found.wrong.any():
+        return []
+    away = 1e3 * errors(found.calibration.calibrated, found.samples).position_norm
+    number = found.samples.station + 1
+    return [
+        f"Station {number[k]} is left out of the fit: its reading lies {away[k]:.1f} mm from the model of the others."
+        for k in np.flatnonzero(found.wrong)
+    ]
 
 
 def _nothing_new(place: Folder, filled: FilledTable) -> list[str]:
