@@ -38,7 +38,6 @@ from nodes.processes import EXECUTABLES, environment, fresh_domain, listener  # 
 
 ABOVE = 5.0  # points of a core
 LATE_MS = 50.0
-THINKS = ("articulation_estimator",)  # it weighs kinds of joints with each pose, which is no cost of hearing
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 NODES = (
     "recorder", "calibrator", "corrector", "acceleration_limits", "impedance_setpoint", "articulation_estimator",
@@ -173,7 +172,7 @@ def main() -> int:
             if asked.only in ("", each):
                 used = cost(each, asked.seconds, folder / each)
                 above = used["node"] - used["spin"]
-                broken += above > ABOVE and each not in THINKS
+                broken += above > ABOVE
                 row = [used["node"], used["spin"], used["rest"], above, used["source"]]
                 print("| " + " | ".join([each, *(f"{x:.1f}" for x in row)]) + " |", flush=True)
         if asked.only in ("", "chain"):

@@ -88,7 +88,7 @@ def test_each_millimetre_is_paid_for_and_no_pose_pays_for_its_neighbours(step: f
     for i in range(400):
         travel.stepped(step, 0.0)
         travel.come(np.array([step * i, 0.0, 0.0]), 1e-4)
-        paid.append(travel.steps_due())
+        paid.append(travel.steps_due(0.1 * i))  # slow enough for all that falls due
     assert sum(paid) >= travel.path / 1e-3 - 5
     assert max(paid) <= math.ceil(step / 1e-3)
 
@@ -98,4 +98,17 @@ def test_what_was_owed_before_there_were_enough_poses_is_paid_at_once() -> None:
     for i in range(6):
         travel.stepped(0.02, 0.0)
         travel.come(np.array([0.02 * i, 0.0, 0.0]), 1e-4)
-    assert travel.steps_due() >= 60
+    assert travel.steps_due(0.0) >= 60
+
+
+def test_an_arm_that_flies_by_costs_no_more_than_a_quick_pull() -> None:
+    """1.5 m/s, seen 200 times a second: some steps of computation a pose fall due, and are not made up for afterwards."""
+    travel, seconds = Travel(), 4.0
+    paid = []
+    for i in range(round(200 * seconds)):
+        travel.stepped(7.5e-3, 0.0)
+        travel.come(np.array([7.5e-3 * i, 0.0, 0.0]), 1e-4)
+        paid.append(travel.steps_due(i / 200))
+    assert 200 * seconds <= sum(paid) <= 260 * seconds + 60
+    rest = [travel.steps_due(seconds + i / 200) for i in range(200)]
+    assert sum(rest) <= 80

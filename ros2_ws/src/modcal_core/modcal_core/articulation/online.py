@@ -166,7 +166,7 @@ class Tracker:
             self._share.come(q, motion, self._selector.scale[0])
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
-            due = self._travel.steps_due() if self._nodes.k >= FEWEST else 0
+            due = self._travel.steps_due(stamp) if self._nodes.k >= FEWEST else 0
             for _ in range(due):
                 if self._selector.advance(self._nodes):
                     self._check.begin(*self._reached())

@@ -1,7 +1,8 @@
 """How far a handle has come, by its poses, and how many steps of computation are due for it.
 
 Evidence grows with the path, not with the number of poses on it: each centimetre gets the same number of steps, whether
-fifty poses fell on it or one. Noise is no path: only what lies beyond the last mark counts.
+fifty poses fell on it or one. Noise is no path: only what lies beyond the last mark counts. An arm that flies by is no
+handle that is pulled: in a second no more steps are made than a quick pull asks for.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ _MARK = 4e-3  # m from mark to mark
 _NOISE = 4.0  # deviations of noise on an axis from mark to mark, where that is more
 _PER_STEP = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, makes one step due at each pose
 _MOST = 60  # steps at one pose, some 40 ms: more than a whole round
+_A_SECOND = 250.0  # steps, an eighth of a processor: what a hand at 25 cm/s makes due; a faster one is learned later
 _AHEAD = 5.0  # steps that may be computed before they are due
 _LATER = round(_MARK / _PER_STEP)  # steps that may be computed a pose or some later
 _STEPS = 7  # of the last poses, whose median is the usual step
@@ -31,6 +33,7 @@ class Travel:
         self.step = (0.0, 0.0)
         self._mark: Array | None = None
         self._owed = 0.0
+        self._allowed, self._stamp = float(_MOST), -math.inf
         self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)
 
     def stepped(self, far: float, turn: float) -> None:
@@ -48,13 +51,19 @@ class Travel:
             self.path += far
             self._owed += far / _PER_STEP
 
-    def steps_due(self) -> int:
+    def steps_due(self, stamp: float) -> int:
         """How many steps of computation are due at this pose, by the path since the last; one, while few are ahead.
+
+        stamp: of the pose [s].
 
         No more than the usual motion from pose to pose makes due, where no more than from mark to mark is left over:
         what falls due at a mark is spread over the poses up to the next one.
         """
+        self._allowed = min(self._allowed + _A_SECOND * max(stamp - self._stamp, 0.0), _MOST)
+        self._stamp = stamp
         owed, usual = round(self._owed), math.ceil(self.step[0] / _PER_STEP)
-        due = min(max(min(owed, usual), owed - _LATER, int(self._owed > -_AHEAD)), _MOST)
-        self._owed = max(self._owed - due, -_AHEAD)
+        most, least = int(self._allowed), int(self._owed > -_AHEAD)
+        due = max(min(max(min(owed, usual), owed - _LATER), most), least)
+        self._allowed = max(self._allowed - due, 0.0)
+        self._owed = min(max(self._owed - due, -_AHEAD), _MOST)
         return due
