@@ -88,7 +88,7 @@ def test_a_workbook_is_no_table() -> None:
 
 
 def measured(change: Callable[[Array], Array] | None, every: bool = False) -> Session:
-    """Stations of an arm that is not as drawn, one of the readings (or every one) changed [m]."""
+    """Stations of an arm that departs from its nominal geometry, one of the readings (or every one) changed [m]."""
     world = World(ur10(), np.random.default_rng(3))
     q = np.random.default_rng(4).uniform(-2.5, 2.5, (COUNT, 6))
     p = world.tool_in_tracker(q)[:, :3, 3] + NOISE_M * np.random.default_rng(5).standard_normal((COUNT, 3))

@@ -184,7 +184,7 @@ def test_cpc_reads_an_axis_by_two_components() -> None:
     assert_same(from_cpc(two), from_cpc(table), 1e-12)
 
 
-def test_cpc_mends_an_axis_that_was_rounded() -> None:
+def test_cpc_corrects_an_axis_that_was_rounded() -> None:
     T = from_cpc({"joints": [{"name": "a"}, {"name": "b", "b": [0.2672612, -0.5345225, 0.8017837]}]}).home
     assert np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() < 1e-15
 
