@@ -11,7 +11,7 @@ from report.reports import points
 from rich.console import Console
 
 from modcal_core.report.report import Report
-from modcal_core.verdict.verdict import Verdict
+from modcal_core.verdict.verdict import Row, Verdict
 from modcal_nodes.cli.show import show_report
 
 
@@ -36,6 +36,19 @@ def test_the_account_every_reason_and_the_tolerance() -> None:
     assert "account of the squared error" in said
     assert "gear_harmonic elbow_joint" in said
     assert "CANNOT TELL: The 95th percentile is at most" in said
+
+
+def test_small_rows_of_the_account_stand_together() -> None:
+    small = tuple(Row(f"effect:gear_harmonic joint_{k}", 0.01) for k in range(5))
+    rows = (Row("geometry", 7.5), Row("effect:compliance elbow_joint", 0.5), *small)
+    said = shown(replace(points(), judged=replace(OPEN, account_mm2=rows)))
+    assert "compliance elbow_joint" in said
+    assert "gear_harmonic" not in said
+    (together,) = [line.split() for line in said.splitlines() if "5 effects of less than 1%" in line]
+    assert together[-3] == "0.05"
+    few = shown(replace(points(), judged=replace(OPEN, account_mm2=rows[:4])))
+    assert "gear_harmonic joint_1" in few
+    assert "effects of less than" not in few
 
 
 def test_a_floor_that_is_not_known_is_not_zero() -> None:

@@ -84,6 +84,30 @@ def test_a_step_and_a_curve_say_how_large_they_are() -> None:
     assert "times a turn" not in said
 
 
+def test_a_size_that_the_stations_do_not_determine_is_not_stated() -> None:
+    at = ("wrist_2_joint", AXIS, "position:wrist_2_joint")
+    loose = {"amplitude": (3.1e-3, 1.8e-3, "rad"), "cycles_per_turn": (11.9, 0.01, "1")}
+    firm = {"amplitude_2": (2.5e-4, 1e-5, "rad"), "cycles_per_turn_2": (2.0, 0.0, "1")}
+    twice = {"amplitude_twice_2": (4.0e-4, 6e-5, "rad")}
+    said = story("gear_harmonic", *at, {**loose, **firm})
+    assert "repeats 2 times a turn with 0.25 mrad; of one other these stations do not determine the size" in said
+    assert "3.1" not in said
+    said = story("gear_harmonic", *at, {**loose, **firm, **twice})
+    assert "repeats 4 times a turn with 0.4 ± 0.06 mrad, with 1 more such lines; of one other" in said
+    said = story("gear_harmonic", *at, loose)
+    assert "11.9" not in said
+    assert "mrad" not in said
+    assert "do not determine the size of any line" in said
+
+
+def test_a_rough_size_is_stated_with_its_spread() -> None:
+    at = ("elbow_joint", AXIS, "direction:elbow_joint")
+    assert "0.2 mrad of" in story("backlash", *at, {"backlash": (2e-4, 1e-5, "rad")})
+    assert "0.2 ± 0.05 mrad of" in story("backlash", *at, {"backlash": (2e-4, 5e-5, "rad")})
+    rough = {"stiffness": (2e5, 4e4, "N m/rad")}
+    assert "stiffness 2e+05 ± 4e+04 N m/rad" in story("compliance", "elbow_joint", AXIS, "load:elbow_joint", rough)
+
+
 def finding(**change: object) -> Finding:
     given = {"before": 2e-4, "after": 1e-4, "gain_mm2": 0.03, "ci95": (0.02, 0.04), "tool": 2e-4, "sampled": 199}
     return Finding(

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from modcal_core.effects.sizes import Quantity
 
+_ROUGH = 0.1  # of a size: with a standard deviation beyond, it is given with its spread
+_DETERMINED = 3.0  # standard deviations from zero: below, the recording does not tell a size from none
+
 
 @dataclass(frozen=True)
 class ReportEntry:
@@ -27,9 +30,14 @@ class ReportEntry:
         return self.driver.replace(":", " of ")
 
     def thousandths(self, name: str) -> str:
-        """A size in millimetres, or whatever its unit is thousand times smaller."""
-        value, _, unit = self.sizes[name]
-        return f"{1e3 * value:.3g} m{unit}"
+        """A size in millimetres, or whatever its unit is thousand times smaller, with its spread where it is rough."""
+        value, std, unit = self.sizes[name]
+        return in_words((1e3 * value, 1e3 * std, f"m{unit}"))
+
+    def determined(self, name: str) -> bool:
+        """Whether the size is three of its standard deviations from zero, so that it may be stated."""
+        value, std, _ = self.sizes[name]
+        return abs(value) > _DETERMINED * std
 
     @property
     def total(self) -> str:
@@ -41,6 +49,13 @@ class ReportEntry:
             if total:
                 out.append(f"{1e3 * total:.3g} m{parts[0][2]}")
         return " and ".join(out) or "nothing that was recorded"
+
+
+def in_words(quantity: Quantity) -> str:
+    """A size with its unit, and ± one standard deviation where that is more than a tenth of it."""
+    value, std, unit = quantity
+    spread = f" ± {std:.2g}" if std > _ROUGH * abs(value) else ""
+    return f"{value:.3g}{spread} {unit}"
 
 
 def unnamed(entry: ReportEntry) -> str:

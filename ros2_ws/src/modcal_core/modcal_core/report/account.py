@@ -34,6 +34,7 @@ _MIN_DECADE = 1e-6  # of the largest row; smaller ones are drawn as this
 class Line:
     """A row of the account in words. share: of the nominal model's squared error. rms: root of the value, with the
     value's sign. ci95: the interval of the value. known: False for a part of the floor where that is not known.
+    effect: whether it is what an effect explains.
     """
 
     words: str
@@ -43,6 +44,7 @@ class Line:
     rms: float
     ci95: tuple[float, float] | None
     known: bool
+    effect: bool
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,10 @@ def in_words(what: str) -> str:
 
 def _line(row: Row, total: float, known: bool) -> Line:
     value = 0.0 if abs(row.value) < _ROUNDING * total else row.value
-    colour = AFTER if row.what.startswith(EFFECT) else _WORDS.get(row.what, ("", SOFT))[1]
+    effect = row.what.startswith(EFFECT)
+    colour = AFTER if effect else _WORDS.get(row.what, ("", SOFT))[1]
     rms = float(np.copysign(np.sqrt(abs(value)), value))
-    return Line(in_words(row.what), colour, value, value / max(total, 1e-300), rms, row.ci95, known)
+    return Line(in_words(row.what), colour, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
 
 
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:

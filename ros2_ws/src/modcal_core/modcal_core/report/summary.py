@@ -27,6 +27,8 @@ _EFFECTS = {
     "RMS": "held-out error without the effect and with it",
 }
 _SHARES = {"share": "of the squared error of the nominal model"}
+_SMALL, _MANY = 0.01, 3  # effects with less than this share stand in one row where there are so many; all are in files
+_TOGETHER = f"{{}} effects of less than {_SMALL:.0%} each, in report.json"
 _RESULTS: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
 
 
@@ -98,12 +100,18 @@ def legend(meanings: Mapping[str, str]) -> SummaryLine:
 
 
 def _account(one: Account) -> SummaryTable:
-    """Contributions to the squared error of the nominal model."""
+    """Contributions to the squared error of the nominal model, many small ones of effects as one row."""
+    small = [line for line in one.lines if line.effect and abs(line.share) < _SMALL]
+    together = small if len(small) >= _MANY else []
     rows = []
     for line in one.lines:
         ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"
         numbers = (f"{line.value:.4g}", ends, f"{100.0 * line.share:.2f} %") if line.known else ("not known", "", "")
-        rows.append((line.words, *numbers))
+        if line not in together:
+            rows.append((line.words, *numbers))
+        elif line is together[-1]:
+            value, share = sum(each.value for each in together), sum(each.share for each in together)
+            rows.append((_TOGETHER.format(len(together)), f"{value:.4g}", "", f"{100.0 * share:.2f} %"))
     rows.append(("nominal model", f"{one.total:.4g}", "", ""))
     return SummaryTable(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
 

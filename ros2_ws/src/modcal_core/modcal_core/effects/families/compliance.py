@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.entry import ReportEntry, in_words
 from modcal_core.effects.family import Family, complexity_of_joint
 from modcal_core.effects.observable import carried_signals, loads, varies
 from modcal_core.effects.shapes import Shape
@@ -115,8 +115,7 @@ def sentence(entry: ReportEntry) -> str:
             "exerts; the description states no masses, so no stiffness is known"
         )
     what = f"{entry.place}'s bearing or column tilts" if entry.direction == ACROSS else f"{entry.place} deflects"
-    stiffness, _, unit = entry.sizes.get("stiffness", (float("inf"), 0.0, "N m/rad"))
-    return f"{what} under load, stiffness {stiffness:.3g} {unit}"
+    return f"{what} under load, stiffness {in_words(entry.sizes.get('stiffness', (float('inf'), 0.0, 'N m/rad')))}"
 
 
 FAMILY = Family(NAME, candidates, complexity=complexity_of_joint, sizes=sizes, sentence=sentence)

@@ -70,18 +70,41 @@ def complexity(effect: Effect) -> int:
 
 
 def sentence(entry: ReportEntry) -> str:
-    """How often a turn and how much, or the RMS of a curve and its rhythm where it has one."""
+    """How often a turn and how much by its largest line that is determined, or the RMS of a curve and its rhythm."""
     sizes = entry.sizes
     if "amplitude" in sizes:
-        lines = sum(name.startswith("cycles_per_turn") for name in sizes)
-        more = f", with {lines - 1} more such lines" if lines > 1 else ""
-        cycles = sizes["cycles_per_turn"][0]
-        size = entry.thousandths("amplitude")
-        return f"{entry.place}'s gear or encoder error repeats {cycles:.4g} times a turn with {size}{more}"
+        return _lines_in_words(entry)
     said = f"{entry.place} has an error of {entry.thousandths('amplitude_rms')} RMS"
     if "cycles_per_turn" in sizes:
         return f"{said} that repeats about {sizes['cycles_per_turn'][0]:.3g} times a turn"
     return f"{said}, a curve over the joint's position"
+
+
+def _lines_in_words(entry: ReportEntry) -> str:
+    """The largest line whose size is determined. Two lines close to each other, or one that is hardly shorter than the
+    joint's range, may be of any size against what else the model has: such a size is no fact of the gear.
+    """
+    lines = dict(_lines(entry))
+    firm = [name for name in lines if entry.determined(name)]
+    error = f"{entry.place}'s gear or encoder error"
+    if not firm:
+        return f"{error} varies with the joint's position; these stations do not determine the size of any line of it"
+    largest = max(firm, key=lambda name: entry.sizes[name][0])
+    more = f", with {len(firm) - 1} more such lines" if len(firm) > 1 else ""
+    loose = len(lines) - len(firm)
+    which = "one other" if loose == 1 else f"{loose} others"
+    others = f"; of {which} these stations do not determine the size" if loose else ""
+    return f"{error} repeats {lines[largest]:.4g} times a turn with {entry.thousandths(largest)}{more}{others}"
+
+
+def _lines(entry: ReportEntry) -> Iterator[tuple[str, float]]:
+    """Names of all amplitudes, with how often a turn each repeats."""
+    for name, (cycles, _, _) in entry.sizes.items():
+        if name.startswith("cycles_per_turn"):
+            end = name.removeprefix("cycles_per_turn")
+            for which, factor in (("amplitude", 1.0), ("amplitude_twice", 2.0)):
+                if f"{which}{end}" in entry.sizes:
+                    yield f"{which}{end}", factor * cycles
 
 
 def _wave(joint: str, kind: str, cycles: float) -> Effect:
