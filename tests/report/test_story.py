@@ -81,6 +81,7 @@ def test_a_step_and_a_curve_say_how_large_they_are() -> None:
     )  # fmt: skip
     said = story("gear_harmonic", "elbow_joint", AXIS, "position:elbow_joint", curve)
     assert said.endswith("a curve over the joint's position")
+    assert "±" not in said
     assert "times a turn" not in said
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.entry import ReportEntry, in_words
 from modcal_core.effects.family import USUAL, Family, complexity_of_joint
 from modcal_core.effects.observable import moving_joints
 from modcal_core.effects.shapes import WHOLE_CYCLES, Shape
@@ -74,7 +74,8 @@ def sentence(entry: ReportEntry) -> str:
     sizes = entry.sizes
     if "amplitude" in sizes:
         return _lines_in_words(entry)
-    said = f"{entry.place} has an error of {entry.thousandths('amplitude_rms')} RMS"
+    size, _, unit = sizes["amplitude_rms"]  # its deviation is that of single points, not of their RMS
+    said = f"{entry.place} has an error of {in_words((1e3 * size, 0.0, f'm{unit}'))} RMS"
     if "cycles_per_turn" in sizes:
         return f"{said} that repeats about {sizes['cycles_per_turn'][0]:.3g} times a turn"
     return f"{said}, a curve over the joint's position"
