@@ -141,6 +141,43 @@ def test_a_pose_that_was_computed_from_the_joints_is_asked(tmp_path: Path, rng: 
 
 
 @pytest.mark.slow
+def goals(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Joints, places that were reached [mm], goals as a controller rounds them [mm], and the joints' columns."""
+    q, T = poses(rng)
+    reached = 1e3 * T[:, :3, 3]
+    goal = np.round(1e3 * (BASE @ forward(CHAIN, q) @ TOOL)[:, :3, 3], 1)
+    return q, reached, goal, {name: q[:, k] for k, name in enumerate(CHAIN.names)}
+
+
+@pytest.mark.parametrize(("names", "key"), [("x_dif y_dif z_dif", "minus"), ("dX dY dZ", "plus")])
+def test_a_goal_and_a_deviation_are_a_reading_whose_sign_is_asked(
+    names: str, key: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    q, reached, goal, joints = goals(rng)
+    sign = 1.0 if key == "plus" else -1.0
+    columns = {**named("x_t y_t z_t", goal), **named(names, sign * (reached - goal)), **joints}
+    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    (asked,) = made.open
+    assert f"what was reached is x_t, y_t, z_t minus {', '.join(names.split())}, or plus it" in asked
+    mapping = {name: value for name, value in made.mapping.items() if name != "undecided"}
+    point = mapping["tables"][0]["point"]
+    point[key] = point.pop("minus")
+    recording = import_tables(mapping, tmp_path, "m")
+    assert np.abs(recording.joints[0].position - q).max() < 1e-6
+    assert 1e3 * recording.readings[0].values == pytest.approx(reached, abs=1e-4)
+
+
+def test_a_deviation_beside_what_was_reached_changes_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+    _, reached, goal, joints = goals(rng)
+    columns = {**named("X Y Z", reached), **named("err_x err_y err_z", reached - goal), **joints}
+    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    assert not made.open
+    (entry,) = made.mapping["tables"]
+    assert entry["point"]["position"] == ["X", "Y", "Z"]
+    assert not {"plus", "minus"} & set(entry["point"])
+    assert any("not used: err_x, err_y, err_z" in said for said in made.assumed)
+
+
 def test_labels_that_contradict_the_arm_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
     q, T = poses(rng)
     columns = {

@@ -79,6 +79,10 @@ def test_other_conventions(folder: Path) -> None:
     assert np.abs(T @ expected - np.eye(4)).max() < 1e-14
     point = {"frame": "t", "unit": "m", "position": ["x", "y", "z"]}
     assert import_tables(mapping(pose=None, point=point), folder, "m").readings[0].values[0, 0] == 1000.5
+    twice = import_tables(mapping(pose=None, point={**point, "plus": ["x", "y", "z"]}), folder, "m")
+    assert twice.readings[0].values[0, 0] == 2001.0
+    none = import_tables(mapping(pose=None, point={**point, "minus": ["x", "y", "z"]}), folder, "m")
+    assert not none.readings[0].values.any()
     socket = import_tables(mapping(pose=None, same_point={"frame": "s"}), folder, "m").readings[0]
     assert (socket.kind, socket.values.any()) == ("point", False)
     order = import_tables(mapping(time={"order": {"period_s": 10.0}}), folder, "m")
@@ -94,6 +98,13 @@ def test_other_conventions(folder: Path) -> None:
         ({"joints": {"unit": "rad", "columns": {"a": "j9"}}}, "cubes.csv: has no column j9: columns are time, j1"),
         ({"joints": {"unit": "rad", "columns": {"a": "time", "b": "note"}}}, "has no column note"),
         ({"pose": {"frame": "t", "unit": "mm", "position": ["x", "y", "z"]}}, "angle convention is not stated"),
+        (
+            {
+                "pose": None,
+                "point": {"frame": "t", "unit": "m", **{k: ["x", "y", "z"] for k in ("position", "plus", "minus")}},
+            },
+            "point: plus and minus are both stated",
+        ),
         ({"pose": None}, "0 of pose, point and same_point"),
         ({"files": "*.txt"}, "matches no file"),
         ({"time": {"column": "time", "format": "%d.%m.%Y"}}, "line 2, column time: '20240101120000' is not"),

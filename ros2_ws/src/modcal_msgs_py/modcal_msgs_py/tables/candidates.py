@@ -85,6 +85,7 @@ class Body:
     """Columns that may be a pose, or a point where turned is None. computed: its labels sound like a controller's.
 
     points: names and columns of the targets of one body, whose pose they are together; position is the first then.
+    away: columns of a deviation that is added to the position times sign, 1 or -1; none of most.
     """
 
     position: tuple[int, int, int]
@@ -92,6 +93,8 @@ class Body:
     named: bool
     computed: bool = False
     points: tuple[tuple[str, tuple[int, int, int]], ...] = ()
+    away: tuple[int, ...] = ()
+    sign: float = 1.0
 
     @property
     def posed(self) -> bool:

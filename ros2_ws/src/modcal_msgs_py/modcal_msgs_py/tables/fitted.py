@@ -73,7 +73,7 @@ class Fitted:
     def columns(self) -> tuple[int, ...]:
         """Columns of the readings."""
         of_points = tuple(k for _, triple in self.body.points for k in triple)
-        return of_points or (*self.body.position, *(self.body.turned or ()))
+        return of_points or (*self.body.position, *(self.body.turned or ()), *self.body.away)
 
     def entry(self, numbers: Numbers) -> dict[str, Any]:
         """The readings as a mapping states them: pose, point or targets."""
@@ -83,6 +83,8 @@ class Fitted:
             reading["points"] = {name: [numbers.key(k) for k in triple] for name, triple in self.body.points}
             return {"targets": reading}
         reading["position"] = [numbers.key(k) for k in self.body.position]
+        if self.body.away:
+            reading["plus" if self.body.sign > 0.0 else "minus"] = [numbers.key(k) for k in self.body.away]
         if meaning.turning is None:
             return {"point": reading}
         assert self.body.turned is not None
@@ -104,6 +106,8 @@ class Fitted:
         direction = "the tracker in the tool (inverse)" if best.meaning.inverse else "the tool in the tracker"
         if best.meaning.turning is None:
             direction = "points of the tool in the tracker"
+            if self.body.away:
+                direction += f", {sum_in_words(numbers, self.body)}"
         joints = self.choice.angle if np.any(chain.revolute) else self.choice.length
         said = "; ".join((turning_words(numbers, self.body, best), direction, _positions(best)))
         rows = f"the nominal arm misses {len(self.rows)} rows by {missed(best)} (median)"
@@ -113,6 +117,12 @@ class Fitted:
             instead = "; ".join(f"{two} instead of {one}" for one, two in pairs)
             out.append(f"second best, {worse(best, other)}: {instead}")
         return out
+
+
+def sum_in_words(numbers: Numbers, body: Body) -> str:
+    """Columns of a position and of the deviation that is added to it: ``X, Y, Z minus dx, dy, dz``."""
+    position, away = (", ".join(numbers.shown(k) for k in columns) for columns in (body.position, body.away))
+    return f"{position} {'plus' if body.sign > 0.0 else 'minus'} {away}"
 
 
 def missed(judged: Judged) -> str:

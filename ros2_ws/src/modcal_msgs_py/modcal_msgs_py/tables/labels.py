@@ -29,6 +29,7 @@ _ROLES = (
                  "nominal", "soll", "planned", "goal"}),
 )  # fmt: skip
 _COMPUTED = {"tcp", "flange", "fk", "controller", "robot", *dict(_ROLES)[COMMANDED]}
+_DIFFERENCES = {"dif", "diff", "difference", "delta", "dev", "deviation", "err", "error", "d"}
 TURNS = {
     "r",
     "rot",
@@ -111,6 +112,17 @@ class Label:
         for i, word in enumerate(self.words):  # X tool
             if word in ("x", "y", "z") and not TURNS & set(self.words) and self.role != OTHER:
                 return word, " ".join(self.words[:i] + self.words[i + 1 :])
+        return None
+
+    @property
+    def difference(self) -> tuple[str, str] | None:
+        """("x", rest of the label) of a difference along an axis: ``x_dif``, ``Error Y [mm]``, ``dz``; or None."""
+        rest = [w for w in self.words if w not in ("x", "y", "z")]
+        axes = [w for w in self.words if w in ("x", "y", "z")]
+        if len(axes) == 1 and _DIFFERENCES & set(rest) and not TURNS & set(rest):
+            return axes[0], " ".join(rest)
+        if self.words and self.words[-1] in ("dx", "dy", "dz"):
+            return self.words[-1][1], " ".join((*self.words[:-1], "d"))
         return None
 
 

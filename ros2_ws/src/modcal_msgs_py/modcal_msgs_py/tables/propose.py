@@ -25,6 +25,7 @@ from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies
 from modcal_msgs_py.tables.fitted import MOST_RAD, ColumnChoice, Fitted, differences, missed, scales, units, worse
 from modcal_msgs_py.tables.labels import MEASURED, turn_labels
 from modcal_msgs_py.tables.moments import RowTimes, find_time
+from modcal_msgs_py.tables.reached import decided, deviation_columns, with_deviations
 from modcal_msgs_py.tables.rigid import rigid_poses
 from modcal_msgs_py.tables.sighted import SightColumns, Sighted, find_sights, is_sight, sight_columns
 from modcal_msgs_py.tables.targets import rigid_bodies
@@ -80,7 +81,8 @@ def find(
     measured = [j for j in labelled if j.role == MEASURED]
     taken = {k for j in labelled for k in j.columns}
     time = find_time(numbers, taken)
-    places = bodies(numbers, taken, set(time.columns))
+    away = deviation_columns(numbers, {*taken, *time.columns})
+    places = with_deviations(numbers, bodies(numbers, {*taken, *(away or ())}, set(time.columns)), away)
     watch("comparing what columns may mean")
     instruments = sight_columns(numbers, {*taken, *time.columns, *sure})
     fits = _every_fit(numbers, chain, places, measured, set(time.columns), instruments, watch)
@@ -93,7 +95,9 @@ def find(
             if fits:
                 said += f"; the best leave {1e3 * near:.0f} mm"
             raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/import.md")
+        fits, asked = decided(numbers, fits)
         found = _decided(numbers, chain, time, fits, labelled)
+        found = replace(found, questions=(*asked, *found.questions))
     read = found.fitted
     whole = read if isinstance(read, Fitted) else None
     beside = find_beside(numbers, chain, inertias, labelled, read.choice, read.columns, time, whole)
@@ -163,8 +167,12 @@ def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Seque
 
 def _covers(known: Body, body: Body) -> bool:
     """Whether a body's columns are told already by another one."""
-    return bool(set(known.position) & set(body.position)) and (
-        known.turned is None or body.turned is None or bool(set(known.turned) & set(body.turned)) or not body.named
+    return (
+        (known.away, known.sign) == (body.away, body.sign)
+        and bool(set(known.position) & set(body.position))
+        and (
+            known.turned is None or body.turned is None or bool(set(known.turned) & set(body.turned)) or not body.named
+        )
     )
 
 
@@ -183,6 +191,8 @@ def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[
             postures.append(Postures(scales(chain, angle, length) * values[:, list(one.columns)], one.how))
     turned = None if body.turned is None else values[:, list(body.turned)]
     position = values[:, list(body.position)]
+    if body.away:
+        position = position + body.sign * values[:, list(body.away)]
     if body.points:
         poses = rigid_poses(np.stack([values[:, list(triple)] for _, triple in body.points], axis=1))[0]
         position, turned = poses[:, :3, 3], poses[:, :3, :3].reshape(-1, 9)
@@ -229,7 +239,9 @@ def _sure(body: Body) -> bool:
 
 def columns_of(body: Body) -> list[int]:
     """All columns of a body."""
-    return [k for _, triple in body.points for k in triple] or [*body.position, *(body.turned or ())]
+    return [k for _, triple in body.points for k in triple] or [
+        *body.position, *(body.turned or ()), *body.away,
+    ]  # fmt: skip
 
 
 def zeros_of(body: Body) -> np.ndarray:

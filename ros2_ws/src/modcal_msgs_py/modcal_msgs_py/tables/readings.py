@@ -72,8 +72,11 @@ _Read = tuple[str, Array, np.ndarray]
 
 
 def _position(table: Table, one: Mapping[str, Any]) -> tuple[Array, np.ndarray]:
-    p = UNITS[one["unit"]] * table.numbers(one["position"])
-    there = table.present(one["position"])
+    p, there = table.numbers(one["position"]), table.present(one["position"])
+    for key, sign in (("plus", 1.0), ("minus", -1.0)):
+        if key in one:
+            p, there = p + sign * table.numbers(one[key]), there & table.present(one[key])
+    p = UNITS[one["unit"]] * p
     return np.where(there[:, None], p, 0.0), there
 
 

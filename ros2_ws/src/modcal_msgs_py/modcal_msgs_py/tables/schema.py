@@ -96,6 +96,10 @@ _ORIENTATIONS: Schema = {
     "rotvec": _mapping({"columns": _columns(3), "unit": _ANGLE}, "columns", "unit"),
     "matrix": _mapping({"columns": _said(_columns(9), "row by row")}, "columns"),
 }
+_DEVIATION: Schema = {
+    "plus": _said(_columns(3), "a deviation in the same unit, added to the position: of a goal, what was reached"),
+    "minus": _said(_columns(3), "the same, taken from the position"),
+}
 _INVERSE = {"type": "boolean", "description": "true: the table holds the tracker's pose in the tool"}
 
 
@@ -106,13 +110,16 @@ def _one_or_many(one: Schema) -> Schema:
 _READINGS: Schema = {
     "pose": _one_or_many(
         _mapping(
-            {"frame": _FRAME, "unit": _LENGTH, "position": _columns(3), "inverse": _INVERSE, "std": _STD,
-             **_ORIENTATIONS},
+            {"frame": _FRAME, "unit": _LENGTH, "position": _columns(3), **_DEVIATION, "inverse": _INVERSE,
+             "std": _STD, **_ORIENTATIONS},
             "frame", "unit", "position",
         )
     ),
     "point": _one_or_many(
-        _mapping({"frame": _FRAME, "unit": _LENGTH, "position": _columns(3), "std": _STD}, "frame", "unit", "position")
+        _mapping(
+            {"frame": _FRAME, "unit": _LENGTH, "position": _columns(3), **_DEVIATION, "std": _STD},
+            "frame", "unit", "position",
+        )
     ),
     "targets": _one_or_many(
         _mapping(
@@ -239,6 +246,9 @@ def _require_table(table: Mapping[str, Any], where: str) -> None:
         if len(stated) != 1:
             said = f"{' and '.join(stated)} are both stated" if stated else "its angle convention is not stated"
             raise BadTable(f"{where}: pose", said, f"state one of {', '.join(FORMS)}")
+    for key in ("pose", "point"):
+        if any("plus" in one and "minus" in one for one in _each(table.get(key))):
+            raise BadTable(f"{where}: {key}", "plus and minus are both stated", "state one of them")
     for bearing in _each(table.get("bearing")):
         angles = [key for key in ("elevation", "zenith") if key in bearing]
         if ("vector" in bearing) == ("azimuth" in bearing) or ("azimuth" in bearing) != (len(angles) == 1):
