@@ -25,6 +25,7 @@ from modcal_core.geometry.so3 import Array
 # Moving joints that a chain may hold: True where the joint turns.
 TURNS = {"revolute": True, "continuous": True, "prismatic": False}
 _FIX = "correct the URDF"
+_NO_XML = "give a URDF file; modcal import TABLE --out arm.urdf makes one of a DH or CPC table"
 _ONE_ROBOT = "describe one robot, with meshes in files of their own"
 _MOST_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
 
@@ -171,7 +172,8 @@ def document(urdf_xml: str) -> Any:
         if "<xacro:" in text:
             raise _unexpanded() from error
         said = getattr(error, "msg", None) or str(error)
-        raise BadRobot("robot description", f"is not XML ({said})", "give a URDF file") from error
+        remedy = "give a URDF file" if text.startswith("<") else _NO_XML
+        raise BadRobot("robot description", f"is not XML ({said})", remedy) from error
     if _local(root) != "robot":
         raise BadRobot("robot description", f"is <{_local(root)}>, not <robot>", "give a URDF file")
     if any(isinstance(e.tag, str) and "xacro" in (etree.QName(e).namespace or e.tag) for e in root.iter()):
