@@ -48,8 +48,10 @@ def finalise(
     """
     decided = wrong is not None
     watched = float(samples.stamps.min()), float(samples.stamps.max())
+    whole: Fit | None = None
     if wrong is not None and wrong.any():
-        samples = samples.select(~wrong | _right_after_all(scored, samples, choice, cell, wrong))
+        right, whole = _right_after_all(scored, samples, choice, cell, wrong)
+        samples = samples.select(~wrong | right)
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
     begun = nominal.model if geometry is None else geometry.start
     fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
@@ -60,7 +62,10 @@ def finalise(
     else:
         start = begun.with_effects(sharpened(scored.model, samples).effects)
         fitted = partial(identify, samples=samples, parameters=choice.parameters, distances=cell.distances)
-        fit = fitted(start, tolerance=FITTED, begin=scored.values, reject=not decided)
+        if whole is not None and whole.start.chain is start.chain:
+            fit = whole  # of these samples, from there
+        else:
+            fit = fitted(start, tolerance=FITTED, begin=scored.values, reject=not decided)
         # places moved by what was passed through the joints: effects settle where they are now
         tidy = least_change(fit.model, chain)
         settled = fitted(tidy, tolerance=10.0 * FITTED, reject=not decided)
@@ -84,19 +89,22 @@ def finalise(
 
 def _right_after_all(
     scored: Fit | None, samples: Samples, choice: ParameterChoice, cell: Cell, wrong: np.ndarray
-) -> np.ndarray:
+) -> tuple[np.ndarray, Fit | None]:
     """True for samples that the scored fit had no others beside of, and that a fit to all of them explains, (N,).
 
-    What was held out from it may be all that there is of a place.
+    What was held out from it may be all that there is of a place. Also that fit, where it is to just those samples that
+    are right after all and those that are not wrong.
     """
     alone = np.zeros(len(wrong), bool) if scored is None else uncontradicted(scored.model, samples, wrong)
     if scored is None or not alone.any():
-        return alone
+        return alone, None
     start = scored.start.with_effects(sharpened(scored.model, samples).effects)
+    some = samples.select(~wrong | alone)
     fit = identify(
-        start, samples.select(~wrong | alone), choice.parameters, cell.distances, begin=scored.values, reject=False
+        start, some, choice.parameters, cell.distances, tolerance=FITTED, begin=scored.values, reject=False
     )
-    return alone & ~outlying(fit.model, scored.noise, samples)
+    right = alone & ~outlying(fit.model, scored.noise, samples)
+    return right, fit if np.array_equal(right, alone) else None
 
 
 def _left(model: Model, samples: Samples) -> float:

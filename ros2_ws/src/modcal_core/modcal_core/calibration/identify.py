@@ -10,7 +10,7 @@ is reached when the next step would be too short, going by how much shorter the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,13 +118,15 @@ def identify(
     begin: Array | None = None,
     reject: bool = True,
     most: int | None = None,
+    hopeless: Callable[[Model, float], bool] | None = None,
 ) -> Fit:
     """The fit of these parameters, and of the model's effects with them, about this model, to the samples.
 
     keep_effects: leave the effects as they are. tolerance: standard deviations within which no value moves any more.
     begin: values of the parameters to begin from; zero by default. reject: give samples far outside no weight at all;
     otherwise, where wrong ones have been left out already, they only count less. most: iterations, where fewer than
-    usual are enough.
+    usual are enough. hopeless: asked after each step, of the model and the step's length in standard deviations; ends
+    the fit.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -137,13 +139,10 @@ def identify(
     if begin is None and not start.effects and few >= _EACH * P:
         some = samples.select(slice(None, None, len(samples) // few))
         values = _minimum(start, some, parameters, distances, limit, (), tolerance, values, rough=True).values
-    at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values, most=most)
+    at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values, False, most, hopeless)
     covariance = Curvature.of(at.H).inverse()
-    model = apply_deviations(start, deviations(start, parameters, at.values[:P]))
-    if fitted:
-        model = model.with_effects(_estimated(fitted, at.values[P:], np.sqrt(np.diag(covariance)[P:])))
     return Fit(
-        model,
+        _model_at(start, parameters, fitted, at.values, np.sqrt(np.diag(covariance)[P:])),
         start,
         tuple(parameters),
         at.values[:P],
@@ -180,11 +179,13 @@ def _minimum(
     begin: Array,
     rough: bool = False,
     most: int | None = None,
+    hopeless: Callable[[Model, float], bool] | None = None,
 ) -> _Minimum:
     """The least cost that is reached from these values of the parameters.
 
     limit: standard score beyond which a sample is rejected; None for least squares. rough: no more than a beginning;
     its last step is taken without looking where it leads. most: iterations; None for as many as a fit may need.
+    hopeless: see :func:`identify`.
     """
     known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
@@ -265,6 +266,8 @@ def _minimum(
             flat = flat or sum(gained[-_TO_AND_FRO:]) < _NO_GAIN
         if ended or begun or flat:
             break
+        if hopeless is not None and hopeless(_model_at(start, parameters, fitted, values), length):
+            break
         moved = max(moved, float(np.abs(step).max()))
         if fitted:
             if not near and length < last < np.inf:
@@ -297,6 +300,21 @@ def priors(effects: Sequence[Effect], parameters: Sequence[ModelParameter], arou
         centre.append(np.r_[np.zeros(linear), effect.values[linear:]])
         prior.append(prior_stds(effect, around))
     return np.concatenate(centre), np.concatenate(prior)
+
+
+def _model_at(
+    start: Model,
+    parameters: Sequence[ModelParameter],
+    fitted: Sequence[Effect],
+    values: Array,
+    std: Array | None = None,
+) -> Model:
+    """The model with these values put in. std: standard deviations of the effects' values; zero by default."""
+    P = len(parameters)
+    model = apply_deviations(start, deviations(start, parameters, values[:P]))
+    if not fitted:
+        return model
+    return model.with_effects(_estimated(fitted, values[P:], np.zeros(len(values) - P) if std is None else std))
 
 
 def _estimated(effects: Sequence[Effect], values: Array, std: Array) -> tuple[Effect, ...]:

@@ -15,7 +15,7 @@ from modcal_core.calibration.distributions import as_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.removal import without
+from modcal_core.calibration.removal import values_without, without
 from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
 from modcal_core.effects.effect import Effect
@@ -47,9 +47,9 @@ def needless(
         if costs[weakest] >= LEAST_GAIN:
             break
         gone.append(left.pop(keep + weakest))
-        effects = fit.model.effects
-        start = fit.start.with_effects(effects[: keep + weakest] + effects[keep + weakest + 1 :])
-        fit = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=fit.values)
+        moved, effects = values_without(fit.model, known, [keep + weakest])
+        start = fit.start.with_effects(effects)
+        fit = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=fit.values + moved)
     return fit, tuple(gone)
 
 

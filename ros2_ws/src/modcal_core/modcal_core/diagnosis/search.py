@@ -15,6 +15,7 @@ import numpy as np
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.model import Model
 from modcal_core.calibration.readmitted import uncontradicted
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_residuals
@@ -41,6 +42,10 @@ _MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fit
 # Standard deviations to which a fit is brought while searching; of many rows as near as leaves its squares to lose no
 # more than this share of what an effect must take from them. In the end it is FITTED
 _TOLERANCE, _LEFT = 0.05, 1e-4
+# A fit whose effect has not taken _HALF of what it must on *explain* ends where further steps cannot change that: where
+# they may gain _LITTLE of it on *train*, and a step so long moves *explain* by less (two deviations of its noise along
+# a step of length s are 2 · 2 s √0.4, in 40 % as many rows)
+_HALF, _LITTLE, _NO_CHANCE = 0.5, 0.05, 0.04
 _MOST_STEPS = 15  # of such a fit: usual are three to eight, and where a wave's cycles wander for more it has none
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3  # choices in a row that did not predict, before the search ends
@@ -217,14 +222,16 @@ class _Search:
         self._geometric = self.fit
         rows = 3 * (len(self.train) + int(self.train.is_pose.sum()))
         # a step of so many deviations gains its square
-        self._tolerance = max(_TOLERANCE, float(np.sqrt(_LEFT * LEAST_GAIN * rows)))
+        must = LEAST_GAIN * rows  # what an effect must take of the squares
+        self._tolerance = max(_TOLERANCE, float(np.sqrt(_LEFT * must)))
+        self._clear = min(float(np.sqrt(_LITTLE * must)), _NO_CHANCE * must)
         self._stale = False  # whether the causes' own fits are those of another order
 
     def add(self, choice: EffectChoice) -> bool:
         """Whether the effect, fitted with all others to *train*, predicts *explain* better."""
         before, causes = self.fit, list(self.causes)
         missed = self._mean_square(before)
-        effect, self.fit = self._in_best_form(choice.effect)
+        effect, self.fit = self._in_best_form(choice.effect, missed)
         rivals = tuple(rival for rival in choice.rivals if rival.key != effect.key)
         same = tuple(name for name in choice.same_as if name != effect.label)
         self.causes.append(Cause(effect, choice.p_value, same, rivals, self.fit, choice.flips))
@@ -238,22 +245,36 @@ class _Search:
             self.fit, self.causes = before, causes
         return better
 
-    def _in_best_form(self, effect: Effect) -> tuple[Effect, Fit]:
-        """The effect, or another form of it with as many amplitudes that leaves less of all but the held-out set."""
-        fit = self._with(self.fit, effect)
+    def _in_best_form(self, effect: Effect, missed: float) -> tuple[Effect, Fit]:
+        """The effect, or another form of it with as many amplitudes that leaves less of all but the held-out set.
+
+        missed: what *explain* is missed by without it.
+        """
         forms = other_forms(effect, self.scanner.effects)
         if not forms:
-            return effect, fit
+            return effect, self._with(self.fit, effect, missed)
         seen = self.train.join(self.explain)
-        fits = [(effect, fit), *((form, self._with(self.fit, form)) for form in forms)]
+        fits = [(form, self._with(self.fit, form)) for form in (effect, *forms)]
         likely = [(e, f) for e, f in fits if family(e.family).plausible(f.model.effects[-1])]
         return min(likely or fits, key=lambda pair: self._mean_square(pair[1], seen))
 
-    def _with(self, fit: Fit, effect: Effect) -> Fit:
+    def _with(self, fit: Fit, effect: Effect, missed: float = np.inf) -> Fit:
+        """The fit with this effect too. missed: by which it ends early where the effect leads to nothing."""
         started = effect.started(self.scanner.amplitudes(fit, effect))
-        return self._refit(fit, (*fit.model.effects, started))
+        asked = False
 
-    def _refit(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
+        def hopeless(model: Model, length: float) -> bool:
+            nonlocal asked
+            if asked or length > self._clear:
+                return False
+            asked = True
+            return self._missed_by(model) > (1.0 - _HALF * LEAST_GAIN) * missed
+
+        return self._refit(fit, (*fit.model.effects, started), hopeless if np.isfinite(missed) else None)
+
+    def _refit(
+        self, fit: Fit, effects: tuple[Effect, ...], hopeless: Callable[[Model, float], bool] | None = None
+    ) -> Fit:
         # about the same start as ever, so that priors keep their meaning
         start = self._geometric.start.with_effects(effects)
         return identify(
@@ -265,6 +286,7 @@ class _Search:
             begin=self.fit.values,
             reject=self.reject,
             most=_MOST_STEPS,
+            hopeless=hopeless,
         )
 
     def _exchange(self) -> None:
@@ -356,9 +378,13 @@ class _Search:
 
     def _mean_square(self, fit: Fit, samples: Samples | None = None) -> float:
         """Mean squared error on *explain*, or on other samples, each sample's drawn in so that none rules alone."""
+        return self._missed_by(fit.model, samples)
+
+    def _missed_by(self, model: Model, samples: Samples | None = None) -> float:
+        """The same of a model."""
         # what readings scatter by themselves counts too: the spread is what is left beside it, and may be nothing
         samples = self.explain if samples is None else samples
-        square = squared_residuals(errors(fit.model, samples), samples, self._geometric.noise)
+        square = squared_residuals(errors(model, samples), samples, self._geometric.noise)
         return float(np.mean(np.minimum(square, DRAWN_IN * np.median(square) + 1e-300)))
 
 
