@@ -68,9 +68,10 @@ KINDS: dict[str, dict[str, Maker]] = {
             "fresh_fifth",
             "fresh_sixth",
             "fresh_seventh",
+            "fresh_eighth",
         ),
         "real",
-        *("good", "good_fifth"),
+        *("good", "good_fifth", "good_eighth"),
     )
 }
 

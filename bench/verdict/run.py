@@ -3,10 +3,10 @@
     python bench/verdict/run.py --only tool,quaternion --seeds 1 --jobs 2
 
 Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh``, ``fresh_again``, ``fresh_third``,
-``fresh_fourth``, ``fresh_fifth``, ``fresh_sixth`` and ``fresh_seventh``, each written after the last change to the code
-of its day and run once; ``real``, made out of recordings of real arms beside the checkout; ``good``; ``good_fifth``,
-healthy cells of other builds. A fault counts as named when what makes the verdict open, or what was modelled, holds the
-joint, the place or the topic that is at fault.
+``fresh_fourth``, ``fresh_fifth``, ``fresh_sixth``, ``fresh_seventh`` and ``fresh_eighth``, each written after the last
+change to the code of its day and run once; ``real``, made out of recordings of real arms beside the checkout; ``good``;
+``good_fifth`` and ``good_eighth``, healthy cells of other builds. A fault counts as named when what makes the verdict
+open, or what was modelled, holds the joint, the place or the topic that is at fault.
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ from typing import Any  # noqa: E402
 import conventions  # noqa: E402, F401 (registers its kinds)
 import fresh  # noqa: E402, F401
 import fresh_again  # noqa: E402, F401
+import fresh_eighth  # noqa: E402, F401
+import fresh_eighth_arm  # noqa: E402, F401
+import fresh_eighth_streams  # noqa: E402, F401
 import fresh_fifth  # noqa: E402, F401
 import fresh_fourth  # noqa: E402, F401
 import fresh_seventh  # noqa: E402, F401
@@ -49,6 +52,7 @@ import regimes  # noqa: E402, F401
 import unusual  # noqa: E402, F401
 import use  # noqa: E402, F401
 from case import KINDS, Case  # noqa: E402
+from eighth_cell import World  # noqa: E402
 from judge import (  # noqa: E402
     AT_FLOOR,
     BESIDE,
@@ -73,7 +77,8 @@ ROBOTS = ("ur10", "panda", "xarm7")
 FAULTS = (CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED)
 GOODS = (AT_FLOOR, BESIDE, CANNOT_TELL, OPEN, FAILED)
 SEEDS = dict.fromkeys(KINDS, 1) | {"main": 2, "later": 2, "good": 4}
-GOOD = ("good", "good_fifth")
+GOOD = ("good", "good_fifth", "good_eighth")
+WORLDS = {"fresh_eighth": (("ur5e", "irb", "iiwa7"), World), "good_eighth": (("ur5e", "irb", "iiwa7"), World)}
 
 
 @dataclass(frozen=True)
@@ -88,13 +93,15 @@ class Task:
     @property
     def robot(self) -> str:
         """The arm: the three in turn."""
-        return ROBOTS[(list(KINDS[self.group]).index(self.kind) + self.seed) % len(ROBOTS)]
+        robots = WORLDS.get(self.group, (ROBOTS, Works))[0]
+        return robots[(list(KINDS[self.group]).index(self.kind) + self.seed) % len(robots)]
 
 
 def make(task: Task) -> Case:
     """The case of a task: the same for the same task."""
     rng = np.random.default_rng([zlib.crc32(task.kind.encode()), task.seed])
-    case = KINDS[task.group][task.kind](Works(task.robot, rng), rng)
+    world = WORLDS.get(task.group, (ROBOTS, Works))[1]
+    case = KINDS[task.group][task.kind](world(task.robot, rng), rng)
     return variant(case, task.way) if task.way else case
 
 
@@ -138,7 +145,8 @@ def confusion(results: list[dict[str, Any]], console: Console) -> None:
         ("nearby", "Kinds near those that were missed"),
         ("fresh_fifth", "Kinds once written after the last change, fifth group"),
         ("fresh_sixth", "Kinds once written after the last change, sixth group"),
-        ("fresh_seventh", "Kinds written after the last change"),
+        ("fresh_seventh", "Kinds once written after the last change, seventh group"),
+        ("fresh_eighth", "Kinds written after the last change, in cells of their own"),
     ):
         rows = [r for r in results if r["group"] == group]
         if not rows:

@@ -1,0 +1,321 @@
+"""Cells of the eighth group: arms, motions and instruments in NumPy alone, written anew for it.
+
+Five arms that the other groups do not have. Truth is a product of matrices in which every link is displaced by half a
+millimetre and a milliradian; what bends or slips is put between two of them. From modcal comes only the writing
+of bags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_msgs_py.recording_write import write_recording
+
+Array = np.ndarray
+EPOCH, EACH = 1.75e9, 6.0  # s; the stamp of the first station, and from one to the next
+X, Y, Z = np.eye(3)
+H = np.pi / 2
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint as a drawing has it. xyz, rpy: of its frame in the one before; mass: of the link that it moves [kg]."""
+
+    name: str
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    axis: Array
+    low: float
+    high: float
+    mass: float
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    slides: bool = False
+
+
+def _ur5(d1: float, a3: float, d4: float, d5: float, d6: float) -> tuple[Joint, ...]:
+    return (
+        Joint("shoulder_pan_joint", (0, 0, d1), (0, 0, 0), Z, -2.8, 2.8, 3.7),
+        Joint("shoulder_lift_joint", (0, 0, 0), (H, 0, 0), Z, -2.6, -0.5, 8.4, (-0.21, 0, 0.13)),
+        Joint("elbow_joint", (-0.425, 0, 0), (0, 0, 0), Z, -2.2, 2.2, 2.3, (-0.2, 0, 0.02)),
+        Joint("wrist_1_joint", (a3, 0, d4), (0, 0, 0), Z, -2.8, 2.8, 1.2),
+        Joint("wrist_2_joint", (0, -d5, 0), (H, 0, 0), Z, -2.5, 2.5, 1.2),
+        Joint("wrist_3_joint", (0, d6, 0), (-H, 0, 0), Z, -2.8, 2.8, 0.2),
+    )
+
+
+UR5E = _ur5(0.1625, -0.3922, 0.1333, 0.0997, 0.0996)
+UR5 = _ur5(0.089159, -0.39225, 0.10915, 0.09465, 0.0823)
+ARMS: dict[str, tuple[Joint, ...]] = {
+    "ur5e": UR5E,
+    "irb": (
+        Joint("joint_1", (0, 0, 0.399), (0, 0, 0), Z, -2.7, 2.7, 12.0),
+        Joint("joint_2", (0, 0, 0), (0, 0, 0), Y, -1.3, 1.6, 13.0, (0.02, 0, 0.22)),
+        Joint("joint_3", (0, 0, 0.448), (0, 0, 0), Y, -1.6, 0.9, 9.0, (0.08, 0, 0.03)),
+        Joint("joint_4", (0.16, 0, 0.042), (0, 0, 0), X, -2.7, 2.7, 4.0, (0.15, 0, 0)),
+        Joint("joint_5", (0.291, 0, 0), (0, 0, 0), Y, -2.0, 2.0, 1.3),
+        Joint("joint_6", (0.082, 0, 0), (0, 0, 0), X, -2.9, 2.9, 0.3),
+    ),
+    "iiwa7": (
+        Joint("lbr_A1", (0, 0, 0.1475), (0, 0, 0), Z, -2.6, 2.6, 3.5),
+        Joint("lbr_A2", (0, 0, 0.1925), (0, 0, 0), Y, -1.7, 1.7, 3.5, (0, 0, 0.1)),
+        Joint("lbr_A3", (0, 0, 0.2075), (0, 0, 0), Z, -2.6, 2.6, 3.5, (0, 0, 0.1)),
+        Joint("lbr_A4", (0, 0, 0.1925), (0, 0, 0), -Y, -1.8, 1.8, 3.5, (0, 0, 0.1)),
+        Joint("lbr_A5", (0, 0, 0.2075), (0, 0, 0), Z, -2.6, 2.6, 3.5, (0, 0, 0.1)),
+        Joint("lbr_A6", (0, 0, 0.1925), (0, 0, 0), Y, -1.8, 1.8, 1.8),
+        Joint("lbr_A7", (0, 0, 0.081), (0, 0, 0), Z, -2.6, 2.6, 1.2, (0, 0, 0.02)),
+    ),
+    "rail": (Joint("rail_joint", (0, 0, 0.4), (0, 0, H), X, 0.0, 1.5, 30.0, slides=True), *UR5E),
+    "scara": (
+        Joint("scara_1", (0, 0, 0.35), (0, 0, 0), Z, -2.0, 2.0, 5.0),
+        Joint("scara_2", (0.3, 0, 0), (0, 0, 0), Z, -2.3, 2.3, 4.0),
+        Joint("scara_z", (0.25, 0, 0.05), (0, 0, 0), -Z, 0.0, 0.2, 1.0, slides=True),
+        Joint("scara_4", (0, 0, -0.1), (0, 0, 0), Z, -3.0, 3.0, 0.5),
+    ),
+}
+
+
+def described(joints: tuple[Joint, ...]) -> str:
+    """A URDF of these joints: link_0, link_1, ... and tool0 where the last one ends."""
+    lines = ['<robot name="arm">', '<link name="link_0"/>']
+    for i, j in enumerate(joints, 1):
+        lines += [
+            f'<link name="link_{i}"><inertial><origin xyz="{j.com[0]} {j.com[1]} {j.com[2]}"/><mass value="{j.mass}"/>',
+            '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>',
+            f'<joint name="{j.name}" type="{"prismatic" if j.slides else "revolute"}">',
+            f'<parent link="link_{i - 1}"/><child link="link_{i}"/>',
+            f'<origin xyz="{j.xyz[0]} {j.xyz[1]} {j.xyz[2]}" rpy="{j.rpy[0]} {j.rpy[1]} {j.rpy[2]}"/>',
+            f'<axis xyz="{j.axis[0]} {j.axis[1]} {j.axis[2]}"/>',
+            f'<limit lower="{j.low - 4}" upper="{j.high + 4}" effort="100" velocity="3"/></joint>',
+        ]
+    end = len(joints)
+    lines += [
+        '<link name="tool0"/><joint name="flange" type="fixed">'
+        f'<parent link="link_{end}"/><child link="tool0"/></joint></robot>'
+    ]
+    return "\n".join(lines)
+
+
+def small(twist: Array) -> Array:
+    """Matrices (N, 4, 4) of small displacements (N, 6): metres and a rotation vector."""
+    T = np.tile(np.eye(4), (len(twist), 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix()
+    T[:, :3, 3] = twist[:, :3]
+    return T
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """What is off at N stations. joints (N, n) [rad, m]; base, tool (N, 6) in the base and in the target; behind: by
+    the number of a joint, twists (N, 6) of what it carries, in its own frame."""
+
+    joints: Array | float = 0.0
+    base: Array | None = None
+    tool: Array | None = None
+    behind: dict[int, Array] = field(default_factory=dict)
+
+
+Fault = Callable[[Array, Array], Wrong]  # of joints (N, n) and seconds (N,)
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recording, a row a station. The names of its parts are those that the judge of the other groups reads.
+
+    came: the way from which each joint came, (N, n). spoken: what is recorded in place of one reading a station.
+    """
+
+    names: tuple[str, ...]
+    urdf: str
+    t: Array
+    q: Array
+    p: Array
+    R: Rotation
+    floor_mm: float
+    again: Array
+    came: Array
+    kind: str = POSE
+    values: Array | None = None
+    stated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    stream: float = 0.0
+    frame: str = "tracker"
+    signals: tuple[SignalTrack, ...] = ()
+    spoken: Callable[[Take], Recording] | None = None
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def only(self, rows: Array) -> Take:
+        """These stations alone."""
+        kept = {name: getattr(self, name)[rows] for name in ("t", "q", "p", "R", "again", "came")}
+        return replace(self, values=None if self.values is None else self.values[rows], **kept)
+
+    def raw(self) -> Array:
+        """What the topic holds."""
+        if self.values is not None:
+            return self.values
+        return self.p if self.kind == POINT else np.column_stack([self.p, self.R.as_quat()])
+
+    def recording(self) -> Recording:
+        """The arrays to be written."""
+        if self.spoken is not None:
+            return self.spoken(self)
+        t = EPOCH + self.t
+        readings = ReadingTrack(self.kind, self.frame, t, self.raw(), t)
+        return Recording((joint_track(self.names, t, self.q),), (readings,), self.signals, self.urdf)
+
+    def write(self, folder: Path) -> Path:
+        """The bag of it."""
+        write_recording(self.recording(), folder)
+        return folder
+
+
+def joint_track(names: tuple[str, ...], t: Array, q: Array) -> JointTrack:
+    """Joint states without speeds and efforts."""
+    return JointTrack(names, t, q, np.full_like(q, np.nan), np.full_like(q, np.nan), t)
+
+
+def after(first: Take, second: Take) -> Take:
+    """The second one behind the first, in one recording."""
+    columns = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ("t", "q", "p", "came")}
+    weights = [len(first), len(second)]
+    floor = float(np.sqrt(np.average([first.floor_mm**2, second.floor_mm**2], weights=weights)))
+    turned = Rotation.concatenate([first.R, second.R])
+    return replace(
+        first, R=turned, again=np.concatenate([first.again, second.again]), floor_mm=floor, values=None, **columns
+    )
+
+
+class World:
+    """An arm as built, its target and its tracker."""
+
+    def __init__(self, robot: str, rng: np.random.Generator) -> None:
+        self.robot, self.rng, self.joints = robot, rng, ARMS[robot]
+        self.names = tuple(j.name for j in self.joints)
+        self.n, self.urdf = len(self.joints), described(self.joints)
+        self.low, self.high = (np.array([getattr(j, end) for j in self.joints]) for end in ("low", "high"))
+        self.turns = np.array([not j.slides for j in self.joints])
+        self.rebuild()
+        self.target = self._place(0.06), Rotation.random(rng=rng)
+        self.eye = np.array([0.3, -0.4, 0.5]) + rng.normal(0, 1.0, 3), Rotation.random(rng=rng)
+
+    def rebuild(self) -> None:
+        """Another arm of the series."""
+        scale = np.r_[np.full(3, 5e-4), np.full(3, 1e-3)]
+        self.built = small(self.rng.normal(0, scale, (self.n, 6)))
+
+    def _place(self, size: float) -> Array:
+        return self.way(size) + np.array([0.02, 0.0, 0.08])
+
+    def way(self, size: float) -> Array:
+        """A vector of this length into a random direction."""
+        v = self.rng.normal(0, 1, 3)
+        return size * v / np.linalg.norm(v)
+
+    def some(self, first: int = 1, end: int | None = None) -> int:
+        """The number of a joint that turns, drawn."""
+        return int(self.rng.choice([i for i in range(first, end or self.n) if self.turns[i]]))
+
+    def frames(self, q: Array, wrong: Wrong) -> Array:
+        """The frame behind every joint in the base (N, n, 4, 4)."""
+        T = np.tile(np.eye(4), (len(q), 1, 1)) if wrong.base is None else small(wrong.base)
+        q = q + wrong.joints
+        out = []
+        for i, j in enumerate(self.joints):
+            fixed = np.eye(4)
+            fixed[:3, :3], fixed[:3, 3] = Rotation.from_euler("xyz", j.rpy).as_matrix(), j.xyz
+            move = np.zeros((len(q), 6))
+            move[:, slice(0, 3) if j.slides else slice(3, 6)] = q[:, i, None] * j.axis
+            T = T @ fixed @ self.built[i] @ small(move)
+            if i in wrong.behind:
+                T = T @ small(wrong.behind[i])
+            out.append(T)
+        return np.stack(out, axis=1)
+
+    def sees(self, q: Array, wrong: Wrong) -> tuple[Array, Rotation]:
+        """Where the target truly is in the tracker's frame: (N, 3) and N turns."""
+        T = self.frames(q, wrong)[:, -1]
+        if wrong.tool is not None:
+            T = T @ small(np.r_[self.target[0], 0, 0, 0][None]) @ small(wrong.tool)
+            p, R = T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]) * self.target[1]
+        else:
+            p, R = T[:, :3, 3] + T[:, :3, :3] @ self.target[0], Rotation.from_matrix(T[:, :3, :3]) * self.target[1]
+        turn = self.eye[1]
+        return turn.apply(p) + self.eye[0], turn * R
+
+    def torques(self, q: Array, payload: Array | float = 0.0) -> Array:
+        """Of weight about each axis (N, n) [N m], with a mass [kg] where the target is."""
+        T = self.frames(q, Wrong())
+        pay = np.broadcast_to(np.asarray(payload, dtype=float), len(q))
+        out = np.zeros((len(q), self.n))
+        for i in np.flatnonzero(self.turns):
+            axis, at = T[:, i, :3, :3] @ self.joints[i].axis, T[:, i, :3, 3]
+            for k in range(i, self.n):
+                com = np.einsum("nab,b->na", T[:, k], np.r_[self.joints[k].com, 1.0])[:, :3]
+                out[:, i] += np.sum(axis * np.cross(com - at, [0, 0, -9.81 * self.joints[k].mass]), axis=1)
+            tip = np.einsum("nab,b->na", T[:, -1], np.r_[self.target[0], 1.0])[:, :3]
+            out[:, i] += np.sum(axis * np.cross(tip - at, [0, 0, -9.81]), axis=1) * pay
+        return out
+
+    def postures(self, count: int, returns: int = 6, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
+        """Random postures (count, n), the last visits of which come back from other sides: and which those are."""
+        q = self.low + (self.high - self.low) * self.rng.uniform(low, high, (count - returns, self.n))
+        order, again = list(range(len(q))), [False] * len(q)
+        for i in self.rng.choice(len(q) // 2, returns, replace=False):
+            here = order.index(i)
+            came = np.sign(q[i] - (q[order[here - 1]] if here else self._middle()))
+            best = max(range(here + 4, len(order)), key=lambda k: int(np.sum(came * (q[i] - q[order[k - 1]]) < 0)))
+            order.insert(best, int(i))
+            again.insert(best, True)
+        return q[order], np.array(again)
+
+    def _middle(self) -> Array:
+        return 0.5 * (self.low + self.high)
+
+    def record(
+        self,
+        q: Array,
+        again: Array | None = None,
+        fault: Fault | Callable[..., Wrong] | None = None,
+        begin: float = 0.0,
+        kind: str = POSE,
+        noise_mm: float = 0.025,
+        noise_mrad: float = 0.03,
+        repeat: float = 8e-6,
+        **options: Any,
+    ) -> Take:
+        """Visits to q, read once each. fault: of joints, seconds and the way each joint came (N, n)."""
+        N, rng = len(q), self.rng
+        t = begin + EACH * np.arange(N)
+        came = np.sign(np.diff(q, axis=0, prepend=self._middle()[None]))
+        wrong = Wrong() if fault is None else fault(q, t, came)
+        p0, R0 = self.sees(q, wrong)
+        slip = rng.normal(0, repeat, q.shape)
+        p1, R1 = self.sees(q + slip, wrong)
+        p = p1 + rng.normal(0, 1e-3 * noise_mm, p1.shape)
+        R = R1 * Rotation.from_rotvec(rng.normal(0, 1e-3 * noise_mrad, p1.shape))
+        root = np.sqrt(3.0)
+        stated = (
+            1e3 * _rms(p1 - p0),
+            float(np.degrees(_rms((R0.inv() * R1).as_rotvec()))),
+            root * noise_mm,
+            float(np.degrees(root * 1e-3 * noise_mrad)),
+        )
+        again = np.zeros(N, bool) if again is None else again
+        return Take(
+            self.names, self.urdf, t, q.copy(), p, R, 1e3 * _rms(p - p0), again, came, kind, stated=stated, **options
+        )
+
+    def plain(self, count: int, fault: Callable[..., Wrong] | None = None, returns: int = 6, **options: Any) -> Take:
+        """Random postures, six of them twice."""
+        return self.record(*self.postures(count, returns), fault, **options)
+
+
+def _rms(v: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(v**2, axis=1))))
