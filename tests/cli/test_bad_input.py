@@ -5,6 +5,7 @@ The table of docs/bad_input.md lists these cases; the last test holds the two to
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -220,6 +221,42 @@ def test_a_small_clock_offset_is_corrected_and_said(tmp_path: Path, capfd: pytes
 def test_usage_errors_are_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     refused(["calibrate"], "Missing argument 'BAG'", capfd)
     refused(["calibrat"], "No such command", capfd)
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "said"),
+    [
+        ("--tolerance-mm", "0,2", "'0,2' is not a number: write 0.2."),
+        ("--tolerance-mm", "0.2mm", "'0.2mm' is not a number: write 0.2."),
+        ("--tolerance-mm", "small", "'small' is not a number."),
+        ("--clock-limit", "nan", "'nan' is not a finite number."),
+        ("--block", "1.5", "'1.5' is not a whole number."),
+    ],
+)
+def test_what_is_no_number_is_said_in_plain_words(
+    option: str, given: str, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(stations(), tmp_path / "bag")
+    refused(["calibrate", str(tmp_path / "bag"), option, given], re.escape(said), capfd)
+
+
+def test_blocks_as_long_as_the_recording_leave_nothing_to_hold_out(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(stations(), tmp_path / "bag")
+    told = ["calibrate", str(tmp_path / "bag"), "--geometry-only", "--out", str(tmp_path / "out"), "--block"]
+    refused([*told, "5000"], "--block 5000: 80 stations .* give at most --block 8$", capfd)
+    assert not (tmp_path / "out").exists()
+    assert run([*told, "8"]) == 0
+
+
+def test_a_joint_that_was_counted_on_by_a_turn_is_not_called_degrees_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    q = stations().joints[0].position.copy()
+    q[:, 5] += 4.0 * np.pi
+    write_recording(with_joints(stations(), position=q), tmp_path / "bag")
+    refused(["calibrate", str(tmp_path / "bag")], "degrees, or whole turns .* limits in the URDF", capfd)
 
 
 def test_the_page_lists_every_case() -> None:

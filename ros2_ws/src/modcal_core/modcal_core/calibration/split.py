@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modcal_core.errors import NotEnoughData
 from modcal_core.measurements.samples import Samples
 
 SHARES = (0.5, 0.2, 0.3)  # *train*, *explain* and *test*: the fit needs most, the score more than the choice of effects
 _LEAST_DENSE = 200  # stations; fewer are posed one by one, and blocks of them would leave too few blocks
 _BLOCKS, _SHORTEST, _LONGEST = 60, 5, 200  # how many blocks a recording is cut into, and stations in one
+_FEWEST = 10  # blocks with which each set has one: a fifth is the smallest share
 _DENSE = 0.25  # median step from station to station, as a fraction of the median distance between any two
 
 
@@ -36,7 +38,8 @@ def split(
     """The three sets of these samples.
 
     block: stations in a block; 1 splits by station, None decides by how dense the recording is. change_points: rising
-    times [s] at which something changed: each stretch between them has a share in each set.
+    times [s] at which something changed: each stretch between them has a share in each set. Raises NotEnoughData where
+    the blocks are so long that a set is left without any.
     """
     first = np.unique(samples.station, return_index=True)[1]
     first = first[np.argsort(samples.stamps[first], kind="stable")]
@@ -55,6 +58,12 @@ def split(
         role_of_station.update(zip(stations.tolist(), role_of_block[blocks].tolist(), strict=True))
     role = np.array([role_of_station[s] for s in samples.station.tolist()])
     train, explain, held_out = (np.flatnonzero(role == r) for r in range(3))
+    if block > 1 and not min(len(train), len(explain), len(held_out)):
+        raise NotEnoughData(
+            f"--block {block}",
+            f"{len(first)} stations in blocks of {block} leave nothing to fit, to choose effects by or to hold out",
+            f"give at most --block {max(1, len(first) // _FEWEST)}",
+        )
     return Split(train, explain, held_out, unit="station" if block == 1 else "block")
 
 

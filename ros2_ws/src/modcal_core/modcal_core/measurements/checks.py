@@ -15,6 +15,7 @@ from modcal_core.robots.mechanism import Mechanism
 # Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns on [rad].
 MOST_TURNS = 2.0 * np.pi * 1.05
 MOST_TURNS_ENDLESS = 50.0
+_COUNTED_ON = 4.0 * np.pi  # what a joint may have turned on since its counter was set [rad]: two turns
 _LEAST_MESSAGES = 50
 _JUMP, _FASTEST = 0.05, 3.0  # rad, rad/s; a joint that goes so far so fast does not come back within
 _AT_ONCE, _BACK = 0.3, 0.2  # s, to within this share of the way
@@ -71,7 +72,13 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> No
         return
     if chain.revolute[k]:
         said = f"position reaches {largest:.1f} rad, {limit:.1f} rad is the limit: it looks like degrees"
-        raise BadRecording(f"joint {name}", said, "record radians")
+        if largest > limit + _COUNTED_ON:
+            raise BadRecording(f"joint {name}", said, "record radians")
+        raise BadRecording(
+            f"joint {name}",
+            f"{said}, or whole turns were counted on",
+            "record radians, within the joint's range, or correct its limits in the URDF",
+        )
     raise BadRecording(f"joint {name}", f"slides by {largest:.0f} m: it looks like millimetres", "record metres")
 
 

@@ -24,6 +24,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import list_topics, read_bag
 from modcal_msgs_py.topics import accepted, role_of
 from modcal_nodes.cli.console import Output, say, speaking, written
+from modcal_nodes.cli.number import Whole
 from modcal_nodes.cli.robot import arm_line, chain_line, described
 from modcal_nodes.io.articulated import write_articulation
 from modcal_nodes.io.inputs import read_calibration
@@ -60,7 +61,7 @@ class _Read:
 @click.option("--points", is_flag=True, help="Ignore rotations.")
 @click.option(
     "--seed",
-    type=click.IntRange(min=0),
+    type=Whole(min=0),
     default=0,
     show_default=True,
     help="Seed for choosing the samples of the first guesses.",

@@ -22,6 +22,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_nodes.cli.camera import by_camera, calibrate_images, camera_options, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, UNMET, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.number import Decimal, Whole
 from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import arm_line, chain_line
 from modcal_nodes.cli.show import show_report
@@ -30,16 +31,16 @@ from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
 from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
 
-SEED = click.IntRange(min=0)  # what NumPy takes
+SEED = Whole(min=0)  # what NumPy takes
 _SPLITS = click.option(
     "--block",
-    type=click.IntRange(min=1),
+    type=Whole(min=1),
     default=None,
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
 SEED_OPTION = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
 CLOCK = click.option(
-    "--clock-limit", type=click.FloatRange(min=0.0), default=0.5, show_default=True, metavar="S",
+    "--clock-limit", type=Decimal(min=0.0), default=0.5, show_default=True, metavar="S",
     help="Largest offset between tracker and joint clocks that is corrected.",
 )  # fmt: skip
 CELL = click.option(
@@ -67,7 +68,7 @@ _ROBOT = (
 )  # fmt: skip
 
 
-_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+_POSITIVE = Decimal(min=0.0, min_open=True)
 STATED = (
     click.option(
         "--repeatability-mm", type=_POSITIVE, default=None, metavar="MM",

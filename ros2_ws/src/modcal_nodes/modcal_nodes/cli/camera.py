@@ -18,6 +18,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.certificate import UNMET, camera_certificate_files, certified_hashes
 from modcal_nodes.cli.console import Output, tell, written
+from modcal_nodes.cli.number import Decimal
 from modcal_nodes.cli.robot import arm_line, described
 from modcal_nodes.io.progress import Watch
 from modcal_nodes.io.recorded import opened
@@ -68,7 +69,7 @@ OPTIONS = (
         help="What becomes of those in --camera-info.",
     ),
     click.option(
-        "--arm-mm", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="MM",
+        "--arm-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
         help="Error of the nominal arm at its tool, RMS, as you know it.",
     ),
     click.option(

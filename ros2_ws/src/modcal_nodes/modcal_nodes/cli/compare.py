@@ -17,6 +17,7 @@ from modcal_core.report.comparison import Side, compare, to_json_data
 from modcal_core.report.comparison_page import summary, to_html
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.number import Decimal
 from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io.report_schema import SCHEMA
@@ -28,7 +29,7 @@ _MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
 @click.argument("first", type=EXISTING, metavar="A")
 @click.argument("second", type=EXISTING, metavar="B")
 @click.option(
-    "--tolerance-mm", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="MM",
+    "--tolerance-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
     help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
 )  # fmt: skip
 @click.option(

@@ -14,6 +14,7 @@ import click
 
 from modcal_core.errors import BadCommand
 from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.number import Decimal, Whole
 
 _NODE, _LOG, _RESULT = "door_demo", "nodes.log", "pull.json"
 _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots usually speak in
@@ -22,16 +23,14 @@ _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots u
 @click.command("door")
 @click.option("--kind", type=click.Choice(["door", "drawer"]), default="door", show_default=True, help="What to open.")
 @click.option(
-    "--seed", type=click.IntRange(0, 2**31 - 1), default=0, show_default=True,
+    "--seed", type=Whole(0, 2**31 - 1), default=0, show_default=True,
     help="Seed of the object, its place and the noise.",
 )  # fmt: skip
 @click.option(
-    "--patience", type=click.FloatRange(5.0, 3600.0), default=90.0, show_default=True, metavar="S",
+    "--patience", type=Decimal(5.0, 3600.0), default=90.0, show_default=True, metavar="S",
     help="Time after which it is given up.",
 )  # fmt: skip
-@click.option(
-    "--domain", type=click.IntRange(0, 232), default=None, help="ROS_DOMAIN_ID of the nodes. Default: one of its own."
-)
+@click.option("--domain", type=Whole(0, 232), default=None, help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results. Default: KIND_demo.")
 @speaking
 def door_command(kind: str, seed: int, patience: float, domain: int | None, out: Path | None, output: Output) -> None:

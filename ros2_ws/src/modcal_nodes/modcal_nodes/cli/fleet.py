@@ -17,6 +17,7 @@ from modcal_core.report.sentence import STATUS_WORDS
 from modcal_nodes.cli.calibrate import calibration_options
 from modcal_nodes.cli.console import console, written
 from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.number import Whole
 from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
@@ -46,7 +47,7 @@ _COLUMNS = {
 )
 @click.option(
     "--jobs",
-    type=click.IntRange(min=1),
+    type=Whole(min=1),
     default=None,
     metavar="N",
     help="Recordings at a time. Default: one per core, as far as memory allows.",

@@ -27,6 +27,7 @@ from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.by_joint import numbers_by_joint
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.number import Whole
 from modcal_nodes.cli.robot import arm_line, described, file_line
 from modcal_nodes.cli.topics import topic_options
 
@@ -77,10 +78,8 @@ def _by_joint(command: click.Command) -> click.Command:
 )
 @click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Position of a joint [rad; m]. Default: 0.")
 @click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="Velocity of a joint [rad/s; m/s]. Default: 0.")
-@click.option(
-    "--workspace", type=click.IntRange(min=1), default=None, help="Number of random postures within the limits."
-)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of those postures.")
+@click.option("--workspace", type=Whole(min=1), default=None, help="Number of random postures within the limits.")
+@click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of those postures.")
 @click.option("--thorough", is_flag=True, help="Of a bag up to 20 000 postures, not 2 000.")
 @click.option("--share", type=float, default=1.0, show_default=True, help="Share of the torque that may be used.")
 @click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="Gravity in the base link [m/s²].")

@@ -27,6 +27,7 @@ from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.number import Decimal, Whole
 from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import BASE, TIP, arm_line
 from modcal_nodes.cli.simulate import parameter
@@ -38,7 +39,7 @@ from modcal_nodes.measuring.measurers import CellInProcess, Measurer, Replay, on
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 
 _BY_HAND = 4  # stations at once, since whoever fills in a table gives the command again for each lot
-_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+_POSITIVE = Decimal(min=0.0, min_open=True)
 
 
 @click.command("measure")
@@ -61,10 +62,10 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
     help="Statistic of --goal-mm.",
 )
 @click.option(
-    "--confidence", type=click.FloatRange(0.5, 0.999), default=0.95, show_default=True, help="With which it is proven."
+    "--confidence", type=Decimal(0.5, 0.999), default=0.95, show_default=True, help="With which it is proven."
 )
 @click.option(
-    "--stations", type=click.IntRange(min=1), default=MAX_STATIONS, show_default=True,
+    "--stations", type=Whole(min=1), default=MAX_STATIONS, show_default=True,
     help="Most stations.",
 )  # fmt: skip
 @click.option("--minutes", type=_POSITIVE, default=None, help="Most time, from the first call on.")
@@ -114,7 +115,7 @@ _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 @click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects.")
 @click.option(
     "--batch",
-    type=click.IntRange(1, 100),
+    type=Whole(1, 100),
     default=None,
     help=f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.",
 )

@@ -18,6 +18,7 @@ from modcal_core.planning.returns import RETURNS
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.console import Output, say, speaking, written
+from modcal_nodes.cli.number import Decimal, Whole
 from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import BASE, TIP, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
@@ -36,11 +37,11 @@ _THOROUGH = 6000, 8  # candidates and starts
     help="YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
 )  # fmt: skip
 @click.option(
-    "--stations", type=click.IntRange(min=2), default=None,
+    "--stations", type=Whole(min=2), default=None,
     help="Number of stations. Default: half as many again as modcal calibrate needs; with --decide: 16.",
 )  # fmt: skip
 @click.option(
-    "--accuracy-mm", type=click.FloatRange(min=1e-6), default=None,
+    "--accuracy-mm", type=Decimal(min=1e-6), default=None,
     help="Use as many stations as needed for this error of the calibrated arm.",
 )  # fmt: skip
 @click.option(
@@ -58,30 +59,28 @@ _THOROUGH = 6000, 8  # candidates and starts
     help="plan.yaml or CSV of stations that are already measured and count too.",
 )  # fmt: skip
 @click.option(
-    "--candidates", type=click.IntRange(10, 20_000), default=None,
+    "--candidates", type=Whole(10, 20_000), default=None,
     help=f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.",
 )  # fmt: skip
 @click.option(
-    "--starts", type=click.IntRange(1, 100), default=None,
+    "--starts", type=Whole(1, 100), default=None,
     help=f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.",
 )  # fmt: skip
 @click.option("--thorough", is_flag=True, help="Look longer for better stations.")
 @click.option(
     "--speed",
-    type=click.FloatRange(1e-3),
+    type=Decimal(1e-3),
     default=0.5,
     show_default=True,
     help="Joint speed of trajectory.yaml, rad/s.",
 )
-@click.option(
-    "--dwell", type=click.FloatRange(0.6), default=2.0, show_default=True, help="Standstill at each station, s."
-)
+@click.option("--dwell", type=Decimal(0.6), default=2.0, show_default=True, help="Standstill at each station, s.")
 @click.option(
     "--decide", "report", type=EXISTING, default=None, metavar="REPORT",
     help="Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
 )  # fmt: skip
 @click.option(
-    "--returns", type=click.IntRange(0, 100), default=RETURNS, show_default=True,
+    "--returns", type=Whole(0, 100), default=RETURNS, show_default=True,
     help="Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
 )  # fmt: skip
 @click.option(
@@ -95,7 +94,7 @@ _THOROUGH = 6000, 8  # candidates and starts
     "--joints", type=EXISTING, default=None, metavar="FILE", help="Joints of --camera's images, as in calibrate."
 )
 @click.option("--target", type=EXISTING, default=None, metavar="FILE", help="Printed target of --camera's images.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of candidates and starts.")
+@click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of candidates and starts.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of plan.yaml.")
 @speaking
 def plan_command(

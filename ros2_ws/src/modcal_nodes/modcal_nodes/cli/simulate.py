@@ -15,6 +15,7 @@ from modcal_core.planning.returns import RETURNS
 from modcal_core.robots.urdf import other_tips
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.number import Decimal, Whole
 from modcal_nodes.cli.robot import chain_line
 from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import SIMULATED_CELL
@@ -41,11 +42,11 @@ _STATIONS = 60
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the bag; must not exist.")
 @click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
 @click.option(
-    "--at", "later", type=(click.FloatRange(min=0.0), str), multiple=True, metavar="S NAME=VALUE",
+    "--at", "later", type=(Decimal(min=0.0), str), multiple=True, metavar="S NAME=VALUE",
     help="The same, from the given second on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
 )  # fmt: skip
 @click.option(
-    "--returns", type=click.IntRange(0, 1000), default=RETURNS, show_default=True,
+    "--returns", type=Whole(0, 1000), default=RETURNS, show_default=True,
     help="Number of these postures that are visited twice, so that the noise floor is known.",
 )  # fmt: skip
 @speaking

@@ -23,6 +23,7 @@ from modcal_core.modules.synthesis import Synthesis, SynthesisTask, Watch, synth
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_nodes.cli.console import console, written
 from modcal_nodes.cli.legend import explain, table
+from modcal_nodes.cli.number import Whole
 from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.io.assemblies import read_library
 
@@ -41,10 +42,8 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
     "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
     help="YAML of the available modules. Default: the published ones.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the search.")
-@click.option(
-    "--workers", type=click.IntRange(min=1, max=256), default=None, help="Processes. Default: one per processor."
-)
+@click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of the search.")
+@click.option("--workers", type=Whole(min=1, max=256), default=None, help="Processes. Default: one per processor.")
 @click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
 @click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
 def synthesize_command(

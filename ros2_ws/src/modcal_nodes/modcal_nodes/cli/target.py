@@ -12,6 +12,7 @@ import click
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
 from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.number import Decimal, Whole
 
 _PAPERS = ("A4", "A3", "A2", "letter")
 _MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
@@ -67,7 +68,7 @@ class _Lengths(click.ParamType):
 @click.option("--charuco", type=_Counts(), default=None, help="ChArUco board of so many squares, across and down.")
 @click.option("--chessboard", type=_Counts(), default=None, help="Chessboard of so many squares.")
 @click.option("--aruco-grid", type=_Counts(), default=None, help="Grid of so many markers.")
-@click.option("--tag", type=click.IntRange(min=0), default=None, metavar="ID", help="One marker with this number.")
+@click.option("--tag", type=Whole(min=0), default=None, metavar="ID", help="One marker with this number.")
 @click.option("--square", type=_Length(), default=None, help="Side of a square, or of a marker of a grid or a tag.")
 @click.option("--marker", type=_Length(), default=None, help="Side of the markers in a ChArUco board; gap in a grid.")
 @click.option(
@@ -80,7 +81,7 @@ class _Lengths(click.ParamType):
 )  # fmt: skip
 @click.option(
     "--measured-to-mm",
-    type=click.FloatRange(min=0.001),
+    type=Decimal(min=0.001),
     default=None,
     metavar="MM",
     help="How well you measured them.  [default: 0.3, as with a ruler]",
