@@ -71,6 +71,19 @@ def test_a_stiffness_needs_a_mass() -> None:
     assert "stiffness 2e+05 N m/rad" in story("compliance", "elbow_joint", AXIS, "load:elbow_joint", stiff)
 
 
+@pytest.mark.parametrize(
+    ("driver", "amount"),
+    [("load:elbow_joint", "against load by 5 µrad per N m;"), ("payload:elbow_joint", "5 µrad per N m that 1 kg at")],
+)
+def test_what_moves_against_its_load_is_no_spring(driver: str, amount: str) -> None:
+    found = sizes(CHAIN, "compliance", "elbow_joint", AXIS, driver, Shape("linear"), values=(-5e-6,))
+    assert "stiffness" not in found
+    said = story("compliance", "elbow_joint", AXIS, driver, found)
+    assert "elbow_joint deflects against load" in said
+    assert amount in said
+    assert "no spring does that" in said
+
+
 def test_a_step_and_a_curve_say_how_large_they_are() -> None:
     step = sizes(CHAIN, "step", "tool", ALL, "time", Shape("step", {"at": 7.0}), values=(3e-3, 4e-3, 0, 0, 0, 0.1))
     assert "tool moved by 5 mm and 100 mrad at one moment (stamp 7.0 s)" in story("step", "tool", ALL, "time", step)
@@ -106,7 +119,7 @@ def test_a_rough_size_is_stated_with_its_spread() -> None:
     at = ("elbow_joint", AXIS, "direction:elbow_joint")
     assert "0.2 mrad of" in story("backlash", *at, {"backlash": (2e-4, 1e-5, "rad")})
     assert "0.2 ± 0.05 mrad of" in story("backlash", *at, {"backlash": (2e-4, 5e-5, "rad")})
-    rough = {"stiffness": (2e5, 4e4, "N m/rad")}
+    rough = {"compliance": (5e-6, 1e-6, "rad/(N m)"), "stiffness": (2e5, 4e4, "N m/rad")}
     assert "stiffness 2e+05 ± 4e+04 N m/rad" in story("compliance", "elbow_joint", AXIS, "load:elbow_joint", rough)
 
 

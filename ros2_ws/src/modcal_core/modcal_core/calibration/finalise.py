@@ -100,9 +100,7 @@ def _right_after_all(
         return alone, None
     start = scored.start.with_effects(sharpened(scored.model, samples).effects)
     some = samples.select(~wrong | alone)
-    fit = identify(
-        start, some, choice.parameters, cell.distances, tolerance=FITTED, begin=scored.values, reject=False
-    )
+    fit = identify(start, some, choice.parameters, cell.distances, tolerance=FITTED, begin=scored.values, reject=False)
     right = alone & ~outlying(fit.model, scored.noise, samples)
     return right, fit if np.array_equal(right, alone) else None
 

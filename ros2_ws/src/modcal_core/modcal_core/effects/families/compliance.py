@@ -21,6 +21,10 @@ from modcal_core.effects.sizes import Sizes, unit_of, value
 from modcal_core.robots.mechanism import Mechanism
 
 NAME = "compliance"
+_NO_SPRING = (
+    "no spring does that: a controller that compensates too much does, or weight that pulls another way, or loads or "
+    "readings of the opposite sign"
+)
 KILOGRAMS = ("_kg", "/kg")  # ends of names of numbers that say their unit
 HARDENINGS = (0.3, 1.0, 3.0, 10.0)  # share of the cubic term at the usual load
 
@@ -88,7 +92,7 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
         out: Sizes = {"compliance_times_mass": (v, s, f"kg {unit}/({load})")}
     else:
         out = {"compliance": (v, s, f"{unit}/({load})")}
-        if v:
+        if v > 0.0:  # what moves against its load is no spring
             out["stiffness"] = (1.0 / abs(v), s / v**2, f"{load}/{unit}")
     if hardens:
         first, beta, std = sign * float(effect.values[0]), sign * float(effect.values[1]), float(effect.std[1])
@@ -97,25 +101,26 @@ def sizes(effect: Effect, chain: Mechanism) -> Sizes:
 
 
 def sentence(entry: ReportEntry) -> str:
-    """Stiffness, or compliance per newton that one kilogram exerts."""
+    """Stiffness, or compliance per newton that one kilogram exerts; and what no spring does."""
     if "compliance_times_offset_x" in entry.sizes:
         return f"{entry.place} deflects under a recorded payload whose centre lies beside the tip"
-    if "compliance_per_unit" in entry.sizes:
-        size, _, unit = entry.sizes["compliance_per_unit"]
-        angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
-        return (
-            f"{entry.place} deflects under a load at the tip that a recorded number tells, by {1e6 * abs(size):.3g} "
-            f"{angle} per {per} that 1 kg exerts there, for each unit of it"
-        )
-    if "compliance_times_mass" in entry.sizes:
-        size, _, unit = entry.sizes["compliance_times_mass"]
-        angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
-        return (
-            f"{entry.place} deflects under load by {1e6 * abs(size):.3g} {angle} per {per} that 1 kg at the tip "
-            "exerts; the description states no masses, so no stiffness is known"
-        )
+    name = next(name for name in ("compliance_per_unit", "compliance_times_mass", "compliance") if name in entry.sizes)
+    size, std, unit = entry.sizes[name]
+    angle, per = ("µrad", "N m") if "rad" in unit else ("µm", "N")
+    amount = f"{in_words((1e6 * abs(size), 1e6 * std, angle))} per {per}"
     what = f"{entry.place}'s bearing or column tilts" if entry.direction == ACROSS else f"{entry.place} deflects"
-    return f"{what} under load, stiffness {in_words(entry.sizes.get('stiffness', (float('inf'), 0.0, 'N m/rad')))}"
+    way = "under" if size > 0.0 else "against"
+    if name == "compliance_per_unit":
+        said = f"{what} {way} a load at the tip that a recorded number tells, by {amount} that 1 kg exerts there, for "
+        said += "each unit of it"
+    elif name == "compliance_times_mass":
+        said = f"{what} {way} load by {amount} that 1 kg at the tip exerts"
+        said += "; the description states no masses, so no stiffness is known"
+    elif size > 0.0:
+        return f"{what} under load, stiffness {in_words(entry.sizes['stiffness'])}"
+    else:
+        said = f"{what} against load by {amount}"
+    return said if size > 0.0 else f"{said}; {_NO_SPRING}"
 
 
 FAMILY = Family(NAME, candidates, complexity=complexity_of_joint, sizes=sizes, sentence=sentence)
