@@ -15,6 +15,7 @@ from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.noise import excess_sigma
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import ALL, Effect, all_columns
 from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate
@@ -100,7 +101,7 @@ def test_a_fit_with_a_distance_ends_where_the_whole_cost_is_level(made: Recorded
     assert fit.converged
     rows = distance_rows(start, parameters, fit.values, known)
     now = linearise(start, parameters, fit.values, made.samples)
-    weight = fits.row_weights(fit.weights, fit.noise, made.samples)
+    weight = row_weights(fit.weights, fit.noise, made.samples)
     prior = np.array([p.prior_std for p in parameters])
     slope = now.J @ (weight * now.residual) + (rows.J / rows.std**2) @ rows.residual - fit.values / prior**2
     assert np.abs(slope * fit.std).max() < 1e-2

@@ -19,22 +19,14 @@ from modcal_core.calibration.curvature import Curvature
 from modcal_core.calibration.distances import AnyDistance, distance_cost, distance_rows
 from modcal_core.calibration.linearise import Linearised, apply_deviations, deviations
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import (
-    REJECT_Z,
-    Groups,
-    NoiseModel,
-    excess_sigma,
-    robust_noise,
-    robust_weights,
-    standard_score,
-)
+from modcal_core.calibration.noise import REJECT_Z, Groups, NoiseModel
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.system import system_of
+from modcal_core.calibration.weights import known_sigma, of_rows, weigh
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, prior_stds
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.kinds.rows import dimensions
 from modcal_core.measurements.samples import Samples
 
@@ -57,6 +49,9 @@ _SURE = 0.1  # of the tolerance; what is expected to be left
 _LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
 _DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
 _FLAT, _SHOWN = 30, 1.0  # iterations that together gain less of the cost than readings can show
+# A sample at the limit of rejection may go in and out for ever, each time by what the others then say of it. After so
+# many iterations, three times the usual, what is rejected once stays so
+_BARRING = 30
 _LONGER = 2.5  # times as many iterations of geometry alone, whose valleys are long; each of them is cheap
 _ROUGHLY = 5e-3  # m, rad; what a step of values that a fit begins with misses is of the order of its square
 _UNSEEN = 1e-2  # standard deviations; what a shorter step changes in the residuals is a millionth of their spread
@@ -187,7 +182,7 @@ def _minimum(
     its last step is taken without looking where it leads. most: iterations; None for as many as a fit may need.
     hopeless: see :func:`identify`.
     """
-    known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[samples.is_pose])
+    known_p, known_r = known_sigma(samples.sigma_position), known_sigma(samples.sigma_rotation[samples.is_pose])
     pose = samples.is_pose
     groups = Groups.of(samples, bool(start.instruments))
     around = start.drivers(samples)
@@ -202,11 +197,14 @@ def _minimum(
     moved, leading, same = 0.0, _LEADING, 0  # since the curvature was computed
     curvature: Curvature | None = None
     weighed = 1.0  # all rows, when it was factored
+    barred: np.ndarray | None = None  # samples that stay rejected
     at = equations.residuals(values)
     most = int(MAX_ITERATIONS * (1.0 if fitted else _LONGER)) if most is None else most
-    for iteration in range(1, most + 1):  # noqa: B007 (reported in the fit)
-        weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
-        row_weight = _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
+    for iteration in range(1, most + 1):
+        weights, noise = weigh(at, pose, known_p, known_r, groups, len(values), limit, barred)
+        if iteration > _BARRING:
+            barred = weights == 0.0
+        row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
         if near:
             H_samples, g = equations.last_curvature(row_weight), equations.gradient(values, row_weight)
             same += 1
@@ -279,9 +277,9 @@ def _minimum(
         near = near and damping == 0.0 and equations.quick_gradient
         damping = 0.0 if damping < 1e-3 else damping / 10.0
     if looked and not rough:  # else these are of the same residuals
-        weights, noise = _weigh(at, pose, known_p, known_r, groups, len(values), limit)
+        weights, noise = weigh(at, pose, known_p, known_r, groups, len(values), limit, barred)
     if fitted and tolerance <= FITTED and moved > _NEAR:  # while searching nobody asks for their covariance
-        row_weight = _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
+        row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
         H_data = equations.normal_equations(values, row_weight)[0]
         if distances:
             rows = distance_rows(start, parameters, values, distances)
@@ -338,59 +336,6 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
             f"{of_them or ' they'} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed".strip(),
             f"record at least {least} stations, or fix parameters",
         )
-
-
-def _known(sigma: Array) -> Array:
-    return np.where(np.isfinite(sigma), sigma, 0.0)
-
-
-def _weigh(
-    at: Linearised,
-    pose: np.ndarray,
-    known_p: Array,
-    known_r: Array,
-    groups: Groups,
-    parameters: int,
-    limit: float | None,
-) -> tuple[Array, NoiseModel]:
-    """Robust weights of the samples and the spread left, at these residuals."""
-    square_p, square_r = at.square_position, at.square_rotation
-    weights = np.ones(len(square_p))
-    if limit is not None:
-        rough = robust_noise(at.position, at.rotation, groups)
-        total = square_p / (rough.position**2 + known_p**2)
-        for kind, of_kind in groups.others.items():
-            total[of_kind] = square_p[of_kind] / (rough.others[kind] ** 2 + known_p[of_kind] ** 2)
-        if len(square_r):
-            total[pose] += square_r / (rough.rotation**2 + known_r**2)
-        weights = robust_weights(standard_score(total, groups.dimensions), limit)
-    each = parameters / groups.rows  # degrees of freedom that a row gives up
-
-    def left(rows: np.ndarray | slice, directions: int) -> float:
-        seen = square_p[rows]
-        return excess_sigma(seen, known_p[rows], weights[rows], each * directions * len(seen), directions)
-
-    noise = NoiseModel(
-        left(groups.positions, 3),
-        excess_sigma(square_r, known_r, weights[pose], each * 3.0 * len(square_r)),
-        {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()},
-    )
-    return weights, noise
-
-
-def row_weights(weights: Array, noise: NoiseModel, samples: Samples) -> Array:
-    """Weight of each row of a linearisation, (3 N + 3 M,), of samples with these robust weights (N,)."""
-    pose = samples.is_pose
-    known_p, known_r = _known(samples.sigma_position), _known(samples.sigma_rotation[pose])
-    return _of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
-
-
-def _of_rows(
-    weights: Array, noise: Array | float, turning: float, known_p: Array, known_r: Array, pose: np.ndarray
-) -> Array:
-    w_p = weights / (noise**2 + known_p**2)
-    w_r = weights[pose] / (turning**2 + known_r**2)
-    return np.concatenate([w_p, w_p, w_p, w_r, w_r, w_r])
 
 
 def _cost(at: Linearised, row_weight: Array) -> float:

@@ -15,10 +15,11 @@ import numpy as np
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.doubt import UNSURE
 from modcal_core.calibration.fallback import curved_joints
-from modcal_core.calibration.identify import Fit, row_weights
+from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import prior_stds
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

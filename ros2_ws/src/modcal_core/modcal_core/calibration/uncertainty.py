@@ -15,10 +15,11 @@ import numpy as np
 import scipy
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
-from modcal_core.calibration.identify import Fit, row_weights
+from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import prior_stds
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

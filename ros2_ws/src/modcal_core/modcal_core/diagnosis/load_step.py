@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.identify import Fit, row_weights
+from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import RowView, linearise
+from modcal_core.calibration.weights import row_weights
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, Term, motion, prior_stds
