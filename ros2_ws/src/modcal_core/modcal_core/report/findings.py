@@ -81,7 +81,7 @@ class Finding:
     @property
     def _gain(self) -> str:
         if self.gain_mm2 is None:
-            return f"without them the error is {1e3 * self.after:.3f} mm, with them {1e3 * self.before:.3f} mm"
+            return f"the error is {1e3 * self.after:.3f} mm without, {1e3 * self.before:.3f} mm with"
         if not self.shown:
             return "the held-out stations do not show that it helps"
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"

@@ -10,7 +10,9 @@ NAME = "outliers"
 
 def sentence(entry: ReportEntry) -> str:
     """How many stations."""
-    return f"{entry.sizes['stations'][0]:.0f} stations are gross outliers and were left out"
+    count = round(entry.sizes["stations"][0])
+    stations = "1 station is a gross outlier and was" if count == 1 else f"{count} stations are gross outliers and were"
+    return f"{stations} left out"
 
 
 FAMILY = Family(NAME, no_candidates, sentence=sentence)
