@@ -282,7 +282,7 @@ def test_tolerances_are_checked_before_anything_is_computed(made: modcal.Result)
         modcal.calibrate(made.robot, made.samples, tolerance_mm=0.1, tolerance_of="p99")
     report = modcal.evaluate(made.calibration, made.samples, tolerance_mm=50.0)
     assert report.tolerance is not None
-    assert report.tolerance.result == "PASS"
+    assert report.tolerance.result == "CANNOT TELL"  # these samples are what it was fitted to
 
 
 def test_refusals_of_samples(made: modcal.Result) -> None:

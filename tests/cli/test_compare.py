@@ -47,7 +47,7 @@ def test_the_certificate_names_robot_serial_instrument_and_hashes(folder: Path) 
 
 def test_evaluating_the_own_recording_is_said(folder: Path, tmp_path: Path) -> None:
     arguments = ["evaluate", str(folder / "a"), str(folder / "bag"), "--out", str(tmp_path / "out")]
-    assert run([*arguments, "--tolerance-mm", "5", "--certificate"]) == 0
+    assert run([*arguments, "--tolerance-mm", "5", "--certificate"]) == 3  # nothing is proven by what was fitted to
     page = (tmp_path / "out" / "certificate.html").read_text()
     assert "was made from this very recording" in page
     assert "<title>a, evaluated on bag</title>" in (tmp_path / "out" / "report.html").read_text()

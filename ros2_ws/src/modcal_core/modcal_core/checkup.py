@@ -28,7 +28,7 @@ from modcal_core.errors import NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.notes import unseen_note
+from modcal_core.report.notes import own_note, unseen_note
 from modcal_core.report.report import Report
 from modcal_core.verdict.not_applied import applicable
 
@@ -307,9 +307,11 @@ def _placed_note(calibration: Calibration, samples: Samples, new: tuple[str, ...
 
 
 def _dated(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
-    """A sentence for a recording that is not later than the calibration's own, by the stamps of both; none where these
-    are a simulation's, or count from when a machine was switched on.
+    """A sentence for a recording that is not later than the calibration's own, by its readings, or by the stamps of
+    both; none by stamps that are a simulation's, or count from when a machine was switched on.
     """
+    if own := own_note(samples, calibration):
+        return own
     if calibration.watched is None or not (calibration.clock and samples.clock):
         return ()
     first, last = calibration.watched

@@ -18,7 +18,7 @@ from modcal_core.plausibility.computed_part import computed_in_part
 from modcal_core.plausibility.conventions import proved
 from modcal_core.report.contents import Step
 from modcal_core.report.joint_offsets import offsets_of
-from modcal_core.report.notes import moved_note, unseen_note
+from modcal_core.report.notes import moved_note, own_note, unseen_note
 from modcal_core.report.report import Report
 from modcal_core.verdict.case import frozen_case
 from modcal_core.verdict.grounds import Grounds
@@ -76,6 +76,7 @@ def evaluate(
         converged=converged,
         not_applied=applied.not_applied,
         contradictions=(
+            *own_note(samples, calibration),
             *doubtful(residuals, scored, samples, calibration.nominal.chain),
             *computed_in_part(samples, calibration.nominal.chain, wrong),
             *samples.origin.doubts,

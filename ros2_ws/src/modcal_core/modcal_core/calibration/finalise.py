@@ -20,6 +20,7 @@ from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.calibration.typical import driver_ranges, typical_sizes
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.effects.effect import is_move
+from modcal_core.measurements.marks import marks_of
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import Mechanism
@@ -84,6 +85,7 @@ def finalise(
         geometry_outside=geometry_is_better(tidy, geometric, samples, choice.parameters, last, cell.distances),
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
+        marks=marks_of(samples),
     )
 
 

@@ -66,7 +66,8 @@ class Calibration:
     there otherwise; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that
     effects depend on. typical: for each effect what it was on average, where a recording may lack its driver.
     scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
-    where none was stated. converged: whether every fit reached its minimum.
+    where none was stated. converged: whether every fit reached its minimum. marks: of the samples it was made from, by
+    which they are known again; empty in older files.
     """
 
     nominal: Model
@@ -87,6 +88,7 @@ class Calibration:
     left_alone: float = 0.0
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     typical: tuple[TypicalDriver | None, ...] = ()
+    marks: tuple[int, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
@@ -234,6 +236,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             **({} if calibration.clock else {"clock": False}),
             **({"geometry_outside": True} if calibration.geometry_outside else {}),
             **({"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}),
+            **({"marks": list(calibration.marks)} if calibration.marks else {}),
             **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
@@ -275,6 +278,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         clock, outside = bool(recorded.get("clock", True)), bool(recorded.get("geometry_outside", False))
         left_alone = float(recorded.get("left_alone_m", 0.0))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
+        marks = tuple(int(mark) for mark in recorded.get("marks", ()))
         typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
         kind = str(recorded["kind"])
@@ -286,7 +290,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
-        *(watched, alone, converged, clock, outside, left_alone, ranges, typical),
+        *(watched, alone, converged, clock, outside, left_alone, ranges, typical, marks),
     )
 
 

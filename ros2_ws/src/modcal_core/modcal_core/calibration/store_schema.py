@@ -34,7 +34,7 @@ SCHEMA: Schema = _keys(
     effects=_list_of(_keys(*_EFFECT, rivals=_list_of(_keys(*_EFFECT)), usual=_keys("mean", "cost_m2"))),
     recorded=_keys(
         "kind", "spread", "scatter", "converged", "spread_of", "postures", "stamps", "clock", "ranges",
-        "geometry_outside", "left_alone_m",
+        "geometry_outside", "left_alone_m", "marks",
     ),
     uncertainty=_keys(
         "covariance",

@@ -6,8 +6,11 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.score import Errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.marks import share_of_known
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.require import LIMIT_OF_REACH
+
+_OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
 
 
 def instrument_notes(fit: Fit) -> tuple[str, ...]:
@@ -28,6 +31,19 @@ def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, re
         return ()
     return (
         "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool fit them again.",
+    )
+
+
+def own_note(samples: Samples, calibration: Calibration) -> tuple[str, ...]:
+    """A sentence where samples are those that the calibration was fitted to, which make any fit look good."""
+    share = share_of_known(calibration.marks, samples)
+    if share <= _OWN:
+        return ()
+    many = "All" if share == 1.0 else f"About {share:.0%}"
+    return (
+        f"{many} of these samples are of the calibration's own recording, with the same joints and readings to the "
+        "micrometre. It was fitted to them: their error is smaller than that of others, and shows no change. Evaluate "
+        "another recording, or use the error that calibrate held out.",
     )
 
 
