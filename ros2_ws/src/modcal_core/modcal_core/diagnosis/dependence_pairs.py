@@ -10,6 +10,7 @@ import numpy as np
 from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.diagnosis.hysteresis import last_moves, moments_on_base, play, slipped
+from modcal_core.diagnosis.spectra import Spectrum
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.other_joints import spoken_name
@@ -104,11 +105,11 @@ class _Builder:
         if self.at.arm.weighed:
             load = self.at.values(f"load:{name}")
             numbers.append((", as large as its load", load / max(float(np.abs(load).max()), 1e-12)))
-        angle = np.arange(6, _CYCLES + 1)[:, None] * q
+        waves = Spectrum(q, 1.0, _CYCLES)
+        own = np.sum(unit * self._residual(), axis=0)
         for how, number in numbers:
-            own = np.sum(unit * self._residual(), axis=0) * number
-            found = np.hypot(np.cos(angle) @ own, np.sin(angle) @ own)
-            k = 6 + int(np.argmax(found))
+            sums = waves.sums((own * number)[:, None])[6:, :, 0]
+            k = 6 + int(np.argmax(np.hypot(sums[:, 0], sums[:, 1])))
             wave = np.stack([np.sin(k * q), np.cos(k * q)]) * number
             yield self._pair(who, f"the position of {name} itself, {k} times a turn (a gear){how}", axis, wave)
 

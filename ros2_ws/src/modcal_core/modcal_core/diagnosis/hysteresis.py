@@ -32,14 +32,17 @@ def play(samples: Samples, widths: tuple[float, ...] = WIDTHS) -> Array:
 def ahead(samples: Samples, numbers: Array, widths: tuple[float, ...]) -> Array:
     """The same of any numbers (k, N) of the samples, (k, widths, N), taken to go straight from station to station."""
     order = np.argsort(samples.stamps, kind="stable")
-    x = numbers[:, None, order]
-    width = np.array(widths)[None]
-    out = np.empty((len(numbers), len(widths), len(samples)))
-    held = np.repeat(x[..., 0], len(widths), axis=1)
-    for k in range(len(samples)):
-        held = np.clip(held, x[..., k] - width, x[..., k] + width)
-        out[..., order[k]] = x[..., k] - held
-    return out
+    x = np.repeat(numbers.T[order, :, None], len(widths), axis=2)
+    least, most = x - widths, x + widths
+    held = np.empty_like(x)
+    now = x[0].copy()
+    for low, high, out in zip(least, most, held, strict=True):
+        np.maximum(now, low, out=now)
+        np.minimum(now, high, out=now)
+        out[...] = now
+    ahead_of = np.empty((len(numbers), len(widths), len(samples)))
+    ahead_of[..., order] = (x - held).transpose(1, 2, 0)
+    return ahead_of
 
 
 def slipped(samples: Samples, loads: Array) -> Array:
