@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from modcal_core.verdict.case import Case
 from modcal_core.verdict.verdict import Interval
 
 DRAWS = 400  # bootstrap samples; ends of a 95 % interval then move by an eighth of a deviation
+_MOST_COUNTED = 5000  # stations, of which 16 MB are kept; of more it is worked out each time
 _MOST = 600  # scored samples; the mean over more is the same
 
 
@@ -65,9 +67,25 @@ def resampled(square: Array, station: np.ndarray) -> tuple[float, Interval]:
     """Mean of numbers (N,) and its 95 % interval, by drawing their stations (N,) again."""
     _, of = np.unique(station, return_inverse=True)
     total, count = np.bincount(of, square), np.bincount(of)
-    draws = np.random.default_rng(0).integers(len(count), size=(DRAWS, len(count)))
-    means = total[draws].sum(axis=1) / count[draws].sum(axis=1)
+    if len(count) <= _MOST_COUNTED:
+        sums, of_all = (_often(len(count)) @ np.stack([total, count], axis=1)).T
+        means = sums / of_all
+    else:
+        draws = _draws(len(count))
+        means = total[draws].sum(axis=1) / count[draws].sum(axis=1)
     return float(square.mean()), (float(np.percentile(means, 2.5)), float(np.percentile(means, 97.5)))
+
+
+def _draws(count: int) -> np.ndarray:
+    """Which of so many are drawn each time, (DRAWS, count)."""
+    return np.random.default_rng(0).integers(count, size=(DRAWS, count))
+
+
+@lru_cache(maxsize=2)
+def _often(count: int) -> Array:
+    """How often each of so many is drawn each time, (DRAWS, count): effect after effect asks for the same."""
+    at = _draws(count) + count * np.arange(DRAWS)[:, None]
+    return np.bincount(at.ravel(), minlength=DRAWS * count).reshape(DRAWS, count).astype(float)
 
 
 def mean_square(residuals: Errors, angle: bool) -> Array:
