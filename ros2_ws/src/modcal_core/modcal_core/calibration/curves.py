@@ -36,7 +36,17 @@ class Curve:
 
 def curves_of(terms: Sequence[list[Term]], at: Drivers) -> tuple[list[Curve], list[int]]:
     """The curves among columns of effects, and the numbers of all other columns."""
-    curves: list[Curve] = []
+    found, others = whole_shapes(terms)
+    return [
+        Curve(term.place, term.direction, slice(j, j + len(of)), of, knots_of(of, at)) for j, term, of in found
+    ], others
+
+
+def whole_shapes(terms: Sequence[list[Term]]) -> tuple[list[tuple[int, Term, Array]], list[int]]:
+    """Where all functions of a shape stand along one direction: the first's number, it, and all (b, N); and the numbers
+    of all other columns.
+    """
+    found: list[tuple[int, Term, Array]] = []
     others: list[int] = []
     j = 0
     while j < len(terms):
@@ -45,9 +55,9 @@ def curves_of(terms: Sequence[list[Term]], at: Drivers) -> tuple[list[Curve], li
             others.append(j)
             j += 1
             continue
-        curves.append(Curve(terms[j][0].place, terms[j][0].direction, slice(j, j + len(of)), of, knots_of(of, at)))
+        found.append((j, terms[j][0], of))
         j += len(of)
-    return curves, others
+    return found, others
 
 
 def _is_whole(terms: Sequence[list[Term]], of: Array) -> bool:

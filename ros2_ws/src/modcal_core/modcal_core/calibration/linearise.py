@@ -24,6 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
+from modcal_core.calibration.curves import whole_shapes
 from modcal_core.calibration.instruments import Sights, look
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
@@ -135,10 +136,21 @@ def linearise(
     view = RowView.of(now, samples, at)
     if not jacobian:
         return Linearised(view.position, view.rotation, np.zeros((0, view.position.size + view.rotation.size)))
-    J = geometry_rows(view, model, parameters, values)
-    if len(values) > len(parameters):
-        J = np.concatenate([J, *(view.moved_by(terms)[None] for terms in all_columns(now.effects, at))])
+    P = len(parameters)
+    J = np.empty((len(values), view.position.size + view.rotation.size))
+    geometry_rows(view, model, parameters, values, out=J[:P])
+    if len(values) > P:
+        effect_rows(view, all_columns(now.effects, at), out=J[P:])
     return Linearised(view.position, view.rotation, J)
+
+
+def effect_rows(view: RowView, terms: Sequence[list[Term]], out: Array) -> None:
+    """Write d(prediction)/d(value), (K, 3 N + 3 M), of effects' values, those of one direction of a shape at once."""
+    shapes, others = whole_shapes(terms)
+    for j, term, numbers in shapes:
+        view.times(view.unit_column(term.place, term.direction), numbers, out[j : j + len(numbers)])
+    for j in others:
+        view.moved_by(terms[j], out=out[j])
 
 
 def model_at(model: Model, parameters: Sequence[ModelParameter], values: Array) -> Model:

@@ -113,17 +113,17 @@ class Space:
         held = np.zeros(len(now.J))  # of a frozen model without effects nothing is fitted
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
         N, P, rows = len(samples), len(now.J), _rows(view)
-        Q = np.zeros((6, N, P))
-        Q[:3] = now.J[:, : 3 * N].reshape(P, 3, N).transpose(1, 2, 0)
-        if rows > 3:
-            Q[3:, view.pose] = now.J[:, 3 * N :].reshape(P, 3, len(view.pose)).transpose(1, 2, 0)
-        Q[:rows] *= weight[:rows, :, None]
-        L = _make_orthonormal(Q[:rows].reshape(rows * N, P), held)
+        J = by_component(now.J, view)
+        J *= weight[:rows]
+        flat = J.reshape(P, -1)
+        L = _make_orthonormal(flat, held)
+        Q = np.empty((6, N, P)) if rows == 6 else np.zeros((6, N, P))
+        Q[:rows] = J.transpose(1, 2, 0)
         residual = drawn_in(by_sample(now.residual, view) * weight)
         # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
         # join the noise and hide how uneven that is.
-        residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
-        free = equations(fit, samples) - round(float(np.sum(Q[:rows] ** 2)))
+        residual[:rows] -= ((flat @ residual[:rows].ravel()) @ flat).reshape(rows, N)
+        free = equations(fit, samples) - round(float(np.vdot(flat, flat)))
         return cls(view, weight, residual, Q, free, rows), L
 
     @cached_property
@@ -160,15 +160,15 @@ def equations(fit: Fit, samples: Samples) -> int:
 
 
 def _make_orthonormal(J: Array, held: Array) -> Array:
-    """Make the columns of J (m, P), with the rows diag(held) below them, orthonormal, in their place.
+    """Make columns, which are the rows of J (P, m), each with what is held of it behind, orthonormal, in their place.
 
-    Those rows are left out. Returns the triangle L (P, P) whose inverse makes them of the columns at unit size.
+    What is held is left out. Returns the triangle L (P, P) whose inverse makes them of the columns at unit size.
     """
-    size = np.maximum(np.sqrt(np.einsum("ij,ij->j", J, J) + held**2), 1e-300)
-    J /= size
-    L = np.asarray(np.linalg.cholesky(J.T @ J + np.diag((held / size) ** 2 + ROUNDING)), dtype=float)
-    if J.size:
-        out = scipy.linalg.blas.dtrsm(1.0, np.asfortranarray(L), J.T, lower=1, overwrite_b=1).T
+    size = np.maximum(np.sqrt(np.einsum("ij,ij->i", J, J) + held**2), 1e-300)
+    J /= size[:, None]
+    L = np.asarray(np.linalg.cholesky(J @ J.T + np.diag((held / size) ** 2 + ROUNDING)), dtype=float)
+    if J.size:  # from the right, which takes three quarters of the time that it takes from the left
+        out = scipy.linalg.blas.dtrsm(1.0, np.asfortranarray(L), J.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
         if not np.may_share_memory(out, J):
             J[:] = out
     return L
@@ -187,8 +187,10 @@ def _rows(view: RowView) -> int:
 
 
 def by_component(J: Array, view: RowView) -> Array:
-    """Rows of a linearisation (P, 3 N + 3 M) as (P, 6, N), or (P, 3, N) of points alone."""
+    """Rows of a linearisation (P, 3 N + 3 M) as (P, 6, N), or (P, 3, N) of points alone; the same memory, if it may."""
     N, P = view.position.shape[1], len(J)
+    if len(view.pose) in (0, N):
+        return J.reshape(P, _rows(view), N)
     out = np.zeros((P, _rows(view), N))
     out[:, :3] = J[:, : 3 * N].reshape(P, 3, N)
     if len(view.pose):
