@@ -141,3 +141,27 @@ def test_single_poses_agree_with_the_batched_ones(seed: int, size: float) -> Non
         way, angle = speeds(T, tool_from(T, xi))
         assert way == pytest.approx(np.linalg.norm(xi[:3]), abs=1e-12)
         assert angle == pytest.approx(np.linalg.norm(xi[3:]), rel=1e-6, abs=1e-7)
+
+
+@pytest.mark.parametrize("turn", [0.5, 1.2, 3.0])
+def test_gains_turn_along_with_the_way(turn: float) -> None:
+    """A hand that does not turn with a door, led about it: a force along the way leads along it in the end, too."""
+    gains = Gains.of((10.0, 10.0, 10.0, 1.0, 1.0, 1.0), (1000.0,) * 3 + (80.0,) * 3, (1000.0, 300.0, 300.0, 20, 20, 20))
+    law, steps, along = Impedance(gains), 4000, np.zeros(3)
+    for k in range(2 * steps):
+        a = turn * min(k / steps, 1.0)
+        along = np.array([np.cos(a), np.sin(a), 0.0])
+        law.align(along)
+        before = law.x
+        law.step(np.concatenate([30.0 * along, np.zeros(3)]), 0.004)
+        assert np.linalg.norm(law.x - before) < 2e-4  # nothing jumps: 5 cm/s
+    assert law.gains.task[:, 0] @ along > np.cos(np.radians(5.0)) - 1e-9
+    off = law.x[:3] - (law.x[:3] @ along) * along
+    assert law.x[:3] @ along == pytest.approx(0.03, rel=0.03)
+    assert np.linalg.norm(off) < 0.25 * 0.03  # 5° of a force on what is three times as soft
+
+
+def test_a_way_that_hardly_turns_leaves_the_gains_alone() -> None:
+    law = Impedance(Gains.of())
+    law.align(np.array([1.0, 0.05, 0.0]) / np.hypot(1.0, 0.05))
+    assert law.gains.task == pytest.approx(np.eye(3))

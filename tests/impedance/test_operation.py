@@ -398,12 +398,12 @@ def test_force_slows_the_pace_down_and_stops_it() -> None:
     pace = SpeedGovernor(GovernorSettings())
     free, half, full = (np.array([f, 0, 0, 0, 0, 0.0]) for f in (20.0, 38.75, 48.0))
     for _ in range(1000):
-        pace.step(0.06, free, PERIOD)
+        pace.step(0.06, math.inf, free, PERIOD)
     assert pace.speed == pytest.approx(0.06)
     for _ in range(100):
-        pace.step(0.06, half, PERIOD)
+        pace.step(0.06, math.inf, half, PERIOD)
     assert pace.speed == pytest.approx(0.03)
     for _ in range(100):
-        pace.step(0.06, full, PERIOD)
+        pace.step(0.06, math.inf, full, PERIOD)
     assert pace.speed == 0.0
     assert GovernorSettings().share(np.array([0, 0, 0, 0, 0, 20.0])) == 0.0

@@ -76,6 +76,26 @@ def test_braking_goes_on_by_its_way() -> None:
     pace.speed = 0.06
     t, way = pace.braking, 0.0
     while pace.speed > 0.0:
-        way += pace.step(0.0, np.zeros(6), _STEP)
+        way += pace.step(0.0, math.inf, np.zeros(6), _STEP)
     assert way == pytest.approx(0.06 * t, rel=1e-3)
     assert math.isclose(pace.braking, 0.0)
+
+
+@pytest.mark.parametrize(("force", "most"), [(44.0, 0.02), (44.0, 4e-3), (20.0, 0.02), (47.5, 0.02)])
+def test_the_slower_of_what_is_felt_and_what_is_in_sight_counts_and_not_both(force: float, most: float) -> None:
+    """Up to 30 N the whole speed, none from 47.5 N on; a lower limit is no reason to go at a share of it."""
+    pace, F = SpeedGovernor(GovernorSettings()), np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
+    for _ in range(1000):
+        way = pace.step(0.03, most, F, 0.004)
+    share = min(1.0, (47.5 - force) / (47.5 - 30.0))
+    assert way / 0.004 == pytest.approx(min(0.03 * share, most))
+
+
+def test_late_inputs_slow_down_at_once_and_for_a_while() -> None:
+    pace = SpeedGovernor(GovernorSettings())
+    pace.heed(0.11, 0.004)
+    assert pace.caution == pytest.approx(3.0)
+    for _ in range(1000):  # four seconds
+        way = pace.step(0.03, math.inf, np.zeros(6), 0.004)
+        pace.heed(0.01, 0.004)
+    assert way / 0.004 == pytest.approx(0.03, rel=0.01)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from impedance.toy import PANDA, PERIOD, READY
@@ -76,7 +78,7 @@ def pulled(
         now += PERIOD
         J = pose_and_jacobian(PANDA, reference)[1]
         size = float(np.linalg.norm(said[:3])) + check.force if slows else 0.0
-        pace = governor.step(speed, np.array([size, 0.0, 0.0, 0.0, 0.0, 0.0]), PERIOD) / PERIOD
+        pace = governor.step(speed, math.inf, np.array([size, 0.0, 0.0, 0.0, 0.0, 0.0]), PERIOD) / PERIOD
         R = pose_and_jacobian(PANDA, reference)[0][:3, :3]
         twist = np.concatenate([R.T @ (pace * BACK), np.zeros(3)])
         reference = reference + PERIOD * (J.T @ np.linalg.solve(J @ J.T, twist))

@@ -12,7 +12,8 @@ What is integrated is a motion relative to the expected one, so that the expecte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,21 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.single import pose_error, relative, tool_from
 from modcal_core.geometry.so3 import Array
+
+_ALIGNED = math.cos(math.radians(5.0))  # of the way and the gains' axis: within it, 0.4 % of a force changes sides
+
+
+def axes_along(direction: ArrayLike) -> Array:
+    """A rotation (3, 3) whose first column is a direction (3,). Raises BadCommand for one without length."""
+    x = np.asarray(direction, dtype=float)
+    length = float(np.linalg.norm(x))
+    if not (math.isfinite(length) and length > 1e-6):
+        raise BadCommand(f"direction {x.tolist()}", "has no length", "give x y z of the pull")
+    x = x / length
+    y = np.eye(3)[int(np.argmin(np.abs(x)))]
+    y = y - (y @ x) * x
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
 def _pair(what: str, value: ArrayLike, least: float) -> Array:
@@ -90,6 +106,15 @@ class Impedance:
         """Go over to other gains gradually: neither position nor speed jumps, nor the force that they stand for."""
         self.gains = gains
         self._from, self._to, self._share = self._now, gains.matrices(), 0.0
+
+    def align(self, direction: Array) -> None:
+        """Turn the gains until their first axis lies along a direction (3,), seen from the tool; gradually as well.
+
+        A hand in a ball grasp does not turn with a door. It would else become stiff across the way and soft along it,
+        and pull more and more beside the way.
+        """
+        if direction @ self.gains.task[:, 0] < _ALIGNED:
+            self.change(replace(self.gains, task=axes_along(direction)))
 
     def step(self, F: Array, h: float, caution: float = 1.0) -> Array:
         """The new x (6,) after h seconds under a force and moment F (6,) on the tool [N, N m], seen from the tool.

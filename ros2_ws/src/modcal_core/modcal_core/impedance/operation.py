@@ -39,9 +39,7 @@ _STEPS_A_TICK = 2  # of the walk along the way that is to be checked
 _MEASURED_EVERY = 4  # ticks, after which it is looked anew how far it is open: some tenths of a millimetre
 _SURELY = 0.01  # of the way that is gone beyond the goal, so that it is surely reached
 _STAND_PATIENCE = 2.0  # s
-_PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _MOVING = ("explore", "check", "follow")  # phases in which the hand is led
-_OVER = 0.05  # m that the expected pose may lie beyond the goal
 _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is looked at anew
 
 
@@ -70,7 +68,7 @@ class Operation:
         self._last = -math.inf
         self._ticks = 0
         self._at: float | None = None
-        self._watch, self._caution = InputWatch(limits.timeout), 1.0
+        self._watch = InputWatch(limits.timeout)
         self._stop: Stop | None = None
         self._tell: dict[str, Callable[[float, Array, ObjectModel], None]] = {
             "explore": self._explore,
@@ -195,7 +193,7 @@ class Operation:
             self._resume(now - h)
         self._measured = T
         age = max(now - joints.stamp, now - sensor.stamp)
-        self._heed(age, h)
+        self.governor.heed(age, h)
         self._force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
         refused = self.monitor.overload(self.force)
         if refused is None and self.phase in _MOVING:
@@ -210,7 +208,7 @@ class Operation:
             goal = self.expected = T
         elif self.task.mode == "admittance" and self.phase != "arrive":
             F = np.concatenate([relative(self.expected, T, self.force[:3]), relative(self.expected, T, self.force[3:])])
-            self.impedance.step(F, h, self._caution)
+            self.impedance.step(F, h, self.governor.caution)
             goal = self.impedance.command(self.expected)
         else:
             goal = self.expected
@@ -232,15 +230,17 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self._force.unknown_speed(pull.progress(T)), h)
+        ds = self._go(self.task.exploration_speed, h, self._force.unknown_speed(pull.progress(T)))
         sent = self.setpoint_filter.pose if self.task.mode == "admittance" else None
         self.expected = pull.advance(ds, T, h, sent)
+        self.impedance.align(self.expected[:3, :3].T @ pull.moved)
+        lead = math.dist(self.expected[:3, 3], T[:3, 3])
         if state.trusted and state.model is not None:
             self._believe(state.model, T)
             self._enter("check", now)
-        elif self.governor.stuck(pull.progress(T), pull.way - pull.progress(T), self.force, now):
+        elif self.governor.stuck(pull.progress(T), lead, self.force, now):
             self._let_go(f"it does not move: {self._pushed()} and {1e3 * pull.progress(T):.0f} mm so far", now)
-        elif pull.way - math.dist(self.expected[:3, 3], T[:3, 3]) > self.task.max_exploration:
+        elif pull.way - lead > self.task.max_exploration:
             said = state.event or "no model predicts it"
             self._let_go(f"motion not identified after {100.0 * pull.progress(T):.0f} cm ({said})", now)
 
@@ -280,6 +280,7 @@ class Operation:
         wanted *= min(1.0, max(0.0, 2.0 - self.setpoint_filter.lag(self._goal_now()) / 0.005))
         ds = self._go(wanted, h)
         self.expected = course.advance(ds)
+        self.impedance.align(course.tangent())
         self._untrusted = 0.0 if state.trusted else self._untrusted + ds
         if left <= -_SURELY * course.way - self._yields():
             self.expected = self.setpoint_filter.pose
@@ -306,15 +307,10 @@ class Operation:
 
     # what several of them do
 
-    def _heed(self, age: float, h: float) -> None:
-        """Damp more, and so go slower, while inputs come late: what is stable at once need not be so a moment later."""
-        now = 1.0 + max(age - _PROMPT, 0.0) / _DOUBLES
-        self._caution = max(now, self._caution + (now - self._caution) * h / (h + _HEEDED))
-
-    def _go(self, wanted: float, h: float) -> float:
-        """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it."""
+    def _go(self, wanted: float, h: float, most: float = math.inf) -> float:
+        """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it, and never above most."""
         sight = self.governor.in_sight(self._force.size, self._force.delay)
-        return self.governor.step(min(wanted / self._caution, sight), self._force.foreseen, h)
+        return self.governor.step(wanted, min(most, sight), self._force.foreseen, h)
 
     def _enter(self, phase: str, now: float) -> None:
         self.phase, self._since = phase, now
@@ -331,7 +327,8 @@ class Operation:
             assert self._pull is not None
             moved = T[:3, 3] - self._pull.start[:3, 3]
             goals = self.task.goal_rad, self.task.goal_m
-            self.course = PathModel(model, self._pull.start, before, moved, *goals, _OVER)
+            over = self.task.governor.max_lead  # by which the hand may yield
+            self.course = PathModel(model, self._pull.start, before, moved, *goals, over)
             self.expected = self.course.pose(self.course.at)
         else:
             self.expected = self.course.take(model, before)

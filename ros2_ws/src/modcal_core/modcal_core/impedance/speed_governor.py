@@ -25,6 +25,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.wrench import LowPass
 
 _HARDLY = 0.05  # of the full speed: by then nearly the most force is on it
+_PROMPT, _DOUBLES, _HEEDED = 0.03, 0.04, 0.5  # s: age that is usual, that doubles the damping, and for how long
 _RATE_HZ = 20.0  # of the low-pass, what is above which counts as rising
 
 
@@ -75,17 +76,29 @@ class ForcePrediction:
 
 
 class SpeedGovernor:
-    """The speed along the path [m/s], which gathers gently and brakes hard."""
+    """The speed along the path [m/s], which gathers gently and brakes hard.
+
+    caution: how many times slower it goes, and how many times more a hand is damped, as inputs come late.
+    """
 
     def __init__(self, settings: GovernorSettings, gather: float = 0.15, brake: float = 2.0) -> None:
         """Standing. gather, brake: [m/s²]."""
         self.settings, self._gather, self._brake = settings, gather, brake
-        self.speed = 0.0
+        self.speed, self.caution = 0.0, 1.0
         self._mark = (math.nan, 0.0)
 
-    def step(self, wanted: float, F: Array, h: float) -> float:
-        """The way [m] to go on in h seconds, where a speed is wanted [m/s] and a force F (6,) is met."""
-        aim = wanted * self.settings.share(F)
+    def heed(self, age: float, h: float) -> None:
+        """Take h seconds in which inputs were so old [s]: what is stable at once need not be so a moment later."""
+        now = 1.0 + max(age - _PROMPT, 0.0) / _DOUBLES
+        self.caution = max(now, self.caution + (now - self.caution) * h / (h + _HEEDED))
+
+    def step(self, wanted: float, most: float, F: Array, h: float) -> float:
+        """The way [m] to go on in h seconds, where a speed is wanted [m/s] and a force F (6,) is met.
+
+        most: the speed :meth:`in_sight` [m/s]. What is slowed down for the force that is felt need not be slowed down
+        again for what a hard stop would add to it.
+        """
+        aim = min(wanted / self.caution * self.settings.share(F), most)
         self.speed = min(max(aim, self.speed - self._brake * h), self.speed + self._gather * h)
         return self.speed * h
 

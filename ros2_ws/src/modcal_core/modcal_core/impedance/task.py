@@ -9,9 +9,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from modcal_core.articulation.joints import JointModel
-from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.impedance import Gains
+from modcal_core.impedance.impedance import Gains, axes_along
 from modcal_core.impedance.speed_governor import GovernorSettings
 from modcal_core.impedance.wrench import DOWN
 
@@ -102,17 +101,4 @@ class ImpedanceTask:
         def six(values: tuple[float, float, float]) -> Array:
             return np.array([values[0], values[1], values[1], values[2], values[2], values[2]])
 
-        return Gains.of(six(self.mass), six(self.damping), six(self.stiffness), _axes(along))
-
-
-def _axes(along: Array) -> Array:
-    """A rotation (3, 3) whose first column is a direction (3,)."""
-    x = np.asarray(along, dtype=float)
-    length = float(np.linalg.norm(x))
-    if not (math.isfinite(length) and length > 1e-6):
-        raise BadCommand(f"direction {x.tolist()}", "has no length", "give x y z of the pull")
-    x = x / length
-    y = np.eye(3)[int(np.argmin(np.abs(x)))]
-    y = y - (y @ x) * x
-    y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)], axis=1)
+        return Gains.of(six(self.mass), six(self.damping), six(self.stiffness), axes_along(along))
