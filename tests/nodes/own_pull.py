@@ -61,7 +61,8 @@ def pull(
     chosen = {name: parameter.default for name, parameter in IMPEDANCE_SETPOINT.items()} | other
     arm = SensedArm.of(urdf, chosen)
     arm.sensor.load = Load(world.scene.tool_mass, world.scene.tool_com)
-    operation, tracker, state = Operation(arm.chain, task(chosen), limits(arm.chain, chosen)), Tracker(), None
+    operation = Operation(arm.chain, task(chosen), limits(arm.chain, chosen), arm.softest)
+    tracker, state = Tracker(), None
     period, opened, begun = operation.limits.period, 0.0, False
     rng = np.random.default_rng(0)
     states, wrenches, references = (Queue(late, rng) for _ in range(3))

@@ -90,6 +90,7 @@ class TrackerState:
 
 
 _EYE = np.eye(3)
+_TURNED = 0.05  # rad: a hand that was turned by less has told by its rotations neither of a drawer nor of a hinge
 _JUMP = (0.02, 0.3)  # m, rad: more from one pose to the next is a gross outlier, or a handle that is flung
 _FASTER = 2.5  # times the usual step from pose to pose is a jump as well, where poses come seldom
 _AT_ONE_PATH = 0.05  # m; residuals farther off are no noise of one path
@@ -127,6 +128,7 @@ class Tracker:
         self._samples = 0
         self._stamp = -np.inf
         self._first: Array | None = None
+        self._held: Array | None = None  # the first rotation, while the hand has kept it
         self._moved = 0.0
         self._known: tuple[Array, Array | None] | None = None  # the last pose that was learned from
         self._waiting: tuple[Array, Array | None] | None = None  # one that jumped, and waits for another
@@ -154,6 +156,10 @@ class Tracker:
         self._recent.append((p, R))
         if self._first is None or self._nodes is None:
             self._first, self._nodes = p, Nodes(bool(self._oriented), self.settings.nodes)
+            self._held = R
+        if self._held is not None and R is not None and _between(p, self._held, p, R)[1] > _TURNED:
+            self._held = None
+        self._travel.doubly = self._held is not None  # a drawer, or a hinge in a ball grasp: there is more to weigh
         motion = self._selector.motion
         a, off, twisted, event = self._compare(p, R)
         accepted = self._accepted(p, R, off, twisted)

@@ -19,22 +19,25 @@ _PER_STEP = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, makes one step 
 _MOST = 60  # steps at one pose, some 40 ms: more than a whole round
 _A_SECOND = 250.0  # steps, an eighth of a processor: what a hand at 25 cm/s makes due; a faster one is learned later
 _AHEAD = 5.0  # steps that may be computed before they are due
-_LATER = round(_MARK / _PER_STEP)  # steps that may be computed a pose or some later
 _STEPS = 7  # of the last poses, whose median is the usual step
 
 
 class Travel:
     """path: way from mark to mark [m]. step: from one pose to the next, the usual one [m, rad], zeros before there are
-    some.
+    some. doubly: whether each millimetre is worth two steps.
     """
 
     def __init__(self) -> None:
-        self.path = 0.0
+        self.path, self.doubly = 0.0, False
         self.step = (0.0, 0.0)
         self._mark: Array | None = None
         self._owed = 0.0
         self._allowed, self._stamp = float(_MOST), -math.inf
         self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)
+
+    @property
+    def _per_step(self) -> float:
+        return 0.5 * _PER_STEP if self.doubly else _PER_STEP
 
     def stepped(self, far: float, turn: float) -> None:
         """Note a step [m, rad] from one pose to the next that was accepted."""
@@ -49,7 +52,7 @@ class Travel:
         if far >= max(_MARK, _NOISE * noise):
             self._mark = p
             self.path += far
-            self._owed += far / _PER_STEP
+            self._owed += far / self._per_step
 
     def steps_due(self, stamp: float) -> int:
         """How many steps of computation are due at this pose, by the path since the last; one, while few are ahead.
@@ -57,13 +60,13 @@ class Travel:
         stamp: of the pose [s].
 
         No more than the usual motion from pose to pose makes due, where no more than from mark to mark is left over:
-        what falls due at a mark is spread over the poses up to the next one.
+        what falls due at a mark is spread over the poses up to the next one: as much as a mark is worth may come later.
         """
         self._allowed = min(self._allowed + _A_SECOND * max(stamp - self._stamp, 0.0), _MOST)
         self._stamp = stamp
-        owed, usual = round(self._owed), math.ceil(self.step[0] / _PER_STEP)
+        owed, usual = round(self._owed), math.ceil(self.step[0] / self._per_step)
         most, least = int(self._allowed), int(self._owed > -_AHEAD)
-        due = max(min(max(min(owed, usual), owed - _LATER), most), least)
+        due = max(min(max(min(owed, usual), owed - round(_MARK / self._per_step)), most), least)
         self._allowed = max(self._allowed - due, 0.0)
         self._owed = min(max(self._owed - due, -_AHEAD), _MOST)
         return due

@@ -46,15 +46,15 @@ _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is 
 class Operation:
     """One pull at one object. Tick it; it is over when a tick has said Stop, or after :meth:`stop`."""
 
-    def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits) -> None:
-        """For an arm (chain to the tool that is measured)."""
+    def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits, softest: Array | None = None) -> None:
+        """For an arm (chain to the tool that is measured). softest (n,): stiffness of its joints at least [N m/rad]."""
         self.chain, self.task, self.limits = chain, task, limits
         self.phase = "tare"
         self.monitor = SafetyMonitor(chain, limits)
         self.setpoint_filter = SetpointFilter(chain, limits)
         self.impedance = Impedance(task.gains(task.direction), task.blend)
         self.governor = SpeedGovernor(task.governor)
-        self._force = ToolForce(chain.n, task, limits)
+        self._force = ToolForce(chain.n, task, limits, softest)
         self.reached: Reach | None = None
         self.course: PathModel | None = None
         self.expected = self._measured = np.eye(4)
@@ -197,7 +197,7 @@ class Operation:
         self._force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
         refused = self.monitor.overload(self.force)
         if refused is None and self.phase in _MOVING:
-            refused = self._force.refused(T, joints.stamp, self.setpoint_filter)
+            refused = self._force.refused(T, joints, self.setpoint_filter)
         lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
         if (refused is not None or lost) and self.phase != "release":
             self._let_go(str(refused or lost), now)

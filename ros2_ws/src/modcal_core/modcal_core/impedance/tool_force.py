@@ -8,6 +8,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.joint_lead_check import JointLeadCheck
 from modcal_core.impedance.lead_check import LeadCheck, Stiffness
 from modcal_core.impedance.safety_monitor import Limits
 from modcal_core.impedance.setpoint_filter import SetpointFilter
@@ -29,14 +30,16 @@ class ToolForce:
     it [N]; ``foreseen`` has that as well.
     """
 
-    def __init__(self, joints: int, task: ImpedanceTask, limits: Limits) -> None:
-        """Nothing is felt yet."""
+    def __init__(self, joints: int, task: ImpedanceTask, limits: Limits, least: Array | None = None) -> None:
+        """Nothing is felt yet. least (joints,): stiffness of each joint's servo at least [N m/rad], if known."""
         self.task, self.limits = task, limits
         self.felt, self.foreseen = np.zeros(6), np.zeros(6)
         self.delay = self.size = 0.0
         self._foresight = ForcePrediction()
         self._leads = LeadCheck(_stiffness(task))
         self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
+        known = np.full(joints, np.nan) if least is None else least
+        self._joints = JointLeadCheck(known, task.servo_lag, limits.period)
         self._answered = False
 
     def restrict(self, task: ImpedanceTask, limits: Limits) -> None:
@@ -54,6 +57,7 @@ class ToolForce:
         # a compliant stack takes no joint references; and what was felt long before the joints were read tells nothing
         if task.mode == "admittance" and sensor.stamp >= joints.stamp - _TOGETHER:
             self._unfelt.take(joints.q, joints.stamp, now, self.felt, sent.jacobian, self.limits.force)
+        self._joints.heard(joints.stamp, now)
         age = max(now - joints.stamp, now - sensor.stamp, 0.0)
         self.delay = age + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])
@@ -66,11 +70,15 @@ class ToolForce:
         """Note the setpoint that is sent at time ``now`` [s]."""
         self._leads.sent(setpoint.pose[:3, 3], now)
         self._unfelt.sent(setpoint.q, now)
+        self._joints.sent(setpoint.q, now)
 
-    def refused(self, T: Array, stamp: float, sent: SetpointFilter) -> BadCommand | None:
-        """Why to let go: more than is allowed may be on the tool, as of ``stamp`` [s], and is not felt; or None."""
+    def refused(self, T: Array, joints: JointPositions, sent: SetpointFilter) -> BadCommand | None:
+        """Why to let go: more than is allowed may be on the tool, and is not felt; or None."""
         felt, most = math.sqrt(self.felt[:3] @ self.felt[:3]), self.limits.force
-        refused = self._leads.refused(T[:3, 3], felt, stamp, most, sent.moved_by(self.felt))
+        refused = self._leads.refused(T[:3, 3], felt, joints.stamp, most, sent.moved_by(self.felt))
+        if refused is None and self.task.mode == "admittance":
+            stiffest = self.task.arm_stiffness
+            refused = self._joints.refused(joints.q, joints.stamp, self.felt, sent.jacobian, most, stiffest)
         return refused or self._unfelt.refused(self.felt, most)
 
     def unknown_speed(self, progress: float) -> float:

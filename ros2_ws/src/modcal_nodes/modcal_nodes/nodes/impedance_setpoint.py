@@ -278,7 +278,8 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._arm is None:
             raise BadCommand("robot_description", "not received yet", "publish it (latched), or set the parameter")
         self._arm.require_fresh(self._now())
-        self._operation = Operation(self._arm.chain, task(self._chosen), limits(self._arm.chain, self._chosen))
+        arm = self._arm
+        self._operation = Operation(arm.chain, task(self._chosen), limits(arm.chain, self._chosen), arm.arm.softest)
         self._tell(OK, "tare")
 
     # what it hears

@@ -88,6 +88,13 @@ IMPEDANCE_SETPOINT = {
     "arm_stiffness_n_m": Parameter(
         100e3, "Stiffest that the servos hold the tool, by which a force that is not felt is judged [N/m].", 100.0, 1e7
     ),
+    "most_joint_lead_rad": Parameter(
+        0.04,
+        "Lead of a joint's reference under its full effort at most, by which a force that is not felt is judged [rad]; "
+        "0: not known.",
+        0.0,
+        1.0,
+    ),
     "tare_s": Parameter(0.5, "Duration of the tare [s].", 0.1, 10.0),
     "timeout_s": Parameter(0.1, "Age at which an input is too old [s].", 0.01, 2.0),
     "patience_s": Parameter(1.0, "Time that a pull waits for a late input before it is aborted [s].", 0.0, 60.0),
