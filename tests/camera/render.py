@@ -50,7 +50,7 @@ def render(
     T = se3.inverse(T_camera_target)
     left, top, right, bottom = _around(T_camera_target, lens, board)
     sampled = np.full((h * rays, w * rays), 150.0, np.float32)
-    part = _rays(lens.values.tobytes(), lens.size, rays)[top * rays : bottom * rays, left * rays : right * rays]
+    part = _rays(lens.values.tobytes(), lens.size)[top:bottom, left:right]
     if part.size:
         ray = part.reshape(-1, 2)
         direction = ray @ T[:3, :2].T + T[:3, 2]
@@ -65,7 +65,9 @@ def render(
                 at = T[:2, 3] + distance[:, None] * direction[:, :2]
         at = at / np.array(scale) * _PER_M + _BORDER_M * _PER_M - 0.5
         at[distance <= 0.0] = -1e6
-        coordinates = at.reshape(*part.shape).astype(np.float32)
+        # rays between the middles of pixels meet the sheet between where those do, to 1e-4 of a pixel
+        size = (rays * part.shape[1], rays * part.shape[0])
+        coordinates = cv2.resize(at.reshape(part.shape), size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
         seen = cv2.remap(sheet, coordinates[..., 0], coordinates[..., 1], cv2.INTER_LINEAR, borderValue=150)
         sampled[top * rays : bottom * rays, left * rays : right * rays] = seen
     image = cv2.resize(sampled, (w, h), interpolation=cv2.INTER_AREA)
@@ -76,16 +78,14 @@ def render(
 
 
 @cache
-def _rays(values: bytes, size: tuple[int, int], rays: int) -> Array:
-    """Where each ray of each pixel meets z = 1, (h rays, w rays, 2)."""
+def _rays(values: bytes, size: tuple[int, int]) -> Array:
+    """Where the ray of the middle of each pixel meets z = 1, (h, w, 2)."""
     w, h = size
     lens = np.frombuffer(values)
     K = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
-    step = 1.0 / rays
-    x = (np.arange(w * rays) + 0.5) * step - 0.5
-    y = (np.arange(h * rays) + 0.5) * step - 0.5
-    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2).astype(np.float32)
-    return np.asarray(cv2.undistortPoints(grid, K, lens[4:])).reshape(h * rays, w * rays, 2)
+    grid = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 1, 2).astype(float)
+    met = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)  # OpenCV's five steps may leave a pixel
+    return np.asarray(cv2.undistortPoints(grid, K, lens[4:], criteria=met)).reshape(h, w, 2)
 
 
 def _around(T: Array, lens: Lens, board: PrintedTarget) -> tuple[int, int, int, int]:

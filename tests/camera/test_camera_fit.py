@@ -26,7 +26,7 @@ from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FIXED, TOLERANCE, common_prior
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.target import PrintedTarget
-from modcal_core.camera.target_file import scale_of_rulers
+from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.camera.tool_error import postures_in_view
 from modcal_core.camera.weakness import ALL_BUT_IMAGES
 from modcal_core.errors import BadRecording, NotEnoughData
@@ -36,7 +36,8 @@ from modcal_core.measurements.recording import POSE
 from modcal_core.robots.kinematics import forward
 
 FLAT = np.zeros(5)
-MEASURED = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers"))
+MEASURED = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers", RULER_STD_M))
+AS_DRAWN = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers"))  # which anybody states
 
 
 @cache
@@ -324,23 +325,22 @@ def test_squares_of_another_size_are_named(stated: PrintedTarget) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_a_sheet_that_a_bad_arm_hides_is_not_trusted(on_tip: bool) -> None:
-    """Rulers read 2 % short, an arm 4 mm off a body: images do not decide, so the interval has both, and what would
-    tell is said.
+    """Rulers stated as drawn, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, so the interval has
+    both, and what would tell is said.
     """
-    s = scene(33, on_tip, count=20, length_std=4e-3, angle_std=5e-3, board=MEASURED, printed=1.02 * BOARD.points)
+    s = scene(33, on_tip, count=20, length_std=4e-3, angle_std=5e-3, board=AS_DRAWN, printed=1.02 * BOARD.points)
     r = solved(s)
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
     assert r.decision.word == CANNOT_TELL
-    assert "measure the sheet again" in r.decision.because[0]
+    assert "state how well (--measured-to-mm)" in r.decision.because[0]
     assert true_error(s, r.fit, q) < r.in_view.interval[2]
     assert r.rests_on is not None
     assert true_error(s, r.fit, q) < r.rests_on.if_wrong_m
     assert any("look much alike" in said or "The sheet is +" in said for said in r.decision.because)
     if on_tip:
         return
-    clean = solved(
-        replace(s, views=views(np.random.default_rng(0), se3.inverse(s.T) if on_tip else s.T, board=s.board))
-    )
+    T = se3.inverse(s.T) if on_tip else s.T
+    clean = solved(replace(s, board=MEASURED, views=views(np.random.default_rng(0), T, board=s.board)))
     assert clean.decision.word == APPLY
     assert clean.in_view.interval[2] < 4e-3
     assert "rests on the sheet's stated size" in clean.decision.because[-1]

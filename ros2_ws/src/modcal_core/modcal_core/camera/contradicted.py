@@ -32,15 +32,23 @@ from modcal_core.geometry.so3 import Array
 # (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.
 _GAIN = 6.0
 _SCREEN = 2.0  # the same at the state of the fit, which is a unit or two off; below it no second fit is worth its time
-_ANY_SIZE, _ANY_SHAPE = 0.05, 0.01  # of a sheet whose size is not known: fitted to the page, another printer's
+# Of a sheet whose size nobody has measured, and of its length against its width: A4 fitted to the page comes out at 94
+# to 97 %, and all of it is scaled, so that its shape is that of any print (PrintScale).
+_ANY_PRINT = 0.03, PrintScale.std_apart
+_ANY_READING = 0.05, 0.01  # of a sheet that was measured wrong: who misreads two rulers does not misread them alike
 _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 # Chance of a stated value that is grossly wrong (another printer's sheet, a slip of the pen), before the images are
 # looked at: what a 95 % interval leaves out, and the odds of _GAIN.
 _WRONG = 0.05
-# The same of a size that two say: of a sheet whose two rulers were read, and neither at its nominal length, which who
-# does not measure states; of a body that was measured and has the size that is drawn. It takes two slips that agree, as
-# 0.05² has it, or one ruler, sheet or body that is another than was meant.
+# The same of a size that two say: of a sheet whose two rulers were read, not both at their nominal lengths, which who
+# does not measure states (that they agree, the images show); of a body that was measured and has the size that is
+# drawn. It takes two slips that agree, as 0.05² has it, or one ruler, sheet or body that is another than was meant.
 _READ_WRONG = 0.01
+# The same of a sheet both of whose rulers read what they should, nobody having said how well they were read. One in ten
+# does not measure and states that: half of them of a sheet that is grossly another (0.05), half of a right one (0.05).
+# Of the others one in ten reads just that (0.09): prints are off by 0.5 %, and by 0.3 % along y against x, and half a
+# millimetre is what a ruler shows. That makes 0.05 of 0.19.
+_NOMINAL_WRONG = 0.25
 IN_DOUBT = 0.025  # chance beyond which it reaches into a 95 % interval
 SIZE, BOW, LENS_VALUES = "size", "bow", "lens"
 _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "centre"}
@@ -67,12 +75,12 @@ def doubts(
 
     lens, scale: as stated. stated: what became of the lens's values, None where nobody stated any. arm: as in the fit.
     """
-    wider = _wider(fit.prior, lens, stated)
+    wider = _wider(fit.prior, lens, stated, scale)
     if fit.prior.places is not None:
         wider.pop(BOW)  # which a body has none of
     weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in wider.items()]
-    twice = _said_twice(scale, fit.prior.places is not None)
-    before = np.array([_READ_WRONG if what == SIZE and twice else _WRONG for what in wider])
+    of_size = _size_wrong(scale)
+    before = np.array([of_size if what == SIZE else _WRONG for what in wider])
     odds = before * np.array([np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
     chances = odds / (1.0 + odds.sum())
     return tuple(DoubtedStatement(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
@@ -126,18 +134,18 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
     return tuple(out)
 
 
-def _said_twice(scale: PrintScale, body: bool) -> bool:
-    """Whether two agree on a size: both rulers of a sheet, which read something that nobody would state who has not
-    measured them, or the drawing of a body and who measured it.
-    """
-    off = np.abs(np.array([scale.x, scale.y]) - 1.0)
-    return bool(scale.measured and (body or (off > np.sqrt(np.diag(scale.covariance))).all()))
+def _size_wrong(scale: PrintScale) -> float:
+    """Chance that a size is grossly another than stated, before an image is looked at."""
+    if not scale.measured:
+        return _WRONG
+    return _NOMINAL_WRONG if scale.nominal else _READ_WRONG
 
 
-def _wider(prior: CommonPrior, lens: Lens, stated: str | None) -> dict[str, CommonPrior]:
+def _wider(prior: CommonPrior, lens: Lens, stated: str | None, scale: PrintScale) -> dict[str, CommonPrior]:
     """The prior with each of the statements taken back, by what it is about."""
     size = prior.information.copy()
-    both, apart = _ANY_SIZE**2, (0.5 * _ANY_SHAPE) ** 2
+    of_both, of_shape = _ANY_READING if scale.measured and not scale.nominal else _ANY_PRINT
+    both, apart = of_both**2, (0.5 * of_shape) ** 2
     cov = np.array([[both + apart, both - apart], [both - apart, both + apart]])
     if prior.places is not None:  # the print of its markers is another statement, and stands
         cov = np.linalg.inv(prior.information[SCALE, SCALE]) + np.diag([both, 0.0])

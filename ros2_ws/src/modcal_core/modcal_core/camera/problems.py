@@ -104,9 +104,15 @@ def size_open(
         what = "sheet" if isinstance(target, PrintedTarget) else "body"
         likeliest_doubt = max(doubted, key=lambda d: d.chance).what == SIZE
         if likeliest_doubt and decide(error.as_stated, True, (), arm_m).word == APPLY:
+            again = f"measure the {what} again"
+            if target.scale.nominal:
+                again = (
+                    "both rulers are stated at their nominal lengths, as by somebody who has not measured them: "
+                    "measure them, and state how well (--measured-to-mm)"
+                )
             return (
                 f"If the {what} has the size that is stated, it is clearly better; these images leave that open: "
-                f"measure the {what} again, or add a length of another kind, such as a few tracker points."
+                f"{again}, or add a length of another kind, such as a few tracker points."
             )
         return ""
     whole, known = shared.get("print scale", (0.0, 0.0))

@@ -17,6 +17,7 @@ from modcal_core.files import read_yaml
 
 FORMAT = 1  # of the file
 RULER_STD_M = 3e-4  # how well one reads a ruler against two fine lines: a third of its millimetre
+_SAME_M = 5e-5  # lengths are stated to a tenth of a millimetre
 _TWO_RULERS = 2.0  # rulers; their mean is known better than either by the root of this
 _OFF = 0.1  # a sheet farther from its stated size was measured in another unit
 _KINDS = (CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG)
@@ -92,20 +93,23 @@ def target_to_data(target: PrintedTarget, rulers_m: tuple[float, float] | None =
 
 
 def scale_of_rulers(
-    nominal: tuple[float, float], measured: tuple[float, float], source: str, std: float = RULER_STD_M
+    nominal: tuple[float, float], measured: tuple[float, float], source: str, std_m: float | None = None
 ) -> PrintScale:
-    """How large a sheet came out whose rulers of these lengths [m], along x and y, measure so much, to std [m].
+    """How large a sheet came out whose rulers of these lengths [m], along x and y, measure so much.
 
-    Raises BadTable for lengths that are no print's.
+    std_m: to what they were measured [m]; None: nobody said so, and it was with a ruler. Raises BadTable for lengths
+    that are no print's.
     """
     x, y = (m / n for m, n in zip(measured, nominal, strict=True))
     if abs(x - 1.0) > _OFF or abs(y - 1.0) > _OFF:
         said = f"rulers of {nominal[0]:g} and {nominal[1]:g} m measure {measured[0]:g} and {measured[1]:g} m"
         raise BadTable(source, said, "give what a ruler shows, in metres, or print at 100 %")
+    std = RULER_STD_M if std_m is None else std_m
     each = [std / n for n in nominal]
     apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
     leaning = 0.5 * (each[0] ** 2 - each[1] ** 2)  # the longer ruler says more of what both share
-    return PrintScale(x, y, apart / _TWO_RULERS, apart, measured=True, leaning=leaning)
+    as_drawn = std_m is None and all(abs(m - n) < _SAME_M for m, n in zip(measured, nominal, strict=True))
+    return PrintScale(x, y, apart / _TWO_RULERS, apart, measured=True, leaning=leaning, nominal=as_drawn)
 
 
 def _scale(rulers: Any, source: str) -> PrintScale:
@@ -116,7 +120,7 @@ def _scale(rulers: Any, source: str) -> PrintScale:
     std = rulers.get("measured_std_m")
     if std is not None and not 0.0 < float(std) < min(nominal):
         raise BadTable(source, f"rulers were measured to {float(std):g} m", "give a small length, in metres")
-    return scale_of_rulers(nominal, measured, source, RULER_STD_M if std is None else float(std))
+    return scale_of_rulers(nominal, measured, source, None if std is None else float(std))
 
 
 def _from_kalibr(data: Mapping[str, Any], source: str) -> PrintedTarget:

@@ -169,6 +169,11 @@ def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, out
         data["rulers"]["measured_std_m"] = 1e-3 * to_mm
     scale = target_from_data(data, str(path)).scale
     write_file(path, to_yaml(data))
-    said = f"The sheet came out {100.0 * (scale.x - 1.0):+.2f} % along x and {100.0 * (scale.y - 1.0):+.2f} % along y."
-    output.result(data, partial(tell, [said]), f"Target: {path}")
+    x, y = (100.0 * (of - 1.0) for of in (scale.x, scale.y))
+    said = [f"The sheet came out {x:+.2f} % along x and {y:+.2f} % along y."]
+    if scale.nominal:
+        said.append(
+            "These are the nominal lengths, which are also stated without a measurement: give --measured-to-mm, too."
+        )
+    output.result(data, partial(tell, said), f"Target: {path}")
     return 0
