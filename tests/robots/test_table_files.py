@@ -113,7 +113,10 @@ WRONG = {
     "table: states no convention: begin with a line such as '# convention: dh'": "name,theta\nj1,0\n",
     "convention 'dhh' is unknown": GOOD.replace("dh", "dhh"),
     "comment 'colour': is not a key of the table": "# colour: red\n" + GOOD,
-    "has no column 'name'": "# convention: dh\ntheta,d\n0,1\n",
+    "has no columns: write name,type,theta": "# convention: dh\n",
+    "has 'd' twice": "# convention: dh\ntheta,d,d\n0,1,1\n",
+    "joint 2: alpha: is 90, in the unit m rad: write the unit as": "# convention: dh\nd,alpha\n0.1,1.5\n0.1,90\n",
+    "joint 1: d: is 450, in the unit m deg": "# convention: dh\n# unit: m deg\nd,alpha\n450,90\n",
     "column 'bx' is not one of a dh table": GOOD.replace("theta", "bx"),
     "joint 1: has 3 cells, the header 8": GOOD.replace("j1,revolute,0,1,0,0,,", "j1,revolute,0"),
     "joint 1: d: needs 1 number, has 'long'": GOOD.replace("0,1,0,0", "0,long,0,0"),
@@ -129,6 +132,22 @@ def test_files_that_are_no_tables(said: str) -> None:
     with pytest.raises(BadTable) as caught:
         from_table(from_csv(WRONG[said]))
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "theta,d,a,alpha\n0,0.4,0.1,1.5\n0.2,0,0.3,0\n",
+        "joint;d;a;alpha;offset\n1;0.4;0.1;1.5;0\n2;0;0.3;0;0.2\n",
+        "name,theta,d,a,alpha\njoint_1,0,0.4,0.1,1.5\njoint_2,0.2,0,0.3,0\n",
+    ],
+)
+def test_tables_as_others_write_them(text: str) -> None:
+    """Without names, with numbers for names, with offset for theta, with semicolons."""
+    chain = from_table(from_csv("# convention: dh\n" + text))
+    assert chain.names == ("joint_1", "joint_2")
+    rows = [{"d": 0.4, "a": 0.1, "alpha": 1.5}, {"theta": 0.2, "a": 0.3}]
+    assert chain.origins == pytest.approx(from_table({"convention": "dh", "joints": rows}).origins)
 
 
 def test_an_unknown_convention() -> None:

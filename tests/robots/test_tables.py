@@ -200,7 +200,7 @@ GOOD = {"joints": [{"name": "a", "b": [0, 0, 1]}]}
 WRONG: dict[str, tuple[Callable[[Any], Chain], Any]] = {
     "is not a mapping": (from_dh, [1, 2]),
     "holds no list 'joints'": (from_dh, {"joints": {}}),
-    "row 1: needs a name of its own": (from_dh, {"joints": [{"d": 1.0}]}),
+    "row 1: needs a name of its own": (from_dh, {"joints": [{"d": 1.0}, {"name": "b"}]}),
     "row 2: needs a name of its own": (from_mdh, {"joints": [{"name": "a"}, {"name": "a"}]}),
     "'aplha' is not one of its keys: choose from a, alpha, d": (from_dh, {"joints": [{"name": "a", "aplha": 1.0}]}),
     "'l' is not one of its keys": (from_dh, {"joints": [{"name": "a", "l": 1.0}]}),

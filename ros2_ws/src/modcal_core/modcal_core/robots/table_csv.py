@@ -12,6 +12,8 @@
 
 CPC has columns bx by bz lx ly lz beta reversed in place of the four. Numbers keep every digit. With a line
 ``# unit: mm deg`` lengths are in millimetres and angles in degrees throughout, as most controllers show them.
+A table without names is of joints joint_1, joint_2, …; ``joint`` and ``offset`` are read as name and theta, as many
+tables have them, and semicolons as commas. A turn or a length that no arm has is of another unit, and refused.
 """
 
 from __future__ import annotations
@@ -31,7 +33,11 @@ _TEXTS = ("convention", "base_link", "tip_link")
 _POSES = ("base", "tool")
 _NOTE, _UNIT = "note", "unit"
 # what a metre and a radian are in each unit
-UNITS = {"m rad": (1.0, 1.0), "mm deg": (1e3, 180.0 / math.pi)}
+_DEGREES = 180.0 / math.pi
+UNITS = {"m rad": (1.0, 1.0), "mm deg": (1e3, _DEGREES), "m deg": (1.0, _DEGREES), "mm rad": (1e3, 1.0)}
+_ALSO_CALLED = {"joint": "name", "offset": "theta"}
+_FULL_TURN = 6.3  # rad; a joint's offset or twist beyond is in degrees
+_LONGEST_M = 10.0  # of a link; longer is in millimetres
 _LENGTHS, _ANGLES = ("d", "a"), ("theta", "alpha", "beta")
 
 
@@ -85,15 +91,30 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
     if convention not in _COLUMNS:
         said = "states no convention" if convention is None else f"convention '{convention}' is unknown"
         raise BadTable(source, said, f"begin with a line such as '# convention: dh' ({', '.join(_COLUMNS)})")
-    rows = csv.reader(lines)
-    header = [cell.strip() for cell in next(rows, [])]
+    rows = csv.reader(lines, delimiter=";" if lines and ";" in lines[0] and "," not in lines[0] else ",")
+    header = [_ALSO_CALLED.get(cell.strip(), cell.strip()) for cell in next(rows, [])]
     allowed = {"name", "type", *_COLUMNS[convention], "lower", "upper"}
-    if "name" not in header or not set(header) <= allowed or len(set(header)) < len(header):
-        odd = next((column for column in header if column not in allowed), "name")
-        said = f"has no column '{odd}'" if odd == "name" else f"column '{odd}' is not one of a {convention} table"
+    if not header or not set(header) <= allowed or len(set(header)) < len(header):
+        odd = next((c for c in header if c not in allowed), next((c for c in header if header.count(c) > 1), ""))
+        said = f"column '{odd}' is not one of a {convention} table" if odd not in allowed else f"has '{odd}' twice"
+        said = said if header else "has no columns"
         raise BadTable(source, said, f"write {','.join(('name', 'type', *_COLUMNS[convention], 'lower', 'upper'))}")
     table["joints"] = [_joint(row, header, f"{source}, joint {i + 1}") for i, row in enumerate(rows) if any(row)]
+    for i, joint in enumerate(table["joints"]):
+        if joint.get("name", "").isdigit():
+            joint["name"] = f"joint_{joint['name']}"
+        _require_unit(joint, unit, f"{source}, joint {i + 1}")
     return _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
+
+
+def _require_unit(joint: Mapping[str, Any], unit: str, where: str) -> None:
+    """Raises BadTable for a turn or a length that no arm has, in this unit."""
+    metre, radian = UNITS[unit]
+    for keys, most, size in ((_ANGLES, _FULL_TURN, radian), (_LENGTHS, _LONGEST_M, metre)):
+        for key in keys:
+            if abs(joint.get(key, 0.0)) > most * size:
+                said = f"is {joint[key]:g}, in the unit {unit}"
+                raise BadTable(f"{where}: {key}", said, f"write the unit as '# unit: mm deg' ({', '.join(UNITS)})")
 
 
 def _scaled(table: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:

@@ -10,8 +10,8 @@
     joints:
       - {name: shoulder_pan_joint, type: revolute, lower: -6.28, upper: 6.28, ...}
 
-What stands in place of the dots depends on the convention. All but ``joints`` and the joints' names may be left out:
-poses are then the identity, numbers 0, limits none, joints revolute.
+What stands in place of the dots depends on the convention. All but ``joints`` may be left out: poses are then the
+identity, numbers 0, limits none, joints revolute, and named joint_1, joint_2, … where none has a name.
 """
 
 from __future__ import annotations
@@ -71,8 +71,9 @@ def read_rows(table: Mapping[str, Any], convention: str, keys: set[str]) -> Tabl
     if not isinstance(rows, Sequence) or isinstance(rows, str) or not rows:
         raise BadTable(what, "holds no list 'joints'", "give one row a joint, base to tip")
     names: list[str] = []
+    unnamed = all(isinstance(row, Mapping) and "name" not in row for row in rows)
     for i, row in enumerate(rows):
-        name = row.get("name") if isinstance(row, Mapping) else None
+        name = row.get("name", f"joint_{i + 1}" if unnamed else None) if isinstance(row, Mapping) else None
         if not isinstance(name, str) or not name or name in names:
             raise BadTable(f"{what}, row {i + 1}", "needs a name of its own", "name the joint as its messages do")
         _known(row, _ROW | keys, f"{what}, joint {name}")

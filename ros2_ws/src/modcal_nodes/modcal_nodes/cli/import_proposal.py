@@ -23,8 +23,9 @@ def is_kinematic(path: Path) -> bool:
         head = stream.read(_HEAD).decode("utf-8", errors="replace").lstrip("\ufeff")
     if any(line.lstrip("# ").startswith("convention") for line in head.splitlines()):
         return True
-    labels = next((line.split(",") for line in head.splitlines() if line.strip() and not line.startswith("#")), [])
-    return "name" in labels and bool({"theta", "bx", "alpha"} & set(labels))
+    first = next((line for line in head.splitlines() if line.strip() and not line.startswith("#")), "")
+    labels = {label.strip() for label in first.replace(";", ",").split(",")}
+    return {"a", "d", "alpha"} <= labels or ("name" in labels and bool({"theta", "bx", "alpha"} & labels))
 
 
 def proposed(
