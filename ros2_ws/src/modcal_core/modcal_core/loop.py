@@ -133,6 +133,8 @@ def calibrate(
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
     wrong = outlying(final.model, final.noise, samples)
+    if wrong[sets.held_out].all():  # then it is the model that misses them
+        wrong[sets.held_out] = False
     scored = held_out.select(~wrong[sets.held_out])
     shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
     distances = distances_of(final, train, cell.distances)

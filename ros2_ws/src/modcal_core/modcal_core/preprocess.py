@@ -20,6 +20,7 @@ from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import MOST_GLITCHES, cleaned
 from modcal_core.measurements.dropped import GLITCHES, UNUSABLE, Dropped, dropped, together
 from modcal_core.measurements.dwells import StationRules
+from modcal_core.measurements.hung import hung
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.other_joints import other_joints
 from modcal_core.measurements.recording import Recording, Stretch
@@ -67,6 +68,8 @@ def prepare(
     recording = clean.recording
     require_usable(recording, chain)
     aligned, notes = align(recording, chain.names, lambda q: forward(chain, q), clock_limit)
+    repeated = hung(aligned, chain.names)
+    recording, aligned = repeated.left_out(recording), repeated.left_out(aligned)
     samples = cut_stations(aligned, chain.names, rules)
     if samples.moving.any():
         stood = np.isfinite(samples.sigma_position).any()
@@ -78,9 +81,11 @@ def prepare(
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     unused = dropped(aligned, samples, rules, since, until)
     own = own_statement(aligned, chain.names, rules)
-    doubts = (*clean.doubts, *_flickering(aligned, dict(unused), since, until))
-    lost = together([clean.lost, unused])
-    return Prepared(samples, recording.warnings + clean.notes + notes + own.notes, lost, own.stated, doubts)
+    doubts = (*clean.doubts, *repeated.doubts, *_flickering(aligned, dict(unused), since, until))
+    lost = together([clean.lost, unused, repeated.dropped])
+    return Prepared(
+        samples, recording.warnings + clean.notes + repeated.notes + notes + own.notes, lost, own.stated, doubts
+    )
 
 
 def _flickering(recording: Recording, unused: dict[str, int], since: float, until: float) -> tuple[str, ...]:

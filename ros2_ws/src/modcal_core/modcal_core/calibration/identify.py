@@ -21,6 +21,7 @@ from modcal_core.calibration.linearise import Linearised, apply_deviations, devi
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z, Groups, NoiseModel
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.split import distinct
 from modcal_core.calibration.system import system_of
 from modcal_core.calibration.weights import known_sigma, of_rows, weigh
 from modcal_core.effects.drivers import Drivers
@@ -324,17 +325,25 @@ def _estimated(effects: Sequence[Effect], values: Array, std: Array) -> tuple[Ef
 def require_enough(samples: Samples, parameters: int, known: int = 0, share: float = 1.0) -> None:
     """Raises NotEnoughData unless a share of these samples gives equations enough for so many parameters.
 
-    known: equations that come on top, such as known distances.
+    known: equations that come on top, such as known distances. A posture that is read again and again gives its own
+    once.
     """
-    equations = share * float(dimensions(samples).sum())
+    rows, postures, of_them = np.arange(len(samples)), samples.stations, ""
+    if not samples.moving.any():
+        posture = distinct(samples.q)
+        kind = np.unique(samples.kind, return_inverse=True)[1]
+        rows = np.unique(np.stack([posture, samples.frame, kind]), axis=1, return_index=True)[1]
+        if len(rows) < len(samples) and (count := len(np.unique(posture))) < postures:
+            postures, of_them = count, f" in {count} postures"
+    equations = share * float(dimensions(samples)[rows].sum())
     need = EQUATIONS_PER_PARAMETER * parameters - known
     if equations < need:
-        least = int(np.ceil(need / max(equations / max(samples.stations, 1), 1e-9)))
-        of_them = "" if share == 1.0 else f" the {share:.0%} of them that fit"
+        least = int(np.ceil(need / max(equations / max(postures, 1), 1e-9)))
+        they = "they" if share == 1.0 else f"the {share:.0%} of them that fit"
         raise NotEnoughData(
-            f"{samples.stations} stations for {parameters} parameters",
-            f"{of_them or ' they'} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed".strip(),
-            f"record at least {least} stations, or fix parameters",
+            f"{samples.stations} stations{of_them} for {parameters} parameters",
+            f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed",
+            f"record at least {least} {'different postures' if of_them else 'stations'}, or fix parameters",
         )
 
 

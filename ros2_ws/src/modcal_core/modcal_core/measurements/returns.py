@@ -40,6 +40,14 @@ def returns(q: Array, approach: Array | None = None) -> list[np.ndarray]:
     return out
 
 
+def posture_numbers(q: Array) -> np.ndarray:
+    """For each row of q (N, n) the row where its posture stood first, (N,)."""
+    out = np.arange(len(q))
+    for rows in _alike(q):
+        out[rows] = rows[0]
+    return out
+
+
 def _alike(q: Array) -> list[list[int]]:
     """Rows of q (N, n) of the same posture, for each that stands there more than once, in order."""
     # On a line in no special direction postures that are alike are neighbours, and hardly any others

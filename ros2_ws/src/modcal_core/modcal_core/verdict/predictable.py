@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.distributions import gumbel_of
-from modcal_core.calibration.split import block_length
+from modcal_core.calibration.split import block_length, units_of_stations
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
@@ -180,9 +180,7 @@ def _folds(samples: Samples, length: int, whole: Samples) -> tuple[np.ndarray, n
 
     length: stations in a block, in the recording that these samples were taken from.
     """
-    stations, first = np.unique(whole.station, return_index=True)
-    rank = np.empty(len(stations), int)
-    rank[np.argsort(whole.stamps[first], kind="stable")] = np.arange(len(stations))
+    stations, rank = units_of_stations(whole)
     block = rank[np.searchsorted(stations, samples.station)] // length
     _, unit = np.unique(block, return_inverse=True)
     count = unit.max() + 1

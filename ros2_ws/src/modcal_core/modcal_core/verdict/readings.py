@@ -172,7 +172,7 @@ def _step_of_joints(q: np.ndarray) -> float:
     for unit in (1.0, np.pi / 180.0):
         for digits in range(1, 6):
             u = q / (unit * 10.0**-digits)
-            if np.abs(u - np.round(u)).max() < _SAME:
+            if len(u) and np.abs(u - np.round(u)).max() < _SAME:
                 return float(unit * 10.0**-digits)
     return _lattice(q) if q.ndim == 1 else 0.0
 
@@ -181,7 +181,7 @@ def _step(position: np.ndarray) -> float:
     """The power of ten [m] that the readings are rounded to; 0 where there is none."""
     for step in _STEPS:
         u = position / step
-        if np.abs(u - np.round(u)).max() < _SAME:
+        if len(u) and np.abs(u - np.round(u)).max() < _SAME:
             return step
     return 0.0
 
