@@ -293,7 +293,7 @@ class World:
         """Visits to q, read once each. fault: of joints, seconds and the way each joint came (N, n)."""
         N, rng = len(q), self.rng
         t = begin + EACH * np.arange(N)
-        came = np.sign(np.diff(q, axis=0, prepend=self._middle()[None]))
+        came = np.sign(np.diff(q, axis=0, prepend=q[:1]))  # nobody knows how the first one was reached
         wrong = Wrong() if fault is None else fault(q, t, came)
         p0, R0 = self.sees(q, wrong)
         slip = rng.normal(0, repeat, q.shape)

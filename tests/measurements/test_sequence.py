@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.sequence import after, between
+from modcal_core.measurements.sequence import after, between, require_new
 from tests.cells import record
 
 
@@ -38,3 +39,15 @@ def test_rows_that_are_counted_from_zero_twice_follow_each_other() -> None:
     assert between(first, moved) == 11.5
     joined = first.followed_by(moved)
     np.testing.assert_array_equal(joined.station, np.arange(24))
+
+
+def test_a_recording_that_is_given_twice_is_refused() -> None:
+    samples = record(0, 40).samples
+    first, rest = samples.select(slice(None, 20)), samples.select(slice(20, None))
+    require_new(rest, first, "rest")
+    require_new(replace(samples.select(slice(17, None))), first, "three rows in common")
+    with pytest.raises(BadRecording, match="--also copy: is a copy: 20 of its 20 readings .* give each recording once"):
+        require_new(replace(first, stamps=first.stamps + 1e5), first, "copy")
+    # the same postures, measured once more, are another recording
+    again = replace(first, reading=first.reading + 1e-6)
+    require_new(again, first, "again")

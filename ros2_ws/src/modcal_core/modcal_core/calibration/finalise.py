@@ -20,12 +20,14 @@ from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.calibration.typical import driver_ranges, typical_sizes
 from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.effects.effect import is_move
+from modcal_core.errors import BadRecording
 from modcal_core.measurements.marks import marks_of
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
+_OFTEN, _PLACED = 12, 3  # readings of a frame: enough to judge it by, and the fewest that place it
 _MOST_KEPT = 200  # postures that a calibration remembers
 
 
@@ -52,7 +54,9 @@ def finalise(
     whole: Fit | None = None
     if wrong is not None and wrong.any():
         right, whole = _right_after_all(scored, samples, choice, cell, wrong)
-        samples = samples.select(~wrong | right)
+        kept = ~wrong | right
+        _require_each_frame(samples, kept)
+        samples = samples.select(kept)
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
     begun = nominal.model if geometry is None else geometry.start
     fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
@@ -87,6 +91,21 @@ def finalise(
         typical=typical_sizes(tidy, samples),
         marks=marks_of(samples),
     )
+
+
+def _require_each_frame(samples: Samples, kept: np.ndarray) -> None:
+    """Raises BadRecording where hardly a reading of an instrument that read often agrees with the arm."""
+    for f, name in enumerate(samples.frames):
+        rows = samples.frame == f
+        left, of = int(np.sum(rows & kept)), int(rows.sum())
+        if of >= _OFTEN and left < _PLACED:
+            raise BadRecording(
+                f"frame '{name}'",
+                f"{of - left} of its {of} readings agree with no place of the instrument and no target on the arm that "
+                "the others show",
+                "see whether its axes are left-handed, its units and its quaternions, and what it looks at; or leave "
+                "its topic out with --ignore",
+            )
 
 
 def _right_after_all(

@@ -24,6 +24,7 @@ from modcal_core.calibration.split import block_length, units_of_stations
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
+from modcal_core.verdict.by_instrument import by_instrument
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.features import groups, on_the_way, single_waves
 from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regressor, Ridge
@@ -79,7 +80,8 @@ def predictable(case: Case) -> Predictable:
     own = layout.flat(U[:0] if case.fitted else U)
     tests: list[Regressor] = []
     changed = on_the_way(case.model, samples, weight, J * weight)
-    for group in (*groups(case.model, samples, weight), changed):
+    apart = by_instrument(case.model, samples, weight, J * weight)
+    for group in (*groups(case.model, samples, weight), changed, *apart):
         columns = layout.flat(group.columns)
         before = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         columns = project(columns)

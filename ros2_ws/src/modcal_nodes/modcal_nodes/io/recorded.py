@@ -16,7 +16,7 @@ from modcal_core.files import read_yaml
 from modcal_core.measurements.dropped import together
 from modcal_core.measurements.origin import Origin
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.sequence import after, between
+from modcal_core.measurements.sequence import after, between, require_new
 from modcal_core.public import calibrate, tolerance_asked
 from modcal_core.result import Result
 from modcal_core.robot import Robot
@@ -94,6 +94,7 @@ def of_calibrated(recorded: Bag, frozen: Calibration, clock_limit: float) -> Sam
 
 def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samples, Cell]:
     """The samples with those of another bag of the same cell behind them, and the cell with what moved between."""
+    require_new(added, samples, name)
     later, late = after(added, samples)
     one, two = samples.origin, added.origin
     notes = (*one.notes, *two.notes)
