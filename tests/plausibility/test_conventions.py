@@ -11,6 +11,8 @@ import pytest
 from cells import record, samples_of, ur10
 from scipy.spatial.transform import Rotation
 
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.locate_instruments import Known
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.files import read_yaml
@@ -76,6 +78,33 @@ def test_an_inverse_pose_is_undone() -> None:
     assert convention == INVERTED
     assert np.allclose(undone.reading, samples.reading, atol=1e-9)
     assert np.allclose(undone.R, samples.R, atol=1e-9)
+
+
+def test_three_postures_prove_nothing_however_often_they_are_read() -> None:
+    """Three poses of a wrong arm may well fit an inverse better; sixty readings of them are no sixty witnesses."""
+    samples = record(2, 40).samples
+    few = samples.select(np.repeat(np.arange(3), 20))
+    few = replace(few, station=np.arange(60), stamps=1.7e9 + 2.0 * np.arange(60))
+    same, undone = proved(few, CHAIN)
+    assert undone is None
+    np.testing.assert_array_equal(same.R, few.R)
+    # thirty of them are
+    many = samples.select(np.repeat(np.arange(30), 3))
+    many = replace(many, station=np.arange(90), stamps=1.7e9 + 2.0 * np.arange(90))
+    assert proved(inverted(many), CHAIN)[1] == INVERTED
+
+
+@pytest.mark.slow
+def test_stated_places_that_are_wrong_are_named_and_no_joint() -> None:
+    """A tracker that is stated to stand a metre from where it stands once got a joint called coupled."""
+    made = record(4, 60)
+    T = made.world.T_tracker_base.copy()
+    known = Known("tracker", "base", T, (2e-3, 2e-3))
+    calibrate(made.samples, CHAIN, np.random.default_rng(0), Cell(known=(known,)), look_for_effects=False)
+    T[:3, 3] += [0.8, -0.5, 0.3]
+    wrong = Cell(known=(replace(known, T_frame_to=T),))
+    with pytest.raises(BadRecording, match="places of frames that are stated .* it does not without them"):
+        calibrate(made.samples, CHAIN, np.random.default_rng(0), wrong, look_for_effects=False)
 
 
 @pytest.mark.slow

@@ -112,7 +112,7 @@ def calibrate(
     if geometric.model.arm is not None:
         geometric = with_arm(geometric, stated_arm(geometric.model.arm, cell))
     if not samples.moving.any():  # in motion, a late tracker alone misses by centimetres, and is found below
-        require_plausible(nominal, geometric, train, samples, cell.distances)
+        require_plausible(nominal, geometric, train, samples, cell.distances, bool(cell.known))
 
     # what is left: where it comes from, an effect for it, and again
     diagnosis = Diagnosis(geometric, causes_of_moves(geometric, samples), None)
@@ -129,7 +129,7 @@ def calibrate(
             geometric = with_arm(geometric, loads.arm)
     # when something moved is read from all stations: one next to it that was held out belongs to either side
     final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))
-    require_plausible(nominal, final, train, samples, cell.distances)
+    require_plausible(nominal, final, train, samples, cell.distances, bool(cell.known))
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
     wrong = outlying(final.model, final.noise, samples)

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.calibration.split import distinct
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -80,7 +81,7 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
     """The samples with what can be undone undone, and what that was ("pose inverted"), None if nothing.
 
     stated: the Euler sequence that the readings were composed by, where it is known. Raises BadRecording, naming the
-    match, where another convention is better beyond doubt. Readings without orientation, frames with few of them and
+    match, where another convention is better beyond doubt. Readings without orientation, frames with few postures and
     robots other than serial arms pass unasked.
     """
     undone: str | None = None
@@ -88,9 +89,10 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
         return samples, undone
     for f, frame in enumerate(samples.frames):
         rows = np.flatnonzero((samples.frame == f) & samples.is_pose)
-        if len(rows) < LEAST_STATIONS:
+        different = rows[np.unique(distinct(samples.q[rows]), return_index=True)[1]]  # one posture proves one thing
+        if len(different) < LEAST_STATIONS:
             continue
-        better = _better(samples.select(rows), chain, stated)
+        better = _better(samples.select(different), chain, stated)
         if better is None:
             continue
         mistake, before, after = better

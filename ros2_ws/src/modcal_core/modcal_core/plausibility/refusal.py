@@ -53,22 +53,36 @@ _MOST = 300  # samples are enough to tell
 
 
 def refuse(
-    nominal: Fit, samples: Samples, whole: Samples, distances: Sequence[AnyDistance], missed: float, limit: float
+    nominal: Fit,
+    samples: Samples,
+    whole: Samples,
+    distances: Sequence[AnyDistance],
+    placed: bool,
+    missed: float,
+    limit: float,
 ) -> NoReturn:
     """Raises BadRecording with the mistake that is likely.
 
     samples: that were fitted. whole: of the recording. distances: that were stated and fitted beside the readings.
-    missed: what the fitted model misses them by [m]. limit: what an arm's errors may come to.
+    placed: whether places of frames were stated as well. missed: what the fitted model misses them by [m]. limit: what
+    an arm's errors may come to.
     """
     chain = nominal.model.chain
     rows = spread_rows(len(samples), _MOST)
     few = samples.select(np.unique(rows))
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
-    if distances:
+    if distances or placed:
         alone = fit_cell(chain, samples, Cell())
-        told = wrong_distances(alone, distances) if usual_miss(alone.model, samples) < limit else None
+        plausible = usual_miss(alone.model, samples) < limit
+        told = wrong_distances(alone, distances) if distances and plausible else None
         if told is not None:
             raise BadRecording(told.what, f"{said}, and it does not without them", told.remedy)
+        if placed and plausible:
+            raise BadRecording(
+                "known: the places of frames that are stated in the cell file",
+                f"{said}, and it does not without them",
+                "correct position_m [m], quaternion (x y z w), or the frame that they are stated in; or leave them out",
+            )
     usual = usual_miss(nominal.model, few)
     best: tuple[float, str, str] = (usual / _BETTER, "", "")
     for mistake in _mistakes(few.names, bool(few.is_pose.all())):

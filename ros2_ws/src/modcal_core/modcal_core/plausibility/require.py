@@ -18,15 +18,16 @@ def require_plausible(
     samples: Samples,
     whole: Samples | None = None,
     distances: Sequence[AnyDistance] = (),
+    placed: bool = False,
 ) -> None:
     """Raises BadRecording, naming the likely mistake, when the fitted model misses by more than an arm's errors can.
 
     samples: that were fitted. whole: of the recording, in which rows stand beside their neighbours; None for these.
-    distances: that were stated and fitted beside the readings.
+    distances: that were stated and fitted beside the readings. placed: whether places of frames were stated as well.
     """
     limit = LIMIT_OF_REACH * nominal.model.chain.reach()
     missed = usual_miss(fitted.model, samples)
     if missed > limit:
         from modcal_core.plausibility.refusal import refuse  # two dozen files, which most recordings do not need
 
-        refuse(nominal, samples, samples if whole is None else whole, distances, missed, limit)
+        refuse(nominal, samples, samples if whole is None else whole, distances, placed, missed, limit)
