@@ -12,6 +12,7 @@ from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.online import Tracker, TrackerState
 from modcal_core.articulation.stamp_order import StampOrder
 from modcal_core.articulation.travel import Travel
+from modcal_core.geometry import so3
 
 DEGREE = np.pi / 180.0
 SPEED = 0.1  # m/s of the handle
@@ -112,3 +113,34 @@ def test_an_arm_that_flies_by_costs_no_more_than_a_quick_pull() -> None:
     assert 200 * seconds <= sum(paid) <= 260 * seconds + 60
     rest = [travel.steps_due(seconds + i / 200) for i in range(200)]
     assert sum(rest) <= 80
+
+
+def test_a_hand_that_keeps_its_orientation_is_worth_two_steps_a_millimetre() -> None:
+    paid = []
+    for doubly in (False, True):
+        travel = Travel()
+        travel.doubly = doubly
+        for i in range(200):
+            travel.stepped(1e-3, 0.0)
+            travel.come(np.array([1e-3 * i, 0.0, 0.0]), 1e-4)
+            paid.append(travel.steps_due(0.1 * i))
+    assert sum(paid[200:]) == pytest.approx(2 * sum(paid[:200]), rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [0.35, 0.47])
+def test_a_door_is_known_within_a_pull_though_the_hand_keeps_its_orientation(
+    radius: float, rng: np.random.Generator
+) -> None:
+    """A ball grasp: the rotations are those of a drawer. A pull gives up after 25 cm."""
+    tracker, trusted = Tracker(), None
+    for k in range(1, 500):
+        a = 5e-4 * k / radius
+        p = np.array([radius * np.sin(a), radius * (1.0 - np.cos(a)), 0.5]) + 1e-4 * rng.normal(size=3)
+        state = tracker.update(p, so3.exp(2e-3 * rng.normal(size=3)), 0.02 * k, True)
+        if state.trusted:
+            trusted = 5e-4 * k
+            break
+    assert trusted is not None
+    assert state.kind == "revolute"
+    assert trusted < 0.235
