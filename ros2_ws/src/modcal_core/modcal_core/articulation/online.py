@@ -159,7 +159,8 @@ class Tracker:
             self._held = R
         if self._held is not None and R is not None and _between(p, self._held, p, R)[1] > _TURNED:
             self._held = None
-        self._travel.doubly = self._held is not None  # a drawer, or a hinge in a ball grasp: there is more to weigh
+        # a drawer, or a hinge in a ball grasp: until a model is trusted there is more to weigh
+        self._travel.doubly = self._held is not None and not self._check.trusted
         motion = self._selector.motion
         a, off, twisted, event = self._compare(p, R)
         accepted = self._accepted(p, R, off, twisted)
