@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,11 +13,15 @@ from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, MARKER_CORNERS, TAG, PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable, NotEnoughData
-from modcal_nodes.vision.images import ImageFolder, JointTable, joints_of_text, text_of
+from modcal_nodes.vision.images import ImageFolder, JointTable, csv_rows, joints_of_text, text_of
+from modcal_nodes.vision.wide_table import long_rows, wide_columns
 
 _COLUMNS = ("image", "u", "v")
 _SIGMA_PX = 0.1  # of a corner whose row has none: that of a sharp ChArUco corner
-_NOT_SEEN = ("", "nan")  # u and v of a corner that an image does not show, as tables with a row for each have it
+# u and v of a corner that an image does not show, as tables with a row for each have it; no corner is found at exactly
+# the upper left pixel's middle
+_NOT_SEEN = ("", "nan")
+_NOWHERE = (0.0, -1.0)
 _LARGEST_PX = 100_000  # of a side of an image
 _REMEDY = "give columns image, id (or marker and corner), u, v, and camera and sigma where they are known"
 _MARKERS = (ARUCO_GRID, APRIL_GRID, TAG)  # sheets whose corners are those of numbered markers
@@ -48,12 +51,21 @@ def read_corner_tables(
 
     file: CSV, its first line the columns: image, u, v [px] and id, or marker and corner (0 to 3, empty for a marker's
     middle), and, where they are known, camera, sigma [px], width and height of the images [px]; rows without u and v
-    (empty, or nan) are of corners that were not seen. joints, names: as of a folder. sizes: of the images by camera, ""
-    for any, where the table has none. Raises ModcalError.
+    (empty, nan, both 0 or both -1) are of corners that were not seen. Columns may be of cameras, markers and corners
+    (wide_table). Without a column image, rows of both files belong together by their number. joints, names: as of a
+    folder. sizes: of the images by camera, "" for any, where the table has none. Raises ModcalError.
     """
     source = str(file)
-    rows = corners_of_text(text_of(file), target, source)
-    table = joints_of_text(text_of(joints), names, str(joints), joints.resolve() == file.resolve())
+    text = text_of(file)
+    rows = corners_of_text(text, target, source)
+    header = csv_rows(text, source)[0]
+    by_row = not {"image", "stamp"} & set(header)
+    if by_row and joints.resolve() != file.resolve():
+        counts = [len(csv_rows(one, name)) - 1 for one, name in ((text, source), (text_of(joints), str(joints)))]
+        if counts[0] != counts[1]:
+            said = f"has {counts[0]} rows and no column image, {joints} has {counts[1]} rows"
+            raise BadTable(source, said, "say in a column image of both which rows belong together")
+    table = joints_of_text(text_of(joints), names, str(joints), joints.resolve() == file.resolve(), by_row)
     out = {}
     for camera in dict.fromkeys(row.camera for row in rows):
         own = [row for row in rows if row.camera == camera]
@@ -105,41 +117,51 @@ def _folder(
 
 def corners_of_text(text: str, target: PrintedTarget | MarkerBundle, source: str) -> list[_Row]:
     """The rows of a table of corners in a text, checked. Raises ModcalError, naming the source."""
-    try:
-        rows = list(csv.reader(text.splitlines()))
-    except csv.Error as error:
-        raise BadTable(source, f"is not CSV ({error})", "give columns with commas between") from error
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    missing = [name for name in _COLUMNS if name not in header]
-    missing += [] if {"id", "marker"} & set(header) else ["id"]
-    if missing:
-        raise BadTable(source, f"has no column {missing[0]} (it has {', '.join(header)[:120]})", _REMEDY)
+    rows = csv_rows(text, source)
+    header = rows[0] if rows else []
+    wide = wide_columns(header, source)
+    if not wide:
+        missing = [name for name in _COLUMNS if name not in header]
+        missing += [] if {"id", "marker"} & set(header) else ["id"]
+        if missing:
+            raise BadTable(source, f"has no column {missing[0]} (it has {', '.join(header)[:120]})", _REMEDY)
     out = []
-    for number, row in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in row):
-            continue
-        where = f"{source}: line {number}"
-        try:
-            one = {name: cell.strip() for name, cell in zip(header, row, strict=True)}
-            if one["u"].lower() in _NOT_SEEN and one["v"].lower() in _NOT_SEEN:
-                continue
-            values = float(one["u"]), float(one["v"]), float(one.get("sigma") or _SIGMA_PX)
-            size = (int(one["width"]), int(one["height"])) if "width" in one and "height" in one else None
-            point = _point(one, target, where)
-        except ValueError as error:
-            raise BadTable(where, "holds a value that cannot be read", "give numbers") from error
-        if not np.isfinite(values).all() or values[2] <= 0.0:
-            raise BadTable(where, "holds a number that is not finite, or no size", "correct it")
-        out.append(_Row(number, one.get("camera", ""), one["image"], point, values, size))
+    for number, row in enumerate(rows[1:], start=1):
+        where = f"{source}: line {number + 1}"
+        if len(row) != len(header):
+            raise BadTable(where, f"has {len(row)} cells, the header {len(header)}", "correct the line")
+        for one in long_rows(dict(zip(header, row, strict=True)), wide, number):
+            found = _read_row(one, target, where, number + 1)
+            out += [] if found is None else [found]
     if not out:
         raise NotEnoughData(source, "holds no corner", "give a row for each corner that was found")
     return out
 
 
+def _read_row(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, where: str, line: int) -> _Row | None:
+    """The corner that a row says, None for one that was not seen. Raises BadTable."""
+    if one["u"].lower() in _NOT_SEEN and one["v"].lower() in _NOT_SEEN:
+        return None
+    try:
+        values = float(one["u"]), float(one["v"]), float(one.get("sigma") or _SIGMA_PX)
+        size = (int(one["width"]), int(one["height"])) if "width" in one and "height" in one else None
+        point = _point(one, target, where)
+    except ValueError as error:
+        raise BadTable(where, "holds a value that cannot be read", "give numbers") from error
+    if not np.isfinite(values).all() or values[2] <= 0.0:
+        raise BadTable(where, "holds a number that is not finite, or no size", "correct it")
+    if values[0] == values[1] and values[0] in _NOWHERE:
+        return None
+    return _Row(line, one.get("camera", ""), one["image"], point, values, size)
+
+
 def _point(one: Mapping[str, str], target: PrintedTarget | MarkerBundle, where: str) -> int | None:
     """The number of the target's point that a row is of, None of another target's marker. Raises BadTable."""
     corner = int(one["corner"]) if one.get("corner") else None
-    number = int(one["marker"] if "marker" in one else one["id"])
+    said = one.get("marker", one.get("id"))
+    if said is None:
+        raise BadTable(where, "does not say which corner it is of", _REMEDY)
+    number = int(said)
     if corner is not None and not 0 <= corner < MARKER_CORNERS:
         raise BadTable(where, f"has corner {corner} of a marker", "number them from 0 to 3, or leave it empty")
     if isinstance(target, MarkerBundle):

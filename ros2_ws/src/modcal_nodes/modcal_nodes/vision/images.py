@@ -242,31 +242,41 @@ def text_of(path: Path) -> str:
         raise BadTable(str(path), "is not UTF-8 text", "give a CSV file") from error
 
 
-def joints_of_text(text: str, names: Sequence[str], source: str, repeated: bool = False) -> JointTable:
-    """The table of joints in a text, checked. repeated: an image may have several rows of the same joints, as in a
-    table of corners. Raises BadTable, naming the source.
-    """
+def csv_rows(text: str, source: str) -> list[list[str]]:
+    """The cells of a CSV with commas or semicolons, rows without any left out. Raises BadTable, naming the source."""
+    first = text.partition("\n")[0]
+    delimiter = ";" if first.count(";") > first.count(",") else ","
     try:
-        delimiter = ";" if text.partition("\n")[0].count(";") > text.partition("\n")[0].count(",") else ","
-        table = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(cell.strip() for cell in row)]
+        rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=delimiter)]
     except csv.Error as error:
         raise BadTable(source, f"is not CSV ({error})", "give columns with commas between") from error
+    return [row for row in rows if any(row)]
+
+
+def joints_of_text(
+    text: str, names: Sequence[str], source: str, repeated: bool = False, by_row: bool = False
+) -> JointTable:
+    """The table of joints in a text, checked. repeated: an image may have several rows of the same joints, as in a
+    table of corners. by_row: rows are of the images by their number, from 1, where no column says of which. Raises
+    BadTable, naming the source.
+    """
+    table = csv_rows(text, source)
     if len(table) < 2:
         raise BadTable(source, "holds no row of joints", "give a line of column names, then one row an image")
-    header = [cell.strip() for cell in table[0]]
+    header = table[0]
     missing = [name for name in names if name not in header]
     if missing:
         said = f"has no column for joint {missing[0]} (it has {', '.join(header)[:120]})"
         raise BadTable(source, said, "name the columns as the URDF names its joints")
     key = next((k for k in ("image", "stamp") if k in header), None)
-    if key is None:
+    if key is None and not by_row:
         raise BadTable(source, "has neither a column image nor a column stamp", "say which image a row belongs to")
     columns = [header.index(name) for name in names]
     keys, values = [], []
     for number, row in enumerate(table[1:], start=2):
         try:
             values.append([float(row[c]) for c in columns])
-            keys.append(row[header.index(key)].strip())
+            keys.append(str(number - 1) if key is None else row[header.index(key)])
         except (ValueError, IndexError) as error:
             raise BadTable(f"{source}: line {number}", "holds a value that cannot be read", "give numbers") from error
     q = np.array(values)
@@ -276,7 +286,7 @@ def joints_of_text(text: str, names: Sequence[str], source: str, repeated: bool 
     if np.abs(q).max() > _DEGREES:
         said = f"holds {np.abs(q).max():.0f}, and no joint turns so far in radians"
         raise BadTable(source, said, "give radians and metres")
-    if key == "image":
+    if key != "stamp":
         by_name: dict[str, Array] = {}
         for name, row_q in zip((Path(k).name for k in keys), q, strict=True):
             if name in by_name and not (repeated and np.array_equal(by_name[name], row_q)):
