@@ -10,13 +10,13 @@ import pytest
 import yaml
 from camera.boards import BOARD
 from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icosahedron, measured
+from camera.by_tracker import missed_by_tracker
 from camera.scenes import PANDA
 
 from modcal_core.camera.bundle_file import bundle_to_data
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.target import ARUCO_GRID, PrintedTarget
 from modcal_core.errors import BadTable, NotEnoughData
-from modcal_core.geometry import se3
 from modcal_core.report.camera import camera_info
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
@@ -149,18 +149,9 @@ def test_a_csv_of_two_cameras_to_a_calibrated_arm(tmp_path: Path, capsys: pytest
     assert (tmp_path / "out" / "camera_2.yaml").exists()
     # the arm by itself, against MuJoCo
     q = np.random.default_rng(0).uniform(s.q.min(0), s.q.max(0), (200, 7))
-    miss = []
-    for text in (PANDA.read_text(), (tmp_path / "out" / "calibrated.urdf").read_text()):
-        T, true = forward(read_chain(text, tip="panda_link8"), q), s.tip(q)
-        point = BODY_ON_TIP[:3, 3]  # a reflector whose place on the tool, as the tracker's frame, is refitted
-        for _ in range(20):
-            a, b = se3.apply(T, point), se3.apply(true, BODY_ON_TIP[:3, 3])
-            U, _, Vt = np.linalg.svd((b - b.mean(0)).T @ (a - a.mean(0)))
-            R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-            gap = (b - b.mean(0)) @ R - (a - a.mean(0))
-            rows = T[:, :3, :3] - T[:, :3, :3].mean(axis=0)
-            point = point + np.linalg.lstsq(rows.reshape(-1, 3), gap.reshape(-1), rcond=None)[0]
-        miss.append(float(np.sqrt((gap**2).sum(1).mean())))
+    urdfs = PANDA.read_text(), (tmp_path / "out" / "calibrated.urdf").read_text()
+    arms = [forward(read_chain(text, tip="panda_link8"), q) for text in urdfs]
+    miss = [missed_by_tracker(T, s.tip(q), BODY_ON_TIP[:3, 3]) for T in arms]
     assert miss[1] < 3e-4 < 1e-3 < miss[0]
     assert run([*given, "--camera-info", f"third={tmp_path / 'second.yaml'}"]) == 2
     assert "names no camera of these images" in capsys.readouterr().err

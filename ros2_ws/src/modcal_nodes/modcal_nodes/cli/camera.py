@@ -20,6 +20,7 @@ from modcal_nodes.cli.certificate import UNMET, camera_certificate_files, certif
 from modcal_nodes.cli.console import Output, tell, written
 from modcal_nodes.cli.number import Decimal
 from modcal_nodes.cli.robot import arm_line, described
+from modcal_nodes.cli.two_arms import arm_between
 from modcal_nodes.io.progress import Watch
 from modcal_nodes.io.recorded import opened
 
@@ -229,7 +230,7 @@ def _solved(
         moments=found.moments,
         inertias=robot.inertias,
         beside=read.others,
-        look_for_effects=not options["geometry_only"],
+        look_for_effects=not options["geometry_only"] and not read.two_arms,
         fisheye=camera["fisheye"],
         further=read.further,
     )
@@ -254,7 +255,8 @@ def _stated_lenses(given: Sequence[str]) -> dict[str, tuple[Lens, str]]:
 @dataclass(frozen=True)
 class _Read:
     """robot: it. found: the images of the first camera. others: readings of other instruments in the bag, None where it
-    has none. further: what further cameras saw. lens: stated of the first camera. notes: on the further ones.
+    has none. further: what further cameras saw. lens: stated of the first camera. notes: on the further ones. two_arms:
+    whether the chain goes from one arm's tip to another's.
     """
 
     robot: Robot
@@ -263,6 +265,7 @@ class _Read:
     further: tuple[CameraImages, ...] = ()
     lens: Lens | None = None
     notes: tuple[str, ...] = ()
+    two_arms: bool = False
 
 
 def _read(
@@ -280,19 +283,19 @@ def _read(
     from modcal_nodes.vision.corner_table import read_corner_tables
     from modcal_nodes.vision.images import read_images, require_size
 
-    recording, first, notes = None, "", tuple[str, ...]()
+    recording, first, notes, two_arms = None, "", tuple[str, ...](), tuple[str, ...]()
     further: tuple[CameraImages, ...] = ()
     if bag is not None:
         recording = read_bag(bag, topics=Topics.of(options["topic"], options["ignore"]))
     if camera["images"] is not None:
         columns = _columns(camera["joints"])
-        robot = Robot.from_urdf(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
+        robot, two_arms = arm_between(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
         if camera["images"].is_file():
             sizes = {name: lens.size for name, (lens, _) in stated.items()}
             by_name = read_corner_tables(camera["images"], camera["joints"], robot.names, target, sizes)
             (first, found), *others = by_name.items()
             further = tuple(_of_table(name, one, target, camera, stated) for name, one in others)
-            notes = tuple(f"{name}: {said}" for name, one in others for said in (*one.notes, *_out(one)))
+            notes += tuple(f"{name}: {said}" for name, one in others for said in (*one.notes, *_out(one)))
         else:
             assert isinstance(target, PrintedTarget)
             found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
@@ -315,13 +318,14 @@ def _read(
     if lens is not None:
         require_size(lens, found.size, source)
     if bag is None or recording is None or not (told := [r for r in recording.readings if not r.by_type]):
-        return _Read(robot, found, None, further, lens, notes)
+        return _Read(robot, found, None, further, lens, (*two_arms, *notes), bool(two_arms))
     watch("reading other instruments")
     # poses that nobody called a tracker's may be made from these very images
     guessed = [r.topic for r in recording.readings if r.by_type and r.topic not in {t.topic for t in told}]
     topics = Topics.of(options["topic"], [*options["ignore"], *guessed])
     samples = opened(bag, watch, topics).samples(robot, options["clock_limit"])
-    return _Read(robot, found, beside(robot.chain, samples, robot.inertias), further, lens, notes)
+    readings = beside(robot.chain, samples, robot.inertias)
+    return _Read(robot, found, readings, further, lens, (*two_arms, *notes), bool(two_arms))
 
 
 def _out(found: ImageFolder) -> tuple[str, ...]:

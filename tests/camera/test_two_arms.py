@@ -1,0 +1,99 @@
+"""A camera on one arm of a robot and a target on the other: one chain from tip to tip, whose root hangs in between."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from camera.boards import BOARD, facing, views
+from camera.by_tracker import missed_by_tracker
+from camera.scenes import BOARD_ON_TIP, HOME, PANDA
+
+from modcal_core.camera.target_file import target_to_data
+from modcal_core.geometry import se3, so3
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.inverse_batch import inverse_batch
+from modcal_core.robots.kinematics import forward
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_reroot import rerooted
+from modcal_nodes.cli.main import run
+from modcal_nodes.simulation.world import World
+
+CAMERA_ON_LEFT = se3.transform(so3.exp([0.02, 0.01, 0.7]), [0.06, 0.02, 0.03])
+
+
+def two_pandas() -> str:
+    """Two Pandas on one torso that face each other, 1.4 m apart, as a URDF."""
+    text = PANDA.read_text()
+    body = text[text.index(">", text.index("<robot ")) + 1 : text.index("</robot>")]
+    arms = "".join(
+        f'{body.replace("panda_", f"{side}_")}<joint name="{side}_mount" type="fixed"><origin xyz="{x} 0 0.1" '
+        f'rpy="0 0.2 {yaw}"/><parent link="torso"/><child link="{side}_link0"/></joint>'
+        for side, x, yaw in (("left", 0.0, 0.0), ("right", 1.4, np.pi))
+    )
+    return f'<robot name="two"><link name="torso"/>{arms}</robot>'
+
+
+def test_links_stand_to_each_other_as_before(rng: np.random.Generator) -> None:
+    text = two_pandas()
+    left, right = (read_chain(text, "torso", f"{side}_link8") for side in ("left", "right"))
+    turned = rerooted(text, "left_link8")
+    both = read_chain(turned, "left_link8", "right_link8")
+    assert both.names == (*left.names[::-1], *right.names)
+    assert np.allclose(both.upper, np.r_[left.upper[::-1], right.upper])
+    a, b = (rng.uniform(-1.5, 1.5, (20, 7)) for _ in range(2))
+    apart = se3.inverse(forward(left, a)) @ forward(right, b)
+    assert np.allclose(forward(both, np.c_[a[:, ::-1], b]), apart, atol=1e-12)
+    # and back
+    again = rerooted(turned, "torso")
+    assert np.allclose(forward(read_chain(again, "torso", "left_link8"), a), forward(left, a), atol=1e-12)
+    assert rerooted(text, "torso") == text
+
+
+def postures(chain: Chain, rng: np.random.Generator, count: int) -> np.ndarray:
+    """At which the camera on the left arm sees the board on the right one."""
+    out = np.empty((0, chain.n))
+    while len(out) < count:
+        wanted = CAMERA_ON_LEFT @ facing(rng, 2 * count, near=0.35, far=0.6) @ se3.inverse(BOARD_ON_TIP)
+        start = np.r_[HOME[::-1], HOME] + 0.3 * rng.normal(size=(2 * count, chain.n))
+        found = inverse_batch(chain, wanted, start, tolerance=1e-3)
+        out = np.concatenate([out, found.q[found.met]])
+    return out[:count]
+
+
+@pytest.mark.slow
+def test_both_arms_are_calibrated_as_one_chain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Faults of both arms by MuJoCo, from a CSV of corners to calibrated.urdf."""
+    rng = np.random.default_rng(8)
+    (tmp_path / "two.urdf").write_text(two_pandas())
+    chain = read_chain(rerooted(two_pandas(), "left_link8"), "left_link8", "right_link8")
+    world = World(chain, rng, 1.5e-3, 2e-3, se3.inverse(CAMERA_ON_LEFT), BOARD_ON_TIP)
+    q = postures(chain, rng, 40)
+    seen = views(rng, world.tool_in_tracker(q + 2e-5 * rng.standard_normal(q.shape)), 0.03)
+    lines = [f"image,id,u,v,width,height,{','.join(chain.names)}"]
+    for v, at in zip(seen, q, strict=True):
+        joints = ",".join(map(repr, map(float, at)))
+        lines += [f"{v.name},{i},{x:.4f},{y:.4f},1280,720,{joints}" for i, (x, y) in zip(v.ids, v.pixels, strict=True)]
+    (tmp_path / "corners.csv").write_text("\n".join(lines) + "\n")
+    data = target_to_data(BOARD, (0.21, 0.15))
+    data["rulers"] |= {"measured_x_m": 0.21, "measured_y_m": 0.15, "measured_std_m": 5e-5}
+    (tmp_path / "target.yaml").write_text(yaml.safe_dump(data))
+    given = ["--images", "corners.csv", "--joints", "corners.csv", "--target", "target.yaml", "--urdf", "two.urdf"]
+    files = [str(tmp_path / g) if not g.startswith("--") else g for g in given]
+    ends = ["--base", "left_link8", "--tip", "right_link8"]
+    assert run(["calibrate", *files, *ends, "--out", str(tmp_path / "out")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "both arms are calibrated as one chain of 14 joints from left_link8 over torso to right_link8" in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["camera"]["decision"] == "apply"
+    assert not report["effects"]
+    # by a tracker that is carried by the left arm, a reflector on the right one, at postures that no image is of
+    fresh = postures(chain, np.random.default_rng(3), 60)
+    true = CAMERA_ON_LEFT @ world.tool_in_tracker(fresh) @ se3.inverse(BOARD_ON_TIP)
+    urdfs = rerooted(two_pandas(), "left_link8"), (tmp_path / "out" / "calibrated.urdf").read_text()
+    arms = [forward(read_chain(text, "left_link8", "right_link8"), fresh) for text in urdfs]
+    miss = [missed_by_tracker(T, true, BOARD_ON_TIP[:3, 3]) for T in arms]
+    assert miss[1] < 0.25 * miss[0]
