@@ -74,10 +74,9 @@ class ChangeJudge:
 
     def __init__(self, null: NullModel) -> None:
         self.null = null
-        n = len(null.residual)
         factors = np.linalg.cholesky(np.stack(null.covariances))
         self._half_logdet = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
-        self._whiten = np.stack([scipy.linalg.solve_triangular(L, np.eye(n), lower=True) for L in factors])
+        self._whiten = np.stack([scipy.linalg.lapack.dtrtri(L, lower=1)[0] for L in factors])
         self._z = self._whiten @ null.residual
         self._square = np.sum(self._z**2, axis=1)
         self._each = null.log_prior - self._half_logdet - 0.5 * self._square
@@ -98,8 +97,7 @@ class ChangeJudge:
         n = len(self.null.residual)
         same = candidate.residual is self.null.residual
         z = self._z if same else self._whiten @ candidate.residual
-        size = np.maximum(np.linalg.norm(candidate.columns, axis=0), 1e-300)
-        A = self._whiten @ (candidate.columns if candidate.free else candidate.columns / size)
+        A = self._directions(candidate)
         squares, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)  # (G, k), (G, k, k)
         kept = squares > _RANK * squares.max(axis=1, keepdims=True, initial=1e-300)
         squares = np.where(kept, squares, 1.0)
@@ -125,6 +123,15 @@ class ChangeJudge:
         at = np.unravel_index(int(np.argmax(each)), each.shape)
         likely = float((self.null.log_prior[:, None] - self._half_logdet[:, None] - 0.5 * left).max())
         return JudgedChange(candidate, factor, likely, float(left[at]), float(SIZES[at[1]]))
+
+    def _directions(self, candidate: ChangeCandidate) -> Array:
+        """Its columns in standard deviations of each member, (G, n, k), of whatever length."""
+        columns = candidate.columns
+        if candidate.hypothesis.sample >= 0:  # single rows, each by itself: no product is needed
+            return self._whiten[:, :, np.argmax(columns, axis=0)]
+        if candidate.free:
+            return self._whiten @ columns
+        return self._whiten @ (columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
 
     def noisier(self, hypothesis: CellChange) -> JudgedChange:
         """The Bayes factor of readings that scatter more, in position, orientation, or both."""

@@ -8,28 +8,25 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from modcal_core.calibration.model import Model
 from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise
 from modcal_core.checking.hypotheses import NOISE, CellChange, composed, put_in
-from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.state import CheckState
-from modcal_core.measurements.samples import Samples
 
 _STEPS = 15  # of a fit; of changes that are small one is enough
 _END = 1e-3  # standard deviations, all rows together; the last step of a fit
+_SHARE = 1e-4  # of the residual, of which a step that moves less decides nothing between changes
 _LARGE = 30.0  # squared standard deviations a row, beyond which each change is fitted by itself before it is compared
 _LONGEST = 0.5  # rad; a longer turn is taken in parts
 _WIDE = 4.0  # times its own size: what a change that was taken up may still be off by
 
 
 def taken_up(
-    model: Model, samples: Samples, known: FrozenKnowledge, picked: Sequence[JudgedChange]
+    begin: CheckState, judge: ChangeJudge, picked: Sequence[JudgedChange]
 ) -> tuple[CheckState, list[ChangeCandidate]]:
-    """The state in which these changes have been taken up, their sizes left open, and the changes as fitted."""
-    begin = CheckState(model, samples, known)
-    if not picked:
-        return begin, []
-    judge = ChangeJudge(begin.null)
+    """The state in which these changes have been taken up, their sizes left open, and the changes as fitted.
+
+    begin: without them. judge: of what that leaves.
+    """
     fits, now = fitted([p.candidate.hypothesis for p in picked], begin, judge, bends(judge))
     opened = begin.null
     for judged, candidate in zip(picked, fits, strict=True):
@@ -49,7 +46,7 @@ def taken_up(
             scale = _WIDE * judged.size * np.sqrt(n / max(int(keep.sum()), 1))
         opened = opened.with_more(now.residual, columns, scale)
     opened = replace(opened, residual=now.residual)
-    return CheckState(now.model, samples, known, opened, now.curves), fits
+    return CheckState(now.model, begin.samples, begin.known, opened, now.curves), fits
 
 
 def bends(judge: ChangeJudge) -> bool:
@@ -84,7 +81,7 @@ def fitted(
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
         step = np.linalg.lstsq(A / scale, z, rcond=1e-8)[0] / scale
         gain = float(np.linalg.norm(A @ step))
-        if gain < _END or square > 4.0 * before:
+        if gain < max(_END, _SHARE * np.sqrt(square)) or square > 4.0 * before:
             break
         before = square
         ends = np.cumsum([len(t) for t in totals] + [len(a) for a in angles.values()])[:-1]

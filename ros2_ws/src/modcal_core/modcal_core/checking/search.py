@@ -19,19 +19,18 @@ import numpy as np
 from modcal_core.calibration.model import Model
 from modcal_core.checking.evidence import (
     SIZES,
-    ChangeCandidate,
     ChangeJudge,
     JudgedChange,
     e_value,
     is_noise,
     log_priors,
 )
-from modcal_core.checking.fitting import bends, fitted, taken_up
 from modcal_core.checking.hypotheses import BASE, NOISE, READING, TOOL, CellChange, hypotheses
 from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.rivals import FittedChange, most_probable
 from modcal_core.checking.rivals import with_rivals as fitted_with_rivals
 from modcal_core.checking.sizes import SizeCovariance, with_sizes
+from modcal_core.checking.standing import Standing, Standings
 from modcal_core.checking.state import CheckState
 from modcal_core.checking.waves import wave_of
 from modcal_core.geometry.so3 import Array
@@ -42,8 +41,19 @@ _BEAM = 5  # changes that a pair is begun with
 _SET_UP = (BASE, TOOL)  # what is moved when a cell is set up again
 
 
+class _Explained:
+    """What explains readings. log_e: of what was found, and, last, of what is left."""
+
+    log_e: tuple[float, ...]
+
+    @property
+    def more(self) -> bool:
+        """Whether this does not explain all."""
+        return _is_asked_for(self.log_e[-1])
+
+
 @dataclass(frozen=True)
-class FoundChanges:
+class FoundChanges(_Explained):
     """What a search found.
 
     model: with the changes put in. changes: at most two, beside what was moved when the cell was set up again. log_e:
@@ -67,11 +77,6 @@ class FoundChanges:
     asked: tuple[CellChange, ...]
     given: tuple[FittedChange, ...] = ()
 
-    @property
-    def more(self) -> bool:
-        """Whether what was found does not explain all."""
-        return self.log_e[-1] > -np.log(FALSE_ALARM)
-
 
 def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequence[CellChange] = ()) -> FoundChanges:
     """What has changed since the model was frozen, by these samples. given: changes that are known to be the case and
@@ -91,23 +96,16 @@ def search(model: Model, samples: Samples, known: FrozenKnowledge, given: Sequen
 
 
 @dataclass(frozen=True)
-class _Picked:
-    """What a search picked. by: the search. changes: as judged. fits: what is given and these, as fitted. log_e: as of
-    :class:`FoundChanges`. state: with them taken up. now: the judge of what is left. aside: samples set aside as wrong.
+class _Picked(_Explained):
+    """What a search picked. by: the search. changes: as judged. log_e: as of :class:`FoundChanges`. now: what stands
+    with them taken up. aside: samples set aside as wrong.
     """
 
     by: _Search
     changes: tuple[JudgedChange, ...]
-    fits: tuple[ChangeCandidate, ...]
     log_e: tuple[float, ...]
-    state: CheckState
-    now: ChangeJudge
+    now: Standing
     aside: tuple[int, ...] = ()
-
-    @property
-    def more(self) -> bool:
-        """Whether this does not explain all."""
-        return self.log_e[-1] > -np.log(FALSE_ALARM)
 
     @property
     def wrong(self) -> int:
@@ -118,23 +116,23 @@ class _Picked:
     def asks_for(self, moved: CellChange) -> bool:
         """Whether the readings ask for one of these changes beside all others."""
         beside = self.by.beside([c for c in self.changes if c.candidate.hypothesis.key != moved.key])
-        judged, _ = _judge_all(ChangeJudge(beside.null), beside, [moved], bent=True)
+        judged, _ = beside.judge_all([moved], bent=True)
         prior = log_priors(self.by.asked)[next(i for i, h in enumerate(self.by.asked) if h.key == moved.key)]
-        return self.by.weight * (judged[0].log_factor + float(prior)) > -np.log(FALSE_ALARM)
+        return _is_asked_for(self.by.weight * (judged[0].log_factor + float(prior)))
 
     def told(self) -> FoundChanges:
         """The same with what explains the readings as well, and with sizes."""
-        by = self.by
+        by, state, left = self.by, self.now.state, self.now.judge
         given = [FittedChange(judged, 1.0, ()) for judged in by.fixed]
         if self.wrong >= 0:  # more readings are wrong than are set aside: sizes are not asked
             changes, sizes = [FittedChange(c, 1.0, ()) for c in self.changes], SizeCovariance.none(by.known)
         else:
             changes = [by.with_rivals(self.changes, i) for i in range(len(self.changes))]
-            every, sizes = with_sizes([*given, *changes], self.fits, self.state, by.plain.null, self.now.best)
+            every, sizes = with_sizes([*given, *changes], self.now.fits, state, by.plain.judge.null, left.best)
             given, changes = every[: len(given)], every[len(given) :]
         return FoundChanges(
-            self.state.model, tuple(changes), self.log_e, self.aside, by.samples, by.untouched, self.now, self.state,
-            sizes, by.start, tuple(by.asked), tuple(given),
+            state.model, tuple(changes), self.log_e, self.aside, by.samples, by.plain.judge, left, state, sizes,
+            by.beside([]).judge, tuple(by.asked), tuple(given),
         )  # fmt: skip
 
 
@@ -178,101 +176,77 @@ class _Search:
         return every
 
     @cached_property
-    def plain(self) -> CheckState:
-        """The frozen model beside the readings."""
-        return CheckState(self.model, self.samples, self.known)
+    def standings(self) -> Standings:
+        """The frozen model with changes taken up."""
+        return Standings(CheckState(self.model, self.samples, self.known))
 
-    @cached_property
-    def untouched(self) -> ChangeJudge:
-        """Of the frozen model."""
-        return ChangeJudge(self.plain.null)
+    @property
+    def plain(self) -> Standing:
+        """The frozen model beside the readings."""
+        return self.standings.plain
 
     @cached_property
     def fixed(self) -> list[JudgedChange]:
         """What is given, of any size."""
-        judged, _ = _judge_all(self.untouched, self.plain, self.given) if self.given else ([], None)
-        return [replace(one, size=float(SIZES[-1])) for one in judged]
-
-    @cached_property
-    def begin(self) -> CheckState:
-        """The same with what is given taken up."""
-        return taken_up(self.model, self.samples, self.known, self.fixed)[0] if self.given else self.plain
-
-    @cached_property
-    def start(self) -> ChangeJudge:
-        """Of the same with what is given taken up."""
-        return ChangeJudge(self.begin.null) if self.given else self.untouched
+        return [replace(one, size=float(SIZES[-1])) for one in self.plain.judge_all(self.given)[0]]
 
     @property
     def weight(self) -> float:
         """Of what the stations say together."""
-        return self.plain.null.weight
+        return self.plain.judge.null.weight
 
-    def beside(self, picked: Sequence[JudgedChange]) -> CheckState:
-        """The state with these changes taken up, on top of what is given."""
-        return taken_up(self.model, self.samples, self.known, [*self.fixed, *picked])[0]
+    def beside(self, picked: Sequence[JudgedChange]) -> Standing:
+        """What stands with these changes taken up, on top of what is given."""
+        return self.standings.after([*self.fixed, *picked])
 
-    def taken(self, picked: Sequence[JudgedChange]) -> tuple[CheckState, list[ChangeCandidate], ChangeJudge, float]:
-        """The state with these changes taken up, those and what is given as fitted, the judge of what is left, and its
-        e-value.
-        """
-        state, fits = taken_up(self.model, self.samples, self.known, [*self.fixed, *picked])
-        now = ChangeJudge(state.null)
-        judged, prior = _judge_all(now, state, [h for h in self.asked if h.key not in _keys(picked)])
-        return state, fits, now, e_value(judged, prior, self.weight)
+    def others(self, picked: Sequence[JudgedChange]) -> list[CellChange]:
+        """What is looked for besides these changes."""
+        known = _keys(picked)
+        return [h for h in self.asked if h.key not in known]
+
+    def taken(self, picked: Sequence[JudgedChange]) -> tuple[Standing, float]:
+        """What stands with these changes taken up, and the e-value of what is left."""
+        now = self.beside(picked)
+        judged, prior = now.judge_all(self.others(picked))
+        return now, e_value(judged, prior, self.weight)
 
     def picked(self) -> _Picked:
         """What explains the readings, or the first of them that is wrong."""
-        state, now, moved = self.begin, self.start, self._moved()
-        fits: list[ChangeCandidate] = []
-        if moved:
-            state, fits, now, _ = self.taken(moved)
-        elif self.given:
-            state, fits, now, _ = self.taken([])
-        asked = [h for h in self.asked if h.key not in _keys(moved)]
-        judged, prior = _judge_all(now, state, asked, bent=True)
+        moved = self.beside([]).judge_all(self.moved, bent=True)[0]
+        now = self.beside(moved)
+        judged, prior = now.judge_all(self.others(moved), bent=True)
         log_e = [e_value(judged, prior, self.weight)]
         picked = list(moved)
-        if log_e[0] > -np.log(FALSE_ALARM):
+        if _is_asked_for(log_e[0]):
             first = most_probable(judged, prior, self.weight)
             if first.candidate.hypothesis.kind == READING:  # the caller sets it aside and begins again
-                return _Picked(self, (first,), tuple(fits), tuple(log_e), state, now)
+                return _Picked(self, (first,), tuple(log_e), now)
             picked = [*moved, first]
-            state, fits, now, rest = self.taken(picked)
+            now, rest = self.taken(picked)
             log_e.append(rest)
-            if rest > -np.log(FALSE_ALARM) or is_noise(first):
+            if _is_asked_for(rest) or is_noise(first):
                 pair = self._best_pair(judged, prior, moved)
                 alone = first.log_factor + float(prior[[j is first for j in judged]][0])
-                if pair is not None and (
-                    rest > -np.log(FALSE_ALARM) or self.weight * (pair[1] - alone) > -np.log(FALSE_ALARM)
-                ):
+                if pair is not None and (_is_asked_for(rest) or _is_asked_for(self.weight * (pair[1] - alone))):
                     picked = [*moved, *pair[0]]
-                    state, fits, now, rest = self.taken(picked)
+                    now, rest = self.taken(picked)
                     log_e = [log_e[0], self.weight * max(pair[1] - alone, 0.0), rest]
         for i, one in enumerate(picked):
             if one.candidate.free:
                 others = [p for j, p in enumerate(picked) if j != i]
                 beside = self.beside(others)
-                curve = one.candidate.hypothesis.curve
-                wave = wave_of(curve, beside.model, beside.view, beside.drivers, ChangeJudge(beside.null))
+                curve, state = one.candidate.hypothesis.curve, beside.state
+                wave = wave_of(curve, state.model, state.view, state.drivers, beside.judge)
                 if wave is not None and wave.log_factor > one.log_factor:
                     picked[i] = wave
-                    state, fits, now, log_e[-1] = self.taken(picked)
-        return _Picked(self, tuple(picked), tuple(fits), tuple(log_e), state, now)
-
-    def _moved(self) -> list[JudgedChange]:
-        """What is taken up first, each judged beside what is given."""
-        if not self.moved:
-            return []
-        return _judge_all(self.start, self.begin, self.moved, bent=True)[0]
+                    now, log_e[-1] = self.taken(picked)
+        return _Picked(self, tuple(picked), tuple(log_e), now)
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""
         one = picked[i]
         others = [p for j, p in enumerate(picked) if j != i]
-        beside = self.beside(others)
-        judge = ChangeJudge(beside.null)
-        every, prior = _judge_all(judge, beside, [h for h in self.asked if h.key not in _keys(others)], bent=True)
+        every, prior = self.beside(others).judge_all(self.others(others), bent=True)
         if not any(h is one.candidate.hypothesis for h in self.asked):  # a wave that was found by scanning
             own = [
                 p
@@ -296,7 +270,7 @@ class _Search:
             if h.kind not in (READING, NOISE) and value > by_key.get(h.key, (-np.inf, j))[0]:
                 by_key[h.key] = (value, j)
         tried = [first for _, first in sorted(by_key.values(), key=lambda pair: -pair[0])[:_BEAM]]
-        before = ChangeJudge(self.beside(moved).null).log_null if moved else self.start.log_null
+        before = self.beside(moved).judge.log_null
         best: tuple[list[JudgedChange], float] | None = None
         for first in tried:
             found = self._second(first, moved, before)
@@ -315,34 +289,17 @@ class _Search:
         before: logarithm of the probability of the readings without them.
         """
         beside = self.beside([*moved, first])
-        judge = ChangeJudge(beside.null)
-        known = _keys([*moved, first])
-        rest = [h for h in self.asked if h.key not in known and h.kind != READING]
-        judged, prior = _judge_all(judge, beside, rest)
+        judged, prior = beside.judge_all([h for h in self.others([*moved, first]) if h.kind != READING])
         value = np.array([j.log_factor for j in judged]) + prior
         at = int(np.argmax(value))
         own = log_priors(self.asked)[next(i for i, h in enumerate(self.asked) if h is first.candidate.hypothesis)]
-        return [first, judged[at]], float(judge.log_null - before + value[at] + own)
+        return [first, judged[at]], float(beside.judge.log_null - before + value[at] + own)
 
 
 def _keys(judged: Sequence[JudgedChange]) -> set[tuple[str, str]]:
     return {j.candidate.hypothesis.key for j in judged}
 
 
-def _judge_all(
-    judge: ChangeJudge, state: CheckState, asked: Sequence[CellChange], bent: bool = False
-) -> tuple[list[JudgedChange], Array]:
-    """What speaks for each. bent: fit each by itself where changes are so large that their motions bend."""
-    large = bent and bends(judge)
-    out = []
-    for hypothesis in asked:
-        if hypothesis.kind == NOISE:
-            out.append(judge.noisier(hypothesis))
-        elif large and (hypothesis.sizes or hypothesis.curve >= 0):
-            out.append(judge.judged(fitted([hypothesis], state, judge, bent=True)[0][0]))
-        else:
-            columns = state.columns(hypothesis)
-            out.append(
-                judge.judged(ChangeCandidate(hypothesis, state.null.residual, columns, np.zeros(columns.shape[1])))
-            )
-    return out, log_priors(asked)
+def _is_asked_for(log_e: float) -> bool:
+    """Whether the readings ask for a change by an e-value of this logarithm."""
+    return bool(log_e > -np.log(FALSE_ALARM))
