@@ -75,6 +75,14 @@ def ipa() -> Grid:
     return Grid("IPA UR10, series A", robot, samples, 200, 0.15)
 
 
+def divided(grid: Grid, seed: int) -> tuple[Samples, Samples]:
+    """The stations that are offered, and those that score."""
+    block = np.arange(len(grid.samples)) // grid.block
+    rng = np.random.default_rng(seed)
+    held = np.isin(block, rng.permutation(block[-1] + 1)[: round(HELD * (block[-1] + 1))])
+    return grid.samples.select(~held), grid.samples.select(held)
+
+
 def rms(model: object, samples: Samples) -> float:
     """RMS error [m]."""
     return float(np.sqrt(np.mean(errors(model, samples).position_norm ** 2)))  # type: ignore[arg-type]
@@ -83,10 +91,7 @@ def rms(model: object, samples: Samples) -> float:
 def replayed(grid: Grid, planned: bool, whole: float | None, seed: int = 0) -> float:
     """Print how the error falls with the share of stations; returns the error of the whole grid [m]."""
     samples, robot = grid.samples, grid.robot
-    block = np.arange(len(samples)) // grid.block
-    rng = np.random.default_rng(seed)
-    held = np.isin(block, rng.permutation(block[-1] + 1)[: round(HELD * (block[-1] + 1))])
-    offered, scored = samples.select(~held), samples.select(held)
+    offered, scored = divided(grid, seed)
     if whole is None:
         began = time.process_time()
         all_of_it = refit(offered, robot.mechanism, seed, None, robot.inertias)
