@@ -14,6 +14,7 @@ from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
+from modcal_core.report.as_json import to_json_data
 
 ELBOW = 2
 
@@ -77,3 +78,11 @@ def test_a_curve_is_learned_where_few_stations_are() -> None:
     away = done.calibration.calibrated.predict_samples(samples_of(ur10(), fresh, truth(fresh))) - truth(fresh)
     assert np.sqrt(np.mean(np.sum(away[:, :3, 3] ** 2, axis=1))) < 5e-5  # 0.46 mm where they stay rejected
     assert done.report.wrong[wrong].all()
+    # it is said: how many, and where
+    again = done.report.readmitted
+    assert again.stations >= 3
+    assert {p.joint for p in again.places} == {"elbow_joint"}
+    assert all(p.low > 0.6 and p.high < 1.26 and p.stations <= p.of <= 15 for p in again.places)
+    assert f", {again.stations} taken in again after that" in done.report.verdict
+    assert any("taken in again" in note and "elbow_joint" in note for note in done.report.notes)
+    assert to_json_data(done.report)["recording"]["readmitted"] == again.stations

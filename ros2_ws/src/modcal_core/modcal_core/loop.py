@@ -21,6 +21,7 @@ from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, require_enough
 from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
 from modcal_core.calibration.known_distances import distances_of
+from modcal_core.calibration.readmitted import readmitted, right_after_all
 from modcal_core.calibration.runs import runs_of
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.calibration.sockets import with_sockets
@@ -44,7 +45,7 @@ from modcal_core.report.contents import Step
 from modcal_core.report.findings import findings
 from modcal_core.report.joint_offsets import offsets_of
 from modcal_core.report.loads import load_findings, load_notes
-from modcal_core.report.notes import instrument_notes
+from modcal_core.report.notes import instrument_notes, readmitted_note
 from modcal_core.report.report import Report
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias, weightless
@@ -136,7 +137,11 @@ def calibrate(
     if wrong[sets.held_out].all():  # then it is the model that misses them
         wrong[sets.held_out] = False
     scored = held_out.select(~wrong[sets.held_out])
-    shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
+    again, whole = right_after_all(final, samples, choice.parameters, cell.distances, wrong)
+    shipped = finalise(samples, chain, choice, cell, inertias, final, wrong & ~again, regimes, geometric, whole)
+    if diagnosis.again is not None:
+        again[sets.train] |= diagnosis.again
+    taken_in = readmitted(shipped.calibrated, samples, again, wrong)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
     left = {
@@ -183,7 +188,8 @@ def calibrate(
         parameters=shipped.parameters,
         offsets=offsets_of(shipped),
         left_out=choice.left_out,
-        notes=(*instrument_notes(final), *load_notes(loads)),
+        notes=(*instrument_notes(final), *load_notes(loads), *readmitted_note(taken_in)),
+        readmitted=taken_in,
         steps=steps,
         evidence=diagnosis.maps,
         model=final.model,

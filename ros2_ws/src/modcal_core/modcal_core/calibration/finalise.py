@@ -13,8 +13,7 @@ from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.outermost import geometry_is_better
-from modcal_core.calibration.readmitted import uncontradicted
-from modcal_core.calibration.score import errors, outlying, typical_scatter
+from modcal_core.calibration.score import errors, typical_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
 from modcal_core.calibration.typical import driver_ranges, typical_sizes
@@ -41,22 +40,20 @@ def finalise(
     wrong: np.ndarray | None = None,
     regimes: Model | None = None,
     geometry: Fit | None = None,
+    whole: Fit | None = None,
 ) -> Calibration:
     """The calibration fitted to every accepted sample, written with the least change to the nominal arm.
 
-    scored: the fit whose effects it has, and which it begins from. wrong: True for samples that the score rejects,
-    (N,): they are left out, but for those that nothing speaks against, and no others; by default the fit decides.
-    regimes: a model to begin from where base or tool moved. geometry: the fit of geometry alone, from whose start all
-    fits here begin; None: from the nominal arm's.
+    scored: the fit whose effects it has, and which it begins from. wrong: True for samples to be left out, (N,), and no
+    others are; by default the fit decides. regimes: a model to begin from where base or tool moved. geometry: the fit
+    of geometry alone, from whose start all fits here begin; None: from the nominal arm's. whole: the fit to just these
+    samples from scored, where there is one already.
     """
     decided = wrong is not None
     watched = float(samples.stamps.min()), float(samples.stamps.max())
-    whole: Fit | None = None
     if wrong is not None and wrong.any():
-        right, whole = _right_after_all(scored, samples, choice, cell, wrong)
-        kept = ~wrong | right
-        _require_each_frame(samples, kept)
-        samples = samples.select(kept)
+        _require_each_frame(samples, ~wrong)
+        samples = samples.select(~wrong)
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
     begun = nominal.model if geometry is None else geometry.start
     fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
@@ -106,24 +103,6 @@ def _require_each_frame(samples: Samples, kept: np.ndarray) -> None:
                 "see whether its axes are left-handed, its units and its quaternions, and what it looks at; or leave "
                 "its topic out with --ignore",
             )
-
-
-def _right_after_all(
-    scored: Fit | None, samples: Samples, choice: ParameterChoice, cell: Cell, wrong: np.ndarray
-) -> tuple[np.ndarray, Fit | None]:
-    """True for samples that the scored fit had no others beside of, and that a fit to all of them explains, (N,).
-
-    What was held out from it may be all that there is of a place. Also that fit, where it is to just those samples that
-    are right after all and those that are not wrong.
-    """
-    alone = np.zeros(len(wrong), bool) if scored is None else uncontradicted(scored.model, samples, wrong)
-    if scored is None or not alone.any():
-        return alone, None
-    start = scored.start.with_effects(sharpened(scored.model, samples).effects)
-    some = samples.select(~wrong | alone)
-    fit = identify(start, some, choice.parameters, cell.distances, tolerance=FITTED, begin=scored.values, reject=False)
-    right = alone & ~outlying(fit.model, scored.noise, samples)
-    return right, fit if np.array_equal(right, alone) else None
 
 
 def _left(model: Model, samples: Samples) -> float:

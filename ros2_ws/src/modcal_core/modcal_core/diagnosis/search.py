@@ -87,13 +87,15 @@ def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
 class Diagnosis:
     """fit: to *train*, with the effects. causes: in the order found, with their fitted effects. left: what is
     significant still but could not be turned into an effect that predicts, None where the rest is noise. maps: what
-    the first scan saw and what the last one did.
+    the first scan saw and what the last one did. again: True for samples of *train* that the fit had rejected and that
+    were taken in again, (N,); None where none were.
     """
 
     fit: Fit
     causes: tuple[Cause, ...]
     left: EffectChoice | None
     maps: tuple[EvidenceMap, ...] = ()
+    again: np.ndarray | None = None
 
 
 def diagnose(
@@ -182,27 +184,34 @@ def _searched(
     search.make_plainer()
     search.settle()
     final = search.fit
+    again: np.ndarray | None = None
     if final.model.effects:
         start = fit.start.with_effects(final.model.effects)
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
-        final = search.prune(_with_uncontradicted(final, train, distances), train)
+        taken_in, again = _with_uncontradicted(final, train, distances)
+        final = search.prune(taken_in, train)
     effects = final.model.effects
     causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=False))
-    return Diagnosis(final, causes, left, tuple(evidence_map(scan, fit.model.chain.names) for scan in scans))
+    maps = tuple(evidence_map(scan, fit.model.chain.names) for scan in scans)
+    return Diagnosis(final, causes, left, maps, again)
 
 
-def _with_uncontradicted(final: Fit, train: Samples, distances: Sequence[AnyDistance]) -> Fit:
-    """The fit with rejected samples taken in that nothing speaks against, if then fewer are rejected."""
+def _with_uncontradicted(final: Fit, train: Samples, distances: Sequence[AnyDistance]) -> tuple[Fit, np.ndarray | None]:
+    """The fit with rejected samples taken in that nothing speaks against, if then fewer are rejected, and which these
+    are, (N,); None where there are none.
+    """
     rejected = final.weights == 0.0
     alone = uncontradicted(final.model, train, rejected)
     if not alone.any():
-        return final
+        return final, None
     start = final.start.with_effects(final.model.effects)
     some = train.select(~rejected | alone)
     bent = identify(start, some, final.parameters, distances, tolerance=FITTED, begin=final.values, reject=False)
     start = final.start.with_effects(bent.model.effects)
     again = identify(start, train, final.parameters, distances, tolerance=FITTED, begin=bent.values)
-    return again if _rejected(again) < _rejected(final) else final
+    if _rejected(again) >= _rejected(final):
+        return final, None
+    return again, alone & (again.weights > 0.0)
 
 
 @dataclass

@@ -14,6 +14,7 @@ from modcal_core.calibration.cell import Cell, fit_cell, free_cell
 from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER, Fit
+from modcal_core.calibration.readmitted import right_after_all
 from modcal_core.calibration.score import outlying
 from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.store import Calibration
@@ -104,6 +105,8 @@ def refit(
     wrong = outlying(final.model, final.noise, samples)
     if wrong.sum() > 0.1 * len(samples):  # that is no longer a few wrong readings: the model is wrong, and keeps all
         wrong = np.zeros(len(samples), bool)
+    if final.model.effects:
+        wrong = wrong & ~right_after_all(final, samples, choice.parameters, cell.distances, wrong)[0]
     shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
     if searched:
         shipped = replace(shipped, rivals=tuple(cause.rivals for cause in found.causes))

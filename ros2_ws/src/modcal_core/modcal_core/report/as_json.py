@@ -33,6 +33,7 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
         "recording": {
             "stations": report.samples.stations,
             "rejected": report.rejected_stations(),
+            "readmitted": report.readmitted.stations,
             "dropped": dict(report.dropped),
             "measurement": report.measurement,
             "joints": list(report.samples.names),

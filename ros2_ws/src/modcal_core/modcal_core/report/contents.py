@@ -11,6 +11,7 @@ import numpy as np
 from modcal_core.calibration.identifiability import Identifiability
 from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.readmitted import Readmitted
 from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.calibration.split import Split
 from modcal_core.diagnosis.choice import EffectChoice
@@ -58,7 +59,8 @@ class ReportContents:
     far each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
     many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
     verdict has to know. judged: the verdict; None until it was made. offsets: of the joints, of the calibration that is
-    shipped or judged; None where they do not apply. loads: what pulls on the arm, where the data showed it.
+    shipped or judged; None where they do not apply. loads: what pulls on the arm, where the data showed it. readmitted:
+    stations that were rejected first and fitted after all.
     """
 
     samples: Samples
@@ -88,6 +90,7 @@ class ReportContents:
     dropped: tuple[tuple[str, int], ...] = ()
     tolerance: Tolerance | None = None
     trace: Trace = field(default_factory=Trace)
+    readmitted: Readmitted = field(default_factory=Readmitted)
 
     @property
     def measurement(self) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.readmitted import Readmitted
 from modcal_core.calibration.score import Errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.marks import share_of_known
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.require import LIMIT_OF_REACH
+from modcal_core.report.counted import counted
 
 _OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
 
@@ -21,6 +23,20 @@ def instrument_notes(fit: Fit) -> tuple[str, ...]:
         said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
         out.append(f"Readings of kind {name} scatter about the model by {said}. {kind.blind}")
     return tuple(out)
+
+
+def readmitted_note(again: Readmitted) -> tuple[str, ...]:
+    """A sentence for stations that were rejected first and fitted after all, where they are, and what would tell."""
+    if not again.stations:
+        return ()
+    where = [f"{p.joint} between {p.low:.2f} and {p.high:.2f} ({p.stations} of {p.of} there)" for p in again.places]
+    shown = f" They show the curve of {' and of '.join(where)}." if where else ""
+    still = f" {again.unscored} of them are left out of the score still." if again.unscored else ""
+    return (
+        f"{counted(again.stations, 'station')} that the model first missed were taken in again, since no others "
+        f"contradict them.{shown}{still} If they are wrong readings, the curve is wrong there; stations there on "
+        "another day would tell.",
+    )
 
 
 def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:

@@ -46,6 +46,8 @@ def _counts(report: ReportContents) -> str:
     rejected = report.rejected_stations()
     said = f"{counted(report.samples.stations, 'station')}, "
     said += f"{rejected} of them rejected" if rejected else "none rejected"
+    if again := report.readmitted.stations:
+        said += f", {again} taken in again after that"
     if lost := unexpected(report.dropped):
         said += f"; {counted(lost, 'reading')} could not be used"
     return said + "."
