@@ -9,13 +9,13 @@ import pytest
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.runs import chance_of_run, runs_of
+from modcal_core.calibration.runs import chance_of_run, places_of, runs_of
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from tests.cells import Recorded, record, ur10
+from tests.cells import Recorded, record, samples_of, ur10
 
 COUNT = 160
 
@@ -125,6 +125,45 @@ def test_runs_are_told_from_scattered_rejections(made: Recorded) -> None:
     many = np.zeros(COUNT, bool)
     many[np.r_[0:120:3, 50, 51]] = True
     assert runs_of(samples, many) == ()
+
+
+def test_rejections_at_one_place_are_told_from_scattered_ones(made: Recorded) -> None:
+    """Neighbours by a joint's position, measured at quite different times."""
+    samples = made.samples.select(slice(None, COUNT))
+    order = np.argsort(samples.q[:, 2])
+    there = np.isin(np.arange(COUNT), order[-6:])
+    (place,) = places_of(samples, there)
+    assert (place.joint, place.stations) == (samples.names[2], 6)
+    assert (place.low, place.high) == (samples.q[order[-6], 2], samples.q[order[-1], 2])
+    shuffled = np.random.default_rng(0).permutation(COUNT)
+    assert places_of(samples.select(shuffled), there[shuffled]) == (place,)
+    # others that are wrong elsewhere hide it only where they are many
+    few = there | np.isin(np.arange(COUNT), order[[3, 50, 51, 90]])
+    assert [p.joint for p in places_of(samples, few)] == [samples.names[2]]
+    assert places_of(samples, np.isin(np.arange(COUNT), order[-2:])) == ()
+    rng = np.random.default_rng(5)
+    said = 0
+    for _ in range(400):
+        scattered = np.isin(np.arange(COUNT), rng.choice(COUNT, int(rng.integers(3, 9)), replace=False))
+        said += bool(places_of(samples, scattered))
+    assert said <= 4  # 1 %
+
+
+@pytest.mark.slow
+def test_what_errs_at_one_sparse_place_alone_is_said() -> None:
+    """A gear that errs where 6 of 206 stations stand, at different times: all six are rejected, and that is no chance."""
+    made, rng = record(3, 10), np.random.default_rng(3)
+    q = rng.uniform(-1.2, 1.2, (206, 6))
+    q[:, 2] = rng.permutation(np.r_[rng.uniform(-0.6, 0.6, 200), rng.uniform(1.0, 1.25, 6)])
+    turned = q.copy()
+    turned[:, 2] += np.where(q[:, 2] > 0.9, 2e-3 * np.sin(20.0 * q[:, 2]), 0.0)
+    T = made.world.tool_in_tracker(turned)
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
+    report = calibrate(samples_of(ur10(), q, T), ur10(), np.random.default_rng(0)).report
+    assert report.wrong.sum() >= 5
+    assert report.judged is not None
+    assert report.judged.status == "open"
+    assert any("elbow_joint between 1" in said for said in report.judged.open_because)
 
 
 def test_chance_of_a_run_by_simulation() -> None:

@@ -10,6 +10,7 @@ from cells import ur10
 from verdict.visits import visited
 
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.runs import RejectedPlace
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
@@ -114,7 +115,8 @@ def test_every_ground_is_named() -> None:
         "contradiction": Grounds(contradictions=("Two known distances disagree.",)),
         "rejected": Grounds(rejected_runs=((3, 9),)),
     }
-    for kind, ground in grounds.items():
+    place = Grounds(rejected_places=(RejectedPlace("elbow_joint", 1.0, 1.2, 5),))
+    for kind, ground in (*grounds.items(), ("rejected", place)):
         judged = judge(case, ground)
         assert judged.status == "open"
         assert [r.kind for r in judged.reasons] == [kind]

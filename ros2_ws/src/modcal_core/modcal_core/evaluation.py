@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, refit_cell, with_frames
-from modcal_core.calibration.runs import runs_of
+from modcal_core.calibration.runs import places_of, runs_of
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import hold_out_all, split
@@ -83,6 +83,7 @@ def evaluate(
         ),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
+        rejected_places=places_of(samples, wrong),
         outside=(*unseen_note(scored, calibration, MOST_OUTSIDE), *applied.notes),
     )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)

@@ -22,7 +22,7 @@ from modcal_core.calibration.identify import Fit, require_enough
 from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
 from modcal_core.calibration.known_distances import distances_of
 from modcal_core.calibration.readmitted import readmitted, right_after_all
-from modcal_core.calibration.runs import runs_of
+from modcal_core.calibration.runs import places_of, runs_of
 from modcal_core.calibration.score import errors, outlying
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import SHARES, split
@@ -170,6 +170,7 @@ def calibrate(
         ),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
+        rejected_places=places_of(samples, wrong),
     )
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
     judged = with_places(judge(case, grounds, cell.stated), case)

@@ -1,7 +1,8 @@
-"""Stations in order of time, and runs of them: whether neighbours were rejected together by chance."""
+"""Stations in order of time or of a joint, and runs of them: whether neighbours were rejected together by chance."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import exp, lgamma
 
 import numpy as np
@@ -12,6 +13,18 @@ LEAST_RUN = 3  # neighbours
 CHANCE = 0.01  # that as many rejections, scattered at random, make a run as long anywhere
 
 _MEMORY = 0.5  # s; samples in motion closer than this share their noise
+
+
+@dataclass(frozen=True)
+class RejectedPlace:
+    """Stations that were rejected together, next to each other by a joint's position. joint: which. low, high: its
+    position at these [rad or m]. stations: how many.
+    """
+
+    joint: str
+    low: float
+    high: float
+    stations: int
 
 
 def independent_unit(samples: Samples) -> np.ndarray:
@@ -57,6 +70,38 @@ def runs_of(samples: Samples, wrong: np.ndarray) -> tuple[tuple[int, int], ...]:
                 inside = number[rows[(rank >= a) & (rank < b)]]
                 runs.add((int(inside.min()), int(inside.max())))
     return tuple(sorted(runs))
+
+
+def places_of(samples: Samples, wrong: np.ndarray) -> tuple[RejectedPlace, ...]:
+    """Where neighbours by a joint's position are rejected together, whenever they were measured.
+
+    wrong: True for rejected samples, (N,). As for :func:`runs_of`, but in the order of each joint, and the chance is
+    that of all joints together. Of several joints that show the same stations the one is named that chance explains
+    least. In motion neighbours in posture are neighbours in time: :func:`runs_of` has them.
+    """
+    if not wrong.any() or samples.moving.any():
+        return ()
+    unit = np.unique(samples.station, return_inverse=True)[1]
+    count = int(unit.max()) + 1
+    each = np.bincount(unit, minlength=count)
+    bad = np.bincount(unit, wrong, count) > 0.5 * each
+    found: list[tuple[float, frozenset[int], RejectedPlace]] = []
+    for j, name in enumerate(samples.names):
+        x = np.bincount(unit, samples.q[:, j], count) / each
+        order = np.argsort(x, kind="stable")
+        for a, b in consecutive(bad[order]):
+            chance = chance_of_run(b - a, int(bad.sum()), count) * len(samples.names)
+            if b - a >= LEAST_RUN and chance < CHANCE:
+                at = order[a:b]
+                place = RejectedPlace(name, float(x[at].min()), float(x[at].max()), b - a)
+                found.append((chance, frozenset(at.tolist()), place))
+    out: list[RejectedPlace] = []
+    said: set[int] = set()
+    for _, stations, place in sorted(found, key=lambda one: one[0]):
+        if len(stations - said) >= LEAST_RUN:
+            out.append(place)
+            said |= stations
+    return tuple(out)
 
 
 def chance_of_run(length: int, rejected: int, of: int) -> float:

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from modcal_core.calibration.model import Model
+from modcal_core.checking.changed_state import ChangedState, ChangedStates
 from modcal_core.checking.evidence import (
     SIZES,
     ChangeJudge,
@@ -30,7 +31,6 @@ from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.rivals import FittedChange, most_probable
 from modcal_core.checking.rivals import with_rivals as fitted_with_rivals
 from modcal_core.checking.sizes import SizeCovariance, with_sizes
-from modcal_core.checking.standing import Standing, Standings
 from modcal_core.checking.state import CheckState
 from modcal_core.checking.waves import wave_of
 from modcal_core.geometry.so3 import Array
@@ -104,7 +104,7 @@ class _Picked(_Explained):
     by: _Search
     changes: tuple[JudgedChange, ...]
     log_e: tuple[float, ...]
-    now: Standing
+    now: ChangedState
     aside: tuple[int, ...] = ()
 
     @property
@@ -176,14 +176,14 @@ class _Search:
         return every
 
     @cached_property
-    def standings(self) -> Standings:
+    def states(self) -> ChangedStates:
         """The frozen model with changes taken up."""
-        return Standings(CheckState(self.model, self.samples, self.known))
+        return ChangedStates(CheckState(self.model, self.samples, self.known))
 
     @property
-    def plain(self) -> Standing:
+    def plain(self) -> ChangedState:
         """The frozen model beside the readings."""
-        return self.standings.plain
+        return self.states.plain
 
     @cached_property
     def fixed(self) -> list[JudgedChange]:
@@ -195,16 +195,16 @@ class _Search:
         """Of what the stations say together."""
         return self.plain.judge.null.weight
 
-    def beside(self, picked: Sequence[JudgedChange]) -> Standing:
+    def beside(self, picked: Sequence[JudgedChange]) -> ChangedState:
         """What stands with these changes taken up, on top of what is given."""
-        return self.standings.after([*self.fixed, *picked])
+        return self.states.after([*self.fixed, *picked])
 
     def others(self, picked: Sequence[JudgedChange]) -> list[CellChange]:
         """What is looked for besides these changes."""
         known = _keys(picked)
         return [h for h in self.asked if h.key not in known]
 
-    def taken(self, picked: Sequence[JudgedChange]) -> tuple[Standing, float]:
+    def taken(self, picked: Sequence[JudgedChange]) -> tuple[ChangedState, float]:
         """What stands with these changes taken up, and the e-value of what is left."""
         now = self.beside(picked)
         judged, prior = now.judge_all(self.others(picked))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from modcal_core.calibration.runs import RejectedPlace
+
 
 @dataclass(frozen=True)
 class Regime:
@@ -34,7 +36,8 @@ class Grounds:
     each thing that the data contradict or that makes the readings doubtful (a known distance, a stated tool, a reading
     that was computed from the joints); each makes the status open. convention: what was undone by itself
     ("pose inverted"), None if nothing. rejected_runs: runs (first, last station in order of time) of at least three
-    neighbours that were rejected and belong to no regime. outside: sentences on what lies outside what a frozen
+    neighbours that were rejected and belong to no regime. rejected_places: the same of neighbours by a joint's
+    position. outside: sentences on what lies outside what a frozen
     calibration has seen.
     """
 
@@ -44,4 +47,5 @@ class Grounds:
     contradictions: tuple[str, ...] = ()
     convention: str | None = None
     rejected_runs: tuple[tuple[int, int], ...] = ()
+    rejected_places: tuple[RejectedPlace, ...] = ()
     outside: tuple[str, ...] = ()

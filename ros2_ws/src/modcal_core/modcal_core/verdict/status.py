@@ -114,6 +114,11 @@ def _rejected(case: Case, grounds: Grounds) -> Iterator[str]:
         yield f"{count} of {of} stations were rejected ({share})."
     for first, last in grounds.rejected_runs:
         yield f"Stations {first} to {last} were rejected in sequence: something was different there."
+    for place in grounds.rejected_places if not grounds.rejected_runs else ():
+        yield (
+            f"{place.stations} stations next to each other, with {place.joint} between {place.low:.3g} and "
+            f"{place.high:.3g}, were rejected: the model or the instrument errs there; more stations there would tell."
+        )
 
 
 def _not_applied(case: Case, grounds: Grounds) -> Iterator[str]:

@@ -15,7 +15,7 @@ from modcal_core.geometry.so3 import Array
 
 
 @dataclass
-class Standing:
+class ChangedState:
     """state: with the changes taken up. fits: these changes as fitted. judge: of what is left."""
 
     state: CheckState
@@ -47,19 +47,19 @@ class Standing:
         return self.judge.judged(ChangeCandidate(hypothesis, residual, columns, np.zeros(columns.shape[1])))
 
 
-class Standings:
+class ChangedStates:
     """What stands once changes are taken up, on top of a model beside the readings."""
 
     def __init__(self, plain: CheckState) -> None:
-        self.plain = Standing(plain, (), ChangeJudge(plain.null))
-        self._known: dict[tuple[int, ...], tuple[list[JudgedChange], Standing]] = {}
+        self.plain = ChangedState(plain, (), ChangeJudge(plain.null))
+        self._known: dict[tuple[int, ...], tuple[list[JudgedChange], ChangedState]] = {}
 
-    def after(self, picked: Sequence[JudgedChange]) -> Standing:
+    def after(self, picked: Sequence[JudgedChange]) -> ChangedState:
         """With these changes taken up."""
         if not picked:
             return self.plain
         key = tuple(map(id, picked))
         if key not in self._known:
             state, fits = taken_up(self.plain.state, self.plain.judge, picked)
-            self._known[key] = list(picked), Standing(state, fits, ChangeJudge(state.null))
+            self._known[key] = list(picked), ChangedState(state, fits, ChangeJudge(state.null))
         return self._known[key][1]
