@@ -222,3 +222,10 @@ def test_readings_and_joints_of_different_days() -> None:
 def test_the_running_maximum_is_that_of_every_window(m: int, width: int, rng: np.random.Generator) -> None:
     x = rng.normal(size=(m, 3))
     assert np.array_equal(running_max(x, width), maximum_filter1d(x, width, axis=0, mode="constant", cval=-np.inf))
+
+
+def test_a_drift_beyond_the_limit_says_how_far_it_goes() -> None:
+    """What it is in the middle is below the limit of 0.5 s that the sentence states; what exceeds it are the ends."""
+    recording = streams(120, late=0.42, drift=5e-4)
+    with pytest.raises(BadRecording, match=r"drifting by \+\d+ µs/s to 0\.5\d s, 0\.5 s is the limit"):
+        align(recording, NAMES, tip)

@@ -83,7 +83,9 @@ def align(
         if worst > limit:
             raise BadRecording(
                 f"clock of {track.topic} ({track.frame})",
-                f"{clock.offset:+.2f} s off the joint states' clock, {limit:g} s is the limit",
+                f"{clock.offset:+.2f} s off the joint states' clock, "
+                + (f"drifting by {1e6 * clock.drift:+.0f} µs/s to {worst:.2f} s, " if clock.drift else "")
+                + f"{limit:g} s is the limit",
                 "synchronise the clocks (PTP, chrony), or state the offset with --clock-limit if it is meant",
             )
         tracks.append(replace(track, stamps=clock.corrected(track.stamps)))
