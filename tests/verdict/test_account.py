@@ -16,7 +16,7 @@ from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import fitted_case
-from modcal_core.verdict.contributions import contributions
+from modcal_core.verdict.contributions import DRAWS, contributions, resampled
 
 
 def geared(seed: int = 5, stations: int = 120) -> Samples:
@@ -118,3 +118,14 @@ def test_a_stated_floor_stands_in_the_account() -> None:
     assert judged.status == "at_floor"
     turned = {row.what: row.value for row in judged.account_deg2}
     assert turned["instrument"] == pytest.approx(4e-6)
+
+
+def test_intervals_are_those_of_stations_that_are_drawn_again() -> None:
+    rng = np.random.default_rng(4)
+    station = np.sort(rng.integers(40, size=150))
+    square = rng.chisquare(3.0, 150)
+    mean, (low, high) = resampled(square, station)
+    stations = np.unique(station)
+    draws = np.random.default_rng(0).integers(len(stations), size=(DRAWS, len(stations)))
+    means = [np.mean(np.concatenate([square[station == stations[k]] for k in draw])) for draw in draws]
+    assert np.allclose([mean, low, high], [square.mean(), *np.percentile(means, [2.5, 97.5])], rtol=1e-12)

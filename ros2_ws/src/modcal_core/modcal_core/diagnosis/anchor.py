@@ -29,9 +29,9 @@ from modcal_core.geometry.so3 import Array
 # 1 % of themselves and scores by less than 0.1, where a hundredfold in chance is 2 (make bench shows the whole runs).
 _MOVED = 5e-3  # m, rad; columns change by as much of themselves
 # Of the ratio of two noises, by which rows are weighed against each other: candidates, residual and trials of a scan
-# alike, so each weight is as fair as any other; with 10 % from the best one less than 1 % of what rows say is lost
-_UNEVEN = 0.1
-_QUIETER = 0.2  # of any noise, by which priors are weighed against readings
+# alike, so each weight is as fair as any other; with 5 % from the best one 0.2 % of what rows say is lost
+_UNEVEN = 0.05
+_QUIETER = 0.1  # of any noise, by which priors are weighed against readings
 _MOST_NEW = 0.5  # of the columns, that may come and go; more are not worth it
 
 

@@ -158,7 +158,7 @@ class Scanner:
         trials = space.trials(signs[: 1 + FIRST_FLIPS][:, self.unit])
         squares, best = self._explained(weighed, space, trials, tables)
         if len(signs) > len(best) and not is_clear(best):
-            more = space.trials(signs[len(best) :][:, self.unit])
+            more = space.trials(signs[len(best) :][:, self.unit]).lean()
             best = np.concatenate([best, self._explained(weighed, space, more, tables)[1]])
         if most is not None:
             taken = np.concatenate([np.full(len(b.effects), self._plainest(b) <= most) for b in self.banks])
@@ -236,7 +236,7 @@ class Scanner:
             for products in self._in_portions(part.banks, space, trials):
                 rows = slice(done, done + len(products))
                 done += len(products)
-                of_trials = explained(part.inverse[rows], products)
+                of_trials = explained(part.inverse[rows].astype(products.dtype, copy=False), products)
                 squares.append(of_trials[:, 0])
                 sizes = part.sizes[rows]
                 for m in set(sizes.tolist()) & most.keys():

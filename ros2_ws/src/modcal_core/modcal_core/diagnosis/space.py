@@ -44,6 +44,10 @@ class SignTrials:
     known: dict[Key, Array] = field(default_factory=dict)
     sums: KnownSums = field(default_factory=KnownSums)
 
+    def lean(self) -> SignTrials:
+        """These in single precision: of noise, whose best is known to a few per cent, that is more than enough."""
+        return SignTrials(self.left.astype(np.float32), self.total)
+
     def seen_by(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
         """Contractions, sample by sample, of columns (6, N) with the trials, (N, trials) each."""
         return _contracted(columns, self.left.transpose(1, 0, 2))
