@@ -30,9 +30,10 @@ from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.stated_places import contradicted_places
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
+from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
 from modcal_core.diagnosis.loads import Loads, weighed, with_arm
 from modcal_core.diagnosis.locate import located
-from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
+from modcal_core.diagnosis.search import diagnose
 from modcal_core.diagnosis.stated_loads import stated_arm, with_stated
 from modcal_core.effects.drivers import remembered
 from modcal_core.effects.families import payload

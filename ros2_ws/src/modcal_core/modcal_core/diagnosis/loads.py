@@ -20,10 +20,10 @@ from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.score import errors, squared_residuals
+from modcal_core.diagnosis.causes import Diagnosis
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis, Suspicion
 from modcal_core.diagnosis.load_step import by_weight, step_of
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN
-from modcal_core.diagnosis.search import Diagnosis
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.families.compliance import KILOGRAMS, carrying

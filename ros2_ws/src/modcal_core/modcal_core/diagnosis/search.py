@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.distributions import beyond_normal
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.readmitted import uncontradicted
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.diagnosis.causes import Cause, Diagnosis
 from modcal_core.diagnosis.chance import FLIPS
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import LEAST_FREEDOM, Evidence, Scanner
-from modcal_core.diagnosis.evidence_map import EvidenceMap, evidence_map
+from modcal_core.diagnosis.evidence_map import evidence_map
 from modcal_core.diagnosis.forms import other_forms
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN, joint_size, needless
@@ -31,7 +31,6 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.family import FREE, USUAL
 from modcal_core.effects.registry import candidates, complexity, family
-from modcal_core.measurements.posture_order import joints_instead
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
@@ -52,50 +51,6 @@ _MOST_REFUSED = 3  # choices in a row that did not predict, before the search en
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
 _MOST_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing; the largest of several is asked
-
-
-@dataclass(frozen=True)
-class Cause:
-    """An effect that was chosen, and why. p_value: that noise would look as good. same_as, rivals: what explains it
-    as well, by name and as effects. fit: to *train* with this effect and the ones before it. sampled: trials with the
-    signs of stations flipped that p_value was compared with; below one in so many it is extrapolated.
-    """
-
-    effect: Effect
-    p_value: float
-    same_as: tuple[str, ...]
-    rivals: tuple[Effect, ...]
-    fit: Fit
-    sampled: int = 0
-
-
-def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
-    """The causes of a fit's moves of base and tool, each with those before it: they were found before all others."""
-    effects = fit.model.effects
-    out = []
-    for i, effect in enumerate(effects):
-        model = fit.model.with_effects(effects[: i + 1])
-        same = joints_instead(samples, effect.shape.settings["at"])
-        if effect.place == "base":
-            same = (f"tracker all by {effect.public_driver}", *same)
-        size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))
-        out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, (), replace(fit, model=model)))
-    return tuple(out)
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """fit: to *train*, with the effects. causes: in the order found, with their fitted effects. left: what is
-    significant still but could not be turned into an effect that predicts, None where the rest is noise. maps: what
-    the first scan saw and what the last one did. again: True for samples of *train* that the fit had rejected and that
-    were taken in again, (N,); None where none were.
-    """
-
-    fit: Fit
-    causes: tuple[Cause, ...]
-    left: EffectChoice | None
-    maps: tuple[EvidenceMap, ...] = ()
-    again: np.ndarray | None = None
 
 
 def diagnose(

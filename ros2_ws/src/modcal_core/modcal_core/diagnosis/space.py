@@ -119,7 +119,7 @@ class Space:
         N, P, rows = len(samples), len(now.J), _rows(view)
         J = by_component(now.J, view)
         J *= weight[:rows]
-        flat = J.reshape(P, -1)
+        flat = J.reshape(P, rows * N)
         L = _make_orthonormal(flat, held)
         Q = np.empty((6, N, P)) if rows == 6 else np.zeros((6, N, P))
         Q[:rows] = J.transpose(1, 2, 0)

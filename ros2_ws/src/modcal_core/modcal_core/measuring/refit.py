@@ -19,7 +19,8 @@ from modcal_core.calibration.score import outlying
 from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.diagnosis.search import Diagnosis, causes_of_moves, diagnose
+from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
+from modcal_core.diagnosis.search import diagnose
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import dimensions
 from modcal_core.measurements.samples import Samples

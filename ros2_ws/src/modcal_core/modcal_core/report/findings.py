@@ -18,7 +18,7 @@ from modcal_core.calibration.noise import REJECT_Z
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors, outlying
 from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.diagnosis.search import Diagnosis
+from modcal_core.diagnosis.causes import Diagnosis
 from modcal_core.effects.effect import ALL, AXIS, Effect, is_large_move, is_move
 from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.families import outliers
