@@ -16,7 +16,8 @@ from case import Case, calibrated, frozen, kind
 from conventions import UNIT
 from fresh_fifth import ROWS, UNRELATED
 from fresh_fourth import READINGS, _joints
-from fresh_sixth import ORIENTED, TIMING, _pressing
+from fresh_sixth import ORIENTED, TIMING
+from fresh_sixth_around import _pressing
 from fresh_sixth_cells import _moving
 from physics import LOAD, _mixed, centres, tilted
 from recordings import Plan

@@ -36,11 +36,14 @@ import fresh_eighth  # noqa: E402, F401
 import fresh_eighth_arm  # noqa: E402, F401
 import fresh_eighth_streams  # noqa: E402, F401
 import fresh_fifth  # noqa: E402, F401
+import fresh_fifth_arm  # noqa: E402, F401
 import fresh_fourth  # noqa: E402, F401
 import fresh_seventh  # noqa: E402, F401
 import fresh_sixth  # noqa: E402, F401
+import fresh_sixth_around  # noqa: E402, F401
 import fresh_sixth_cells  # noqa: E402, F401
 import fresh_third  # noqa: E402, F401
+import fresh_third_arm  # noqa: E402, F401
 import good  # noqa: E402, F401
 import later  # noqa: E402, F401
 import nearby  # noqa: E402, F401
