@@ -20,6 +20,7 @@ from modcal_core.geometry.so3 import Array
 _REMEMBERED = 0.5  # s of references
 _LAGS = 1.5  # servo lags ago the reference may have been where the joint is now
 _LAG_OFF = 0.5  # of the lag by which that may be misstated, in what a reference moves meanwhile
+_BOTH_WAYS = 2.0  # times as late as readings come may a lead seem to be: references are on their way as well
 _RECALL = 3.0  # servo lags for which a load that has gone still explains a lead: a servo unwinds by its lag
 _SHARE = 0.4  # of the force that may go unfelt, for as much again comes until the arm stands
 _IN_A_ROW = 3  # readings, for one may be late
@@ -61,7 +62,7 @@ class JointLeadCheck:
 
         q (n,): measured at ``stamp`` [s]. J (6, n): the tool's Jacobian, in its axes as the wrench.
         """
-        ago = _LAGS * self._lag + max((by for _, by in self._late), default=0.0)
+        ago = _LAGS * self._lag + _BOTH_WAYS * max((by for _, by in self._late), default=0.0)
         since = stamp - ago
         lately = [r for t, r in self._sent if since <= t <= stamp] or [r for t, r in self._sent if t <= stamp][-1:]
         if not lately or self._begun is None:
