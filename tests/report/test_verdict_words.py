@@ -45,6 +45,18 @@ def test_the_sentence_by_status(verdict: Verdict, words: str) -> None:
     assert words in judged(warm_cell(), verdict).verdict
 
 
+def test_what_the_parameters_leave_is_not_said_to_be_the_arm() -> None:
+    """Thirty points: 0.071 mm was left, and the sentence said that this was as small as 0.048 mm allow."""
+    assert FLOOR.floor_mm is not None
+    small, large = (
+        (*ROWS, replace(ROWS[-1], what="estimation", value=share * FLOOR.floor_mm**2)) for share in (0.3, 1.0)
+    )
+    more = "more different postures would make it smaller"
+    assert more not in judged(warm_cell(), replace(FLOOR, account_mm2=small)).verdict
+    said = judged(warm_cell(), replace(FLOOR, account_mm2=large)).verdict
+    assert f"tell the parameters, which leaves {FLOOR.floor_mm:.3f} mm by itself: {more}." in said
+
+
 def test_the_source_of_a_floor_is_said_once_where_it_is_one() -> None:
     assert "(0.055 mm, from postures visited again and 0.004°, as stated)" in judged(warm_cell(), FLOOR).verdict
     both = replace(FLOOR, repeatability_deg=FLOOR.repeatability_mm)

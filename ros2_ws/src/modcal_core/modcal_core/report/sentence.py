@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 from modcal_core.measurements.dropped import unexpected
 from modcal_core.report.contents import ReportContents
 from modcal_core.report.counted import counted
@@ -16,6 +18,7 @@ NOT_SOUGHT = (
     "were not looked for."
 )
 STATUS_WORDS: dict[Status, str] = {"at_floor": "at the floor", "open": "open", "cannot_tell": "cannot tell"}
+_SEEN = 0.44  # of the floor's square, which is a fifth more in RMS: as much as would be called above it
 MAX_REASONS = 2  # that the sentence gives; report.json has all of them
 
 
@@ -123,7 +126,19 @@ def _floor(verdict: Verdict) -> str:
     if len({source for _, source in known}) == 1:
         known = [(" and ".join(size for size, _ in known), known[0][1])]
     sizes = " and ".join(f"{size}{_SOURCES[source]}" for size, source in known)
-    return f"the residual is as small as this arm and this instrument allow{f' ({sizes})' if sizes else ''}."
+    allowed = f"the residual is as small as this arm and this instrument allow{f' ({sizes})' if sizes else ''}"
+    return f"{allowed}{_unsettled(verdict)}."
+
+
+def _unsettled(verdict: Verdict) -> str:
+    """What more postures would better, where that is a part of what is left which a reader sees."""
+    rows = [row.value for row in verdict.account_mm2 or () if row.what == "estimation"]
+    if not rows or verdict.floor_mm is None or rows[0] <= _SEEN * verdict.floor_mm**2:
+        return ""
+    return (
+        f" and as these postures tell the parameters, which leaves {sqrt(rows[0]):.3f} mm by itself: more different "
+        "postures would make it smaller"
+    )
 
 
 _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
