@@ -23,7 +23,7 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from modcal_core.camera.lens import Lens  # noqa: E402
 from modcal_core.camera.solve import CameraSolution, solve_camera  # noqa: E402
-from modcal_core.camera.target_file import scale_of_rulers  # noqa: E402
+from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers  # noqa: E402
 from modcal_core.geometry import se3  # noqa: E402
 from modcal_core.geometry.so3 import Array  # noqa: E402
 from modcal_core.robots.kinematics import forward, frames, link_frames  # noqa: E402
@@ -121,7 +121,7 @@ def _captioned(image: np.ndarray, said: str, good: bool) -> np.ndarray:
 
 def solved() -> CameraSolution:
     """A calibration of an arm that is a centimetre off, from 25 images."""
-    board_measured = scale_of_rulers((0.21, 0.15), (0.21, 0.15), "rulers")
+    board_measured = scale_of_rulers((0.21, 0.15), (0.21, 0.15), "rulers", RULER_STD_M)
     s = scene(1, True, count=25, board=replace(BOARD, scale=board_measured), lens=VGA)
     return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, np.random.default_rng(0))
 

@@ -18,13 +18,13 @@ from camera.boards import BOARD, views  # noqa: E402
 from camera.scenes import CameraScene, scene  # noqa: E402
 
 from modcal_core.camera.solve import solve_camera  # noqa: E402
-from modcal_core.camera.target_file import scale_of_rulers  # noqa: E402
+from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers  # noqa: E402
 from modcal_core.camera.views import BoardView  # noqa: E402
 from modcal_core.camera.watching import CameraWatch  # noqa: E402
 from modcal_core.geometry import se3  # noqa: E402
 from modcal_core.geometry.so3 import Array  # noqa: E402
 
-MEASURED = replace(BOARD, scale=scale_of_rulers((0.21, 0.15), (0.21, 0.15), "rulers"))
+MEASURED = replace(BOARD, scale=scale_of_rulers((0.21, 0.15), (0.21, 0.15), "rulers", RULER_STD_M))
 SHIFT_M, TURN_RAD = 2e-3, np.radians(0.2)
 QUIET, BEFORE, AFTER, FIVE, TWICE = (
     300,

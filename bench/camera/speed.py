@@ -18,11 +18,11 @@ from camera.render import render  # noqa: E402
 from camera.scenes import scene  # noqa: E402
 
 from modcal_core.camera.solve import solve_camera  # noqa: E402
-from modcal_core.camera.target_file import scale_of_rulers  # noqa: E402
+from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers  # noqa: E402
 from modcal_core.geometry import se3  # noqa: E402
 from modcal_nodes.vision.detect import detect  # noqa: E402
 
-MEASURED = replace(BOARD, scale=scale_of_rulers((0.21, 0.15), (0.21, 0.15), "rulers"))
+MEASURED = replace(BOARD, scale=scale_of_rulers((0.21, 0.15), (0.21, 0.15), "rulers", RULER_STD_M))
 
 
 def main() -> None:

@@ -57,7 +57,7 @@ def test_images_to_a_calibrated_arm(cell: tuple[Path, CameraScene], capsys: pyte
     where, s = cell
     assert run([*arguments(where), "--out", str(where / "unmeasured")]) == 0
     assert "CANNOT TELL" in capsys.readouterr().out
-    assert run(["target", "--measured", "210x150", "--out", str(where / "target")]) == 0
+    assert run(["target", "--measured", "210x150", "--measured-to-mm", "0.3", "--out", str(where / "target")]) == 0
     assert run([*arguments(where), "--out", str(where / "out")]) == 0
     assert "APPLY:" in capsys.readouterr().out
     names = {"report.json", "report.html", "calibration.yaml", "calibrated.urdf", "kinematics.yaml", "camera.yaml"}
@@ -116,7 +116,7 @@ def test_corners_of_another_program(cell: tuple[Path, CameraScene], capsys: pyte
 def test_a_certificate_of_images(cell: tuple[Path, CameraScene], capsys: pytest.CaptureFixture[str]) -> None:
     """PASS with reservations within 6 mm, on a sheet that was measured; CANNOT TELL within 1 mm, exit code 3."""
     where, _ = cell
-    assert run(["target", "--measured", "210x150", "--out", str(where / "target")]) == 0
+    assert run(["target", "--measured", "210x150", "--measured-to-mm", "0.3", "--out", str(where / "target")]) == 0
     for tolerance, code, heading in (("6", 0, "PASS, with reservations"), ("0.9", 3, "CANNOT TELL")):
         more = ["--tolerance-mm", tolerance, "--certificate", "--serial", "A-17", "--out", str(where / "certified")]
         assert run([*arguments(where), "--geometry-only", *more]) == code

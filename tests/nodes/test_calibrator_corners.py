@@ -33,7 +33,7 @@ STATUS = "/calibrator: camera"
 TARGET = {
     "modcal_target": 1, "type": "charuco", "columns": 7, "rows": 5, "square_m": 0.03, "marker_m": 0.022,
     "dictionary": "DICT_5X5_100",
-    "rulers": {"x_m": 0.21, "y_m": 0.15, "measured_x_m": 0.21, "measured_y_m": 0.15},
+    "rulers": {"x_m": 0.21, "y_m": 0.15, "measured_x_m": 0.21, "measured_y_m": 0.15, "measured_std_m": 3e-4},
 }  # fmt: skip
 
 

@@ -140,8 +140,8 @@ def target_command(
     x, y = (1e3 * length for length in sheet.rulers_m)
     said = [
         f"{made.label}, to be printed at 100 % on {paper}.",
-        f"Its rulers should measure {x:.0f} mm (horizontal) and {y:.0f} mm (vertical). What do they measure? State it:",
-        f"modcal target --measured {x:.1f}x{y:.1f} --out {out}",
+        f"Its rulers should measure {x:.0f} mm (horizontal) and {y:.0f} mm (vertical). What do they measure?",
+        f"State what you read, for WIDTH and HEIGHT [mm]: modcal target --measured WIDTHxHEIGHT --out {out}",
     ]
     if sys.stdin.isatty() and sys.stdout.isatty() and measured is None:
         answer = click.prompt(
