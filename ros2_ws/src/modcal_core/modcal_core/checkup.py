@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.cell import Cell, with_frames
 from modcal_core.calibration.fallback import BLEND, curved_joints
 from modcal_core.calibration.score import Errors, errors
 from modcal_core.calibration.sockets import with_sockets
@@ -30,7 +30,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.notes import own_note, unseen_note
 from modcal_core.report.report import Report
-from modcal_core.verdict.not_applied import applicable
+from modcal_core.verdict.not_applied import Applied, applicable
 
 LEAST = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
@@ -129,13 +129,13 @@ def checkup(
             f"at least {LEAST} postures are needed to tell changes apart",
             "measure ten stations, spread over the ranges of all joints",
         )
-    applied = applicable(calibration, samples)
-    if new := new_frames(calibration, samples):
-        calibration = with_new_frames(calibration, applied.model, samples, new)
-        applied = applicable(calibration, samples)
+    new = new_frames(calibration, samples)
+    placed = _placed(calibration, samples, new)
+    known = recognised(with_frames(placed[1].model, samples.frames), samples, calibration.noise)
+    if new and known.undone is not None:  # they were placed by what was undone
+        placed = _placed(calibration, known.samples, new)
+    samples, (calibration, applied) = known.samples, placed
     begin = frozen(calibration, applied.model, samples, pattern)
-    known = recognised(begin.model, samples, calibration.noise)
-    samples = known.samples
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MOST))
     found = search(begin.model, part, begin.known, placed_anew(part, new))
@@ -187,6 +187,15 @@ def checkup(
         if fixed is None
         else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MOST),
     )
+
+
+def _placed(calibration: Calibration, samples: Samples, new: tuple[str, ...]) -> tuple[Calibration, Applied]:
+    """The calibration with these frames that it does not know where the samples place them, and what of it applies."""
+    applied = applicable(calibration, samples)
+    if not new:
+        return calibration, applied
+    calibration = with_new_frames(calibration, applied.model, samples, new)
+    return calibration, applicable(calibration, samples)
 
 
 def distinct_postures(samples: Samples) -> int:

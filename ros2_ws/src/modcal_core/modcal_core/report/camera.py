@@ -16,6 +16,7 @@ from modcal_core.calibration.store import Calibration, to_data
 from modcal_core.camera.causes import CameraCause
 from modcal_core.camera.corners import READOUT
 from modcal_core.camera.decision import APPLY, CANNOT_TELL
+from modcal_core.camera.known import uncertainty_about
 from modcal_core.camera.lens import DISTORTIONS, Lens
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.tool_error import ToolError
@@ -60,6 +61,7 @@ def camera_calibration(solution: CameraSolution) -> Calibration:
         *(solution.nominal_model, solution.model, solution.geometric_model, seen, table),
         postures=fit.poses.q,
         noise=noise,
+        uncertainty=uncertainty_about(solution.model, fit),
         converged=fit.converged,
         clock=False,
     )

@@ -150,7 +150,7 @@ def by_sample(row: Array, pose: np.ndarray, count: int) -> Array:
     """Rows of a linearisation (…, 3 N + 3 M) as (…, 6, N), zeros where there is no orientation. pose: rows of the M."""
     out = np.zeros((*row.shape[:-1], 6, count))
     out[..., :3, :] = row[..., : 3 * count].reshape(*row.shape[:-1], 3, count)
-    out[..., 3:, pose] = row[..., 3 * count :].reshape(*row.shape[:-1], 3, -1)
+    out[..., 3:, pose] = row[..., 3 * count :].reshape(*row.shape[:-1], 3, len(pose))
     return out
 
 

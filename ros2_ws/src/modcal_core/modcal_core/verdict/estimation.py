@@ -21,6 +21,8 @@ def estimation(case: Case) -> tuple[float, float]:
     samples = case.samples.select(rows)
     _, J = derivatives(case.model, case.known.parameters, samples)
     K = len(J)
+    if not K:  # nothing is known of its own error, as of one that cameras made
+        return 0.0, 0.0
     moved = (case.known.covariance @ J.reshape(K, -1)).reshape(J.shape)
     variance = np.einsum("kcn,kcn->c", J, moved)
     poses = int(samples.is_pose.sum())

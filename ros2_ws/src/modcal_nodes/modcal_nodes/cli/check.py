@@ -156,14 +156,15 @@ def _description(
 
 
 def _pattern(calibration: Path) -> float | None:
-    """The predictable share in the report beside a calibration, None where there is none."""
+    """The predictable share in the report beside a calibration; None where there is none, as in reports of cameras."""
     beside = (calibration if calibration.is_dir() else calibration.parent) / "report.json"
     if not beside.is_file() or beside.stat().st_size > _MAX_REPORT:
         return None
     try:
-        share = json.loads(beside.read_text(encoding="utf-8"))["predictable"]
+        report = json.loads(beside.read_text(encoding="utf-8"))
+        share = report.get("predictable") if report.get("camera") else report["predictable"]
         return None if share is None else pattern_of(float(share["share"]))
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BadTable(str(beside), "is not a report of modcal", "remove it, or calibrate again") from error
 
 
