@@ -341,7 +341,7 @@ class Advisor:
             if stations:
                 return self._asked(session, stations, f"stations that decide: {between}", status, refitted)
             same = {f"{one} or {other}" for one, other in one_motion(refitted, self.pool, rng)}
-            named = (f"{tie} (one motion: no posture separates them)" if tie in same else tie for tie in status.ties)
+            named = (f"{tie} ({_not_by_posture(tie)})" if tie in same else tie for tie in status.ties)
             status = replace(status, ties=tuple(named))
         return Advice(session, "", status, ended, refitted)
 
@@ -361,3 +361,12 @@ class Advisor:
     def _gone(self, session: Session, elapsed: float) -> bool:
         late = self.goal.seconds is not None and elapsed >= self.goal.seconds
         return late or len(session.rows()) >= self.goal.stations
+
+
+def _not_by_posture(tie: str) -> str:
+    """Why these explanations stay open, and what would tell."""
+    load = "another payload, or " if " by load" in tie or " by payload" in tie else ""
+    return (
+        "cannot tell: they are one motion of the tool, which no posture separates and either corrects; "
+        f"{load}a target on a link between them would tell"
+    )
