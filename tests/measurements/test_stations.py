@@ -229,3 +229,24 @@ def test_a_drift_beyond_the_limit_says_how_far_it_goes() -> None:
     recording = streams(120, late=0.42, drift=5e-4)
     with pytest.raises(BadRecording, match=r"drifting by \+\d+ µs/s to 0\.5\d s, 0\.5 s is the limit"):
         align(recording, NAMES, tip)
+
+
+def test_stations_that_were_written_twice_are_stations_and_no_motion() -> None:
+    """A millisecond apart, so that half of the steps between stamps are short: their clock was once said to be off."""
+    recording = stations(60)
+    twice = np.repeat(np.arange(60), 2)
+    later = recording.joints[0].stamps[twice] + np.tile([0.0, 1e-3], 60)
+    joints, reading = recording.joints[0], recording.readings[0]
+    unknown = np.full((120, 6), np.nan)
+    spoiled = with_reading(
+        with_joints(
+            recording, stamps=later, position=joints.position[twice], velocity=unknown, effort=unknown, received=later
+        ),
+        stamps=later,
+        values=reading.values[twice],
+        received=later,
+    )
+    prepared = prepare(spoiled, ur10())
+    assert not prepared.notes
+    assert len(prepared.samples) == 120
+    assert not prepared.samples.moving.any()

@@ -102,7 +102,10 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
 
     t: joint stamps, sorted, (m,) [s]. q: joint positions (m, n). tip: their poses (m, 4, 4).
     """
-    if len(track.stamps) < _LEAST or len(t) < _LEAST or np.median(np.diff(t)) > _SLOWEST:
+    steps = np.diff(t)
+    if len(track.stamps) < _LEAST or len(t) < _LEAST or np.median(steps) > _SLOWEST:
+        return None
+    if float(steps[steps <= _SLOWEST].sum()) < _LEAST * STEP:  # rows that were written twice are no motion
         return None
     grid = np.arange(max(t[0], track.stamps.min() - SEARCH), min(t[-1], track.stamps.max() + SEARCH), STEP)[:_LONGEST]
     if len(grid) < _LEAST:

@@ -105,7 +105,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
 
 def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> TrackSamples:
     pairs = _paired(track.stamps, t)
-    gaps = np.diff(np.sort(track.stamps))
+    gaps = np.diff(np.unique(np.round(track.stamps / _ALIKE)) * _ALIKE)  # a station's row may have been written twice
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
     # one topic may have been heard for longer than the other; what counts is the time that both cover
     shared = int(((track.stamps >= t[0]) & (track.stamps <= t[-1])).sum()) if len(t) else 0
