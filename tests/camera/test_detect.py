@@ -41,7 +41,7 @@ def test_corners_are_where_the_renderer_has_them(board: PrintedTarget) -> None:
     """To 0.02 px, and the covariances of the fits say so: standard scores are 1 on average, 200 of them to a tenth."""
     scores, gaps = [], []
     for i, T in enumerate(poses(4)):
-        grey = render(T, SMALL, board, np.random.default_rng(i))
+        grey = render(T, SMALL, board, np.random.default_rng(i), rays=4)  # with two, edges wander by more than noise
         view = detect(grey, board, "a.png").view
         assert view is not None
         assert len(view) >= 0.6 * len(board.points)
