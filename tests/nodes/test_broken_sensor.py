@@ -6,6 +6,7 @@ The core's operation and tracker beside the physics, in this process; some secon
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -22,6 +23,7 @@ from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = PANDA.read_text()
 CHAIN = read_chain(URDF)
+LEADS = re.compile("wrench: .* (the setpoint leads the tool|a joint leads by)")  # by more than what is felt explains
 
 
 class Stuck:
@@ -87,7 +89,7 @@ def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
 ) -> None:
     """Nothing is stated of the arm: the drawer is pulled along an outstretched one, three to five times as stiff."""
     done, left = pulled(copy.deepcopy(sensed), seed, kind=kind, grasp=grasp, stop=0.0)
-    assert "the setpoint leads the tool" in done.said, done.said
+    assert LEADS.match(done.said), done.said
     assert done.peak < 60.0
     assert left < 10.0
     assert not done.done
@@ -98,7 +100,7 @@ def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
 def test_servos_three_times_as_stiff_let_go_below_60_n_where_that_is_stated(sensed: Callable[[Array], Array]) -> None:
     """Along an outstretched arm; 228 N where neither was stated nor learned how little it yields."""
     done, left = pulled(copy.deepcopy(sensed), 1, 12e3, 300e3, kind="drawer", grasp="weld", stop=0.0)
-    assert "the setpoint leads the tool" in done.said, done.said
+    assert LEADS.match(done.said), done.said
     assert done.peak < 60.0
     assert left < 15.0
 
@@ -106,7 +108,7 @@ def test_servos_three_times_as_stiff_let_go_below_60_n_where_that_is_stated(sens
 @pytest.mark.slow
 def test_a_drawer_that_jams_is_let_go_by_a_sensor_that_is_stuck() -> None:
     done, left = pulled(Stuck(0.0), 1, kind="drawer", grasp="weld", stop=0.12)
-    assert "the setpoint leads the tool" in done.said, done.said
+    assert LEADS.match(done.said), done.said
     assert done.opened == pytest.approx(0.12, abs=2e-3)
     assert done.peak < 60.0
     assert left < 10.0
