@@ -18,7 +18,7 @@ from modcal_core.effects.registry import candidates
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
-from modcal_core.measuring.advice import Advice, Advisor
+from modcal_core.measuring.advice import Advice, Advisor, _not_by_posture
 from modcal_core.measuring.choose import fit_stations, one_motion, return_stations
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import chance_seen, outlook
@@ -363,6 +363,10 @@ def test_explanations_that_are_one_motion_are_told_from_those_that_stations_sepa
     pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0), 100)
     found = one_motion(replace(refitted, calibration=calibration), pool, np.random.default_rng(0))
     assert found == {(lift.label, bearing.label)}
+    # another payload loads both alike; beside a wave it would tell
+    said = [_not_by_posture(f"{lift.label} or {other}") for other in (bearing.label, "elbow_joint axis by position")]
+    assert all(s.startswith("cannot tell") and "a target on a link between them" in s for s in said)
+    assert ["another payload" in s for s in said] == [False, True]
 
 
 def test_a_recording_is_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

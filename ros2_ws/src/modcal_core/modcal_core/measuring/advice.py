@@ -364,9 +364,10 @@ class Advisor:
 
 
 def _not_by_posture(tie: str) -> str:
-    """Why these explanations stay open, and what would tell."""
-    load = "another payload, or " if " by load" in tie or " by payload" in tie else ""
+    """Why these explanations stay open, and what would tell: another payload changes two loads alike."""
+    loads = sum(" by load:" in name or " by payload:" in name for name in tie.split(" or "))
+    payload = "another payload, or " if loads == 1 else ""
     return (
         "cannot tell: they are one motion of the tool, which no posture separates and either corrects; "
-        f"{load}a target on a link between them would tell"
+        f"{payload}a target on a link between them would tell"
     )
