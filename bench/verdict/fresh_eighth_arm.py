@@ -16,7 +16,7 @@ LOAD = ("load", "compliance", "gravity", "payload", "elastic", "spring")
 
 
 def elastic(w: World, per_nm: float, payload: Array | float = 0.0):  # type: ignore[no-untyped-def]
-    """Joints that give way under weight [rad/N m]."""
+    """Joints that deflect under weight [rad/N m]."""
 
     def fault(q: Array, t: Array, came: Array) -> Wrong:
         return Wrong(per_nm * w.torques(q, payload))
@@ -194,7 +194,7 @@ def tool_a_little_shorter_today(w: World, rng: np.random.Generator) -> Case:
 
 @eighth
 def softer_since(w: World, rng: np.random.Generator) -> Case:
-    """A joint's bearing wears: today it gives way twice as far under the same weight."""
+    """A joint's bearing wears: today it deflects twice as far under the same weight."""
     i = 1
     second = elastic(w, 1e-5)
 

@@ -245,7 +245,7 @@ def survey_coordinates(w: World, rng: np.random.Generator) -> Case:
 
 @healthy
 def elastic_arm(w: World, rng: np.random.Generator) -> Case:
-    """Joints that give way by 20 urad/Nm."""
+    """Joints that deflect by 20 urad/Nm."""
     return good(w.plain(150, elastic(w, 2e-5)))
 
 

@@ -325,7 +325,7 @@ def test_squares_of_another_size_are_named(stated: PrintedTarget) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_a_sheet_that_a_bad_arm_hides_is_not_trusted(on_tip: bool) -> None:
-    """Rulers stated as drawn, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, so the interval has
+    """Rulers stated at their nominal lengths, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, so the interval has
     both, and what would tell is said.
     """
     s = scene(33, on_tip, count=20, length_std=4e-3, angle_std=5e-3, board=AS_DRAWN, printed=1.02 * BOARD.points)
