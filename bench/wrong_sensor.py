@@ -115,7 +115,7 @@ class Outcome:
 def run(seed: int, fault: str, servo: float, stated: float, late: float = 0.0, lead: float = 0.04) -> Outcome:
     """One pull in the scene of a seed. servo: stiffness of the joints [N m/rad]. stated: arm_stiffness_n_m [N/m].
 
-    late: mean delay of messages [s]. lead: most_joint_lead_rad.
+    late: mean delay of messages [s]. lead: max_joint_lead_rad.
     """
     rng = np.random.default_rng([seed, 24])
     kind, grasp = ("door", "drawer")[seed % 2], ("weld", "ball")[seed // 2 % 2]
@@ -128,7 +128,7 @@ def run(seed: int, fault: str, servo: float, stated: float, late: float = 0.0, l
     chosen = {"kind": kind, "grasp": grasp, "stop": stop}
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
     world = Pulling.of(URDF, CHAIN, scene, rng, Servo(effort_limits(URDF, CHAIN.names), servo))
-    done = pull(world, URDF, Sensor(fault, world, rng), late, arm_stiffness_n_m=stated, most_joint_lead_rad=lead)
+    done = pull(world, URDF, Sensor(fault, world, rng), late, arm_stiffness_n_m=stated, max_joint_lead_rad=lead)
     for _ in range(50):  # as the arm stands where it was sent last
         world.forget()
         world.advance(0.004)
@@ -144,7 +144,7 @@ def main() -> int:
     parser.add_argument("--only", default="", help="faults that have this word in them")
     parser.add_argument("--servo", type=float, default=4000.0, help="stiffness of the joints [N m/rad]")
     parser.add_argument("--stated", type=float, default=100e3, help="arm_stiffness_n_m [N/m]")
-    parser.add_argument("--lead", type=float, default=0.04, help="most_joint_lead_rad; 0.022 is true of these servos")
+    parser.add_argument("--lead", type=float, default=0.04, help="max_joint_lead_rad; 0.022 is true of these servos")
     parser.add_argument("--late", type=float, default=0.0, help="mean delay of messages, as on a busy machine [s]")
     parser.add_argument("--out", type=Path, default=None, help="a file for the runs, as JSON")
     chosen = parser.parse_args()

@@ -21,7 +21,7 @@ from modcal_nodes.setpoint.arm_inputs import ArmInputs
 CHOSEN: dict[str, Any] = {
     "base": "", "tip": PANDA.tip, "wrench_frame": "", "tool_mass": 0.0, "tool_centre": [0.0, 0.0, 0.0],
     "cutoff_hz": 20.0, "wrench_by_tool": False, "timeout_s": 0.1, "calibrated": False,
-    "most_joint_lead_rad": 0.04,
+    "max_joint_lead_rad": 0.04,
 }  # fmt: skip
 
 
@@ -67,5 +67,5 @@ def test_the_softest_that_a_servo_may_be_comes_from_the_effort_of_its_joint(
     """Where none is stated, or what is stated is nonsense, or nobody says by how much servos lead, none is known."""
     urdf = re.sub(r'effort="[^"]*"', f'effort="{effort}"', PANDA_FILE.read_text())
     assert urdf != PANDA_FILE.read_text() or effort == "87"
-    arm = SensedArm.of(urdf, {**CHOSEN, "most_joint_lead_rad": lead})
+    arm = SensedArm.of(urdf, {**CHOSEN, "max_joint_lead_rad": lead})
     assert arm.softest == pytest.approx(np.full(arm.chain.n, softest), nan_ok=True)

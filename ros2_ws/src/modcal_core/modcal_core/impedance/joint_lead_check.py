@@ -100,4 +100,4 @@ class JointLeadCheck:
             f"{felt:.0f} N are felt but a joint leads by {1e3 * left[worst]:.1f} mrad more than that takes on a servo "
             f"of {self._least[worst]:.0f} N m/rad"
         )
-        return BadCommand("wrench", said, "check the force sensor, servo_lag_s and most_joint_lead_rad")
+        return BadCommand("wrench", said, "check the force sensor, servo_lag_s and max_joint_lead_rad")

@@ -280,7 +280,7 @@ _LIVE: dict[str, tuple[dict[str, Parameter], str]] = {
         "max_force_n max_moment_nm max_speed_m_s max_acceleration_m_s2 max_angular_speed_rad_s "
         "max_angular_acceleration_rad_s2 max_displacement_m max_rotation_rad joint_speed_rad_s joint_speed_m_s "
         "joint_acceleration_rad_s2 joint_acceleration_m_s2 min_gain gravity servo_lag_s contact_stiffness_n_m "
-        "arm_stiffness_n_m most_joint_lead_rad tare_s patience_s horizon_s base tip calibrated tool_mass tool_centre "
+        "arm_stiffness_n_m max_joint_lead_rad tare_s patience_s horizon_s base tip calibrated tool_mass tool_centre "
         "wrench_frame wrench_by_tool cutoff_hz timeout_s rate_hz",
     ),
     "acceleration_limits": (

@@ -88,10 +88,10 @@ IMPEDANCE_SETPOINT = {
     "arm_stiffness_n_m": Parameter(
         100e3, "Stiffest that the servos hold the tool, by which a force that is not felt is judged [N/m].", 100.0, 1e7
     ),
-    "most_joint_lead_rad": Parameter(
-        0.04,
-        "Lead of a joint's reference under its full effort at most, by which a force that is not felt is judged [rad]; "
-        "0: not known.",
+    "max_joint_lead_rad": Parameter(
+        0.0,
+        "Of an arm with stiff joint servos: lead of a joint's reference under its full effort at most, by which a force "
+        "that is not felt is judged [rad]; 0: not known, or a compliant arm.",
         0.0,
         1.0,
     ),

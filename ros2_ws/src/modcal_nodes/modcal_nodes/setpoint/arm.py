@@ -46,7 +46,7 @@ class SensedArm:
         load = Load(chosen["tool_mass"], _vector("tool_centre", chosen))
         sensor = WrenchSensor(frames, load, chosen["cutoff_hz"], -1.0 if chosen["wrench_by_tool"] else 1.0)
         farthest = 1.05 * (chain.reach() + float(np.linalg.norm(chain.origins[0, :3, 3])))
-        return cls(urdf, chain, sensor, farthest, _softest(urdf, chain, chosen["most_joint_lead_rad"]))
+        return cls(urdf, chain, sensor, farthest, _softest(urdf, chain, chosen["max_joint_lead_rad"]))
 
 
 def limits(chain: Chain, chosen: dict[str, Any]) -> Limits:
