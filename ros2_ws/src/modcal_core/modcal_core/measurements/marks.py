@@ -2,7 +2,7 @@
 
 A posture and what was read there, to a microradian and a micrometre, do not come again: who finds them in two
 recordings looks at the same measurement twice. A few marks of a recording are enough to tell how much of another one it
-holds: those with the least numbers, which are as good as drawn at random from it (Broder 1997).
+holds: those with the least numbers, which are a random choice of them (Broder 1997).
 """
 
 from __future__ import annotations
