@@ -90,8 +90,8 @@ IMPEDANCE_SETPOINT = {
     ),
     "max_joint_lead_rad": Parameter(
         0.0,
-        "Of an arm with stiff joint servos: lead of a joint's reference under its full effort at most, by which a force "
-        "that is not felt is judged [rad]; 0: not known, or a compliant arm.",
+        "Of an arm with stiff joint servos: lead of a joint's reference under its full effort at most, by which a "
+        "force that is not felt is judged [rad]; 0: not known, or a compliant arm.",
         0.0,
         1.0,
     ),
