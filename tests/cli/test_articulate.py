@@ -18,6 +18,7 @@ from modcal_core.robots.inverse import inverse
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording
+from modcal_msgs_py.tables.tracks import read_track
 from modcal_nodes.cli.main import run
 
 
@@ -66,6 +67,41 @@ def test_a_drawer_in_a_text_file(columns: int, separator: str, tmp_path: Path) -
     assert data["kind"] == "prismatic"
     assert data["measurement"] == ("point" if columns == 3 else "pose")
     assert data["configuration"]["upper"] - data["configuration"]["lower"] == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("head", "form"),
+    [
+        ("", "{t} {x} {y} {z} {qx} {qy} {qz} {qw}"),
+        ("time,x,y,z,qx,qy,qz,qw", "{t},{x},{y},{z},{qx},{qy},{qz},{qw}"),
+        ("Frame;Time (ms);Handle qw;Handle qx;Handle qy;Handle qz;Handle X [mm];Handle Y [mm];Handle Z [mm]",
+         "{n};{ms};{qw};{qx};{qy};{qz};{mx};{my};{mz}"),
+    ],
+)  # fmt: skip
+def test_a_table_of_a_handle_is_read_by_its_labels(head: str, form: str, tmp_path: Path) -> None:
+    true = poses(door())
+    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    rows = [head] * bool(head)
+    for n, pose in enumerate(true):
+        cells = {name: f"{value:.9f}" for name, value in zip(names, pose, strict=True)}
+        cells |= {f"m{name}": f"{1e3 * float(cells[name]):.6f}" for name in "xyz"}
+        rows.append(form.format(n=n, t=f"{1.7e9 + 0.05 * n:.2f}", ms=50 * n, **cells))
+    (tmp_path / "track.csv").write_text("\n".join(rows) + "\n")
+    track = read_track(tmp_path / "track.csv")
+    np.testing.assert_allclose(track.values, true, atol=1e-8)
+    assert track.stamps is not None
+    np.testing.assert_allclose(np.diff(track.stamps), 0.05, atol=1e-6)
+
+
+def test_rows_in_which_a_tracker_saw_nothing_are_left_out_and_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{n}," + ",".join(f"{v:.9f}" for v in pose[:3]) for n, pose in enumerate(poses(door()))]
+    rows[3], rows[40] = "3,,,", "40,nan,nan,nan"
+    (tmp_path / "track.csv").write_text("frame,x,y,z\n" + "\n".join(rows) + "\n")
+    assert run(["articulate", str(tmp_path / "track.csv"), "--out", str(tmp_path / "out")]) == 0
+    assert "2 of 80 rows hold no reading and are left out" in capsys.readouterr().out
+    assert told(tmp_path / "out")["kind"] == "revolute"
 
 
 @pytest.mark.slow
@@ -131,6 +167,11 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
     [
         ("", "holds no numbers"),
         ("1 2 3\n1 2\n", "line 2: has 2 numbers"),
+        ("0 0 0 10 0 5\n" * 9, "line 1: has 6 numbers"),
+        ("".join(f"{-x} 0 0 1\n" for x in range(30)), "line 2: has 4 numbers, and the first is no time: it goes back"),
+        ("time,u,v\n" + "1,2,3\n" * 9, "no columns x, y and z by its labels"),
+        ("a x,a y,a z,b x,b y,b z\n" + "1,2,3,4,5,6\n" * 9, "has 2 positions by its labels (a x, b x)"),
+        ("n,x,y,z\n" + "1,1,2,3\n" * 6 + "0,,,\n" * 9, "9 of 15 rows without all numbers"),
         ("a b c\n", "line 1: is not numbers"),
         ("nan 0 0\n" * 9, "is not finite"),
         ("0 0 0\n" * 3, "6 are needed"),

@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.quaternion_order import require_order
 from modcal_core.articulation.track import Track
-from modcal_core.errors import BadRecording, BadTable, about
+from modcal_core.errors import BadRecording, about
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.dropouts import cleaned
@@ -22,6 +22,7 @@ from modcal_core.robots.kinematics import forward
 from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import list_topics, read_bag
+from modcal_msgs_py.tables.tracks import read_track
 from modcal_msgs_py.topics import accepted, role_of
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.number import Whole
@@ -35,12 +36,16 @@ _MOST = 2000  # samples; of more, evenly chosen ones say the same
 
 @dataclass(frozen=True)
 class _Read:
-    """Positions or poses (m, 3) or (m, 7), stamps (m,) or None, the frame they are in, and the arm that held it."""
+    """Positions or poses (m, 3) or (m, 7), stamps (m,) or None, the frame they are in, and the arm that held it.
+
+    left_out: rows of a table that hold no reading.
+    """
 
     values: Array
     stamps: Array | None
     frame: str
     arm: str = ""
+    left_out: int = 0
 
 
 @click.command("articulate")
@@ -87,10 +92,11 @@ def articulate_command(
     Models of installed packages are compared too; they have no URDF.
 
     BAG is a bag with tracker poses or points, or joint states of the arm that holds the handle; or a text file with
-    x y z, or x y z qx qy qz qw, in every line [m].
+    x y z, or x y z qx qy qz qw, in every line [m], a time before them or not; or a table with labels above its columns.
     """
     if bag.is_file() and not bag.name.endswith(SUFFIXES):
-        read = _Read(_text_track(bag), None, "")
+        text = read_track(bag)
+        read = _Read(text.values, text.stamps, "", left_out=text.left_out)
     else:
         handle = next((name for name in topic if "=" not in name), None)
         topics = Topics.of([name for name in topic if "=" in name], ignore, tf)
@@ -108,6 +114,8 @@ def articulate_command(
     found = Articulation(bag.name, read.frame, track, choice)
     out = out or Path(f"{bag.resolve().stem}_articulation")
     data, files, said = write_articulation(found, out)
+    if read.left_out:
+        said.insert(0, f"{read.left_out} of {len(read.values) + read.left_out} rows hold no reading and are left out.")
     said = [read.arm] * bool(read.arm) + said
     output.result(data, partial(say, said), written(out, files))
 
@@ -121,28 +129,6 @@ def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:
                 if one.type_name in accepted(role):
                     return topics.over(Topics(((role, one.topic),)))
     return topics
-
-
-def _text_track(path: Path) -> Array:
-    """Numbers (m, 3) or (m, 7) of a text file; separators are blanks, commas or semicolons, # begins a comment."""
-    rows: list[list[float]] = []
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise BadTable(str(path), "is neither a bag nor text", "give a bag, or lines of x y z [qx qy qz qw]") from error
-    for number, line in enumerate(lines, 1):
-        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if not words:
-            continue
-        try:
-            rows.append([float(word) for word in words])
-        except ValueError as error:
-            raise BadTable(f"{path}, line {number}", "is not numbers", "give x y z, or x y z qx qy qz qw") from error
-        if len(rows[-1]) not in (3, 7) or len(rows[-1]) != len(rows[0]):
-            raise BadTable(f"{path}, line {number}", f"has {len(rows[-1])} numbers", "give 3 or 7 in every line")
-    if not rows:
-        raise BadTable(str(path), "holds no numbers", "give lines of x y z [qx qy qz qw]")
-    return np.array(rows)
 
 
 def _of_bag(

@@ -1,0 +1,125 @@
+"""The track of a handle in a text file: bare numbers, or a table whose labels say which columns they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modcal_core.errors import BadTable
+from modcal_core.geometry.so3 import Array
+from modcal_msgs_py.tables.candidates import Numbers
+from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, quaternions
+from modcal_msgs_py.tables.moments import find_time
+from modcal_msgs_py.tables.sniff import sniff
+from modcal_msgs_py.tables.stamps import SECONDS
+
+_FORMS = "x y z, or x y z qx qy qz qw, a time before them or not"
+_WIDTHS = (3, 7)  # of a bare row without its time
+_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+_MISSING = 0.5  # share of the rows that may lack a number
+
+
+@dataclass(frozen=True)
+class TextTrack:
+    """Positions (m, 3) [m], or poses x y z qx qy qz qw (m, 7); stamps (m,) [s] or None; how many rows were left out."""
+
+    values: Array
+    stamps: Array | None = None
+    left_out: int = 0
+
+
+def read_track(path: Path) -> TextTrack:
+    """The track in a text file, from rows of numbers alone or by the labels above them. Raises BadTable.
+
+    Separators of bare rows are blanks, commas or semicolons, and # begins a comment; of four or eight numbers, the
+    first is the time. A table may have any separator, unit of length and further columns; rows of it in which a
+    tracker wrote no number are left out.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise BadTable(str(path), "is neither a bag nor text", f"give a bag, or lines of {_FORMS}") from error
+    words = [(number, _words(line)) for number, line in enumerate(lines, 1)]
+    words = [(number, row) for number, row in words if row]
+    if not words:
+        raise BadTable(str(path), "holds no numbers", f"give lines of {_FORMS}")
+    if any(_number(word) is None for word in words[0][1]):
+        return _labelled(path, words[0][0])
+    return _bare(path, words)
+
+
+def _words(line: str) -> list[str]:
+    return line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+
+
+def _number(word: str) -> float | None:
+    try:
+        return float(word)
+    except ValueError:
+        return None
+
+
+def _bare(path: Path, words: list[tuple[int, list[str]]]) -> TextTrack:
+    """Rows of 3 or 7 numbers, or of 4 or 8 that begin with a time."""
+    width = len(words[0][1])
+    rows = []
+    for number, row in words:
+        found = [value for value in map(_number, row) if value is not None]
+        if len(found) != len(row):
+            raise BadTable(f"{path}, line {number}", "is not numbers", f"give {_FORMS}")
+        if len(row) != width or not {width, width - 1} & set(_WIDTHS):
+            raise BadTable(f"{path}, line {number}", f"has {len(row)} numbers", f"give in every line {_FORMS}")
+        rows.append(found)
+    values = np.array(rows)
+    if width in _WIDTHS:
+        return TextTrack(values)
+    stamps = values[:, 0]
+    back = np.flatnonzero(~(np.diff(stamps) >= 0.0))
+    if len(back):
+        line = words[int(back[0]) + 1][0]
+        said = f"has {width} numbers, and the first is no time: it goes back"
+        raise BadTable(f"{path}, line {line}", said, f"give {_FORMS}")
+    return TextTrack(values[:, 1:], stamps)
+
+
+def _labelled(path: Path, line: int) -> TextTrack:
+    """The one position, with the one quaternion and the time where there are such, that labels name."""
+    try:
+        numbers = Numbers.of(sniff(path))
+    except BadTable as error:
+        raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}, or labels above them") from error
+    time = find_time(numbers, set())
+    free = {k: label for k, label in numbers.labels.items() if k not in time.columns}
+    places: dict[str, dict[str, int]] = {}
+    for k, label in free.items():
+        if label.axis is not None and label.role in (MEASURED, COMMANDED) and not label.computed:
+            places.setdefault(label.axis[1], {}).setdefault(label.axis[0], k)
+    named = [(found["x"], found["y"], found["z"]) for found in places.values() if len(found) == 3]
+    if len(named) != 1:
+        shown = ", ".join(numbers.shown(place[0]) for place in named)
+        said = "has no columns x, y and z by its labels"
+        if named:
+            said = f"has {len(named)} positions by its labels ({shown})"
+        raise BadTable(str(path), said, "give one: columns x, y, z, and qx, qy, qz, qw for rotations")
+    units = {free[k].unit for k in named[0]}
+    unit = units.pop() or "m" if len(units) == 1 else ""
+    if unit not in _METRES:
+        raise BadTable(str(path), "has columns of the position in several units, or none of length", "give metres")
+    turns = quaternions(free)
+    if len(turns) > 1:
+        raise BadTable(str(path), f"has {len(turns)} quaternions by its labels", "give one: qx, qy, qz, qw")
+    values = _METRES[unit] * numbers.values[:, list(named[0])]
+    if turns:
+        values = np.hstack([values, numbers.values[:, list(turns[0])]])
+    kept = np.isfinite(values).all(axis=1)
+    stamps = None
+    if "seconds" in time.stated:
+        stamps = SECONDS[time.stated.get("unit", "s")] * numbers.values[:, time.columns[0]]
+        kept &= np.isfinite(stamps)
+        stamps = stamps[kept]
+    if kept.mean() < _MISSING:
+        said = f"has {int((~kept).sum())} of {len(kept)} rows without all numbers of the handle, half is allowed"
+        raise BadTable(str(path), said, "record while the handle is seen")
+    return TextTrack(values[kept], stamps, int((~kept).sum()))
