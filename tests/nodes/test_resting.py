@@ -6,14 +6,20 @@ import time
 
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import WrenchStamped
 from nodes.processes import fresh_domain
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from modcal_nodes.ros.guarded import GuardedNode
+from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.resting import RestingExecutor
-from modcal_nodes.ros.running import SENSOR
+from modcal_nodes.ros.running import FRESH, SENSOR
 from modcal_nodes.ros.subscriptions import MonitoredSubscription
 
 pytestmark = pytest.mark.dds
@@ -77,3 +83,79 @@ def test_hears_everything_while_it_ticks_and_answers() -> None:
     assert answer.result().success
     # as many ticks as there were periods, but for those that a busy machine held up: one may be lost to each
     assert len([t for t in node.ticks if begun <= t <= begun + took]) >= 0.5 * took / PERIOD - 2
+
+
+class Slow(GuardedNode):
+    """Takes longer over each message than the next takes to come, in simulated time."""
+
+    def __init__(self, partner: Node) -> None:
+        simulated = Parameter("use_sim_time", value=True)
+        super().__init__("slow", parameter_overrides=[simulated])
+        self.partner = partner
+        self.clock_topic = partner.create_publisher(Clock, "/clock", 10)
+        self.joints_topic = partner.create_publisher(JointState, "joint_states", SENSOR)
+        self.most_behind, self.sent = 0, 0
+        self.joints = MonitoredSubscription(self, JointState, "joint_states", self._take, FRESH)
+        self.wrench = MonitoredSubscription(self, WrenchStamped, "wrench", lambda _: None, FRESH)
+
+    def speak(self) -> None:
+        """A millisecond, and joints of that."""
+        self.sent += 1
+        moment = Time(sec=0, nanosec=1_000_000 * self.sent)
+        self.clock_topic.publish(Clock(clock=moment))
+        message = JointState(name=["a"], position=[0.0])
+        message.header.stamp = moment
+        self.joints_topic.publish(message)
+
+    def _take(self, message: JointState) -> None:
+        self.speak()
+        time.sleep(1e-3)  # until that has come
+        now = self.get_clock().now().nanoseconds
+        self.most_behind = max(self.most_behind, message.header.stamp.nanosec // 1_000_000 - now // 1_000_000)
+
+
+def test_simulated_time_is_no_more_behind_than_messages_wait() -> None:
+    """A topic that never runs dry held the time up for a hundred messages, and what came was refused as ahead of it."""
+    rclpy.init(domain_id=fresh_domain())
+    partner = rclpy.create_node("partner")
+    node = Slow(partner)
+    executor = RestingExecutor(node, REST)
+    executor.add_node(node)
+    try:
+        end = time.monotonic() + 30.0
+        while not (node.joints.publishers and node.joints_topic.get_subscription_count()):
+            assert time.monotonic() < end
+            executor.spin_once()
+        for _ in range(30):
+            node.speak()
+        while node.joints.count < COUNT:
+            assert time.monotonic() < end
+            executor.spin_once()
+    finally:
+        executor.shutdown()
+        partner.destroy_node()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    assert 0 < node.most_behind <= 2 * FRESH.depth
+
+
+def test_refusing_everything_costs_less_than_a_tenth_of_saying_it() -> None:
+    rclpy.init(domain_id=fresh_domain())
+    node = GuardedNode("refusing")
+    try:
+        refusals = Refusals(node)
+        took = []
+        for say in (
+            lambda: refusals.refuse("joint_states", "its stamp is 1 s ahead"),
+            lambda: node.get_logger().warning("its stamp is 1 s ahead", throttle_duration_sec=2.0),
+        ):
+            say()
+            begun = time.process_time()
+            for _ in range(COUNT):
+                say()
+            took.append(time.process_time() - begun)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    assert refusals.counts == {"joint_states": COUNT + 1}
+    assert took[0] < 0.1 * took[1]

@@ -30,7 +30,6 @@ from modcal_nodes.ros.declaring import declare, follow, values
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
-from modcal_nodes.ros.pending import waiting
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
@@ -231,10 +230,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def _hear_on(self) -> None:
         """Take what has arrived while the executor waits for a callback to end, the time included."""
-        for subscription in list(self.subscriptions):
-            if subscription.topic_name == "/clock":
-                for message, _ in waiting(subscription, _TICKS):
-                    subscription.callback(message)
+        self.take_time()
         for ear in self._inputs:
             ear.poll()
 

@@ -153,14 +153,24 @@ class GuardedNode(Node):
         """Whether it has no time to rest now (see resting.py)."""
         return False
 
-    def take_waiting(self) -> int:
-        """Take the messages that have arrived, simulated time first; the most that were of one topic."""
+    def take_time(self) -> None:
+        """Take the simulated time that has arrived, if there is one."""
         if self.get_clock().ros_time_is_active:
             for subscription in list(self.subscriptions):
                 if subscription.topic_name == "/clock":
                     for message, _ in waiting(subscription, self.most_at_once):
                         subscription.callback(message)
-        return max((poll() for poll in self.pollers), default=0)
+
+    def take_waiting(self) -> int:
+        """Take the messages that have arrived; the most that were of one topic.
+
+        Simulated time comes first, and again before each topic: one whose messages take long would look ahead of it.
+        """
+        most = 0
+        for poll in self.pollers:
+            self.take_time()
+            most = max(most, poll())
+        return most
 
     def guarded(self, place: str, callback: Callable[..., Any]) -> Callable[..., Any]:
         """A callback whose exceptions cost what it was called for, and no more."""

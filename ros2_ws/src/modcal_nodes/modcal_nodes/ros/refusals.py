@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -22,6 +23,7 @@ class Refusals:
         """news: called when a part refuses something that had refused nothing of late."""
         self._node, self._news = node, news
         self._said: dict[str, tuple[float, str]] = {}
+        self._logged = -math.inf
         self.counts: Counter[str] = Counter()
 
     def guarded(self, part: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -38,9 +40,13 @@ class Refusals:
     def refuse(self, part: str, said: str) -> None:
         """Say and count a refusal."""
         self.counts[part] += 1
-        news = not self.recent(part)
-        self._said[part] = (time.monotonic(), said)
-        self._node.get_logger().warning(said, throttle_duration_sec=_THROTTLE)
+        news, now = not self.recent(part), time.monotonic()
+        self._said[part] = now, said
+        # rclpy's own throttle looks up the caller first, which takes a millisecond: one that refuses everything would
+        # fall behind, and refuse what it hears for being late
+        if now - self._logged >= _THROTTLE:
+            self._logged = now
+            self._node.get_logger().warning(said)
         if news:
             self._news()
 

@@ -65,16 +65,21 @@ class MonitoredSubscription:
             for behind, _ in waiting(subscription, most, raw):
                 self._take(behind)
 
-        most = self._node.most_at_once
+        most = self._at_once
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
         subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events, raw=raw)
         return subscription
+
+    @property
+    def _at_once(self) -> int:
+        """No more than can have waited: those that come while others are handled must not hold up what comes beside."""
+        return min(self._node.most_at_once, self._qos.depth or self._node.most_at_once)
 
     def poll(self) -> int:
         """Take what has arrived, without an executor; how many messages that were."""
         before = self.count
         for subscription in list(self._subscriptions):
-            for message, _ in waiting(subscription, self._node.most_at_once, self._read is not None):
+            for message, _ in waiting(subscription, self._at_once, self._read is not None):
                 self._take(message)
         return self.count - before
 
