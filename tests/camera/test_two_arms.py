@@ -3,23 +3,38 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from camera.boards import BOARD, facing, views
+from camera.boards import BOARD, LENS, facing, views
 from camera.by_tracker import missed_by_tracker
 from camera.scenes import BOARD_ON_TIP, HOME, PANDA
+from camera.test_image_bags import START, header
 
+from modcal_core.calibration.store_parts import arm_to_data, inertias_from_data
+from modcal_core.camera.moments import ImageMoments
 from modcal_core.camera.target_file import target_to_data
+from modcal_core.camera.views import BoardView
+from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.robot import Robot
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.inverse_batch import inverse_batch
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_reroot import rerooted
+from modcal_msgs_py.corners import fill_corners
+from modcal_msgs_py.images import CLOUD
+from modcal_msgs_py.mcap_write import BagWriter
+from modcal_msgs_py.types import message_class
 from modcal_nodes.cli.main import run
+from modcal_nodes.cli.two_arms import arm_between
 from modcal_nodes.simulation.world import World
 
 CAMERA_ON_LEFT = se3.transform(so3.exp([0.02, 0.01, 0.7]), [0.06, 0.02, 0.03])
@@ -97,3 +112,107 @@ def test_both_arms_are_calibrated_as_one_chain(tmp_path: Path, capsys: pytest.Ca
     arms = [forward(read_chain(text, "left_link8", "right_link8"), fresh) for text in urdfs]
     miss = [missed_by_tracker(T, true, BOARD_ON_TIP[:3, 3]) for T in arms]
     assert miss[1] < 0.25 * miss[0]
+
+
+def test_each_joint_bears_what_it_bears_in_its_own_arm(rng: np.random.Generator) -> None:
+    """Weight at every joint of both arms as one chain is that of the arms by themselves, held at the torso."""
+    text = two_pandas()
+    both, _ = arm_between(text, "left_link8", "right_link8", ())
+    arms = [Robot.from_urdf(text, "torso", f"{side}_link8") for side in ("left", "right")]
+    q = [rng.uniform(-1.5, 1.5, (12, 7)) for _ in arms]
+    together = np.c_[q[0][:, ::-1], q[1]]
+    loads = Drivers(samples_of(both.chain, together), NominalArm(both.chain, both.inertias))
+    for arm, own, side in zip(arms, q, ("left", "right"), strict=True):
+        alone = Drivers(samples_of(arm.chain, own), NominalArm(arm.chain, arm.inertias))
+        for name in arm.names:
+            assert np.ptp(alone.values(f"load:{name}")) > 0.0 or name.endswith(("joint1", "joint7"))
+            assert loads.values(f"load:{name}") == pytest.approx(alone.values(f"load:{name}"), abs=1e-9)
+            across = [np.linalg.norm(d.values(f"moment:{name}"), axis=0) for d in (loads, alone)]
+            assert across[0] == pytest.approx(across[1], abs=1e-9)
+            if side == "right":
+                assert loads.values(f"payload:{name}") == pytest.approx(alone.values(f"payload:{name}"), abs=1e-9)
+            else:
+                assert not loads.values(f"payload:{name}").any()
+    kept = inertias_from_data(arm_to_data(NominalArm(both.chain, both.inertias)))
+    again = Drivers(samples_of(both.chain, together), NominalArm(both.chain, kept))
+    assert again.gravity == pytest.approx(loads.gravity)
+
+
+def bag_of_corners(
+    folder: Path,
+    description: str,
+    names: Sequence[str],
+    q: Array,
+    seen: dict[str, list[BoardView]],
+    size: tuple[int, int],
+) -> Path:
+    """A bag of a robot that stops at each posture, and the corners that detectors publish there, by topic."""
+    joint_state, String = message_class("sensor_msgs/msg/JointState"), message_class("std_msgs/msg/String")
+    cloud, field = message_class(CLOUD), message_class("sensor_msgs/msg/PointField")
+    nothing = np.empty(0)
+    with BagWriter(folder) as bag:
+        bag.write("/robot_description", "std_msgs/msg/String", String(data=description), int(1e9 * START))
+        for k, at in enumerate(q):
+            for j in range(20):
+                t = START + 3.0 * k + 0.05 * j
+                state = joint_state(header(t), list(names), at, nothing, nothing)
+                bag.write("/joint_states", "sensor_msgs/msg/JointState", state, int(1e9 * t))
+                for topic, views_of in seen.items() if j == 10 else ():
+                    empty = cloud(header(t), 0, 0, [], False, 0, 0, np.empty(0, np.uint8), True)
+                    message = fill_corners(empty, field, replace(views_of[k], stamp=t), size, "camera")
+                    message.data = np.frombuffer(message.data, np.uint8)
+                    bag.write(topic, CLOUD, message, int(1e9 * t))
+    return folder
+
+
+@pytest.mark.slow
+def test_both_arms_from_a_bag_of_corners_with_a_spring_in_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both arms sag by MuJoCo, each held at the torso; what bends is found in either, and the tool is where it is."""
+    text, rng = two_pandas(), np.random.default_rng(12)
+    both, _ = arm_between(text, "left_link8", "right_link8", ())
+    arms = [Robot.from_urdf(text, "torso", f"{side}_link8") for side in ("left", "right")]
+    soft = np.zeros(7)
+    soft[1] = 1e-4  # rad/(N m), of the shoulder
+    worlds = [
+        World(a.chain, rng, 1e-3, 1e-3, None, on_tip, inertias=a.inertias, compliance=soft)
+        for a, on_tip in zip(arms, (CAMERA_ON_LEFT, BOARD_ON_TIP), strict=True)
+    ]
+
+    def truth(q: Array) -> Array:
+        """T_camera_target by both machines."""
+        real = q + 2e-5 * rng.standard_normal(q.shape)
+        left, right = worlds[0].tool_in_tracker(real[:, 6::-1]), worlds[1].tool_in_tracker(real[:, 7:])
+        return np.asarray(se3.inverse(left) @ right)
+
+    q = postures(both.chain, rng, 50)
+    seen = views(rng, truth(q), 0.03)
+    bag = bag_of_corners(tmp_path / "both", text, both.names, q, {"/board_detector/corners": seen}, LENS.size)
+    data = target_to_data(BOARD, (0.21, 0.15))
+    data["rulers"] |= {"measured_x_m": 0.21, "measured_y_m": 0.15, "measured_std_m": 5e-5}
+    (tmp_path / "target.yaml").write_text(yaml.safe_dump(data))
+    call = ["calibrate", str(bag), "--target", str(tmp_path / "target.yaml")]
+    call += ["--base", "left_link8", "--tip", "right_link8", "--out", str(tmp_path / "out")]
+    assert run(call) == 0
+    assert "both arms are calibrated as one chain of 14 joints" in " ".join(capsys.readouterr().out.split())
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["camera"]["decision"] == "apply"
+    found = {e["place"]: e for e in report["effects"]}
+    assert set(found) == {"left_joint2", "right_joint2"}
+    for one in found.values():
+        size = one["parameters"]["compliance"]
+        assert size["value"] == pytest.approx(1e-4, abs=4.0 * size["std"])
+    fresh = postures(both.chain, np.random.default_rng(3), 40)
+    tip = CAMERA_ON_LEFT @ truth(fresh) @ se3.inverse(BOARD_ON_TIP)
+    urdfs = rerooted(text, "left_link8"), (tmp_path / "out" / "calibrated.urdf").read_text()
+    miss = [
+        missed_by_tracker(forward(read_chain(one, "left_link8", "right_link8"), fresh), tip, BOARD_ON_TIP[:3, 3])
+        for one in urdfs
+    ]
+    assert miss[1] < 0.25 * miss[0]
+
+
+def samples_of(chain: Chain, q: np.ndarray) -> Samples:
+    """These postures, nothing being read."""
+    return ImageMoments().samples(q, np.zeros_like(q), chain.names, ("camera",))

@@ -23,6 +23,7 @@ IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMAGES = (IMAGE, COMPRESSED)
 TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"  # no part of ROS's messages: read by the definition in the bag
+CLOUD = "sensor_msgs/msg/PointCloud2"  # of corners, where its points have their fields
 _MOST_BYTES = 1 << 28  # of one image
 _LARGEST = 1 << 15  # px a side
 
@@ -54,13 +55,23 @@ def tag_topics(listed: tuple[Listed, ...]) -> tuple[Listed, ...]:
     return tuple(one for one in listed if one.type_name == TAGS and one.count)
 
 
-def chosen_topic(listed: tuple[Listed, ...], asked: str | None, source: str, tags: bool = False) -> Listed:
+def corner_topics(path: Path, listed: tuple[Listed, ...]) -> tuple[Listed, ...]:
+    """The topics with corners as board_detector publishes them: clouds of which a point has a number and a sigma."""
+    clouds = (one for one in listed if one.type_name == CLOUD and one.count)
+    return tuple(one for one in clouds if _has_corners(next(read_messages(path, one.topic), None)))
+
+
+def _has_corners(first: tuple[float, Any] | None) -> bool:
+    fields = getattr(first[1], "fields", ()) if first is not None else ()
+    return {"u", "v", "sigma", "id"} <= {str(field.name) for field in fields}
+
+
+def chosen_topic(listed: tuple[Listed, ...], asked: str | None, source: str, others: tuple[Listed, ...] = ()) -> Listed:
     """The topic with the images to use. Raises BadRecording where there is none, or several and none was asked for.
 
-    tags: detections of AprilTags serve too, where there are no images or they are asked for.
+    others: with corners that were found already, which serve where there are no images or they are asked for.
     """
     found = image_topics(listed)
-    others = tag_topics(listed) if tags else ()
     found = found + others if asked is not None else found or others
     if asked is not None:
         for one in found:

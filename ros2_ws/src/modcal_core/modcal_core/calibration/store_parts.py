@@ -30,7 +30,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
 from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 
 def effect_to_data(effect: Effect) -> dict[str, Any]:
@@ -136,10 +136,24 @@ def arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
         "mass": floats(arm.inertias.mass),
         "com": [floats(c) for c in arm.inertias.com],
         "down": floats(arm.inertias.down),
+        **({} if arm.inertias.held is None else {"held": _held_to_data(arm.inertias.held)}),
         **({"branches": [_hanging_to_data(b) for b in arm.inertias.branches]} if arm.inertias.branches else {}),
         **({} if arm.earlier is None else {"earlier": _carried_to_data(arm.earlier)}),
         **({} if arm.centre is None else {"centre": floats(arm.centre)}),
     }
+
+
+def _held_to_data(held: HeldBehind) -> dict[str, Any]:
+    return {"joints": held.joints, "mass": held.mass, "com": floats(held.com)}
+
+
+def _held_from_data(data: Any, joints: int) -> HeldBehind | None:
+    if data is None:
+        return None
+    held = HeldBehind(int(data["joints"]), float(data["mass"]), np.array(data["com"], dtype=float).reshape(3))
+    if not 0 < held.joints < joints or not np.isfinite([held.mass, *held.com]).all():
+        raise ValueError("the arm is held behind none of its joints")
+    return held
 
 
 def _carried_to_data(carried: Carried) -> dict[str, Any]:
@@ -216,7 +230,8 @@ def inertias_from_data(data: Any) -> Inertias | None:
     branches = tuple(_hanging_from_data(b) for b in data.get("branches", ()))
     if not np.isfinite(down).all() or any(not 0 <= b.carrier < len(mass) for b in branches):
         raise ValueError("bodies beside the chain hang on none of its joints")
-    return Inertias(mass, com, np.zeros((len(mass), 3, 3)), branches, down)
+    held = _held_from_data(data.get("held"), len(mass))
+    return Inertias(mass, com, np.zeros((len(mass), 3, 3)), branches, down, held)
 
 
 def model_to_data(model: Model) -> dict[str, Any]:

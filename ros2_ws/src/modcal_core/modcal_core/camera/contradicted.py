@@ -40,9 +40,10 @@ _ANY_BOW_M = 0.01  # of a sheet that lies on something uneven
 # Chance of a stated value that is grossly wrong (another printer's sheet, a slip of the pen), before the images are
 # looked at: what a 95 % interval leaves out, and the odds of _GAIN.
 _WRONG = 0.05
-# The same of a size that two say: of a sheet whose two rulers were read, not both at their nominal lengths, which who
-# does not measure states (that they agree, the images show); of a body that was measured and has the size that is
-# drawn. It takes two slips that agree, as 0.05² has it, or one ruler, sheet or body that is another than was meant.
+# The same of a size that two say: of a sheet whose two rulers were read, and who read them has said how well (that they
+# agree, the images show); of a body that was measured and has the size that is drawn. It takes two slips that agree, as
+# 0.05² has it, or one ruler, sheet or body that is another than was meant. Rulers of which only lengths are stated may
+# be those of the sheet before, or of a rule held once: they count as any statement (_WRONG).
 _READ_WRONG = 0.01
 # The same of a sheet both of whose rulers read what they should, nobody having said how well they were read. One in ten
 # does not measure and states that: half of them of a sheet that is grossly another (0.05), half of a right one (0.05).
@@ -57,7 +58,10 @@ _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "cen
 @dataclass(frozen=True)
 class DoubtedStatement:
     """A statement taken back. what: size, bow or lens. prior: without it. equations, sizes: with that prior, at the
-    state of the fit. misfit: −2 log likelihood there. chance: that the statement is wrong, given the images.
+    state of the fit. misfit: −2 log likelihood there. chance: that the statement is wrong, given the images. counted:
+    the same as it counts against an arm made worse. What images say against a wrong size hangs on how far off wrong
+    sizes are supposed to be (5 %, and one of 2 % shows far less); so of rulers that may have been read but once, it
+    does not count.
     """
 
     what: str
@@ -66,6 +70,7 @@ class DoubtedStatement:
     sizes: Sizes
     misfit: float
     chance: float
+    counted: float
 
 
 def doubts(
@@ -83,7 +88,11 @@ def doubts(
     before = np.array([of_size if what == SIZE else _WRONG for what in wider])
     odds = before * np.array([np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
     chances = odds / (1.0 + odds.sum())
-    return tuple(DoubtedStatement(*one, float(chance)) for one, chance in zip(weighed, chances, strict=True))
+    least = of_size if scale.unsaid and not scale.nominal else 0.0
+    return tuple(
+        DoubtedStatement(*one, float(chance), max(float(chance), least if one[0] == SIZE else 0.0))
+        for one, chance in zip(weighed, chances, strict=True)
+    )
 
 
 def contradictions(
@@ -138,7 +147,9 @@ def _size_wrong(scale: PrintScale) -> float:
     """Chance that a size is grossly another than stated, before an image is looked at."""
     if not scale.measured:
         return _WRONG
-    return _NOMINAL_WRONG if scale.nominal else _READ_WRONG
+    if scale.unsaid:
+        return _NOMINAL_WRONG if scale.nominal else _WRONG
+    return _READ_WRONG
 
 
 def _wider(prior: CommonPrior, lens: Lens, stated: str | None, scale: PrintScale) -> dict[str, CommonPrior]:

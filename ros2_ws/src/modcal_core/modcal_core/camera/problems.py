@@ -102,9 +102,11 @@ def size_open(
     """What to do about the sheet's size where it is what keeps the arm from being clearly better, else nothing."""
     if target.scale.measured:
         what = "sheet" if isinstance(target, PrintedTarget) else "body"
-        likeliest_doubt = max(doubted, key=lambda d: d.chance).what == SIZE
+        likeliest_doubt = max(doubted, key=lambda d: d.counted).what == SIZE
         if likeliest_doubt and decide(error.as_stated, True, (), arm_m).word == APPLY:
             again = f"measure the {what} again"
+            if target.scale.unsaid:
+                again = "read both rulers again, and state how well (--measured-to-mm)"
             if target.scale.nominal:
                 again = (
                     "both rulers are stated at their nominal lengths, as by somebody who has not measured them: "

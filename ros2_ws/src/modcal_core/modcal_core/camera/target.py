@@ -26,7 +26,8 @@ class PrintScale:
 
     x, y: ratio to what the file states. std: relative standard deviation of what x and y share. std_apart: of their
     difference. leaning: covariance of these two, where one of x and y is known better. measured: whether somebody has
-    measured it. nominal: whether what was measured is what the file states, and nobody said how well.
+    measured it. nominal: whether what was measured is what the file states, and nobody said how well. unsaid: whether
+    nobody said how well it was measured, whatever it was.
     """
 
     x: float = 1.0
@@ -36,6 +37,7 @@ class PrintScale:
     measured: bool = False
     leaning: float = 0.0
     nominal: bool = False
+    unsaid: bool = False
 
     @property
     def covariance(self) -> Array:

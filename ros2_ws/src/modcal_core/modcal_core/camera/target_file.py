@@ -109,7 +109,7 @@ def scale_of_rulers(
     apart = (each[0] ** 2 + each[1] ** 2) ** 0.5
     leaning = 0.5 * (each[0] ** 2 - each[1] ** 2)  # the longer ruler says more of what both share
     as_drawn = std_m is None and all(abs(m - n) < _SAME_M for m, n in zip(measured, nominal, strict=True))
-    return PrintScale(x, y, apart / _TWO_RULERS, apart, measured=True, leaning=leaning, nominal=as_drawn)
+    return PrintScale(x, y, apart / _TWO_RULERS, apart, True, leaning, nominal=as_drawn, unsaid=std_m is None)
 
 
 def _scale(rulers: Any, source: str) -> PrintScale:

@@ -147,7 +147,7 @@ def parameter_draws(
     P = fit.poses.count
     parts = [_draws(fit, fit.equations, fit.sizes, P, rng)]
     parts += [_draws(fit, d.equations, d.sizes, P, rng) for d in doubted]
-    chance = np.array([1.0 - sum(d.chance for d in doubted), *(d.chance for d in doubted)])
+    chance = np.array([1.0 - sum(d.counted for d in doubted), *(d.counted for d in doubted)])
     counts = [sum(len(one.values) for one in part) for part in parts]
     every = [one for part in parts for one in part]
     return ParameterDraws(

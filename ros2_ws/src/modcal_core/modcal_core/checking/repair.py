@@ -92,8 +92,19 @@ def _known_then(
     covariance[:old, :old] = known.covariance
     cross[index] = found.sizes.cross
     B = np.concatenate([_as_deviations(h, now, known, K) for h in changes], axis=1)
-    covariance = covariance + B @ found.sizes.covariance @ B.T + cross @ B.T + B @ cross.T
+    together = np.block([[covariance, cross], [cross.T, found.sizes.covariance]])
+    moved = np.concatenate([np.eye(K), B], axis=1)
+    covariance = moved @ _possible(together) @ moved.T
     return Uncertainty(known.parameters, 0.5 * (covariance + covariance.T))
+
+
+def _possible(C: Array) -> Array:
+    """The nearest covariance in units of its own deviations: of changes as large as another tool the cross terms are of
+    another posture of its lever than the sizes' own covariance, so that some direction may come out below nothing.
+    """
+    scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(scale, scale))
 
 
 def _as_deviations(h: CellChange, now: Calibration, known: Uncertainty, K: int) -> Array:

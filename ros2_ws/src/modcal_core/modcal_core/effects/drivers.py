@@ -30,7 +30,7 @@ from modcal_core.measurements.told import is_told, staircase, told_at
 from modcal_core.robots.branches import moved_centres
 from modcal_core.robots.gravity import DOWN
 from modcal_core.robots.mechanism import Mechanism, gravity_wrench, offset_wrench, payload_wrench
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
@@ -179,10 +179,14 @@ class Drivers:
     def _down(self) -> Array:
         return DOWN if self.arm.inertias is None else self.arm.inertias.down
 
+    @property
+    def _held(self) -> HeldBehind | None:
+        return None if self.arm.inertias is None else self.arm.inertias.held
+
     @cached_property
     def payload(self) -> Array:
         """Weight of 1 kg at the tip, or at the centre of what is carried where that is known, (n, 6, N)."""
-        unit = payload_wrench(self.arm.chain, self.samples.q, self._down)
+        unit = payload_wrench(self.arm.chain, self.samples.q, self._down, self._held)
         if self.arm.centre is not None:
             unit = unit + np.einsum("d,djcN->jcN", self.arm.centre, self.offset)
         return unit if self.arm.earlier is None or self.arm.weighed else unit + self._differing
@@ -192,13 +196,13 @@ class Drivers:
         """What the load at the tip weighed more than it does in the end, (n, 6, N)."""
         assert self.arm.earlier is not None
         mass, moment = self.arm.earlier.at(self.samples.stamps)
-        unit = payload_wrench(self.arm.chain, self.samples.q, self._down)
+        unit = payload_wrench(self.arm.chain, self.samples.q, self._down, self._held)
         return unit * mass + np.einsum("dN,djcN->jcN", moment, self.offset)
 
     @cached_property
     def offset(self) -> Array:
         """What the latter changes by for each metre that the mass lies beside the tip, along x, y, z: (3, n, 6, N)."""
-        return offset_wrench(self.arm.chain, self.samples.q, self._down)
+        return offset_wrench(self.arm.chain, self.samples.q, self._down, self._held)
 
     def _signal(self, name: str, lag: float) -> Array:
         stamps = self.samples.stamps

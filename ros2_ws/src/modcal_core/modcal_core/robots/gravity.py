@@ -7,7 +7,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import Frames, frames
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 DOWN = np.array([0.0, 0.0, -1.0])  # in the base, where nothing else is known
@@ -22,25 +22,27 @@ def gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Array | No
     """
     f = frames(chain, q)
     centres = np.stack([_centre(chain, inertias, q, f, k, moved) for k in range(chain.n)])
-    return _wrench(chain, f, inertias.mass, centres, inertias.down)
+    return _wrench(chain, f, inertias.mass, centres, inertias.down, inertias.held)
 
 
-def payload_wrench(chain: Chain, q: Array, down: Array = DOWN) -> Array:
-    """The same, (n, 6, N), of a mass of 1 kg at the tip. down: unit vector (3,) in the base."""
+def payload_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
+    """The same, (n, 6, N), of a mass of 1 kg at the tip. down: unit vector (3,) in the base. held: as of inertias."""
     f = frames(chain, q)
     mass = np.zeros(chain.n)
     mass[-1] = 1.0
-    return _wrench(chain, f, mass, np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape)), down)
+    held = None if held is None else held.empty
+    return _wrench(chain, f, mass, np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape)), down, held)
 
 
-def offset_wrench(chain: Chain, q: Array, down: Array = DOWN) -> Array:
+def offset_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
     """How the latter changes with each metre that the mass is beside the tip, along the tip's x, y, z, (3, n, 6, N)."""
     f = frames(chain, q)
     mass = np.zeros(chain.n)
     mass[-1] = 1.0
     at = np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape))
-    own = _wrench(chain, f, mass, at, down)
-    return np.stack([_wrench(chain, f, mass, at + f.axes[-1, d], down) - own for d in range(3)])
+    held = None if held is None else held.empty
+    own = _wrench(chain, f, mass, at, down, held)
+    return np.stack([_wrench(chain, f, mass, at + f.axes[-1, d], down, held) - own for d in range(3)])
 
 
 def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int, moved: Array | None) -> Array:
@@ -56,15 +58,38 @@ def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int, moved
     return out
 
 
-def _wrench(chain: Chain, f: Frames, mass: Array, centres: Array, down: Array) -> Array:
+def _wrench(chain: Chain, f: Frames, mass: Array, centres: Array, down: Array, held: HeldBehind | None) -> Array:
     out = np.empty((chain.n, 6, f.p.shape[2]))
+    before = 0 if held is None else held.joints
+    way = _way(chain, f, down, before)
     weight, moment_of_mass = 0.0, np.zeros_like(f.p[0])
-    for k in range(chain.n - 1, -1, -1):
+    for k in range(chain.n - 1, before - 1, -1):
         weight += float(mass[k]) * STANDARD_GRAVITY
         moment_of_mass = moment_of_mass + float(mass[k]) * STANDARD_GRAVITY * centres[k]
-        x, y, z = moment_of_mass - weight * f.p[k]
-        # (c − p) × w down, summed over the bodies
-        moment = np.stack([y * down[2] - z * down[1], z * down[0] - x * down[2], x * down[1] - y * down[0]])
-        out[k, :3] = weight * np.einsum("dcn,c->dn", f.axes[k], down)
-        out[k, 3:] = np.einsum("dcn,cn->dn", f.axes[k], moment)
+        out[k] = _borne(f, k, weight, moment_of_mass, way)
+    if held is not None:
+        weight = held.mass * STANDARD_GRAVITY
+        moment_of_mass = np.broadcast_to(weight * held.com[:, None], f.p[0].shape)
+        for k in range(before):
+            out[k] = -_borne(f, k, weight, moment_of_mass, way)
+            weight += float(mass[k]) * STANDARD_GRAVITY
+            moment_of_mass = moment_of_mass + float(mass[k]) * STANDARD_GRAVITY * centres[k]
     return out
+
+
+def _way(chain: Chain, f: Frames, down: Array, before: int) -> Array:
+    """Where weight pulls, in the base, (3, N). before: joints behind which the arm is held, where it does not turn."""
+    if not before:
+        return np.broadcast_to(down[:, None], f.p[0].shape)
+    at_zero = frames(chain, np.zeros((1, chain.n)))
+    return np.asarray(np.einsum("dcn,d->cn", f.axes[before], at_zero.axes[before, :, :, 0] @ down))
+
+
+def _borne(f: Frames, k: int, weight: float, moment_of_mass: Array, way: Array) -> Array:
+    """Wrench (6, N) at joint k of bodies of this weight, whose centre times it is given."""
+    x, y, z = moment_of_mass - weight * f.p[k]
+    # (c − p) × w down, summed over the bodies
+    moment = np.stack([y * way[2] - z * way[1], z * way[0] - x * way[2], x * way[1] - y * way[0]])
+    return np.concatenate(
+        [weight * np.einsum("dcn,cn->dn", f.axes[k], way), np.einsum("dcn,cn->dn", f.axes[k], moment)]
+    )

@@ -19,7 +19,7 @@ from modcal_core.robots import delta_kinematics, gravity, kinematics
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.kinematics import Frames
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 _STEP = 0.1  # rad, on a way that is looked at
 
@@ -134,7 +134,7 @@ def _(robot: Chain, T_tip_tool: Array, q: ArrayLike, twists: Mapping[int, Array]
 
 
 @singledispatch
-def payload_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN) -> Array:
+def payload_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN, held: HeldBehind | None = None) -> Array:
     """Weight of 1 kg at the tip as every joint bears it, (n, 6, N), as in :mod:`modcal_core.robots.gravity`."""
     raise NotImplementedError(type(robot).__name__)
 
@@ -143,12 +143,12 @@ payload_wrench.register(Chain, gravity.payload_wrench)
 
 
 @payload_wrench.register
-def _(robot: Delta, q: Array, down: Array = gravity.DOWN) -> Array:
+def _(robot: Delta, q: Array, down: Array = gravity.DOWN, held: HeldBehind | None = None) -> Array:
     return delta_kinematics.payload_wrench(robot, q, gravity.STANDARD_GRAVITY)
 
 
 @singledispatch
-def offset_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN) -> Array:
+def offset_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN, held: HeldBehind | None = None) -> Array:
     """How the weight of 1 kg as every joint bears it changes with its offset from the tip, (3, n, 6, N), as in
     :mod:`modcal_core.robots.gravity`; of others than serial arms nothing is known of it, and it is zero.
     """

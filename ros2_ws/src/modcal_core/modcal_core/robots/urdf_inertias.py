@@ -20,12 +20,31 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class HeldBehind:
+    """Where an arm is held that nothing holds at its base, as where both arms of a robot are one chain from tip to tip:
+    behind the first joints, which bear what is before them, not what is beyond.
+
+    joints: their number. mass: of the base and what hangs on it [kg]. com: its centre in the base, (3,) [m].
+    """
+
+    joints: int
+    mass: float
+    com: Array
+
+    @property
+    def empty(self) -> HeldBehind:
+        """The same without a mass."""
+        return replace(self, mass=0.0)
+
+
+@dataclass(frozen=True)
 class Inertias:
     """Lumped bodies of a chain's joints, each in the frame of its joint after the joint's motion.
 
     mass: (n,) [kg]. com: centres of mass, (n, 3) [m]. inertia: about those centres, (n, 3, 3) [kg m²]. All are zero for
     a joint whose links state no mass. branches: those of the bodies, contained in the others with all joints beside the
-    chain at zero, that such joints move. down: unit vector (3,) in the base in which gravity pulls.
+    chain at zero, that such joints move. down: unit vector (3,) in the base in which gravity pulls; of an arm that is
+    held elsewhere, with all joints at zero. held: where that is, None at its base.
     """
 
     mass: Array
@@ -33,6 +52,7 @@ class Inertias:
     inertia: Array
     branches: tuple[Hanging, ...] = ()
     down: Array = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
+    held: HeldBehind | None = None
 
     @property
     def known(self) -> bool:
@@ -43,6 +63,17 @@ class Inertias:
         """The same bodies where weight pulls this way (3,) in the base, of any length."""
         down = np.asarray(way, dtype=float)
         return replace(self, down=down / np.linalg.norm(down))
+
+
+def held_behind(urdf_xml: str, inertias: Inertias, chain: Chain, joints: int, down: ArrayLike) -> Inertias:
+    """The bodies of a chain of this URDF, which is held behind its first joints. down: as of Inertias."""
+    from modcal_core.robots.urdf_tree import parse
+
+    bodies = _carried(parse(urdf_xml), chain.base, np.eye(4), {chain.names[0]})
+    masses = np.array([m for m, _, _ in bodies])
+    mass = float(masses.sum())
+    com = masses @ np.array([c for _, c, _ in bodies]) / mass if mass else np.zeros(3)
+    return replace(inertias.pulled(down), held=HeldBehind(joints, mass, com))
 
 
 def weightless(joints: int) -> Inertias:

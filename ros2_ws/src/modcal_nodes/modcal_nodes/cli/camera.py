@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,27 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from modcal_core.errors import BadTable
 from modcal_core.files import write_folder
 from modcal_core.robot import Robot
-from modcal_msgs_py.choosing import Topics
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_nodes.cli.camera_input import read_input, stated_lenses
 from modcal_nodes.cli.certificate import UNMET, camera_certificate_files, certified_hashes
 from modcal_nodes.cli.console import Output, tell, written
 from modcal_nodes.cli.number import Decimal
-from modcal_nodes.cli.robot import arm_line, described
-from modcal_nodes.cli.two_arms import arm_between
+from modcal_nodes.cli.robot import arm_line
 from modcal_nodes.io.progress import Watch
-from modcal_nodes.io.recorded import opened
 
 if TYPE_CHECKING:
-    from modcal_core.camera.beside import ReadingsBeside
-    from modcal_core.camera.bundle import MarkerBundle
-    from modcal_core.camera.lens import Lens
-    from modcal_core.camera.prepared import CameraImages
     from modcal_core.camera.solve import CameraSolution
-    from modcal_core.camera.target import PrintedTarget
-    from modcal_core.measurements.recording import Recording
     from modcal_core.report.particulars import Particulars
     from modcal_nodes.vision.images import ImageFolder
 
@@ -203,14 +193,11 @@ def _solved(
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
     """The robot, its images, and what they lead to."""
     from modcal_core.camera.solve import solve_camera
-    from modcal_core.camera.target_file import read_any_target, read_target
+    from modcal_core.camera.target_file import read_any_target
 
-    if camera["images"] is not None and camera["images"].is_file():
-        target = read_any_target(camera["target"])
-    else:
-        target = read_target(camera["target"])
-    stated = _stated_lenses(camera["camera_info"] or ())
-    read = _read(camera, options, target, bag, watch, stated)
+    target = read_any_target(camera["target"])
+    stated = stated_lenses(camera["camera_info"] or ())
+    read = read_input(camera, options, target, bag, watch, stated)
     robot, found = read.robot, read.found
     solution = solve_camera(
         robot.chain,
@@ -230,168 +217,11 @@ def _solved(
         moments=found.moments,
         inertias=robot.inertias,
         beside=read.others,
-        look_for_effects=not options["geometry_only"] and not read.two_arms,
+        look_for_effects=not options["geometry_only"],
         fisheye=camera["fisheye"],
         further=read.further,
     )
     return robot, found, replace(solution, notes=(*found.notes, *read.notes))
-
-
-def _stated_lenses(given: Sequence[str]) -> dict[str, tuple[Lens, str]]:
-    """The lenses in camera_info files, each with its file, by the name of the camera, "" where none is said."""
-    from modcal_nodes.vision.images import read_camera_info
-
-    out = {}
-    for said in given:
-        name, file = ("", said) if Path(said).exists() else (said.rpartition("=")[0], said.rpartition("=")[2])
-        if not Path(file).exists():
-            raise BadTable(f"--camera-info {said}", f"names no file {file}", "give FILE, or CAMERA=FILE")
-        if name in out:
-            raise BadTable(f"--camera-info {said}", "is given twice", "give one file a camera")
-        out[name] = read_camera_info(Path(file)), file
-    return out
-
-
-@dataclass(frozen=True)
-class _Read:
-    """robot: it. found: the images of the first camera. others: readings of other instruments in the bag, None where it
-    has none. further: what further cameras saw. lens: stated of the first camera. notes: on the further ones. two_arms:
-    whether the chain goes from one arm's tip to another's.
-    """
-
-    robot: Robot
-    found: ImageFolder
-    others: ReadingsBeside | None = None
-    further: tuple[CameraImages, ...] = ()
-    lens: Lens | None = None
-    notes: tuple[str, ...] = ()
-    two_arms: bool = False
-
-
-def _read(
-    camera: dict[str, Any],
-    options: dict[str, Any],
-    target: PrintedTarget | MarkerBundle,
-    bag: Path | None,
-    watch: Watch,
-    stated: dict[str, tuple[Lens, str]],
-) -> _Read:
-    """The robot, and what was seen of it."""
-    from modcal_core.camera.beside import beside
-    from modcal_core.camera.target import PrintedTarget
-    from modcal_nodes.vision.bag import read_bag_images
-    from modcal_nodes.vision.corner_table import read_corner_tables
-    from modcal_nodes.vision.images import read_images, require_size
-
-    recording, first, notes, two_arms = None, "", tuple[str, ...](), tuple[str, ...]()
-    further: tuple[CameraImages, ...] = ()
-    if bag is not None:
-        recording = read_bag(bag, topics=Topics.of(options["topic"], options["ignore"]))
-    if camera["images"] is not None:
-        columns = _columns(camera["joints"])
-        robot, two_arms = arm_between(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
-        if camera["images"].is_file():
-            sizes = {name: lens.size for name, (lens, _) in stated.items()}
-            by_name = read_corner_tables(camera["images"], camera["joints"], robot.names, target, sizes)
-            (first, found), *others = by_name.items()
-            further = tuple(_of_table(name, one, target, camera, stated) for name, one in others)
-            notes += tuple(f"{name}: {said}" for name, one in others for said in (*one.notes, *_out(one)))
-        else:
-            assert isinstance(target, PrintedTarget)
-            found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
-    else:
-        assert bag is not None
-        assert recording is not None
-        assert isinstance(target, PrintedTarget)
-        urdf = None if options["urdf"] is None else camera_urdf(options["urdf"])
-        robot = described(recording, None, urdf, options["base"], options["tip"])
-        size = stated[""][0].size if "" in stated else None
-        found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch, size)
-    if bag is not None and recording is not None and isinstance(target, PrintedTarget):
-        further += tuple(
-            _further(one, bag, recording, robot, target, camera["flat_target"], watch)
-            for one in camera.get("also_camera", ())
-        )
-    if strange := set(stated) - {"", first, *(one.name for one in further)}:
-        raise BadTable(f"--camera-info {min(strange)}=…", "names no camera of these images", "name it as they do")
-    lens, source = stated.get(first) or stated.get("") or (found.lens, found.lens_of)
-    if lens is not None:
-        require_size(lens, found.size, source)
-    if bag is None or recording is None or not (told := [r for r in recording.readings if not r.by_type]):
-        return _Read(robot, found, None, further, lens, (*two_arms, *notes), bool(two_arms))
-    watch("reading other instruments")
-    # poses that nobody called a tracker's may be made from these very images
-    guessed = [r.topic for r in recording.readings if r.by_type and r.topic not in {t.topic for t in told}]
-    topics = Topics.of(options["topic"], [*options["ignore"], *guessed])
-    samples = opened(bag, watch, topics).samples(robot, options["clock_limit"])
-    readings = beside(robot.chain, samples, robot.inertias)
-    return _Read(robot, found, readings, further, lens, (*two_arms, *notes), bool(two_arms))
-
-
-def _out(found: ImageFolder) -> tuple[str, ...]:
-    """What was left out of the images of a camera, in sentences."""
-    return tuple(f"left out: {name}: {why}." for name, why in found.left_out.items())
-
-
-def _of_table(
-    name: str,
-    found: ImageFolder,
-    target: PrintedTarget | MarkerBundle,
-    camera: dict[str, Any],
-    stated: dict[str, tuple[Lens, str]],
-) -> CameraImages:
-    """What a further camera of a table of corners saw."""
-    from modcal_core.camera.prepared import CameraImages
-    from modcal_nodes.vision.images import require_size
-
-    lens, source = stated.get(name) or (None, "")
-    if lens is not None:
-        require_size(lens, found.size, source)
-    on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
-    return CameraImages(
-        *(found.q, found.views, target, found.size, found.velocity, lens, camera["intrinsics"], on_tip),
-        flat=camera["flat_target"],
-        moments=found.moments,
-        fisheye=camera["fisheye"],
-        name=name or "images",
-    )
-
-
-def _further(
-    said: str, bag: Path, recording: Recording, robot: Robot, target: PrintedTarget, flat: bool, watch: Watch
-) -> CameraImages:
-    """What a further camera saw. said: its topic, and after = the file of its target, where that is another."""
-    from modcal_core.camera.prepared import CameraImages
-    from modcal_core.camera.priors import TOLERANCE
-    from modcal_core.camera.target_file import read_target
-    from modcal_nodes.vision.bag import read_bag_images
-    from modcal_nodes.vision.images import require_size
-
-    topic, _, file = said.partition("=")
-    if file and not Path(file).exists():
-        raise BadTable(f"--also-camera {said}", f"names no file {file}", "give TOPIC, or TOPIC=target.yaml")
-    own = read_target(Path(file)) if file else target
-    found = read_bag_images(bag, recording, robot.names, own, topic, watch)
-    if found.lens is not None:
-        require_size(found.lens, found.size, found.lens_of)
-    return CameraImages(
-        *(found.q, found.views, own, found.size, found.velocity, found.lens, TOLERANCE, None, flat, found.moments),
-        name=topic,
-    )
-
-
-def camera_urdf(path: Path) -> Path:
-    """The path of a URDF; raises BadTable for a table, which has no origins to write back into."""
-    if path.suffix in (".yaml", ".yml", ".csv"):
-        raise BadTable(str(path), "is a table", "give a URDF: modcal import makes one of a table")
-    return path
-
-
-def _columns(path: Path) -> frozenset[str]:
-    """The columns of a table of joints, so that the tip behind them is taken."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        first = file.readline(1 << 16)
-    return frozenset(cell.strip() for cell in first.replace(";", ",").split(","))
 
 
 def _option(name: str) -> str:

@@ -15,19 +15,24 @@ from typing import Any
 
 import numpy as np
 
+from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.clean import LEAST_CORNERS, enough_corners
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.moments import ImageMoments
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
-from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import Approach
 from modcal_core.measurements.recording import Listed, Recording
 from modcal_core.measurements.thinning import spread_rows
+from modcal_msgs_py.corners import read_corners
 from modcal_msgs_py.images import (
+    CLOUD,
     TAGS,
     RawImage,
     chosen_topic,
+    corner_topics,
     info_topic,
     lens_data,
     raw_image,
@@ -35,10 +40,11 @@ from modcal_msgs_py.images import (
     size_of,
     stamp_of,
     stamps_of,
+    tag_topics,
 )
-from modcal_nodes.vision.detect import Detection, detect
+from modcal_nodes.vision.detect import Detection
 from modcal_nodes.vision.grey import grey_of
-from modcal_nodes.vision.images import ImageFolder, lens_from_data
+from modcal_nodes.vision.images import ImageFolder, lens_from_data, look_for
 from modcal_nodes.vision.tags import require_tags, tag_view
 
 _MOST = 200  # images that are looked at
@@ -55,17 +61,19 @@ def read_bag_images(
     bag: Path,
     recording: Recording,
     names: Sequence[str],
-    target: PrintedTarget,
+    target: PrintedTarget | MarkerBundle,
     asked: str | None = None,
     progress: Callable[[str, float | None], None] = lambda stage, share: None,
     size: tuple[int, int] | None = None,
 ) -> ImageFolder:
     """The target in images of a bag, and where the arm's joints were. recording: the same bag's joint states.
 
-    names: of the robot's joints. asked: the topic with the images, or with detections of AprilTags. size: of the images
-    that detections are of, where camera_info does not say [px]. Raises ModcalError where nothing can be used.
+    names: of the robot's joints. asked: the topic with the images, with detections of AprilTags, or with corners as
+    board_detector publishes them. size: of the images that detections are of, where camera_info does not say [px].
+    Raises ModcalError where nothing can be used.
     """
-    topic = chosen_topic(recording.listed, asked, recording.source, tags=True)
+    found_before = (*tag_topics(recording.listed), *corner_topics(bag, recording.listed))
+    topic = chosen_topic(recording.listed, asked, recording.source, found_before)
     source = f"{recording.source}: {topic.topic}"
     of_tags = topic.type_name == TAGS
     if of_tags:
@@ -87,7 +95,10 @@ def read_bag_images(
     notes: dict[str, None] = {}
     keep = set(wanted.tolist())
     done = 0
-    looked_at = _tags(bag, topic, target, size or (0, 0)) if of_tags else _boards(bag, topic, target)
+    if of_tags:
+        looked_at = _tags(bag, topic, target, size or (0, 0))
+    else:
+        looked_at = (_corners if topic.type_name == CLOUD else _boards)(bag, topic, target)
     for stamp, look in looked_at:
         if stamp not in keep:
             continue
@@ -196,7 +207,7 @@ def _evenly(rows: np.ndarray) -> np.ndarray:
     return rows[spread_rows(len(rows), _MOST)]
 
 
-def _boards(bag: Path, topic: Listed, target: PrintedTarget) -> Iterator[tuple[float, _Look]]:
+def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
     """(stamp, what looks for the target) of each image."""
 
     def look(image: RawImage, name: str) -> tuple[Detection, tuple[int, int], str]:
@@ -204,7 +215,7 @@ def _boards(bag: Path, topic: Listed, target: PrintedTarget) -> Iterator[tuple[f
         if grey is None:
             reason, _, remedy = said.partition(": ")
             return Detection(None, reason, remedy), (0, 0), ""
-        return detect(grey, target, name), (grey.shape[1], grey.shape[0]), said
+        return look_for(grey, target, name), (grey.shape[1], grey.shape[0]), said
 
     for received, message in read_messages(bag, topic.topic):
         image = raw_image(message, received)
@@ -212,7 +223,31 @@ def _boards(bag: Path, topic: Listed, target: PrintedTarget) -> Iterator[tuple[f
             yield image.stamp, partial(look, image)
 
 
-def _tags(bag: Path, topic: Listed, target: PrintedTarget, size: tuple[int, int]) -> Iterator[tuple[float, _Look]]:
+def _corners(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
+    """(stamp, what takes the target's corners) of each message of corners."""
+    if isinstance(target, MarkerBundle):
+        raise BadTable(target.label, "is no printed sheet, which these corners are of", "give the images, or tags")
+
+    def look(message: Any, name: str) -> tuple[Detection, tuple[int, int], str]:
+        try:
+            view, size = read_corners(message)
+        except BadRecording as error:
+            return Detection(None, error.limit, error.remedy), (0, 0), ""
+        if view.ids.max() >= len(target.points):
+            said = f"has corner {int(view.ids.max())}, the target has {len(target.points)}"
+            return Detection(None, said, "give the target.yaml that board_detector had"), (0, 0), ""
+        if not enough_corners(target.points[view.ids]):
+            said = f"shows {len(view)} corners of the target, {LEAST_CORNERS} not on one line are needed"
+            return Detection(None, said, "bring more of the target into view"), (0, 0), ""
+        return Detection(replace(view, name=name)), size, ""
+
+    for received, message in read_messages(bag, topic.topic):
+        yield stamp_of(message, received), partial(look, message)
+
+
+def _tags(
+    bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle, size: tuple[int, int]
+) -> Iterator[tuple[float, _Look]]:
     """(stamp, what takes the target's corners) of each message of detections."""
 
     def look(message: Any, name: str) -> tuple[Detection, tuple[int, int], str]:

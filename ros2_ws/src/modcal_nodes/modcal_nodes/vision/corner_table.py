@@ -14,7 +14,7 @@ from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, MARKER_CORNERS, TA
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_nodes.vision.images import ImageFolder, JointTable, csv_rows, joints_of_text, text_of
-from modcal_nodes.vision.wide_table import long_rows, wide_columns
+from modcal_nodes.vision.wide_table import camera_key, long_rows, wide_columns
 
 _COLUMNS = ("image", "u", "v")
 _SIGMA_PX = 0.1  # of a corner whose row has none: that of a sharp ChArUco corner
@@ -53,7 +53,7 @@ def read_corner_tables(
     middle), and, where they are known, camera, sigma [px], width and height of the images [px]; rows without u and v
     (empty, nan, both 0 or both -1) are of corners that were not seen. Columns may be of cameras, markers and corners
     (wide_table). Without a column image, rows of both files belong together by their number. joints, names: as of a
-    folder. sizes: of the images by camera, "" for any, where the table has none. Raises ModcalError.
+    folder. sizes: of the images by camera_key of the camera, "" for any, where the table has none. Raises ModcalError.
     """
     source = str(file)
     text = text_of(file)
@@ -69,12 +69,13 @@ def read_corner_tables(
     out = {}
     for camera in dict.fromkeys(row.camera for row in rows):
         own = [row for row in rows if row.camera == camera]
-        size = (sizes or {}).get(camera, (sizes or {}).get(""))
+        size = (sizes or {}).get(camera_key(camera), (sizes or {}).get(""))
         for row in own:
             size = _same_size(source, row, size)
         if size is None:
-            remedy = "add columns width and height, or --camera-info"
-            raise BadTable(source, "does not say how large the images are", remedy)
+            whose, named = (f" of {camera}", f"{camera}=") if camera else ("", "")
+            remedy = f"add columns width and height, or --camera-info {named}FILE"
+            raise BadTable(source, f"does not say how large the images{whose} are", remedy)
         out[camera] = _folder(source, own, table, target, size)
     return out
 

@@ -106,7 +106,7 @@ def _found(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, 
 
 def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int] | None:
     """Corners of the markers of a grid, or of one tag."""
-    corners, ids, _ = _marker_detector(target.dictionary).detectMarkers(grey)
+    corners, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
     if ids is None:
         return None
     number = np.asarray(ids).ravel() - target.first_id
@@ -117,8 +117,12 @@ def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array
     quads = np.stack([np.asarray(corners[i], dtype=float).reshape(4, 2) for i in order])
     every, pixels = in_order(target, number[order], quads[:, ::-1] if target.kind == APRIL_GRID else quads)
     side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
-    half = int(np.clip(0.1 * side, _LEAST_WINDOW, _MOST_WINDOW))
-    return every, pixels, half
+    return every, pixels, window_of_side(side)
+
+
+def window_of_side(side: float) -> int:
+    """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
+    return int(np.clip(0.1 * side, _LEAST_WINDOW, _MOST_WINDOW))
 
 
 def in_order(
@@ -227,7 +231,7 @@ def _why_not(grey: np.ndarray, target: PrintedTarget) -> Detection:
     mirrored = np.ascontiguousarray(grey[:, ::-1])
     if len(_found(mirrored, target)[0]):
         return Detection(None, "is mirrored", "turn off mirroring in the camera's driver")
-    _, ids, _ = _marker_detector(target.dictionary).detectMarkers(grey)
+    _, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
     if ids is not None and len(ids):
         most = _marker_count(target)
         seen = np.asarray(ids).ravel()
@@ -237,7 +241,7 @@ def _why_not(grey: np.ndarray, target: PrintedTarget) -> Detection:
         remedy = f"check the number of squares and the dictionary: a {target.label} has {most} markers"
         return Detection(None, said, remedy)
     for other in _families():
-        found = _marker_detector(other).detectMarkers(grey)[1]
+        found = marker_detector(other).detectMarkers(grey)[1]
         if found is not None and len(found) >= _MIN_QUADS and other != target.dictionary:
             said = f"shows {len(found)} markers of {other}, the target has {target.dictionary}"
             return Detection(None, said, "give the target file of this board")
@@ -262,7 +266,8 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 @lru_cache(maxsize=16)
-def _marker_detector(name: str) -> cv2.aruco.ArucoDetector:
+def marker_detector(name: str) -> cv2.aruco.ArucoDetector:
+    """What finds the markers of a dictionary of this name. Raises BadTable."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     return cv2.aruco.ArucoDetector(dictionary(name), parameters)

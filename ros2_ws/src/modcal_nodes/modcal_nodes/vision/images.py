@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,22 +13,27 @@ from typing import Any
 import cv2
 import numpy as np
 
+from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
-from modcal_core.files import read_yaml
+from modcal_core.files import parse_yaml
 from modcal_core.geometry.so3 import Array
-from modcal_nodes.vision.detect import detect
+from modcal_nodes.vision.body import detect_body
+from modcal_nodes.vision.detect import Detection, detect
 
 SCALED = "Images of 16 bits a channel were scaled to 8, each from its own black to its own white."
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 _MOST_BYTES = 1 << 28  # of one image, before it is read
 _MOST_IMAGES = 5000
+_MOST_OF_INFO = 1 << 20  # characters of a camera_info file
 _MOST_TABLE = 1 << 28  # bytes of a table of joints
 _MOSAIC = 0.04  # relative difference between the four phases of a Bayer pattern; those of a grey image differ by noise
 _DEGREES = 4.0 * np.pi  # rad; no joint turns farther, and degrees do
+_UNITS = {"deg": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3}
+_WITH_UNIT = re.compile(r"(.+?)\s*[\[(](deg|°|rad|mm|m)[\])]", re.IGNORECASE)
 _NANOSECONDS = 1e14  # stamps beyond it are nanoseconds
 _GAP_S = 0.2  # between joint states around an image, beyond which they do not say where the arm was
 # Of the pixels of an image of more than 8 bits, black and white of which are spread over 8: pixels that are stuck or
@@ -58,7 +64,7 @@ def read_images(
     folder: Path,
     joints: Path,
     names: Sequence[str],
-    target: PrintedTarget,
+    target: PrintedTarget | MarkerBundle,
     progress: Callable[[str, float | None], None] = lambda stage, share: None,
 ) -> ImageFolder:
     """The target in every image of a folder, and where the arm's joints were.
@@ -87,7 +93,7 @@ def read_images(
             left_out[file.name] = why
             continue
         notes |= dict.fromkeys([why] if why else ())
-        found = detect(grey, target, file.name)
+        found = look_for(grey, target, file.name)
         if found.view is None:
             left_out[file.name] = f"{found.reason}: {found.remedy}"
             continue
@@ -113,9 +119,22 @@ def read_images(
     )
 
 
+def look_for(grey: np.ndarray, target: PrintedTarget | MarkerBundle, name: str) -> Detection:
+    """The corners of a sheet or of a body's markers in a grey image (h, w) of 8 bits."""
+    return detect_body(grey, target, name) if isinstance(target, MarkerBundle) else detect(grey, target, name)
+
+
 def read_camera_info(path: Path) -> Lens:
-    """The lens in a YAML file as ROS's camera calibrators write it. Raises BadTable."""
-    return lens_from_data(read_yaml(path), str(path))
+    """The lens in a YAML file as ROS's camera calibrators write it, or OpenCV. Raises BadTable."""
+    try:
+        text = path.read_bytes()[: _MOST_OF_INFO + 1].decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadTable(str(path), "is not UTF-8 text", "give a YAML file") from error
+    if len(text) > _MOST_OF_INFO:
+        raise BadTable(str(path), "is larger than a camera_info file", "give one camera's intrinsics")
+    # OpenCV writes its matrices with a tag of its own, and older versions a first line that is no YAML
+    text = re.sub(r"\A%YAML:.*$", "", text, flags=re.MULTILINE).replace("!!opencv-matrix", "")
+    return lens_from_data(parse_yaml(text, str(path)), str(path))
 
 
 def lens_from_data(data: Any, source: str) -> Lens:
@@ -253,6 +272,12 @@ def csv_rows(text: str, source: str) -> list[list[str]]:
     return [row for row in rows if any(row)]
 
 
+def joint_column(cell: str) -> tuple[str, float]:
+    """(name, what its numbers are multiplied with to be radians or metres) of a column: ``elbow``, ``elbow [deg]``."""
+    found = _WITH_UNIT.fullmatch(cell)
+    return (found[1].strip(), _UNITS[found[2].lower()]) if found else (cell, 1.0)
+
+
 def joints_of_text(
     text: str, names: Sequence[str], source: str, repeated: bool = False, by_row: bool = False
 ) -> JointTable:
@@ -263,7 +288,7 @@ def joints_of_text(
     table = csv_rows(text, source)
     if len(table) < 2:
         raise BadTable(source, "holds no row of joints", "give a line of column names, then one row an image")
-    header = table[0]
+    header, scales = zip(*(joint_column(cell) for cell in table[0]), strict=True)
     missing = [name for name in names if name not in header]
     if missing:
         said = f"has no column for joint {missing[0]} (it has {', '.join(header)[:120]})"
@@ -279,13 +304,13 @@ def joints_of_text(
             keys.append(str(number - 1) if key is None else row[header.index(key)])
         except (ValueError, IndexError) as error:
             raise BadTable(f"{source}: line {number}", "holds a value that cannot be read", "give numbers") from error
-    q = np.array(values)
+    q = np.array(values) * [scales[c] for c in columns]
     if not np.isfinite(q).all():
         line = int(np.argmax(~np.isfinite(q).all(axis=1))) + 2
         raise BadTable(f"{source}: line {line}", "holds a number that is not finite", "correct it")
     if np.abs(q).max() > _DEGREES:
         said = f"holds {np.abs(q).max():.0f}, and no joint turns so far in radians"
-        raise BadTable(source, said, "give radians and metres")
+        raise BadTable(source, said, f"give radians and metres, or name the columns {names[0]} [deg] and so on")
     if key != "stamp":
         by_name: dict[str, Array] = {}
         for name, row_q in zip((Path(k).name for k in keys), q, strict=True):

@@ -61,6 +61,15 @@ def long_rows(row: Mapping[str, str], columns: Sequence[WideColumn], number: int
     return [{**rest, **one.fields, "u": row[one.u], "v": row[one.v]} for one in columns]
 
 
+def camera_key(name: str) -> str:
+    """The same text for all ways in which a camera's name is written: cam1, Camera_1 and 1 are one camera."""
+    plain = "".join(_tokens(name))
+    for word in ("camera", "cam"):
+        if plain.startswith(word) and plain != word:
+            return plain[len(word) :]
+    return plain
+
+
 def _tokens(name: str) -> list[str]:
     return re.findall(r"[a-z]+|\d+", name.lower())
 
@@ -94,13 +103,13 @@ def _fields(tokens: Sequence[str], numbered: bool, name: str, source: str) -> di
         before = tokens[i - 1] if i else ""
         if not token.isdigit():
             short_camera = token == "c" and not marked  # c3 of a table without markers
-            if (token not in (*_MARKERS, *_CORNERS) or short_camera) and token not in ("cam", "camera"):
+            if token not in (*_MARKERS, *_CORNERS) or short_camera:
                 camera.append(token)
         elif before in _MARKERS:
             out["marker"] = token
         elif before in _CORNERS and (before != "c" or marked):
             out["corner"] = token
-        elif before in ("cam", "camera") or (before and not before.isdigit()):
+        elif before and not before.isdigit():
             camera.append(token)
         else:
             bare.append(token)

@@ -1,0 +1,207 @@
+"""What a calibration by camera comes from: the robot, its images or corners of each camera, lenses, other readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from modcal_core.errors import BadTable
+from modcal_core.robot import Robot
+from modcal_msgs_py.choosing import Topics
+from modcal_msgs_py.mcap_read import read_bag
+from modcal_nodes.cli.two_arms import arm_of_file, arm_recorded
+from modcal_nodes.io.progress import Watch
+from modcal_nodes.io.recorded import opened
+
+if TYPE_CHECKING:
+    from modcal_core.camera.beside import ReadingsBeside
+    from modcal_core.camera.bundle import MarkerBundle
+    from modcal_core.camera.lens import Lens
+    from modcal_core.camera.prepared import CameraImages
+    from modcal_core.camera.target import PrintedTarget
+    from modcal_core.measurements.recording import Recording
+    from modcal_nodes.vision.images import ImageFolder
+
+
+def stated_lenses(given: Sequence[str]) -> dict[str, tuple[Lens, str]]:
+    """The lenses in camera_info files, each with its file, by camera_key of its camera, "" where none is said."""
+    from modcal_nodes.vision.images import read_camera_info
+    from modcal_nodes.vision.wide_table import camera_key
+
+    out = {}
+    for said in given:
+        name, file = ("", said) if Path(said).exists() else (said.rpartition("=")[0], said.rpartition("=")[2])
+        if not Path(file).exists():
+            raise BadTable(f"--camera-info {said}", f"names no file {file}", "give FILE, or CAMERA=FILE")
+        if camera_key(name) in out:
+            raise BadTable(f"--camera-info {said}", "is given twice", "give one file a camera")
+        out[camera_key(name)] = read_camera_info(Path(file)), file
+    return out
+
+
+@dataclass(frozen=True)
+class CameraInput:
+    """robot: it. found: the images of the first camera. others: readings of other instruments in the bag, None where it
+    has none. further: what further cameras saw. lens: stated of the first camera. notes: on the further ones, and
+    on two arms.
+    """
+
+    robot: Robot
+    found: ImageFolder
+    others: ReadingsBeside | None = None
+    further: tuple[CameraImages, ...] = ()
+    lens: Lens | None = None
+    notes: tuple[str, ...] = ()
+
+
+def read_input(
+    camera: dict[str, Any],
+    options: dict[str, Any],
+    target: PrintedTarget | MarkerBundle,
+    bag: Path | None,
+    watch: Watch,
+    stated: dict[str, tuple[Lens, str]],
+) -> CameraInput:
+    """The robot, and what was seen of it."""
+    from modcal_core.camera.beside import beside
+    from modcal_nodes.vision.bag import read_bag_images
+    from modcal_nodes.vision.corner_table import read_corner_tables
+    from modcal_nodes.vision.images import read_images, require_size
+    from modcal_nodes.vision.wide_table import camera_key
+
+    recording, first, notes, two_arms = None, "", tuple[str, ...](), tuple[str, ...]()
+    further: tuple[CameraImages, ...] = ()
+    if bag is not None:
+        recording = read_bag(bag, topics=Topics.of(options["topic"], options["ignore"]))
+    if camera["images"] is not None:
+        columns = _columns(camera["joints"])
+        robot, two_arms = arm_of_file(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
+        if camera["images"].is_file():
+            sizes = {name: lens.size for name, (lens, _) in stated.items()}
+            by_name = read_corner_tables(camera["images"], camera["joints"], robot.names, target, sizes)
+            (first, found), *others = by_name.items()
+            further = tuple(_of_table(name, one, target, camera, stated) for name, one in others)
+            notes += tuple(f"{name}: {said}" for name, one in others for said in (*one.notes, *_out(one)))
+        else:
+            found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
+    else:
+        assert bag is not None
+        assert recording is not None
+        urdf = None if options["urdf"] is None else camera_urdf(options["urdf"])
+        robot, two_arms = arm_recorded(recording, urdf, options["base"], options["tip"])
+        size = stated[""][0].size if "" in stated else None
+        found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch, size)
+    if bag is not None and recording is not None:
+        further += tuple(
+            _further(one, bag, recording, robot, target, camera, stated, watch)
+            for one in camera.get("also_camera") or ()
+        )
+    cameras = [first, *(one.name for one in further)]
+    if strange := set(stated) - {"", *map(camera_key, cameras)}:
+        known = f"they are of {', '.join(cameras)[:200]}" if first else "they have one camera, without a name"
+        raise BadTable(
+            f"--camera-info {min(strange)}=…", "names no camera of these images", f"name it as they do: {known}"
+        )
+    if "" in stated and first and further:
+        said = f"does not say of which camera it is: {', '.join(cameras)[:200]}"
+        raise BadTable(f"--camera-info {stated[''][1]}", said, f"give {first}=FILE, and so on")
+    lens, source = stated.get(camera_key(first)) or stated.get("") or (found.lens, found.lens_of)
+    if lens is not None:
+        require_size(lens, found.size, source)
+    told = [] if recording is None else [r for r in recording.readings if not r.by_type]
+    if two_arms and told:
+        notes += ("Readings of other instruments are left out: where they stand, the chain's first link moves.",)
+    if bag is None or recording is None or not told or two_arms:
+        return CameraInput(robot, found, None, further, lens, (*two_arms, *notes))
+    watch("reading other instruments")
+    # poses that nobody called a tracker's may be made from these very images
+    guessed = [r.topic for r in recording.readings if r.by_type and r.topic not in {t.topic for t in told}]
+    topics = Topics.of(options["topic"], [*options["ignore"], *guessed])
+    samples = opened(bag, watch, topics).samples(robot, options["clock_limit"])
+    readings = beside(robot.chain, samples, robot.inertias)
+    return CameraInput(robot, found, readings, further, lens, notes)
+
+
+def _out(found: ImageFolder) -> tuple[str, ...]:
+    """What was left out of the images of a camera, in sentences."""
+    return tuple(f"left out: {name}: {why}." for name, why in found.left_out.items())
+
+
+def _of_table(
+    name: str,
+    found: ImageFolder,
+    target: PrintedTarget | MarkerBundle,
+    camera: dict[str, Any],
+    stated: dict[str, tuple[Lens, str]],
+) -> CameraImages:
+    """What a further camera of a table of corners saw."""
+    from modcal_core.camera.prepared import CameraImages
+    from modcal_nodes.vision.images import require_size
+    from modcal_nodes.vision.wide_table import camera_key
+
+    lens, source = stated.get(camera_key(name)) or (None, "")
+    if lens is not None:
+        require_size(lens, found.size, source)
+    on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
+    return CameraImages(
+        *(found.q, found.views, target, found.size, found.velocity, lens, camera["intrinsics"], on_tip),
+        flat=camera["flat_target"],
+        moments=found.moments,
+        fisheye=camera["fisheye"],
+        name=name or "images",
+    )
+
+
+def _further(
+    said: str,
+    bag: Path,
+    recording: Recording,
+    robot: Robot,
+    target: PrintedTarget | MarkerBundle,
+    camera: dict[str, Any],
+    stated: dict[str, tuple[Lens, str]],
+    watch: Watch,
+) -> CameraImages:
+    """What a further camera saw. said: its topic, and after = the file of its target, where that is another. stated:
+    lenses by camera_key.
+    """
+    from modcal_core.camera.prepared import CameraImages
+    from modcal_core.camera.target_file import read_any_target
+    from modcal_nodes.vision.bag import read_bag_images
+    from modcal_nodes.vision.images import require_size
+    from modcal_nodes.vision.wide_table import camera_key
+
+    topic, _, file = said.partition("=")
+    if file and not Path(file).exists():
+        raise BadTable(f"--also-camera {said}", f"names no file {file}", "give TOPIC, or TOPIC=target.yaml")
+    own = read_any_target(Path(file)) if file else target
+    lens, source = stated.get(camera_key(topic)) or (None, "")
+    found = read_bag_images(bag, recording, robot.names, own, topic, watch, None if lens is None else lens.size)
+    lens, source = (found.lens, found.lens_of) if lens is None else (lens, source)
+    if lens is not None:
+        require_size(lens, found.size, source)
+    return CameraImages(
+        *(found.q, found.views, own, found.size, found.velocity, lens, camera["intrinsics"], None),
+        flat=camera["flat_target"],
+        moments=found.moments,
+        fisheye=camera["fisheye"],
+        name=topic,
+    )
+
+
+def camera_urdf(path: Path) -> Path:
+    """The path of a URDF; raises BadTable for a table, which has no origins to write back into."""
+    if path.suffix in (".yaml", ".yml", ".csv"):
+        raise BadTable(str(path), "is a table", "give a URDF: modcal import makes one of a table")
+    return path
+
+
+def _columns(path: Path) -> frozenset[str]:
+    """The columns of a table of joints, so that the tip behind them is taken."""
+    from modcal_nodes.vision.images import joint_column
+
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        first = file.readline(1 << 16)
+    return frozenset(joint_column(cell.strip())[0] for cell in first.replace(";", ",").split(","))
