@@ -22,6 +22,7 @@ class Case:
     is enough not to be calm; ``"if left"``: where more than 1.5 times the floor is left; ``"if missed"``: the same, and
     nothing was planted, so that with less left it may be open for whatever else the arm has. files: others, by name.
     tables: sessions that are no bags but files, to be imported. floor_mm: of what is judged, where that is no session.
+    aside: further steps; the last, on an untouched recording, says what is truly left of a calibration.
     """
 
     sessions: dict[str, Session]
@@ -33,6 +34,7 @@ class Case:
     files: dict[str, str] = field(default_factory=dict)
     tables: tuple[str, ...] = ()
     floor_mm: float | None = None
+    aside: tuple[tuple[str, ...], ...] = ()
 
     @property
     def best_mm(self) -> float:
@@ -70,7 +72,7 @@ KINDS: dict[str, dict[str, Maker]] = {
             "fresh_seventh",
             "fresh_eighth",
         ),
-        "real",
+        *("real", "ninth"),
         *("good", "good_fifth", "good_eighth"),
     )
 }

@@ -61,15 +61,29 @@ def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
             return Outcome(FAILED, f"exit {code}", said[-600:], seconds=time.perf_counter() - begin)
         if code == 2:
             break
+        out = folder / step[step.index("--out") + 1][1:-1] if "--out" in step else out
         if (out / "report.json").is_file():
             report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    beside = _aside(case, folder) if code in (0, 3) else None
     seconds = time.perf_counter() - begin
     if code == 2:
         said = said.strip().splitlines()[-1] if said.strip() else ""
         return replace(_refused(case, said), seconds=seconds, known=known)
     if report.get("status") is None:
         return Outcome(FAILED, "no status", seconds=seconds, known=known)
-    return replace(_reported(case, report, known), seconds=seconds, known=known)
+    return replace(_reported(case, report, known, beside), seconds=seconds, known=known)
+
+
+def _aside(case: Case, folder: Path) -> dict[str, Any] | None:
+    """The report that tells what is truly left; None where the case has none, or the calibration cannot be used."""
+    for step in case.aside:
+        code, said = modcal(*(str(folder / a[1:-1]) if a.startswith("{") else a for a in step))
+        if code not in (0, 3):
+            return None
+    if not case.aside:
+        return None
+    out = case.aside[-1][case.aside[-1].index("--out") + 1]
+    return dict(json.loads((folder / out[1:-1] / "report.json").read_text(encoding="utf-8")))
 
 
 def modcal(*arguments: str) -> tuple[int, str]:
@@ -88,9 +102,9 @@ def _refused(case: Case, said: str) -> Outcome:
     return Outcome(NAMED if _names(case, said) else UNNAMED, "refused", said)
 
 
-def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome:
+def _reported(case: Case, report: dict[str, Any], known: bool | None, beside: dict[str, Any] | None = None) -> Outcome:
     status, text = report["status"], grounds(report)
-    left = _left(case, report)
+    left = _left(case, beside or report)
     effects = tuple(f"{e['family']}@{e['place']}" for e in report.get("effects") or [])
     made = Outcome("", status, text, left, effects=effects)
     if not case.fault:
@@ -105,6 +119,8 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome
     # recording (an error of a joint that is left) may well make it open
     if case.shown == "if missed" and not much and status != "at_floor":
         return replace(made, outcome=HARMLESS)
+    if beside and passed_wrongly(report, beside):
+        return replace(made, outcome=CALM_AND_WRONG, status="PASS")
     if status == "open":
         return replace(made, outcome=NAMED if named else UNNAMED)
     if case.shown == "if left" and not much:
@@ -115,6 +131,12 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None) -> Outcome
     if named and not much:
         return replace(made, outcome=FOUND)
     return replace(made, outcome=SILENT if case.shown else HARMLESS)
+
+
+def passed_wrongly(report: dict[str, Any], beside: dict[str, Any]) -> bool:
+    """Whether a tolerance was met that the calibration misses on another recording of the same arm."""
+    tolerance = report.get("tolerance") or {}
+    return tolerance.get("result") == "PASS" and beside["error_mm"]["final"]["p95"] > tolerance["asked_mm"]
 
 
 def _names(case: Case, text: str) -> bool:

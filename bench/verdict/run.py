@@ -48,6 +48,8 @@ import good  # noqa: E402, F401
 import later  # noqa: E402, F401
 import nearby  # noqa: E402, F401
 import nearby_again  # noqa: E402, F401
+import ninth  # noqa: E402, F401
+import ninth_use  # noqa: E402, F401
 import numpy as np  # noqa: E402
 import physics  # noqa: E402, F401
 import real  # noqa: E402, F401
