@@ -77,7 +77,7 @@ def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
 def _aside(case: Case, folder: Path) -> dict[str, Any] | None:
     """The report that tells what is truly left; None where the case has none, or the calibration cannot be used."""
     for step in case.aside:
-        code, said = modcal(*(str(folder / a[1:-1]) if a.startswith("{") else a for a in step))
+        code, _ = modcal(*(str(folder / a[1:-1]) if a.startswith("{") else a for a in step))
         if code not in (0, 3):
             return None
     if not case.aside:

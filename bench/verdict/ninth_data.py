@@ -69,7 +69,7 @@ class Table:
         return replace(self, p=self.p[rows], R=None if self.R is None else self.R[rows])
 
     def tool(self, rows: Array, shift: Array, turn: Array) -> Table:
-        """Another target at some rows, (N,) of bool: moved on the tool by a twist. Of points only as far as they tell."""
+        """Another target at some rows, (N,) of bool: moved on the tool by a twist."""
         assert self.R is not None
         p = np.where(rows[:, None], self.p + self.R.apply(shift), self.p)
         turned = (self.R * Rotation.from_rotvec(turn)).as_quat()

@@ -174,7 +174,7 @@ def calibrate(
         rejected_places=places_of(samples, wrong),
     )
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
-    judged = with_places(judge(case, grounds, cell.stated), case)
+    judged = with_places(judge(case, grounds, cell.stated), case, described=chain)
     report = Report(
         samples=samples,
         sets=sets,

@@ -136,6 +136,12 @@ def refuse(
             "and tip",
             "give --tip (or --base) as the link that carries the target (or the arm)",
         )
+    if stand := [name for name, extent in zip(samples.names, np.ptp(samples.q, axis=0), strict=True) if extent == 0.0]:
+        raise BadRecording(
+            f"joint {' and '.join(stand)}",
+            f"{'stands' if len(stand) == 1 else 'stand'} at the same position at all {len(samples)} stations; {said}",
+            "see whether it truly did; else its position is not recorded: check how it gets into joint_states",
+        )
     raise BadRecording(
         "joint states and readings",
         said,

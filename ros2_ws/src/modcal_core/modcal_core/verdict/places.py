@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from modcal_core.calibration.score import Errors
 from modcal_core.diagnosis.dependence import WORTH_NAMING, asked_of, dependence
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.channels import disagreeing_channel
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
@@ -16,19 +19,26 @@ from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.placements import several_placements
 from modcal_core.plausibility.screening import wrong_joints
+from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.rejected_alike import rejected_alike
 from modcal_core.verdict.status import MOST_PREDICTABLE, MOST_REJECTED
 from modcal_core.verdict.verdict import Verdict
 
+_Look = Callable[[Samples, Mechanism], Disagreement | None]
 _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
 _LEAST_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 _SURELY = 0.5  # of the floor; what is less beyond it is not told from it
 _LEAST_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 
 
-def sentences(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> list[str]:
-    """The sentences, those on what lies outside what a frozen calibration has seen first, where they are not said."""
+def sentences(
+    judged: Verdict, case: Case, outside: Sequence[str] = (), described: Mechanism | None = None
+) -> list[str]:
+    """The sentences, those on what lies outside what a frozen calibration has seen first, where they are not said.
+
+    described: the arm before it was fitted; None for that of the case.
+    """
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     samples = case.samples.select(rows)
     fitted = None
@@ -39,7 +49,7 @@ def sentences(judged: Verdict, case: Case, outside: Sequence[str] = ()) -> list[
     least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
     found = dependence(case.model, samples, weights(case.noise, samples), fitted, least)
     named = " ".join(judged.open_because)
-    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case)]
+    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case, described or case.model.chain)]
     if found is not None:
         said.append(f"The residual {found.sentence}.")
     said += _only_one_kind(judged, case)
@@ -76,22 +86,42 @@ def _beyond(size: np.ndarray, floor: float) -> float:
     return float(np.sqrt(max(float(np.mean(size**2)) - floor**2, 0.0)))
 
 
-def _apart(case: Case) -> Iterator[str]:
-    """What the rejected stations look like, where they are too many to be single wrong readings."""
-    if case.wrong.mean() <= MOST_REJECTED:
-        return
-    other, chain = None, case.model.chain
-    if case.wrong.mean() > 0.5 or not case.fitted:  # something is wrong throughout; a base found again hides how much
-        looks = (disagreeing_channel, written_otherwise, wrong_joints, other_link, mixed_joints)
-        other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
-    other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
-    other = other or part_apart(case.samples, chain) or several_placements(case.samples, chain)
+def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
+    """What the input looks like where too many stations were rejected to be single wrong readings, or where the model
+    misses by more than a nominal arm does: a fit can come to terms with a wrong column without a rejection.
+
+    chain: the arm before it was fitted, for a fitted one has links that make up for what is wrong.
+    """
+    many = bool(case.wrong.mean() > MOST_REJECTED)
+    looks = _looks(case, chain, many)
+    other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
+    if many or _far(case.errors["final"], chain):
+        other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
+        other = other or part_apart(case.samples, chain) or several_placements(case.samples, chain)
     if other is not None:
         what = other.what[0].upper() + other.what[1:]
         yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
+    if not many:
+        return
     yield from rejected_alike(case)
     if case.fitted:
         samples = case.samples.select(np.flatnonzero(case.wrong))
         along = dependence(case.model, samples, weights(case.noise, samples))
         if along is not None:
             yield f"The residual of the rejected stations {along.sentence}."
+
+
+def _looks(case: Case, chain: Mechanism, many: bool) -> tuple[_Look, ...]:
+    """What may be wrong throughout, the likeliest first. many: whether too many stations were rejected."""
+    if many:  # a base found again hides how much
+        throughout = (disagreeing_channel, written_otherwise, wrong_joints, other_link, mixed_joints)
+        return throughout if case.wrong.mean() > 0.5 or not case.fitted else ()
+    if _far(case.errors["final"], chain):  # all channels go along with the posture: joints come first
+        return (wrong_joints, disagreeing_channel, written_otherwise, other_link, mixed_joints)
+    return (wrong_joints,) if _far(case.errors["nominal"], chain) else ()
+
+
+def _far(left: Errors, chain: Mechanism) -> bool:
+    """Whether errors of a model are larger than those of a nominal arm."""
+    missed = left.position_norm
+    return len(missed) > 0 and is_serial_arm(chain) and float(np.median(missed)) > limits(chain)[1]
