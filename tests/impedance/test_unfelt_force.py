@@ -13,9 +13,11 @@ from modcal_core.impedance.speed_governor import GovernorSettings, SpeedGovernor
 from modcal_core.impedance.unfelt_force import UnfeltForce
 from modcal_core.robots.kinematics import pose_and_jacobian
 
+pytestmark = pytest.mark.slow
+
 LAG, STATED_LAG = 0.025, 0.03  # s
 MOST = 50.0  # N
-SUBSTEPS = 4
+SUBSTEPS = 2
 GRASP = 20e3  # N/m
 JOINTS = 1.0 / np.array([4000.0] * 4 + [1000.0] * 3)  # rad/N m
 AXES = 1.0 / np.array([20e3] * 3 + [600.0] * 3)  # m/N, rad/N m
@@ -34,19 +36,16 @@ class Arm:
         self.compliance = JOINTS.copy()
         self.x0 = pose_and_jacobian(PANDA, self.q)[0][:3, 3]
         self.wrench = np.zeros(6)  # on the tool, in its axes
-
-    @property
-    def way(self) -> float:
-        return float(BACK @ (pose_and_jacobian(PANDA, self.q)[0][:3, 3] - self.x0))
+        self.way = 0.0  # m
 
     def follow(self, reference: Array) -> None:
         """One period."""
         h = PERIOD / SUBSTEPS
         for _ in range(SUBSTEPS):
             T, J = pose_and_jacobian(PANDA, self.q)
-            way = float(BACK @ (T[:3, 3] - self.x0))
-            drag = 5.0 * min(1.0, max(way, 0.0) / 1e-3) + 15.0 * way
-            held = drag + GRASP * max(way - self.jam, 0.0)
+            self.way = float(BACK @ (T[:3, 3] - self.x0))
+            drag = 5.0 * min(1.0, max(self.way, 0.0) / 1e-3) + 15.0 * self.way
+            held = drag + GRASP * max(self.way - self.jam, 0.0)
             self.wrench = np.concatenate([T[:3, :3].T @ (-held * BACK), np.zeros(3)])
             lead = reference - self.q
             if self.stack == "joints":
@@ -76,11 +75,10 @@ def pulled(
     now = 0.0
     for _ in range(int((arm.jam + 0.02) / speed / PERIOD)):
         now += PERIOD
-        J = pose_and_jacobian(PANDA, reference)[1]
+        T, J = pose_and_jacobian(PANDA, reference)
         size = float(np.linalg.norm(said[:3])) + check.force if slows else 0.0
         pace = governor.step(speed, math.inf, np.array([size, 0.0, 0.0, 0.0, 0.0, 0.0]), PERIOD) / PERIOD
-        R = pose_and_jacobian(PANDA, reference)[0][:3, :3]
-        twist = np.concatenate([R.T @ (pace * BACK), np.zeros(3)])
+        twist = np.concatenate([T[:3, :3].T @ (pace * BACK), np.zeros(3)])
         reference = reference + PERIOD * (J.T @ np.linalg.solve(J @ J.T, twist))
         sent.append((now + rng.uniform(0.0, late), reference))
         check.sent(reference, now)

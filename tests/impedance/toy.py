@@ -14,6 +14,7 @@ import numpy as np
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.registry import joint
+from modcal_core.geometry import se3
 from modcal_core.geometry.single import pose_error
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.operation import Operation
@@ -111,7 +112,7 @@ class Toy:
             self.a += h * self.speed
             if not 0.0 <= self.a <= self.last:
                 self.a, self.speed = min(max(self.a, 0.0), self.last), 0.0
-            self.handle = self.truth.pose(self.a)
+            self.handle = se3.exp(self._twist * self.a) @ self.truth.start
             self.contact = -wrench  # on the tool
             self.peak = max(self.peak, float(np.linalg.norm(wrench[:3])))
 

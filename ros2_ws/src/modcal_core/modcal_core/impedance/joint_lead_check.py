@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from operator import itemgetter
 
 import numpy as np
 
@@ -62,7 +63,7 @@ class JointLeadCheck:
 
         q (n,): measured at ``stamp`` [s]. J (6, n): the tool's Jacobian, in its axes as the wrench.
         """
-        ago = _LAGS * self._lag + _BOTH_WAYS * max((by for _, by in self._late), default=0.0)
+        ago = _LAGS * self._lag + _BOTH_WAYS * max(map(itemgetter(1), self._late), default=0.0)
         since = stamp - ago
         lately = [r for t, r in self._sent if since <= t <= stamp] or [r for t, r in self._sent if t <= stamp][-1:]
         if not lately or self._begun is None:

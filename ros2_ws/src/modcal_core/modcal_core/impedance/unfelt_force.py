@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -139,7 +140,7 @@ class UnfeltForce:
             self._read.popleft()
         if len(self._read) < 2:
             return
-        late = max(by for _, by in self._late)
+        late = max(map(itemgetter(1), self._late))
         older = self._reference(stamp - late) if late > 0.0 else None
         at = self._moment(stamp - _SPAN, J)
         v = at.rows[self._n : self._n + 3, 0]
