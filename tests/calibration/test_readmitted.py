@@ -14,7 +14,10 @@ from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.measuring.refit import refit
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.notes import readmitted_note
 
 ELBOW = 2
 
@@ -48,26 +51,45 @@ def test_a_rejected_station_counts_as_wrong_where_others_speak() -> None:
     assert not (uncontradicted(model, samples, far | among) & ~far).any()
 
 
-@pytest.mark.slow
-def test_a_curve_is_learned_where_few_stations_are() -> None:
-    """A gear errs by a whole curve, by 0.9 mrad RMS where 15 of 615 stations stand: six times what it does elsewhere."""
-    rng = np.random.default_rng(3)
-    made = record(3, 10)
-    orders, phases = rng.uniform(4.0, 25.0, 8), rng.uniform(0.0, 6.28, 8)
+class Bent:
+    """A gear that errs by a whole curve, by 0.9 mrad RMS where few stations stand: six times what it does elsewhere."""
 
-    def truth(q: Array) -> Array:
-        bent = np.sin(np.outer(q[:, ELBOW], orders) + phases).sum(axis=1) * 7e-5
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(3)
+        self.world = record(3, 10).world
+        self._orders, self._phases = self.rng.uniform(4.0, 25.0, 8), self.rng.uniform(0.0, 6.28, 8)
+
+    def truth(self, q: Array) -> Array:
+        bent = np.sin(np.outer(q[:, ELBOW], self._orders) + self._phases).sum(axis=1) * 7e-5
         turned = q.copy()
         turned[:, ELBOW] += bent + np.where(q[:, ELBOW] > 0.9, 1.2e-3 * np.sin(20.0 * q[:, ELBOW]), 0.0)
-        return made.world.tool_in_tracker(turned)
+        return self.world.tool_in_tracker(turned)
 
-    def read(q: Array) -> Array:
-        T = truth(q)
-        T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
-        return T
+    def recorded(self, dense: int, sparse: int) -> Samples:
+        q = postures(self.rng, dense, sparse)
+        T = self.truth(q)
+        T[:, :3, 3] += 2e-5 * self.rng.standard_normal((len(q), 3))
+        return samples_of(ur10(), q, T)
 
-    q = postures(rng, 600, 15)
-    samples = samples_of(ur10(), q, read(q))
+
+@pytest.mark.slow
+def test_measuring_says_what_it_takes_in_again() -> None:
+    samples = Bent().recorded(300, 10)
+    found = refit(samples, ur10(), 0)
+    assert found.taken_in.stations >= 3
+    assert found.taken_in.unscored == 0
+    assert {p.joint for p in found.taken_in.places} == {"elbow_joint"}
+    assert not found.wrong[samples.q[:, ELBOW] > 0.9].any()
+    (said,) = readmitted_note(found.taken_in)
+    assert said.startswith(f"{found.taken_in.stations} stations that the model first missed were taken in again")
+
+
+@pytest.mark.slow
+def test_a_curve_is_learned_where_few_stations_are() -> None:
+    """15 of 615 stations."""
+    arm = Bent()
+    samples = arm.recorded(600, 15)
+    q, truth = samples.q, arm.truth
     wrong = np.flatnonzero(q[:, ELBOW] < 0.6)[:2]
     reading = samples.reading.copy()
     reading[wrong] += 0.01

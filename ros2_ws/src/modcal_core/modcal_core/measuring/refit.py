@@ -14,7 +14,7 @@ from modcal_core.calibration.cell import Cell, fit_cell, free_cell
 from modcal_core.calibration.change_points import sharpened
 from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER, Fit
-from modcal_core.calibration.readmitted import right_after_all
+from modcal_core.calibration.readmitted import Readmitted, readmitted, right_after_all
 from modcal_core.calibration.score import outlying
 from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.store import Calibration
@@ -39,6 +39,7 @@ class Refit:
     """calibration: fitted to all stations. scored: the fit that chose its effects. samples: those it was fitted to, in
     one convention. wrong: True for those left out of it, (N,). freedom: equations less parameters. searched: whether
     effects were looked for. left: what is significant still and was not turned into an effect, None where nothing is.
+    taken_in: what was rejected first and is fitted after all.
     """
 
     calibration: Calibration
@@ -48,6 +49,7 @@ class Refit:
     freedom: float
     searched: bool
     left: str | None
+    taken_in: Readmitted = Readmitted()
 
     @property
     def spread(self) -> float:
@@ -82,6 +84,7 @@ def refit(
     searched = effects and _equations(samples.select(trained)) >= EQUATIONS_PER_PARAMETER * P and not trained.all()
     regimes = None
     left = None
+    again = np.zeros(len(samples), bool)
     if not searched:
         final = geometric = fit_geometry(nominal.model, samples, choice.parameters, cell)
         choice = replace(choice, parameters=geometric.parameters)
@@ -103,17 +106,21 @@ def refit(
         )
         final = replace(found.fit, model=sharpened(found.fit.model, samples))
         left = None if found.left is None else found.left.effect.label
+        if found.again is not None:
+            again[trained] = found.again
     wrong = outlying(final.model, final.noise, samples)
     if wrong.sum() > 0.1 * len(samples):  # that is no longer a few wrong readings: the model is wrong, and keeps all
         wrong = np.zeros(len(samples), bool)
     if final.model.effects:
-        wrong = wrong & ~right_after_all(final, samples, choice.parameters, cell.distances, wrong)[0]
+        right = right_after_all(final, samples, choice.parameters, cell.distances, wrong)[0]
+        wrong, again = wrong & ~right, again | right
     shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
     if searched:
         shipped = replace(shipped, rivals=tuple(cause.rivals for cause in found.causes))
     values = P + sum(len(e.values) for e in shipped.calibrated.effects)
     freedom = max(_equations(samples.select(~wrong)) - values, 1.0)
-    return Refit(shipped, final, samples, wrong, freedom, searched, left)
+    taken_in = readmitted(shipped.calibrated, samples, again & ~wrong, wrong)
+    return Refit(shipped, final, samples, wrong, freedom, searched, left, taken_in)
 
 
 def proven_over(refitted: Refit, where: Array) -> Refit:

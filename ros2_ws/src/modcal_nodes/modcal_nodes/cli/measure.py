@@ -23,6 +23,7 @@ from modcal_core.measuring.pool import of_recording, of_robot
 from modcal_core.measuring.session import Session
 from modcal_core.measuring.table import FilledTable, text_of, with_table
 from modcal_core.planning.site import Site, site_from_data
+from modcal_core.report.notes import readmitted_note
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
@@ -315,4 +316,6 @@ def _ended(advice: Advice) -> list[str]:
         out.append(f"Effects beyond geometry: {'; '.join(advice.status.effects)}")
     if advice.status.ties:
         out.append(f"Not decided: {'; '.join(advice.status.ties)} (--ties measures on)")
+    if advice.refitted is not None:
+        out += readmitted_note(advice.refitted.taken_in)
     return out

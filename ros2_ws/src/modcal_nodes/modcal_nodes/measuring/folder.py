@@ -19,6 +19,7 @@ from modcal_core.measuring.record import from_data, to_data
 from modcal_core.measuring.session import PROOF, Session
 from modcal_core.measuring.table import to_table
 from modcal_core.report.files import calibration_files, delta_files
+from modcal_core.report.notes import readmitted_note
 from modcal_core.robot import Robot
 
 SESSION, NEXT, STATIONS, RESULT = "session.yaml", "next.csv", "stations.csv", "measure.json"
@@ -103,6 +104,7 @@ class Folder:
         samples = session.samples(rows if len(rows) >= _FEWEST_SCORED else session.fitted)
         samples = replace(samples, origin=Origin(title=self.path.name))
         report = public.evaluate(refitted.calibration, samples, block=1)
+        report = replace(report, notes=(*report.notes, *readmitted_note(refitted.taken_in)))
         if self.robot.description is None:
             return delta_files(refitted.calibration, report)
         return calibration_files(refitted.calibration, report, self.robot.chain, self.robot.description)
@@ -122,7 +124,12 @@ def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
         "confidence": goal.confidence,
         "ending": None if ended is None else ended.ending,
         "sentence": None if ended is None else ended.sentence,
-        "stations": {"measured": status.measured, "fit": status.fitted, "proof": status.proving},
+        "stations": {
+            "measured": status.measured,
+            "fit": status.fitted,
+            "proof": status.proving,
+            "readmitted": 0 if advice.refitted is None else advice.refitted.taken_in.stations,
+        },
         "expected_rms_mm": mm(status.expected),
         "proof": {
             "rms_mm": mm(status.seen),
