@@ -4,7 +4,8 @@ A search weighs thousands of candidates against one fit after the other, each wi
 fitted columns leave of the candidates costs most of it, and is linear in the projector: so it is kept of one fit, the
 anchor, and of others only what differs is computed. With ``K = L Lᵀ`` the products of the scaled columns J, priors
 added, and ``Q = L⁻¹ J``, columns R that go take the directions ``F`` with them that span ``L⁻¹ I_R``; columns that come
-bring what Q and F leave of them (block inverse; Golub & Van Loan, ch. 3).
+bring what Q and F leave of them (block inverse; Golub & Van Loan, ch. 3). Each that comes brings what those before it
+leave, so from fit to fit only the last are made again; whose settings are fitted, and so never the same, come last.
 
 The columns are those at the anchor. They hold as long as geometry has not moved and noise has not changed by more than
 what the shares that are weighed depend on; else there is a new anchor.
@@ -12,7 +13,8 @@ what the shares that are weighed depend on; else there is a new anchor.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -36,12 +38,24 @@ _MOST_NEW = 0.5  # of the columns, that may come and go; more are not worth it
 
 
 @dataclass(frozen=True)
+class _Step:
+    """Columns of the anchor that go, or effects that come, and the directions that go or come with them."""
+
+    gone: tuple[int, ...]
+    effects: tuple[Effect, ...]
+    directions: Directions
+
+
+@dataclass(frozen=True)
 class Anchor:
-    """A fit, its rows, and what they were made by. L: see :meth:`Space.with_factor`, (P, P)."""
+    """A fit, its rows, and what they were made by. L: see :meth:`Space.with_factor`, (P, P). steps: from it to the last
+    fit beside it, each with the columns that go or the effects that come.
+    """
 
     fit: Fit
     space: Space
     L: Array
+    steps: list[_Step] = field(default_factory=list)
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Anchor:
@@ -66,24 +80,43 @@ class Anchor:
         if count > _MOST_NEW * len(self.L):
             return None
         space = self.space
-        rows, Q = space.rows, space.Q[: space.rows]
+        rows = space.rows
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
         now = linearise(fit.model, fit.parameters, values, drivers.samples, jacobian=False, drivers=drivers)
         residual = drawn_in(by_sample(now.residual, space.view) * space.weight)
-        changes: list[Directions] = []
-        if gone:
-            F = np.linalg.qr(solve_triangular(self.L, np.eye(len(self.L))[:, gone], lower=True, check_finite=False))[0]
-            changes.append(Directions(Q @ F, -1.0))
-        if others:
-            new = self._new(others, drivers, changes)
-            if new is None:
-                return None
-            changes.append(Directions(new))
+        changes = self._changes(tuple(gone), others, drivers)
+        if changes is None:
+            return None
         free = space.freedom - round(sum(part.sign * float(np.sum(part.Q**2)) for part in changes))
         whole = space.parts[0]
         along = [part.sign * (part.Q @ np.einsum("cNp,cN->p", part.Q, residual[:rows])) for part in (whole, *changes)]
         residual[:rows] -= np.sum(along, axis=0)
-        return replace(space, residual=residual, freedom=free, whole=whole, changes=tuple(changes))
+        return replace(space, residual=residual, freedom=free, whole=whole, changes=changes)
+
+    def _changes(self, gone: tuple[int, ...], come: list[Effect], drivers: Drivers) -> tuple[Directions, ...] | None:
+        """Directions of the columns that go and of the effects that come; None where these bring none of their own."""
+        if not self.steps or self.steps[0].gone != gone:
+            self.steps[:] = [_Step(gone, (), self._of_gone(gone))]
+        kept = 1
+        for step in self.steps[kept:]:
+            left = _without(come, step.effects)
+            if left is None:
+                break
+            come, kept = left, kept + 1
+        del self.steps[kept:]
+        for fitted in (False, True):
+            if some := tuple(effect for effect in come if bool(effect.refined) == fitted):
+                new = self._new(some, drivers, [step.directions for step in self.steps])
+                if new is None:
+                    return None
+                self.steps.append(_Step((), some, Directions(new)))
+        return tuple(step.directions for step in self.steps if step.directions.Q.size)
+
+    def _of_gone(self, gone: tuple[int, ...]) -> Directions:
+        """The directions that go with these columns."""
+        unit = np.eye(len(self.L))[:, list(gone)]
+        F = np.linalg.qr(solve_triangular(self.L, unit, lower=True, check_finite=False))[0]
+        return Directions(self.space.Q[: self.space.rows] @ F, -1.0)
 
     def _is_near(self, fit: Fit) -> bool:
         """Whether the columns of geometry, and how rows are weighed, are nearly the anchor's."""
@@ -103,8 +136,8 @@ class Anchor:
         rotation = [noise.rotation] if self.space.rows > 3 else []
         return np.array([noise.position, *rotation, *(noise.others[kind] for kind in sorted(noise.others))])
 
-    def _new(self, effects: list[Effect], drivers: Drivers, gone: list[Directions]) -> Array | None:
-        """Orthonormal directions (rows, N, a) that these effects bring; None where they bring none of their own."""
+    def _new(self, effects: Sequence[Effect], drivers: Drivers, before: Sequence[Directions]) -> Array | None:
+        """Orthonormal directions (rows, N, a) that these effects bring beside those before; None for none at all."""
         space = self.space
         rows, Q = space.rows, space.Q[: space.rows]
         view = space.view
@@ -114,7 +147,7 @@ class Anchor:
         flat = J.reshape(a, -1)
         size = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat, flat)), 1e-300)
         W = (flat / size[:, None]).T.reshape(rows, -1, a)
-        for part in (Directions(Q), *gone):
+        for part in (Directions(Q), *before):
             W = W - part.sign * (part.Q @ np.tensordot(part.Q, (J / size[:, None, None]), ((0, 1), (1, 2))))
         try:
             L = np.linalg.cholesky((flat / size[:, None]) @ W.reshape(-1, a) + ROUNDING * np.eye(a))
@@ -122,6 +155,17 @@ class Anchor:
             return None
         out = solve_triangular(L, W.reshape(-1, a).T, lower=True, check_finite=False)
         return np.ascontiguousarray(out.T).reshape(rows, -1, a)
+
+
+def _without(effects: list[Effect], some: Sequence[Effect]) -> list[Effect] | None:
+    """The effects but some; None where not all of these are among them."""
+    left = list(effects)
+    for one in some:
+        same = next((i for i, other in enumerate(left) if _is_same(one, other)), None)
+        if same is None:
+            return None
+        del left[same]
+    return left
 
 
 def _is_same(effect: Effect, other: Effect) -> bool:
