@@ -22,6 +22,7 @@ from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.images_of_cameras import only_seen
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import IN_WORLD
+from modcal_core.camera.plan import plan_images
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.target_file import any_target_from_data, read_target
 from modcal_core.camera.views import BoardView
@@ -326,3 +327,23 @@ def test_too_little_of_a_body_is_refused() -> None:
     few = [v.select(np.arange(len(v)) < 2) for v in s.images[0].views[:8]]
     with pytest.raises(NotEnoughData, match="no point is seen often enough"):
         solve(replace(s, images=(replace(s.images[0], views=few, q=s.images[0].q[:8]),)))
+
+
+def test_the_next_images_of_a_body_show_some_markers_and_tell_the_arm() -> None:
+    """Planned for the arm by itself; each shows markers whose faces look at the camera, as the scene has it."""
+    s = body_scene(3, 30, 1, corners=True, drawing=measured(icosahedron()))
+    (first,) = s.images
+    solution = solve_camera(
+        *(s.chain, first.q, first.views, first.target, first.size, np.random.default_rng(1)), look_for_effects=False
+    )
+    plan = plan_images(solution.fit, solution.target, 4, np.random.default_rng(2))
+    assert (np.diff(plan.expected_m) < 0.0).all()
+    assert solution.alone is not None
+    assert plan.expected_m[0] == pytest.approx(solution.alone.interval[0], rel=0.5)
+    assert plan.markers is not None
+    # as the scene has them: the face looks at the camera
+    T = se3.inverse(s.cameras[0]) @ s.tip(plan.q) @ BODY_ON_TIP
+    faces = T[:, None] @ s.glued
+    away = faces[:, :, :3, 3] / np.linalg.norm(faces[:, :, :3, 3], axis=2, keepdims=True)
+    looks = (-np.einsum("mki,mki->mk", faces[:, :, :3, 2], away) > np.cos(np.radians(50.0))).sum(axis=1)
+    assert (np.abs(plan.markers - looks) <= 1).all()

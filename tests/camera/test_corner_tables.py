@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -22,6 +23,8 @@ from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.cli.main import run
 from modcal_nodes.vision.corner_table import read_corner_tables
+from modcal_nodes.vision.images import read_camera_info
+from modcal_nodes.vision.wide_table import camera_key
 
 JOINTS = ("a", "b")
 BODY = icosahedron()
@@ -208,3 +211,47 @@ def test_wide_tables_that_nobody_can_read(tmp_path: Path, header: str, said: str
     row = ",".join(["1", *("5" for _ in header.split(",")[1:])])
     with pytest.raises(BadTable, match=said):
         read_corner_tables(*tables(tmp_path, f"{header}\n{row}\n"), JOINTS, BODY, {"": (100, 80)})
+
+
+def test_a_camera_is_known_by_its_name_however_it_is_written(tmp_path: Path) -> None:
+    """cam1 of the columns, Cam_1 of the command; one size is enough for a camera that is stated, the other is named."""
+    rows = "image,cam1_corner0_u,cam1_corner0_v,cam2_corner0_u,cam2_corner0_v\n1,2,3,4,5\n2,2,4,4,6\n"
+    sizes = {camera_key("Cam_1"): (100, 80), camera_key("camera 2"): (60, 50)}
+    found = read_corner_tables(*tables(tmp_path, rows), JOINTS, BOARD, sizes)
+    assert {name: one.size for name, one in found.items()} == {"cam1": (100, 80), "cam2": (60, 50)}
+    assert camera_key("left") == camera_key("LEFT") != camera_key("right")
+    with pytest.raises(BadTable, match="images of cam2 are: .*--camera-info cam2=FILE"):
+        read_corner_tables(*tables(tmp_path, rows), JOINTS, BOARD, {camera_key("cam1"): (100, 80)})
+
+
+def test_joints_in_degrees_say_so_in_their_columns(tmp_path: Path) -> None:
+    """A unit in brackets counts; without one degrees are refused, with how to say it."""
+    rows = "image,id,u,v\n1,0,2,3\n"
+    corners, joints = tables(tmp_path, rows)
+    joints.write_text("image,a [deg],b (rad)\n1,180,0.5\n")
+    found = read_corner_tables(corners, joints, ("a", "b"), BOARD, {"": (100, 80)})[""]
+    assert found.q == pytest.approx(np.array([[np.pi, 0.5]]))
+    joints.write_text("image,a,b\n1,180,0.5\n")
+    with pytest.raises(BadTable, match=r"name the columns a \[deg\]"):
+        read_corner_tables(corners, joints, ("a", "b"), BOARD, {"": (100, 80)})
+
+
+def test_intrinsics_as_opencv_writes_them(tmp_path: Path) -> None:
+    """With its tags for matrices, and the first line of its older versions, which is no YAML."""
+    K, d = (
+        np.array([[800.0, 0.0, 320.0], [0.0, 801.0, 240.0], [0.0, 0.0, 1.0]]),
+        np.array([[-0.1, 0.02, 0.0, 1e-4, 0.0]]),
+    )
+    file = tmp_path / "lens.yaml"
+    store = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
+    for name, value in (("image_width", 640), ("image_height", 480), ("camera_matrix", K)):
+        store.write(name, value)
+    store.write("distortion_coefficients", d)
+    store.release()
+    lens = read_camera_info(file)
+    assert lens.size == (640, 480)
+    assert pytest.approx(K) == lens.K
+    assert lens.values[4:] == pytest.approx(d[0])
+    older = tmp_path / "older.yaml"
+    older.write_text(file.read_text().replace("%YAML 1.2", "%YAML:1.0"))
+    assert (read_camera_info(older).values == lens.values).all()

@@ -10,6 +10,7 @@ import pytest
 from cells import NOISE_M, NOISE_RAD, Recorded, record, ur10
 
 from modcal_core.calibration.store import Calibration, from_data, to_data
+from modcal_core.checking.repair import nearest_covariance
 from modcal_core.checkup import Checked
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
@@ -405,3 +406,17 @@ def test_a_recording_that_is_not_later_is_said(cell: tuple[Recorded, Calibration
         notes = [note for note in found.notes if note.startswith("By its stamps")]
         assert bool(notes) == bool(said)
         assert not said or said in notes[0]
+
+
+def test_a_covariance_with_a_direction_below_nothing_becomes_the_nearest_that_has_none(
+    rng: np.random.Generator,
+) -> None:
+    """One that may be stays as it is."""
+    root = rng.standard_normal((6, 6)) * np.array([1e-4, 1e-3, 1e-2, 1.0, 1.0, 1.0])[:, None]
+    good = root @ root.T
+    assert nearest_covariance(good) == pytest.approx(good, rel=1e-9, abs=1e-18)
+    bad = good - 1.2 * np.outer(root[:, 0], root[:, 0]) / (root[:, 0] @ np.linalg.solve(good, root[:, 0]))
+    scale = np.sqrt(np.diag(good))
+    assert np.linalg.eigvalsh(bad / np.outer(scale, scale))[0] < 0.0
+    mended = nearest_covariance(bad) / np.outer(scale, scale)
+    assert np.linalg.eigvalsh(mended)[0] > -1e-9

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.camera.fit import CameraFit
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 
@@ -18,6 +18,13 @@ def at_flange(T: Array, point: Array, motions: Array) -> Array:
     """Motion of a point (3,) of the tool along the frame, (M, 3, K), for motions (M, 6, K) at poses T (M, 4, 4)."""
     away = T[:, :3, :3] @ point
     return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
+
+
+def frame_basis(at_frame: Array) -> Array:
+    """Orthonormal columns (3 M, 6) of how points (M, 3) go with their frame, which suits best where it is put anew."""
+    M = len(at_frame)
+    placed = np.concatenate([np.broadcast_to(np.eye(3), (M, 3, 3)), -so3.hat(at_frame)], axis=2)
+    return np.asarray(np.linalg.qr(placed.reshape(3 * M, -1))[0])
 
 
 def flange_motions(fit: CameraFit, q: Array) -> Array:

@@ -4,6 +4,8 @@ From a first calibration, of a handful of images or one that is not to be applie
 and target are. Postures are drawn within the joint limits about those of its images; those stay that show the whole
 target, its front, tilted and far away within bounds. Of these, one after the other is taken that makes the expected
 error at the tool smallest, over postures in view (A-optimal, greedy; each image's own joints and shift counted).
+Of a body with markers those postures stay at which the camera sees it from about where it has seen it before, with some
+markers in view; only what those show counts.
 """
 
 from __future__ import annotations
@@ -12,13 +14,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.at_tool import flange_motions
+from modcal_core.camera.at_tool import flange_in_tool, flange_motions, frame_basis
+from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.target import CalibrationTarget
+from modcal_core.camera.tool_error import in_view
 from modcal_core.camera.views import BoardView
 from modcal_core.camera.weakness import tilt_and_distance
 from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 
 _TRIED = 4000  # postures drawn
@@ -30,18 +35,20 @@ _NEAR, _FAR = 0.5, 2.0  # times the median distance of the images so far
 _WIDER = 0.25  # of each joint's range so far, beyond it on either side
 _LEAST = 0.15  # rad or m, beyond it at least
 _NOISE_PX = 0.1  # of a corner of a sharp image
+_LEAST_MARKERS = 3  # of a body; fewer show little of its pose by themselves
 
 
 @dataclass(frozen=True)
 class ImagePlan:
     """q: postures (K, n). expected_m: RMS error at the tool that is expected before and after each of them, (K + 1,).
-    tilt: of the target [rad], distance: of it [m], (K,).
+    tilt: of the target [rad], distance: of it [m], (K,). markers: of a body, in view, (K,), None of a sheet.
     """
 
     q: Array
     expected_m: Array
     tilt: Array
     distance: Array
+    markers: np.ndarray | None = None
 
 
 def plan_images(
@@ -56,7 +63,7 @@ def plan_images(
         said = f"{len(pool)} of {_TRIED} postures near those of the images show the target, {count} are asked for"
         raise NotEnoughData("the next images", said, "ask for fewer, or take images over a wider range first")
     rows, T = _rows(fit, target, pool)
-    J = flange_motions(fit, pool[rng.permutation(len(pool))[:_JUDGED]])
+    J = _at_tool(fit, target, pool[rng.permutation(len(pool))[:_JUDGED]])
     C = fit.covariance
     expected, chosen = [_rms(J, C)], list[int]()
     for _ in range(count):
@@ -65,7 +72,44 @@ def plan_images(
         C = _updated(C, rows[chosen[-1]])
         expected.append(_rms(J, C))
     tilt, away = tilt_and_distance(fit.poses.seen(T[chosen]), target.points.mean(axis=0))
-    return ImagePlan(pool[chosen], np.array(expected), tilt, away)
+    markers = None
+    if isinstance(target, MarkerBundle):
+        markers = _markers(target, _shown(fit, target, fit.poses.seen(T[chosen])))
+    return ImagePlan(pool[chosen], np.array(expected), tilt, away, markers)
+
+
+def _at_tool(fit: CameraFit, target: CalibrationTarget, q: Array) -> Array:
+    """Motions of the flange at postures q (M, n) per parameter, (M, 3, P): of a body those of the arm by itself."""
+    J = flange_motions(fit, q)
+    if isinstance(target, MarkerBundle):
+        T = fit.poses.at_postures(q).tool_at(fit.state.values)
+        basis = frame_basis(se3.apply(T, flange_in_tool(fit)))
+        rows = J.reshape(-1, J.shape[2])
+        J = (rows - basis @ (basis.T @ rows)).reshape(J.shape)
+    return J
+
+
+def _shown(fit: CameraFit, target: CalibrationTarget, seen: Array) -> np.ndarray:
+    """Which of the target's points an image shows that has it at T_camera_target (M, 4, 4), (M, C) bool: of a body
+    those of the kind that images have, on faces that look at the camera.
+    """
+    X = np.einsum("mij,cj->mci", seen[:, :3, :3], target.points) + seen[:, None, :3, 3]
+    ahead = X[:, :, 2] > 1e-3
+    pixels = fit.state.lens.project(np.where(ahead[:, :, None], X, [0.0, 0.0, 1.0]))
+    edge = np.array(fit.state.lens.size) - 1.0 - _EDGE_PX
+    shown = ahead & ((pixels > _EDGE_PX) & (pixels < edge)).all(axis=2)
+    if isinstance(target, MarkerBundle):
+        shown &= np.isin(np.arange(len(target.points)), np.unique(fit.table.ids))
+        out = np.einsum("mij,cj->mci", seen[:, :3, :3], target.normals)
+        facing = -np.einsum("mci,mci->mc", out, X) / np.maximum(np.linalg.norm(X, axis=2), 1e-9)
+        shown &= (facing > np.cos(STEEPEST)) | (target.normals == 0.0).all(axis=1)
+    return np.asarray(shown)
+
+
+def _markers(target: MarkerBundle, shown: np.ndarray) -> np.ndarray:
+    """How many markers have points among those shown (M, C), (M,)."""
+    own = target.on_markers()[0]
+    return np.stack([shown[:, own == k].any(axis=1) for k in range(target.marker_count)]).sum(axis=0)
 
 
 def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator, steepest: float) -> Array:
@@ -78,28 +122,30 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator, s
     tried = np.clip(tried, np.maximum(low - wider, chain.lower), np.minimum(high + wider, chain.upper))
     at = fit.poses.at_postures(tried)
     seen, before = at.seen(at.tool_at(fit.state.values)), fit.poses.seen(fit.poses.tool_at(fit.state.values))
-    X = np.einsum("mij,cj->mci", seen[:, :3, :3], target.points) + seen[:, None, :3, 3]
-    ahead = (X[:, :, 2] > 1e-3).all(axis=1)
-    pixels = fit.state.lens.project(np.where(ahead[:, None, None], X, [0.0, 0.0, 1.0]))
-    inside = ((pixels > _EDGE_PX) & (pixels < np.array(fit.state.lens.size) - 1.0 - _EDGE_PX)).all(axis=(1, 2))
+    shown = _shown(fit, target, seen)
     centre = target.points.mean(axis=0)
     tilt, away = tilt_and_distance(seen, centre)
     usual = float(np.median(tilt_and_distance(before, centre)[1]))
+    wanted = (away > _NEAR * usual) & (away < _FAR * usual)
+    if isinstance(target, MarkerBundle):
+        wanted &= _markers(target, shown) >= min(_LEAST_MARKERS, target.marker_count)
+        return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
     front = np.sign(np.median(np.einsum("ni,ni->n", before[:, :3, 2], before[:, :3, 3])))
-    side = np.einsum("mi,mi->m", seen[:, :3, 2], X.mean(axis=1)) * front > 0.0
-    wanted = (tilt <= steepest) & (away > _NEAR * usual) & (away < _FAR * usual)
-    return np.asarray(tried[ahead & inside & side & wanted][:_POOL])
+    middle = np.einsum("mij,j->mi", seen[:, :3, :3], centre) + seen[:, :3, 3]
+    side = np.einsum("mi,mi->m", seen[:, :3, 2], middle) * front > 0.0
+    return np.asarray(tried[shown.all(axis=1) & side & wanted & (tilt <= steepest)][:_POOL])
 
 
 def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> tuple[list[Array], Array]:
     """(for each image at these postures whitened rows (r, P) of what it says of all parameters, T_frame_tool)."""
     at = fit.poses.at_postures(q)
     T, motions = at.tool_motions(fit.state.values)
-    cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(target.points), 1, 1))
-    unread = np.zeros((len(target.points), 2))
-    table = CornerTable.of(
-        [BoardView(f"{k}", np.arange(len(target.points)), unread, cov) for k in range(len(q))], target
-    )
+    views = []
+    for k, shown in enumerate(_shown(fit, target, at.seen(T))):
+        ids = np.flatnonzero(shown)
+        cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(ids), 1, 1))
+        views.append(BoardView(f"{k}", ids, np.zeros((len(ids), 2)), cov))
+    table = CornerTable.of(views, target)
     rows = corner_rows(table, fit.state.lens, fit.state.shape, at.seen(T))
     G = grams(table, replace(rows, residual=np.zeros_like(rows.residual)))[:, :-1, :-1]
     joints = at.as_twists(T, at.joint_motions(fit.state.values, T))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
+from modcal_core.camera.mismatched import explained
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
 from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
@@ -114,8 +116,12 @@ def prepare(
         poses = board_poses(table, lens_fit.lens, prior.shape)
 
     progress("mounting")
-    mounting = find_mounting(forward(chain, q), poses, images.camera_on_tip)
-    require_near_arm(mounting, chain, images.name)
+    try:
+        mounting = find_mounting(forward(chain, q), poses, images.camera_on_tip)
+        require_near_arm(mounting, chain, images.name)
+    except BadRecording as error:
+        posed = partial(board_poses, shape=prior.shape)
+        raise explained(error, chain, q, table, lens_fit.lens, posed, images.camera_on_tip) from error
     at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
     ready = PreparedImages(
         table,

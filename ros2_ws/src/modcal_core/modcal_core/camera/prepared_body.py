@@ -9,6 +9,7 @@ import numpy as np
 
 from modcal_core.camera.arm_poses import arm_poses
 from modcal_core.camera.body_clean import elsewhere, far_markers, mostly_out, point_weights
+from modcal_core.camera.body_pnp import body_poses, images_with_pose
 from modcal_core.camera.body_start import default_lens, require_order, start_of_body
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import CornerTable, residuals
@@ -16,9 +17,11 @@ from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE
+from modcal_core.camera.mismatched import explained
 from modcal_core.camera.mounting import LEAST_VIEWS
 from modcal_core.camera.prepared import CameraImages, PreparedImages, require_near_arm, require_views
 from modcal_core.camera.priors import common_prior
+from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
@@ -52,9 +55,16 @@ def prepare_body(
     progress("mounting")
     model = FISHEYE if images.fisheye else PINHOLE
     require_order(table, lens or default_lens(images.size, model), target)
-    begin = start_of_body(table, forward(chain, q), lens, images.size, model, images.camera_on_tip)
-    mounting = begin.mounting
-    require_near_arm(mounting, chain, images.name)
+    try:
+        begin = start_of_body(table, forward(chain, q), lens, images.size, model, images.camera_on_tip)
+        mounting = begin.mounting
+        require_near_arm(mounting, chain, images.name)
+    except BadRecording as error:
+        whole = images_with_pose(table)
+        if whole.sum() < LEAST_VIEWS:
+            raise
+        some, used = table.select(whole), lens or default_lens(images.size, model)
+        raise explained(error, chain, q[whole], some, used, body_poses, images.camera_on_tip) from error
     prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
     prior = prior.with_places(target.place_prior())
     far = _gross(residuals(table, begin.lens, table.unshaped, mounting.T_camera_target))

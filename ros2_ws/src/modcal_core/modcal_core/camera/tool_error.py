@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.distributions import beyond_normal
-from modcal_core.camera.at_tool import at_flange, flange_in_tool
+from modcal_core.camera.at_tool import at_flange, flange_in_tool, frame_basis
 from modcal_core.camera.contradicted import IN_DOUBT, DoubtedStatement
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.sizes import usual
-from modcal_core.geometry import se3, so3
+from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
@@ -185,9 +185,7 @@ def tool_error(
     apart = (se3.apply(drawn, point) - se3.apply(T, point)).reshape(-1)
     rows = J.reshape(len(apart), -1)
     if arm_alone:
-        at_frame = se3.apply(T, point)
-        placed = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 3, 3)), -so3.hat(at_frame)], axis=2)
-        basis = np.linalg.qr(placed.reshape(len(apart), -1))[0]
+        basis = frame_basis(se3.apply(T, point))
         rows, apart = rows - basis @ (basis.T @ rows), apart - basis @ (basis.T @ apart)
     gram, cross, square = rows.T @ rows, rows.T @ apart, float(apart @ apart)
     throw = at_flange(T, point, at.joint_motions(fit.state.values, T))

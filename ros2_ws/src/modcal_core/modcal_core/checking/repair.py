@@ -94,11 +94,11 @@ def _known_then(
     B = np.concatenate([_as_deviations(h, now, known, K) for h in changes], axis=1)
     together = np.block([[covariance, cross], [cross.T, found.sizes.covariance]])
     moved = np.concatenate([np.eye(K), B], axis=1)
-    covariance = moved @ _possible(together) @ moved.T
+    covariance = moved @ nearest_covariance(together) @ moved.T
     return Uncertainty(known.parameters, 0.5 * (covariance + covariance.T))
 
 
-def _possible(C: Array) -> Array:
+def nearest_covariance(C: Array) -> Array:
     """The nearest covariance in units of its own deviations: of changes as large as another tool the cross terms are of
     another posture of its lever than the sizes' own covariance, so that some direction may come out below nothing.
     """

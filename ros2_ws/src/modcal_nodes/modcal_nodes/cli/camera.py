@@ -171,12 +171,18 @@ def plan_next_images(
     out = out or Path(f"{source.resolve().stem}_plan")
     write_folder(out, files)
     tilts, away = np.degrees(found.tilt), found.distance
+    reach = f"from {away.min():.2f} to {away.max():.2f} m"
+    if found.markers is not None:
+        over = "of the arm by itself wherever the camera stands"
+        shown = f"{found.markers.min()} to {found.markers.max()} markers of the body {reach}"
+    else:
+        over = "where the target is in view"
+        shown = f"the whole target {reach}, tilted by {tilts.min():.0f}° to {tilts.max():.0f}°"
     said = [
         arm_line(robot),
-        f"{count} images more: the expected error at the tool, where the target is in view, falls from "
+        f"{count} images more: the expected error at the tool, {over}, falls from "
         f"{1e3 * found.expected_m[0]:.2f} to {1e3 * found.expected_m[-1]:.2f} mm RMS.",
-        f"They show the whole target from {away.min():.2f} to {away.max():.2f} m, tilted by {tilts.min():.0f}° to "
-        f"{tilts.max():.0f}°. Nothing was checked for collisions.",
+        f"They show {shown}. Nothing was checked for collisions.",
     ]
     data = {
         "joints": list(robot.names),
@@ -184,6 +190,7 @@ def plan_next_images(
         "expected_mm": (1e3 * found.expected_m).tolist(),
         "tilt_deg": tilts.tolist(),
         "distance_m": away.tolist(),
+        **({} if found.markers is None else {"markers": found.markers.tolist()}),
     }
     output.result(data, partial(tell, said), written(out, files, "Images to take", "stations.csv"))
 
