@@ -225,7 +225,7 @@ GUARDS = _all(
     ("commands.desired_pose", "quaternions of any length", "abs(length - 1.0) > _UNIT", "False"),
     ("checks._require_joint", "degrees are not refused", "if largest <= limit:", "if True:"),
     ("inputs.read_cell", "distances below nothing", "0.0 < distance.distance < 50.0", "distance.distance < 50.0"),
-    ("hearing.Ear.complaint", "two publishers are no fault", "if self._single and publishers > 1:", "if False:"),
+    ("subscriptions.MonitoredSubscription.complaint", "two publishers are no fault", "if self._single and publishers > 1:", "if False:"),
     ("refusals.Refusals.recent", "refusals are told for ever", "if at >= since and", "if at >= 0.0 and"),
 )
 

@@ -78,10 +78,10 @@ def test_parameters_that_may_change_take_effect(tmp_path: Path) -> None:
     with spun(Calibrator, after_change=7) as pair:
         node: Any = pair.node
         put(node, silence_timeout_s=0.25, after_change=3, first_solve=12, accept="asked")
-        assert {ear.patience for ear in node._inputs} == {0.25}
+        assert {subscription.patience for subscription in node._inputs} == {0.25}
         assert (node._supervisor.policy.after_change, node._supervisor.policy.accept) == (3, "asked")
         assert node._supervisor._wait == 12
-        pair.wait(lambda: any(ear.complaint() for ear in node._inputs if ear.needed), 2.0)
+        pair.wait(lambda: any(subscription.complaint() for subscription in node._inputs if subscription.needed), 2.0)
         (refused,) = node.set_parameters([Parameter("accept", value="perhaps")])
         assert "better and asked are known" in refused.reason
         assert node._chosen["accept"] == "asked"

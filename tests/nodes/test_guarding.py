@@ -121,8 +121,8 @@ def test_an_exception_in_every_callback(pair: Pair) -> None:
 def test_one_bad_message_of_a_burst_costs_itself(tmp_path: Path) -> None:
     """What waits behind it is handled in the same call, and is not lost."""
     with spun(Viewer) as pair:
-        ear = next(ear for ear in pair.node._inputs if ear.topic == "/temperature")
-        handled, inner = [], ear._callback
+        subscription = next(subscription for subscription in pair.node._inputs if subscription.topic == "/temperature")
+        handled, inner = [], subscription._callback
 
         def third_fails(message: Any) -> None:
             handled.append(message.temperature)
@@ -130,10 +130,10 @@ def test_one_bad_message_of_a_burst_costs_itself(tmp_path: Path) -> None:
                 raise Boom("the third")
 
         inner.callback = third_fails
-        talk = pair.partner.create_publisher(ear._kind, "temperature", 10)
+        talk = pair.partner.create_publisher(subscription._kind, "temperature", 10)
         pair.wait(talk.get_subscription_count, 10.0)
         for k in range(6):
-            talk.publish(ear._kind(temperature=float(k)))
+            talk.publish(subscription._kind(temperature=float(k)))
         pair.wait(lambda: len(handled) == 6, 10.0)
         assert handled == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
         assert pair.node.faults.counts["temperature"] == 1
@@ -145,8 +145,8 @@ def test_a_latched_message_is_tried_once_more(outer: bool) -> None:
     with spun(Viewer) as pair:
         node = pair.node
         subscription = next(s for s in node.subscriptions if s.topic_name == "/robot_description")
-        ear = next(one for one in node._inputs if one.topic == "/robot_description")
-        (guard_of(subscription) if outer else ear._callback).callback = boom
+        subscription = next(one for one in node._inputs if one.topic == "/robot_description")
+        (guard_of(subscription) if outer else subscription._callback).callback = boom
         talk = pair.partner.create_publisher(String, "robot_description", LATCHED)
         talk.publish(String(data=URDF.read_text()))
         pair.wait(lambda: node.faults.counts["robot_description"] == 1, 10.0)

@@ -253,7 +253,7 @@ def test_simulated_time_runs_at_its_own_pace_and_begins_anew(tmp_path: Path) -> 
             wait(lambda messages=messages: len(jumps(messages)) == 1, 30.0)
         (back,) = jumps(states)
         assert seconds(states[back]) == 500.0
-        # the tour of two postures had ended and begins anew as well
+        # the tour of two postures had ended and starts over as well
         assert not np.any(states[back - 1].velocity)
         wait(lambda: any(np.any(m.velocity) for m in states[back:]), 30.0)
         assert cell.stop() == 0

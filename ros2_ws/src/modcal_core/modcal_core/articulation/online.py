@@ -266,7 +266,7 @@ class Tracker:
         return [here]
 
     def _forget(self) -> None:
-        """Begin anew from here: what came before was another object, another grasp, or no joint."""
+        """Start over from here: what came before was another object, another grasp, or no joint."""
         samples, stamp, oriented, latest = self._samples, self._stamp, self._oriented, list(self._recent)
         two = self._two  # the whole path counts there: two joints, one after the other, are no joint
         self.reset(self._changes + 1)

@@ -114,5 +114,5 @@ class SetpointStream:
         self._last = (now, q)
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Start over."""
         self._last = self._offset = None

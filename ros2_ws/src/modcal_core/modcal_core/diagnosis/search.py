@@ -45,7 +45,9 @@ _TOLERANCE, _LEFT = 0.05, 1e-4
 # they may gain _LITTLE of it on *train*, and a step so long moves *explain* by less (two deviations of its noise along
 # a step of length s are 2 · 2 s √0.4, in 40 % as many rows)
 _HALF, _LITTLE, _NO_CHANCE = 0.5, 0.05, 0.04
-_MOST_STEPS = 15  # of such a fit: usual are three to eight, and where a wave's cycles wander for more it has none
+_MOST_STEPS = (
+    15  # of such a fit: usual are three to eight, and where a wave's cycles keep changing for more it has none
+)
 _MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MOST_REFUSED = 3  # choices in a row that did not predict, before the search ends
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected

@@ -59,7 +59,7 @@ class LowPass:
         return self._last[1]
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Start over."""
         self._last = None
 
 
@@ -139,6 +139,6 @@ class WrenchSensor:
         self._filter.reset()
 
     def reset(self) -> None:
-        """Begin anew, at whatever time it is now; what is known of the tool stays."""
+        """Start over, at whatever time it is now; what is known of the tool stays."""
         self.stamp, self._frame = -math.inf, ""
         self._filter.reset()

@@ -2,7 +2,7 @@
 
 A sample is linearised at the present estimate and taken into the square-root information of :mod:`information`. The
 latest samples are kept and linearised again when the estimate has moved, as a batch Gauss–Newton step does, so that on
-an arm that does not change the running estimate is the batch solution. An arm that does change may wander: parameters
+an arm that does not change the running estimate is the batch solution. An arm that does change may drift: parameters
 named for it get process noise. Samples that do not fit count less, as in a batch fit, and are counted.
 """
 

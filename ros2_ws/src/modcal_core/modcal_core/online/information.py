@@ -72,7 +72,7 @@ class Information:
         return float(self.triangle[-1, -1]) ** 2
 
     def grown(self, G: Array, variance: Array) -> Information:
-        """The same after x has wandered by ``G w``, w (m,) being noise of these variances (m,), G (P, m).
+        """The same after x has drifted by ``G w``, w (m,) being noise of these variances (m,), G (P, m).
 
         The noise is added as unknowns of its own, known to be about zero, and eliminated again.
         """

@@ -47,7 +47,7 @@ from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
 _AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not explained by it
 _PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
-_WANDER = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
+_DRIFT = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
 _SCREENED = 4  # mistakes of several joints that are fitted
 _MOST = 300  # samples are enough to tell
 
@@ -122,10 +122,10 @@ def refuse(
     described = mixed_joints(whole, chain) or wrong_description(whole, chain)
     if described is not None:
         raise BadRecording(described.what, said, described.remedy)
-    if (wander := _wander(samples)) > _WANDER * missed:
+    if (drift := _drift(samples)) > _DRIFT * missed:
         raise BadRecording(
             "readings",
-            f"go on moving while the joints stand still, by {1e3 * wander:.3g} mm at the usual station; {said}",
+            f"go on moving while the joints stand still, by {1e3 * drift:.3g} mm at the usual station; {said}",
             "see whether the tracker filters, averages or repeats its last readings, or is late, and wait until it has "
             "settled; see whether both clocks agree",
         )
@@ -149,7 +149,7 @@ def refuse(
     )
 
 
-def _wander(samples: Samples) -> float:
+def _drift(samples: Samples) -> float:
     """How far readings move within a station [m], the median; correlated ones, which no mean over a station removes."""
     sigma = samples.sigma_position[(samples.is_pose | (samples.kind == "point")) & ~samples.moving]
     known = np.isfinite(sigma)

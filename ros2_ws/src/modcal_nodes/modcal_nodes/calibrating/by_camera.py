@@ -122,7 +122,7 @@ class ByCamera:
         return True
 
     def forget(self) -> None:
-        """Begin anew with the images; the trusted model stays."""
+        """Start over with the images; the trusted model stays."""
         self.intake.forget()
         self._candidate = self._said = None
         self._was_trusted = self._restoring = False

@@ -168,7 +168,7 @@ class CornerIntake:
         return np.median(at, axis=0) if float(np.ptp(at, axis=0).max()) < _STILL else None
 
     def forget(self) -> None:
-        """Begin anew with the images; the calibration stays."""
+        """Start over with the images; the calibration stays."""
         self.images.clear()
         self._waiting.clear()
         self.size, self.moved = None, None

@@ -24,7 +24,7 @@ def lacking(arm: KnownArm, inputs: Iterable[MonitoredSubscription], by_camera: b
             return _NO_DESCRIPTION
         return arm.trouble or _NO_JOINTS
     topics = ("corners",) if by_camera else tuple(kind.topic for kind in kinds().values())
-    if any(ear.count for ear in inputs if ear.topic.endswith(topics)):
+    if any(subscription.count for subscription in inputs if subscription.topic.endswith(topics)):
         return ""
     return _NO_CORNERS if by_camera else _NO_TRACKER
 

@@ -58,7 +58,7 @@ class AccelerationLimits(GuardedNode):
         self._health = Health(self, self._report)
         if self._urdf and self._chosen["tip"]:
             self._recognise()
-        # apart from the hearing: a machine that is too busy for this rate must not work through what is old already
+        # apart from the subscriptions: a machine that is too busy for this rate must not work through old ticks
         tick = self._refusals.guarded("limits", self._tick)
         self.create_timer(
             1.0 / self._chosen["rate_hz"], lambda: tick(None), clock=Clock(clock_type=ClockType.STEADY_TIME)

@@ -125,8 +125,8 @@ class BoardDetector(GuardedNode):
     def _report(self) -> list[Status]:
         heard = subscription_status(self._inputs)
         facts = {"images": self._seen, "with the target": self._found}
-        if not any(ear.count for ear in self._images):
-            topics = " and ".join(ear.topic for ear in self._images)
+        if not any(subscription.count for subscription in self._images):
+            topics = " and ".join(subscription.topic for subscription in self._images)
             return [heard, Status("target", ERROR, f"no image on {topics}: start the camera, or remap", facts)]
         level = OK if self._said.split(" ")[0].isdigit() else WARN
         if self._refusal:

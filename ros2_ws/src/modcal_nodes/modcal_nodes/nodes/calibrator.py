@@ -112,10 +112,10 @@ class Calibrator(GuardedNode):
 
     def _take_parameters(self) -> None:
         self._supervisor.follow(policy(self._chosen))
-        for ear in self._inputs:
-            ear.patience = self._chosen["silence_timeout_s"]
+        for subscription in self._inputs:
+            subscription.patience = self._chosen["silence_timeout_s"]
 
-    # hearing
+    # subscriptions
 
     def _describe(self, message: String) -> None:
         self._arm.describe(message.data)

@@ -231,8 +231,8 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
     def _hear_on(self) -> None:
         """Take what has arrived while the executor waits for a callback to end, the time included."""
         self.take_time()
-        for ear in self._inputs:
-            ear.poll()
+        for subscription in self._inputs:
+            subscription.poll()
 
     def _forget(self) -> None:
         if not self._configured:

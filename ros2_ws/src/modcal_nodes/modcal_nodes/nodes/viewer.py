@@ -102,7 +102,7 @@ class Viewer(GuardedNode):
     # arm and calibration
 
     def _look_at(self, base: str, tip: str) -> None:
-        """Begin anew with the arm between these links; what was seen of another one is forgotten."""
+        """Start over with the arm between these links; what was seen of another one is forgotten."""
         self._arm = KnownArm(self._urdf, base, tip)
         self._joints: JointInput | None = None
         self._approach = Approach()

@@ -146,19 +146,22 @@ class MonitoredSubscription:
 def subscription_status(inputs: Iterable[MonitoredSubscription]) -> Status:
     """What is heard and what is not, as one status."""
     inputs = list(inputs)
-    complaints = [complaint for ear in inputs if (complaint := ear.complaint()) is not None]
+    complaints = [complaint for subscription in inputs if (complaint := subscription.complaint()) is not None]
     level = max((level for level, _ in complaints), default=OK)
     message = "; ".join(text for _, text in complaints) or "everything that is needed is received"
-    counts = {f"messages of {ear.topic}": ear.count for ear in inputs}
+    counts = {f"messages of {subscription.topic}": subscription.count for subscription in inputs}
     return Status(
-        "hearing", level, message, {**counts, **{f"publishers of {ear.topic}": ear.publishers for ear in inputs}}
+        "hearing",
+        level,
+        message,
+        {**counts, **{f"publishers of {subscription.topic}": subscription.publishers for subscription in inputs}},
     )
 
 
 def tracker_status(hearing: Status, inputs: Iterable[MonitoredSubscription]) -> Status:
     """The status of all that is heard; a warning where no instrument is, whichever it might be."""
-    instruments = [ear for ear in inputs if "tracker/" in ear.topic]
-    if hearing.level != OK or any(ear.count for ear in instruments):
+    instruments = [subscription for subscription in inputs if "tracker/" in subscription.topic]
+    if hearing.level != OK or any(subscription.count for subscription in instruments):
         return hearing
-    topics = " and ".join(ear.topic for ear in instruments)
+    topics = " and ".join(subscription.topic for subscription in instruments)
     return Status(hearing.part, WARN, f"no message from the tracker on {topics}", hearing.values)

@@ -22,7 +22,7 @@ class Grid:
         self.start(0.0)
 
     def start(self, at: float) -> None:
-        """Begin anew at a time."""
+        """Start over at a time."""
         self._start, self._k = at, 0
 
     def take(self, until: float) -> Iterator[float]:
