@@ -30,7 +30,7 @@ MIDDLE, AT = (
 )  # of the board; of a second tripod, from the first
 
 
-def _looking() -> Array:
+def looking() -> Array:
     """The second camera from the first, looking at the middle of where the board is."""
     z = (MIDDLE - AT) / np.linalg.norm(MIDDLE - AT)
     x = np.cross([0.0, 1.0, 0.0], z) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], z))
@@ -44,7 +44,7 @@ def solved(s: CameraScene, *others: CameraImages) -> CameraSolution:
 
 def on_tripod(s: CameraScene, kicked_at: int | None = None, board: PrintedTarget = MEASURED) -> CameraImages:
     """What a second camera in the world saw of the board on the tip, of the scene's arm at its postures."""
-    camera = CAMERA_IN_WORLD @ _looking()
+    camera = CAMERA_IN_WORLD @ looking()
     T = se3.inverse(camera) @ _tip(s) @ BOARD_ON_TIP
     if kicked_at is not None:
         T = np.concatenate([T[:kicked_at], se3.exp([4e-3, 0.0, 0.0, 0.0, 5e-3, 0.0]) @ T[kicked_at:]])

@@ -10,7 +10,10 @@ import pytest
 from camera.boards import views
 from camera.scenes import CameraScene, scene
 from camera.test_camera_fit import MEASURED, solved
+from camera.test_several_cameras import OTHER_LENS, looking, on_tripod
+from camera.test_several_cameras import solved as solved_by
 
+from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import CameraSolution
 from modcal_core.camera.views import BoardView
 from modcal_core.camera.watching import CameraWatch, Moved
@@ -91,3 +94,39 @@ def test_one_misread_image_is_no_move() -> None:
     before, wrong, after = later(True, 5), later(True, 6, world=10.0 * SMALL["shift"])[:1], later(True, 7)
     said = watched(True, before, wrong, after)
     assert said == [None] * len(said)
+
+
+@cache
+def of_two() -> tuple[CameraScene, CameraImages, CameraSolution]:
+    """Two tripods that look at the board on the arm."""
+    s = scene(61, False, count=20, board=MEASURED)
+    second = on_tripod(s)
+    return s, second, solved_by(s, second)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["", "/second/image", "target"])
+def test_of_two_cameras_the_one_that_was_kicked_is_named(what: str) -> None:
+    """5 mm of either tripod, or of the board, which both see; the other camera stands as it did."""
+    s, second, r = of_two()
+    watch = CameraWatch(r.fit, MEASURED)
+    rng = np.random.default_rng(9)
+    kick = np.array([0.0, 5e-3, 0.0, 0.0, 0.0, 0.0])
+    said: list[Moved | None] = []
+    q = s.q[rng.permutation(len(s.q))[:12]] + 0.02 * rng.standard_normal((12, s.chain.n))
+    T = s.truth(q + 5e-5 * rng.standard_normal(q.shape))  # the board from the first camera
+    for k in range(12):
+        moved = kick * (k >= 6)
+        board = T[k] @ se3.exp(moved * (what == "target"))
+        for name, lens, at in (
+            ("", s.lens, se3.exp(moved * (what == "")) @ board),
+            (second.name, OTHER_LENS, se3.exp(moved * (what == second.name)) @ se3.inverse(looking()) @ board),
+        ):
+            (view,) = views(rng, at[None], lens=lens, board=MEASURED)
+            said.append(watch.image(replace(view, stamp=float(k)), q[k], name))
+    assert said[:12] == [None] * 12
+    found = [one for one in said[12:22] if one is not None]
+    assert found
+    expected = {"": "first camera", second.name: f"camera {second.name}", "target": "target"}[what]
+    assert found[-1].what == expected
+    assert found[-1].shift_m == pytest.approx(5e-3, rel=0.3)

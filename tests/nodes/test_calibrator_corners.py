@@ -14,6 +14,7 @@ import pytest
 from camera.boards import views
 from camera.scenes import PANDA, CameraScene, scene
 from camera.test_camera_fit import MEASURED
+from camera.test_several_cameras import OTHER_LENS, looking
 from nodes.beside_a_cell import latched
 from nodes.cell import call
 from nodes.processes import Process, fresh_domain, listener, running
@@ -47,15 +48,19 @@ class Cell:
         self.node, self.wait, self.scene = node, wait, s
         self.states = node.create_publisher(JointState, "joint_states", 100)
         self.corners = node.create_publisher(PointCloud2, "corners", 100)
+        self.second = node.create_publisher(PointCloud2, "second/corners", 100)
         self.description = node.create_publisher(String, "robot_description", LATCHED)
         self.health = Diagnostics(node)
         self.stamp = 1000.0
         self.description.publish(String(data=PANDA.read_text()))
 
-    def stop_at(self, q: Array, T: Array, seed: int) -> None:
-        """Joint states of a second, and the corners of an image in its middle."""
+    def stop_at(self, q: Array, T: Array, seed: int, by_second: Array | None = None) -> None:
+        """Joint states of a second, and the corners of an image in its middle; by_second: the board from another."""
         s = self.scene
         (seen,) = views(np.random.default_rng(seed), (se3.inverse(T) if s.on_tip else T)[None], board=s.board)
+        other = None
+        if by_second is not None:
+            (other,) = views(np.random.default_rng([seed, 1]), by_second[None], lens=OTHER_LENS, board=s.board)
         for k in range(11):
             message = JointState(name=list(s.chain.names), position=q.tolist())
             set_seconds(message.header.stamp, self.stamp + 0.05 * k)
@@ -64,6 +69,9 @@ class Cell:
             if k == 5:
                 view = replace(seen, stamp=self.stamp + 0.25)
                 self.corners.publish(fill_corners(PointCloud2(), PointField, view, s.lens.size, "camera"))
+                if other is not None and len(other):
+                    view = replace(other, stamp=self.stamp + 0.26)
+                    self.second.publish(fill_corners(PointCloud2(), PointField, view, OTHER_LENS.size, "second"))
                 time.sleep(PACE)
         self.stamp += 1.0
 
@@ -133,6 +141,50 @@ def test_corners_to_a_calibrated_arm_and_a_kicked_tripod(tmp_path: Path) -> None
             wait(lambda: cell.health.said(STATUS, "The camera was moved by"), 60.0)
             # corners of another target are refused, and counted
             assert again.stop() == 0
+
+
+def test_two_cameras_and_the_one_that_is_kicked(tmp_path: Path) -> None:
+    """Both are in one calibration, each with a lens file of its own; of the two tripods the kicked one is named."""
+    s = scene(61, False, count=20, board=MEASURED)
+    (tmp_path / "target.yaml").write_text(to_yaml(TARGET))
+    domain = fresh_domain()
+    options = {"target": tmp_path / "target.yaml", "tip": "panda_link8", "effects": False, "out": tmp_path / "out"}
+    process = Process("calibrator", domain, tmp_path, also_corners=["second/corners"], **options)
+    from_second = se3.inverse(looking())
+    with running(process), listener(domain) as (node, wait):
+        cell = Cell(node, wait, s)
+        trusted, changes = (
+            latched(node, f"calibrator/{topic}", kind) for topic, kind in (("trusted", _bool()), ("change", String))
+        )
+        publishers = (cell.states, cell.corners, cell.second, cell.description)
+        wait(lambda: all(one.get_subscription_count() for one in publishers), 60.0)
+        wait(lambda: trusted, 60.0)
+
+        def known() -> bool:
+            cell.stop_at(s.q[0], s.T[0], 0, from_second @ s.T[0])  # by which it knows the arm
+            return "not received yet" not in call(node, wait, "calibrator/solve").message
+
+        wait(known, 60.0)
+        for i, (q, T) in enumerate(zip(s.q, s.T, strict=True)):
+            cell.stop_at(q, T, i, from_second @ T)
+        cell.stop_at(s.q[0], s.T[0], 0, from_second @ s.T[0])
+        wait(lambda: cell.images >= len(s.q), 60.0)
+        solved = call(node, wait, "calibrator/solve")
+        assert solved.success, solved.message
+        wait(lambda: trusted[-1], 60.0)
+        report = json.loads((tmp_path / "out" / "report.json").read_text())
+        (further,) = report["camera"]["further"]
+        assert further["name"] == "second/corners"
+        assert further["lens"]["fx"]["value"] == pytest.approx(OTHER_LENS.values[0], rel=0.02)
+        assert (tmp_path / "out" / "camera_2.yaml").exists()
+        kick = se3.exp([0.0, 5e-3, 0.0, 0.0, 0.0, 0.0])
+        for i, (q, T) in enumerate(zip(s.q[:6], s.T[:6], strict=True)):
+            cell.stop_at(q, T, 100 + i, kick @ from_second @ T)
+        wait(lambda: any("sentence" in text for text in changes), 15.0)
+        said = json.loads(next(text for text in changes if "sentence" in text))
+        assert said["place"] == "camera second/corners"
+        assert said["size_mm"] == pytest.approx(5.0, rel=0.5)
+        assert process.stop() == 0
 
 
 def _bool() -> type:

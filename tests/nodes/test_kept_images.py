@@ -10,6 +10,7 @@ import pytest
 from camera.boards import BOARD, facing, views
 
 from modcal_core.camera.target_file import scale_of_rulers
+from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
 from modcal_nodes.calibrating.kept_images import forget_images, read_images, write_images
 
@@ -40,3 +41,18 @@ def test_damaged_images_are_refused(tmp_path: Path) -> None:
         read_images(tmp_path, BOARD)
     forget_images(tmp_path)
     assert read_images(tmp_path, BOARD) is None
+
+
+def test_images_of_a_further_camera_are_kept_beside(tmp_path: Path) -> None:
+    """Each in a file of its own; all are forgotten together."""
+    images = [(BoardView("0", np.arange(4), np.zeros((4, 2)), np.tile(np.eye(2), (4, 1, 1)), stamp=1.5), np.zeros(7))]
+    write_images(tmp_path, images, (1280, 720), BOARD, False)
+    write_images(tmp_path, images * 2, (640, 480), BOARD, False, 2)
+    first, second = (read_images(tmp_path, BOARD, camera) for camera in (1, 2))
+    assert first is not None
+    assert second is not None
+    assert (first.size, second.size) == ((1280, 720), (640, 480))
+    assert (len(first.images), len(second.images)) == (1, 2)
+    forget_images(tmp_path)
+    assert read_images(tmp_path, BOARD) is None
+    assert read_images(tmp_path, BOARD, 2) is None

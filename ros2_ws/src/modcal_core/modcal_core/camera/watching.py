@@ -3,19 +3,25 @@
 Each image is compared with where the calibrated model has its target: six numbers, with the covariance of its corners,
 of what an image has of its own, and of the model, which all images share. For the last few images the likelihood of
 *nothing happened* stands against each half being elsewhere since one of them (six numbers) and each joint's zero having
-slipped (one); the likeliest is named where it beats nothing by far and the next one clearly.
+slipped (one); the likeliest is named where it beats nothing by far and the next one clearly. Images of several cameras
+are judged together: each camera may have been moved by itself, while joints, and a target that cameras see from the
+same side, are one for all. What joints and tool are off by at a stop is one for all images of it.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.further import further_cameras, places_of
+from modcal_core.camera.state import CameraState
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.geometry import so3
@@ -26,6 +32,7 @@ _WINDOW = 8  # images that are looked back on
 _LEAST = 2  # of them that show a change: a single one may be a misread board
 _GAIN = 20.0  # of −2 log likelihood against nothing, the price of the numbers taken off: odds of 1 : 20 000
 _CLEAR = 6.0  # of the same against the next likeliest: odds of 20 : 1
+_SAME = 1e-3  # rad or m by which joints differ within a stop
 _USUAL_M, _USUAL_RAD = 0.01, 0.02  # how far something is moved that is kicked, or a joint that slips
 
 
@@ -51,69 +58,109 @@ class Moved:
 
 
 @dataclass(frozen=True)
+class _Half:
+    """what: "camera" or "target". which: the camera's name, or the side of the target. half: world or tip."""
+
+    what: str
+    which: str
+    half: str
+
+
+@dataclass(frozen=True)
 class _Seen:
     """One image against the model. place: of the tool in the frame, (3,). offset: of its target as the camera sees it,
-    (6,). cov: its own covariance, (6, 6). by_model: what the model's parameters move it by, (6, P). world, tip, joints:
-    the same of each half, (6, 6), and of each joint, (6, n).
+    (6,). cov: of its corners, (6, 6). own: what the arm is off by at this stop, (6, n + 3), of unit variance. q: (n,).
+    by_model: what the model's parameters move it by, (6, P). halves: the same of each half, (6, 6), by what that is.
+    joints: of each joint, (6, n).
     """
 
     stamp: float
     place: Array
     offset: Array
     cov: Array
+    own: Array
+    q: Array
     by_model: Array
-    world: Array
-    tip: Array
+    halves: dict[_Half, Array]
     joints: Array
+
+
+@dataclass(frozen=True)
+class _Watched:
+    """A camera. poses, state: of the fit. columns: of each of its parameters among those of all, −1 for none."""
+
+    poses: ArmPoses
+    state: CameraState
+    columns: np.ndarray
+
+    def half(self, half: str, name: str) -> _Half:
+        """What one of the two halves is."""
+        if (half == TIP) == self.poses.camera_on_tip:
+            return _Half("camera", name, half)
+        return _Half("target", half, half)
 
 
 class CameraWatch:
     """Watches the images of a calibrated cell; give it each as it comes."""
 
     def __init__(self, fit: CameraFit, target: PrintedTarget) -> None:
-        """fit: the calibration. target: as it was calibrated with."""
+        """fit: the calibration, of one camera or several. target: as it was calibrated with, by all of them."""
         self._fit, self._target = fit, target
-        self._seen: deque[_Seen] = deque(maxlen=_WINDOW)
+        self._cameras = {"": _Watched(fit.poses, fit.state, np.arange(len(fit.covariance)))}
+        further = further_cameras(fit.poses)
+        for one, first in zip(further, places_of(further, fit.poses.count), strict=True):
+            state = one.state(fit.poses, fit.state, fit.state.values[first : first + len(one.own)])
+            poses = one.poses.with_effects(fit.poses.model.effects)
+            self._cameras[one.name] = _Watched(poses, state, one.columns(fit.poses, first))
+        self._seen: deque[_Seen] = deque(maxlen=_WINDOW * len(self._cameras))
         self._count = 0
 
-    def image(self, view: BoardView, q: Array) -> Moved | None:
-        """What was moved by this image, the arm standing at q (n,); None while nothing stands out."""
+    def image(self, view: BoardView, q: Array, camera: str = "") -> Moved | None:
+        """What was moved by this image, the arm standing at q (n,); None while nothing stands out.
+
+        camera: of a further one its name. One that is not in the calibration says nothing.
+        """
         self._count += 1
-        if (seen := self._look(view, q)) is not None:
+        if camera in self._cameras and (seen := self._look(view, np.asarray(q), camera)) is not None:
             self._seen.append(seen)
         return self._judge()
 
-    def _look(self, view: BoardView, q: Array) -> _Seen | None:
-        fit = self._fit
+    def _look(self, view: BoardView, q: Array, camera: str) -> _Seen | None:
+        fit, watched = self._fit, self._cameras[camera]
         if len(view) < POSE:
             return None
         table = CornerTable.of([view], self._target)
-        at: ArmPoses = fit.poses.at_postures(np.asarray(q)[None])
-        T, motions = at.tool_motions(fit.state.values)
-        rows = corner_rows(table, fit.state.lens, fit.state.shape, at.seen(T))
+        state, at = watched.state, watched.poses.at_postures(q[None])
+        T, motions = at.tool_motions(state.values)
+        rows = corner_rows(table, state.lens, state.shape, at.seen(T))
         G = grams(table, rows)[0] / fit.sizes.noise**2
         own = np.linalg.pinv(G[:POSE, :POSE], hermitian=True)
-        joints = at.joint_motions(fit.state.values, T)
-        by_joints = at.as_twists(T, joints)[0]
-        shifts = at.as_twists(T, np.concatenate([np.eye(3), np.zeros((3, 3))])[None])[0]
-        noise = fit.sizes.joint**2 * by_joints @ by_joints.T + fit.sizes.shift**2 * shifts @ shifts.T
+        by_joints = at.as_twists(T, at.joint_motions(state.values, T))[0]
+        along = np.zeros((1, POSE, 3))
+        along[0, :3] = at.R_frame_root(at.model_at(state.values))  # along axes that other cameras share
+        P, K = motions.shape[2], len(watched.columns)
+        by_own = np.zeros((POSE, K))
+        by_own[:, :P] = at.as_twists(T, motions)[0]
+        by_own[:, P + 1 :] = own @ G[:POSE, POSE:-1]
         by_model = np.zeros((POSE, len(fit.covariance)))
-        P = motions.shape[2]
-        by_model[:, :P] = at.as_twists(T, motions)[0]
-        by_model[:, P + 1 :] = own @ G[:POSE, POSE:-1]
+        fitted = watched.columns >= 0
+        by_model[:, watched.columns[fitted]] = by_own[:, fitted]
         R, p = T[:, :3, :3], T[:, :3, 3]
         eye, zero = np.eye(3)[None], np.zeros((1, 3, 3))
         by_world = np.concatenate([np.concatenate([eye, -so3.hat(p)], 2), np.concatenate([zero, eye], 2)], 1)
         by_tool = np.concatenate([np.concatenate([R, zero], 2), np.concatenate([zero, R], 2)], 1)
-        stamp = view.stamp if np.isfinite(view.stamp) else float(self._count)
         return _Seen(
-            stamp,
+            view.stamp if np.isfinite(view.stamp) else float(self._count),
             p[0],
             own @ G[:POSE, -1],
-            own + noise,
+            own,
+            np.concatenate([fit.sizes.joint * by_joints, fit.sizes.shift * at.as_twists(T, along)[0]], axis=1),
+            q,
             by_model,
-            at.as_twists(T, by_world)[0],
-            at.as_twists(T, by_tool)[0],
+            {
+                watched.half(WORLD, camera): at.as_twists(T, by_world)[0],
+                watched.half(TIP, camera): at.as_twists(T, by_tool)[0],
+            },
             by_joints,
         )
 
@@ -122,31 +169,35 @@ class CameraWatch:
         if len(seen) < _LEAST:
             return None
         K = len(seen)
+        stops = _stops(seen)
         model = np.concatenate([s.by_model for s in seen])
         V = model @ self._fit.covariance @ model.T
-        for k, s in enumerate(seen):
+        for k, one in enumerate(seen):
             rows = slice(POSE * k, POSE * (k + 1))
-            V[rows, rows] += s.cov
+            V[rows, rows] += one.cov
+            for other in np.flatnonzero(stops == stops[k]):
+                V[rows, POSE * other : POSE * (other + 1)] += one.own @ seen[other].own.T
         V += 1e-14 * np.trace(V) / len(V) * np.eye(len(V))
         offset = np.concatenate([s.offset for s in seen])
         white = np.linalg.inv(np.linalg.cholesky(V))
         y = white @ offset
-        halves = np.r_[[_USUAL_M] * 3, [_USUAL_RAD] * 3]
-        found: list[tuple[float, str, int, Array, Array]] = []
+        usual = np.r_[[_USUAL_M] * 3, [_USUAL_RAD] * 3]
+        halves = list(dict.fromkeys(half for s in seen for half in s.halves))
+        nothing = np.zeros((POSE, POSE))
+        found: list[tuple[float, _Half | str, int, Array, Array]] = []
         for first in range(K - _LEAST + 1):
             since = np.repeat(np.arange(K) >= first, POSE)[:, None]
-            stacked = {WORLD: [s.world for s in seen], TIP: [s.tip for s in seen]}
-            for what, parts in stacked.items():
-                columns = np.concatenate(parts) * since * halves
+            for half in halves:
+                columns = np.concatenate([s.halves.get(half, nothing) for s in seen]) * since * usual
                 gain, x = _gain(white @ columns, y)
-                found.append((gain, what, first, x * halves, columns))
+                found.append((gain, half, first, x * usual, columns))
             joints = np.concatenate([s.joints for s in seen]) * since * _USUAL_RAD
             for j, name in enumerate(self._fit.poses.model.chain.names):
                 gain, x = _gain(white @ joints[:, j : j + 1], y)
                 found.append((gain, name, first, x * _USUAL_RAD, joints[:, j : j + 1]))
         found.sort(key=lambda f: -f[0])
         gain, what, first, x, columns = found[0]
-        if gain < _GAIN or _least_without(columns, offset, V, range(first, K)) < 0.5 * _GAIN:
+        if gain < _GAIN or _least_without(columns, offset, V, stops, first) < 0.5 * _GAIN:
             return None
         # a change of everything from the first image on may be one from any time before
         rival = next((f for f in found if f[1] != what), None)
@@ -154,32 +205,37 @@ class CameraWatch:
         if rival is not None and gain - rival[0] < _CLEAR:
             names.append(self._name(rival[1]))
         shift = np.zeros(3)
-        if what == WORLD:
-            p = np.mean([s.place for s in seen], axis=0)
-            shift = x[:3] + np.cross(x[3:], p)
-        elif what == TIP:
-            shift = x[:3]
+        if isinstance(what, _Half):
+            p = np.mean([s.place for s in seen if what in s.halves], axis=0)
+            shift = x[:3] + np.cross(x[3:], p) if what.half == WORLD else x[:3]
         turn = float(np.linalg.norm(x[3:] if len(x) == POSE else x))
         return Moved(" or ".join(dict.fromkeys(names)), seen[first].stamp, float(np.linalg.norm(shift)), turn, gain)
 
-    def _name(self, what: str) -> str:
-        on_tip = self._fit.poses.camera_on_tip
-        if what == WORLD:
-            return "target" if on_tip else "camera"
-        if what == TIP:
-            return "camera" if on_tip else "target"
-        return f"joint {what}"
+    def _name(self, what: _Half | str) -> str:
+        if isinstance(what, str):
+            return f"joint {what}"
+        if what.what == "target" or len(self._cameras) == 1:
+            return what.what
+        return f"camera {what.which}" if what.which else "first camera"
 
     def forget(self) -> None:
         """Begin again, with the next image: after something was put right."""
         self._seen.clear()
 
 
-def _least_without(columns: Array, offset: Array, V: Array, among: range) -> float:
-    """The least gain that is left without any one of these images: a single misread one is no move."""
+def _stops(seen: Sequence[_Seen]) -> np.ndarray:
+    """The number of the stop of each image: those one after the other at the same joints are of one."""
+    apart = [np.abs(b.q - a.q).max() > _SAME for a, b in pairwise(seen)]
+    return np.r_[0, np.cumsum(apart)].astype(int)
+
+
+def _least_without(columns: Array, offset: Array, V: Array, stops: np.ndarray, first: int) -> float:
+    """The least gain that is left without any one stop since an image: a single one may be misread, or its joints be of
+    another moment, which is no move.
+    """
     out = []
-    for k in among:
-        keep = np.delete(np.arange(len(V)), slice(POSE * k, POSE * (k + 1)))
+    for stop in np.unique(stops[first:]):
+        keep = np.repeat(stops != stop, POSE)
         white = np.linalg.inv(np.linalg.cholesky(V[np.ix_(keep, keep)]))
         out.append(_gain(white @ columns[keep], white @ offset[keep])[0])
     return min(out)

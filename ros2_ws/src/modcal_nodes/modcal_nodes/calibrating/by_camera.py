@@ -43,11 +43,14 @@ class ByCamera:
         self._candidate: CameraSolved | None = None
         self._said: Moved | None = None
         self._folder = Path(chosen["state"]) if chosen["state"] else None
-        self._given: list[tuple[BoardView, Array]] = []  # what the last solve came from
+        self._given: list[list[tuple[BoardView, Array]]] = []  # of each camera, what the last solve came from
         self._was_trusted = self._restoring = False
-        if self._folder is not None and (kept := read_images(self._folder, intake.target)) is not None:
-            intake.images, intake.size = kept.images, kept.size
-            self._was_trusted = self._restoring = kept.trusted
+        for number, one in enumerate(intake.every, start=1):
+            kept = None if self._folder is None else read_images(self._folder, intake.target, number)
+            if kept is not None:
+                one.images, one.size = kept.images, kept.size
+                if number == 1:
+                    self._was_trusted = self._restoring = kept.trusted
 
     def restore(self, arm: KnownArm, buffer: Buffer, worker: SolveWorker) -> None:
         """Go on with what was trusted before a restart: have its images solved again, once the arm is known."""
@@ -67,9 +70,10 @@ class ByCamera:
 
     def keep(self) -> None:
         """Keep the images on disk, to go on from them after a restart; of a trusted model those that it came from."""
-        images = self._given if self._was_trusted else self.intake.images
-        if self._folder is not None and images and self.intake.size is not None:
-            write_images(self._folder, images, self.intake.size, self.intake.target, self._was_trusted)
+        given = self._given if self._was_trusted else [one.images for one in self.intake.every]
+        for number, (one, images) in enumerate(zip(self.intake.every, given, strict=False), start=1):
+            if self._folder is not None and images and one.size is not None:
+                write_images(self._folder, images, one.size, one.target, self._was_trusted, number)
 
     def begin(
         self, name: str, arm: KnownArm, buffer: Buffer, worker: SolveWorker, answer: Callable[[bool, str], None]
@@ -79,7 +83,7 @@ class ByCamera:
         if count < LEAST:
             return f"{count} images of the target at different postures, at least {LEAST} are needed"
         chosen = self._chosen
-        self._given = list(self.intake.images)
+        self._given = [list(one.images) for one in self.intake.every]
         job = self.intake.job(
             urdf=arm.description,
             base=chosen["base"],

@@ -7,6 +7,7 @@ the clocks agree. With a calibration, each image that is kept is also held again
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from modcal_core.camera.beside import beside
 from modcal_core.camera.clean import enough_corners
 from modcal_core.camera.decision import APPLY
 from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.moments import ImageMoments
+from modcal_core.camera.prepared import CameraImages
 from modcal_core.camera.solve import solve_camera
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.target_file import read_target
@@ -53,7 +56,9 @@ class CameraSolved:
 
 @dataclass(frozen=True)
 class CornerJob:
-    """All that a calibration from corners needs, so that it can be done elsewhere. heard: of other instruments."""
+    """All that a calibration from corners needs, so that it can be done elsewhere. heard: of other instruments.
+    further: what further cameras saw.
+    """
 
     views: tuple[BoardView, ...]
     q: Array
@@ -67,6 +72,7 @@ class CornerJob:
     heard: SampleMemory
     clock_limit: float
     page: bool = True
+    further: tuple[CameraImages, ...] = ()
 
 
 def solve_corners(job: CornerJob) -> CameraSolved:
@@ -87,6 +93,7 @@ def solve_corners(job: CornerJob) -> CameraSolved:
         inertias=robot.inertias,
         beside=others,
         look_for_effects=job.effects,
+        further=job.further,
     )
     report = camera_report(solution, robot, len(job.views), {})
     middle, _, high = solution.in_view.interval
@@ -99,23 +106,60 @@ def solve_corners(job: CornerJob) -> CameraSolved:
     )
 
 
-class CornerIntake:
-    """Images' corners with their joints. moved: what was moved since the calibration, as far as images show."""
+@dataclass
+class _Watching:
+    """What all cameras' images are held against. moved: what was, as far as they show."""
 
-    def __init__(self, target: Path) -> None:
-        """target: file of the printed target. Raises BadTable."""
+    watch: CameraWatch | None = None
+    moved: Moved | None = None
+
+
+class CornerIntake:
+    """Images' corners with their joints. name: of the topic of a further camera, "" of the first. further: those of
+    further cameras that look at the same target.
+    """
+
+    def __init__(self, target: Path, further: Sequence[str] = (), name: str = "") -> None:
+        """target: file of the printed target. further: topics. Raises BadTable."""
         self.target = read_target(target)
+        self.name = name
+        self.further = tuple(CornerIntake(target, name=topic) for topic in further)
         self.images: list[tuple[BoardView, Array]] = []
         self.size: tuple[int, int] | None = None
-        self.moved: Moved | None = None
         self.verdict = ""
         self.passed_over = 0
+        self._watching = _Watching()
+        for one in self.further:
+            one._watching = self._watching
         self._joints: deque[tuple[float, Array]] = deque()
         self._waiting: deque[BoardView] = deque(maxlen=_WAITING)
-        self._watch: CameraWatch | None = None
+
+    @classmethod
+    def of(cls, chosen: Mapping[str, Any]) -> CornerIntake | None:
+        """By a node's parameters; None where no target is stated. Raises BadTable."""
+        if not chosen["target"]:
+            return None
+        return cls(Path(chosen["target"]), [topic for topic in chosen["also_corners"] if topic])
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Of all cameras."""
+        return "corners", *(one.name for one in self.further)
+
+    @property
+    def every(self) -> tuple[CornerIntake, ...]:
+        """This one and those of further cameras."""
+        return self, *self.further
+
+    @property
+    def moved(self) -> Moved | None:
+        """What was moved since the calibration, as far as images show."""
+        return self._watching.moved
 
     def joint_state(self, stamp: float, q: Array) -> None:
         """Remember where the joints were, and take the images that waited for it."""
+        for one in self.further:
+            one.joint_state(stamp, q)
         if self._joints and stamp <= self._joints[-1][0]:
             if stamp < self._joints[-1][0] - _JOINTS_S:  # the clock was set back
                 self._joints.clear()
@@ -155,8 +199,8 @@ class CornerIntake:
             return
         self.images.append((view, q))
         del self.images[:-_MOST]
-        if self._watch is not None:
-            self.moved = self._watch.image(view, q)
+        if self._watching.watch is not None:
+            self._watching.moved = self._watching.watch.image(view, q, self.name)
 
     def _standing_at(self, stamp: float) -> Array | None:
         """Where the joints were, None where they moved or nobody says."""
@@ -169,29 +213,42 @@ class CornerIntake:
 
     def forget(self) -> None:
         """Start over with the images; the calibration stays."""
-        self.images.clear()
-        self._waiting.clear()
-        self.size, self.moved = None, None
-        if self._watch is not None:
-            self._watch.forget()
+        for one in self.every:
+            one.images.clear()
+            one._waiting.clear()
+            one.size = None
+        self._watching.moved = None
+        if self._watching.watch is not None:
+            self._watching.watch.forget()
 
     def job(self, **rest: Any) -> CornerJob:
-        """What a solve needs. rest: fields that the arm and the node know."""
+        """What a solve needs, of those cameras that have seen enough. rest: fields that the arm and the node know."""
+        assert self.size is not None
+        further = tuple(one._seen() for one in self.further if len(one.images) >= LEAST)
+        first = self._seen()
+        return CornerJob(tuple(first.views), first.q, self.size, self.target, further=further, **rest)
+
+    def _seen(self) -> CameraImages:
         assert self.size is not None
         views = tuple(replace(view, name=f"{i}") for i, (view, _) in enumerate(self.images))
-        return CornerJob(views, np.array([q for _, q in self.images]), self.size, self.target, **rest)
+        moments = ImageMoments(np.array([view.stamp for view in views]))
+        q = np.array([q for _, q in self.images])
+        return CameraImages(q, views, self.target, self.size, moments=moments, name=self.name or "images")
 
     def solved(self, found: CameraSolved) -> None:
         """Hold what comes from now on against this calibration."""
-        self.verdict, self.moved = found.verdict, None
-        self._watch = CameraWatch(found.fit, self.target)
+        self.verdict = found.verdict
+        watch = CameraWatch(found.fit, self.target)
+        self._watching.watch, self._watching.moved = watch, None
         # a move shows most plainly against images from before it
-        for view, q in self.images[-_BEFORE:]:
-            self._watch.image(view, q)
+        last = [(view, q, one.name) for one in self.every for view, q in one.images[-_BEFORE:]]
+        for view, q, name in sorted(last, key=lambda each: each[0].stamp):
+            watch.image(view, q, name)
 
     def status(self) -> Status:
         """How many images there are, what they led to, and whether anything was moved since."""
         facts: dict[str, object] = {"images": len(self.images), "passed over, the arm moved": self.passed_over}
+        facts |= {f"images of {one.name}": len(one.images) for one in self.further}
         if self.verdict:
             facts["last result"] = self.verdict
         if self.moved is not None:

@@ -71,11 +71,11 @@ class Intake:
             received = 1e-9 * self._clock.now().nanoseconds
             self._feed(partial(self._arm.command, type_name, message, received))
 
-    def corners(self, message: Any) -> None:
-        """Take the corners of an image."""
+    def corners(self, camera: int, message: Any) -> None:
+        """Take the corners of an image of the first camera (0) or a further one."""
         assert self._camera is not None
         try:
-            self._camera.corners(message)
+            self._camera.every[camera].corners(message)
         except ModcalError as error:
             self._refuse(error)
 

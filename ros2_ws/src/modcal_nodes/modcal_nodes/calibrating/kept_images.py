@@ -19,7 +19,7 @@ from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 
-_FILE = "images.npz"
+_FILES = "images*.npz"
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,14 @@ class KeptImages:
 
 
 def write_images(
-    folder: Path, images: Sequence[tuple[BoardView, Array]], size: tuple[int, int], target: PrintedTarget, trusted: bool
+    folder: Path,
+    images: Sequence[tuple[BoardView, Array]],
+    size: tuple[int, int],
+    target: PrintedTarget,
+    trusted: bool,
+    camera: int = 1,
 ) -> None:
-    """Keep images in a folder; the file is replaced as a whole."""
+    """Keep images in a folder; the file is replaced as a whole. camera: number of a further one, from 2."""
     about = {"size": size, "target": _form(target), "trusted": trusted, "names": [view.name for view, _ in images]}
     views = [view for view, _ in images]
     arrays = {
@@ -46,15 +51,17 @@ def write_images(
         "q": np.array([q for _, q in images]),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    stage = folder / f".{_FILE}"
+    stage = folder / f".{_file(camera)}"
     with stage.open("wb") as stream:
         np.savez_compressed(stream, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
-    os.replace(stage, folder / _FILE)
+    os.replace(stage, folder / _file(camera))
 
 
-def read_images(folder: Path, target: PrintedTarget) -> KeptImages | None:
-    """The images of a folder, None where it holds none, or those of another target. Raises BadTable for damage."""
-    path = folder / _FILE
+def read_images(folder: Path, target: PrintedTarget, camera: int = 1) -> KeptImages | None:
+    """The images of a folder, None where it holds none, or those of another target. camera: as written. Raises BadTable
+    for damage.
+    """
+    path = folder / _file(camera)
     if not path.is_file():
         return None
     try:
@@ -81,8 +88,13 @@ def read_images(folder: Path, target: PrintedTarget) -> KeptImages | None:
 
 
 def forget_images(folder: Path) -> None:
-    """Keep none any more."""
-    (folder / _FILE).unlink(missing_ok=True)
+    """Keep none any more, of any camera."""
+    for path in folder.glob(_FILES):
+        path.unlink(missing_ok=True)
+
+
+def _file(camera: int) -> str:
+    return "images.npz" if camera == 1 else f"images_{camera}.npz"
 
 
 def _form(target: PrintedTarget) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from sensor_msgs.msg import JointState, PointCloud2, Temperature
@@ -21,10 +21,10 @@ def listen(
     describe: Callable[[String], None],
     patience: float,
     described: bool,
-    corners: bool,
+    corners: Sequence[str],
 ) -> list[MonitoredSubscription]:
     """The subscriptions. patience: seconds of silence that are accepted. described: whether the arm is known without
-    robot_description. corners: whether images of a target are taken.
+    robot_description. corners: topics with those of a target, none where none are taken.
     """
     hear = partial(MonitoredSubscription, node, patience=patience, single=True)
     inputs = [hear(JointState, "joint_states", intake.joint_state, SENSOR, needed=True)]
@@ -32,6 +32,6 @@ def listen(
         take = partial(intake.reading, kind.topic, kind.name)
         inputs.append(hear(READING_MESSAGES[kind.message], kind.topic, take, SENSOR, single=False))
     inputs.append(hear(Temperature, "temperature", partial(intake.remember, "temperature"), SENSOR, single=False))
-    if corners:
-        inputs.append(hear(PointCloud2, "corners", intake.corners, SENSOR))
+    for camera, topic in enumerate(corners):
+        inputs.append(hear(PointCloud2, topic, partial(intake.corners, camera), SENSOR))
     return [*inputs, hear(String, "robot_description", describe, LATCHED, needed=not described)]

@@ -175,5 +175,7 @@ def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, out
         said.append(
             "These are the nominal lengths, which are also stated without a measurement: give --measured-to-mm, too."
         )
+    elif scale.unsaid:
+        said.append("Read both once more, and say how well with --measured-to-mm: all lengths rest on them.")
     output.result(data, partial(tell, said), f"Target: {path}")
     return 0

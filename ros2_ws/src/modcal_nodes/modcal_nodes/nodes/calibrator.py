@@ -86,14 +86,15 @@ class Calibrator(GuardedNode):
         self._outputs = Publishers(self)
         self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
         self._lacked, self._steps = "", 0
-        corners = CornerIntake(Path(chosen["target"])) if chosen["target"] else None
+        corners = CornerIntake.of(chosen)
         self._camera: ByCamera | None = None
         if corners is not None:
             self._camera = ByCamera(corners, chosen, self._outputs, self.get_logger(), self._camera_trusted)
         self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, corners)
         described = bool(self._arm.description or self._arm.delta)
         patience = chosen["silence_timeout_s"]
-        self._inputs = listen(self, self._intake, self._describe, patience, described, corners is not None)
+        heard = () if corners is None else corners.topics
+        self._inputs = listen(self, self._intake, self._describe, patience, described, heard)
         self._commands = CommandSubscription(self, self._intake.command)
         self._health = Health(self, self._statuses)
         self._worker = SolveWorker(self.get_logger().error)

@@ -36,6 +36,7 @@ CALIBRATOR = {
     "out": Parameter("", "Folder for the files of a solve; empty: none are written."),
     "state": Parameter("", "Folder where the trusted model and the stations survive restarts; empty: none."),
     "target": Parameter("", "File of a printed target whose corners are taken from the topic corners; empty: none."),
+    "also_corners": Parameter([""], "Topics of corners of further cameras that see the same target; empty: none."),
     "effects": Parameter(True, "Whether a solve looks for effects beyond the geometry."),
     "seed": Parameter(0, "Seed of the split into train, explain and held-out.", 0, 2**31 - 1),
     "clock_limit_s": Parameter(
