@@ -41,6 +41,22 @@ def test_a_tcp_topic_is_no_measurement(rounded: float) -> None:
     assert "nominal model reproduces the readings" in said(by_joints(record(1, 100), rounded))
 
 
+def test_whole_millimetres_that_a_good_arm_is_within_are_rounded_and_not_computed() -> None:
+    made = record(1, 60, "point", length_std=2e-4, angle_std=2e-4)
+    text = said(replace(made.samples, reading=np.round(made.samples.reading, 3)))
+    assert "computed" not in text
+    assert "rounded to 1 mm" in text
+
+
+def test_goals_that_the_joints_missed_by_a_little_are_doubted() -> None:
+    """Nothing is at a micrometre here: the joints miss what was asked for by 0.1 mrad, as drives do."""
+    made = by_joints(record(4, 70))
+    rng = np.random.default_rng(0)
+    goals = replace(made, q=made.q + rng.normal(0.0, 1e-4, made.q.shape))
+    assert "before anything is calibrated" in said(goals)
+    assert "before anything is calibrated" not in said(record(4, 70).samples)
+
+
 @pytest.mark.slow
 def test_another_controllers_own_calibration_and_a_noise_free_simulation_are_named() -> None:
     """Readings of a displaced arm to the last digit: the fitted model finds them again."""

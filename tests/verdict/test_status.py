@@ -55,6 +55,18 @@ def test_a_stated_position_alone_says_nothing_of_orientation() -> None:
     )
 
 
+def test_a_floor_that_the_parameters_hide_is_not_called_reached() -> None:
+    """At the floor as it is; not where the parameters' uncertainty makes more than arm and instrument do."""
+    samples = visited(20, 80, 8, "point", joint_rad=2e-5)
+    result = calibrate(samples, ur10(), np.random.default_rng(0), look_for_effects=False)
+    case = case_of(result, samples)
+    assert judge(case).status == "at_floor"
+    vague = judge(replace(case, known=replace(case.known, covariance=100.0 * case.known.covariance)))
+    assert vague.status == "cannot_tell"
+    assert vague.floor_known
+    assert "record more different postures" in vague.remedy
+
+
 @pytest.mark.slow
 def test_more_than_was_stated_is_open() -> None:
     stated = Stated(repeatability_mm=0.01, instrument_mm=0.01, repeatability_deg=0.01, instrument_deg=0.01)

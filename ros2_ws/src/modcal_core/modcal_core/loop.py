@@ -52,7 +52,7 @@ from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.case import fitted_case
 from modcal_core.verdict.grounds import Grounds
-from modcal_core.verdict.readings import doubtful
+from modcal_core.verdict.readings import doubtful, too_good
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import rejection
 from modcal_core.verdict.sanity import long_tool, sane_inertias
@@ -164,6 +164,7 @@ def calibrate(
             *contradicted_together(final, train, cell.distances),
             *contradicted_places(final, cell.tool, cell.known),
             *doubtful(left, scored, samples, chain),
+            *too_good(left, scored, chain, cell.stated),
             *computed_in_part(samples, chain, wrong),
             *samples.origin.doubts,
             *absurd,

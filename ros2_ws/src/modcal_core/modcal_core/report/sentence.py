@@ -38,7 +38,8 @@ def short_status(verdict: Verdict | None) -> str:
     """The verdict in one line: for a status, the terminal's last line, a table."""
     if verdict is None or verdict.status == "cannot_tell":
         remedy = (verdict.remedy if verdict else "") or REMEDY
-        return f"Cannot tell whether the rest is the floor: no floor is known. {remedy}"
+        unknown = "" if verdict is not None and verdict.floor_known else ": no floor is known"
+        return f"Cannot tell whether the rest is the floor{unknown}. {remedy}"
     if verdict.status == "open":
         return "Open: " + _reasons(verdict)
     return "At the floor: " + _floor(verdict)

@@ -7,12 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from modcal_core.calibration.score import FINEST, Errors
+from modcal_core.calibration.stated import Stated
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 # Powers of ten of a metre that tables and pendants round to; an instrument has errors of its own beside its last digit
 _STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
+_TELLING = 1e-4  # m; no arm's description is met to half of this, and some are met to half of the next step
+_LAST_DIGIT = 0.6  # of a step; rounding to it leaves 0.48 at the usual station, and joints of few digits some more
 _SAME = 0.01  # of a step; readings this close to its multiples are rounded to it
 _LEAST = 12  # samples from which a median is taken for the usual
 # rad RMS; any instrument that measures orientation does so better, and no arm in order turns its tool by more
@@ -29,6 +32,9 @@ _ROUNDED = 0.2  # share of values that occur more than once, from which a column
 _MOST_BITS = 16  # binary digits; single precision has 23, which is finer than instruments are
 _FINEST_STEP = 1e-7  # m or rad; what numbers are apart by less is no last digit
 _SEEN = 0.005  # m; readings that moved by more while the joints were the same
+
+_NOMINAL = 1.5e-4  # of the reach; nominal arms miss by ten times that, one calibrated by its maker by some 3e-4
+_BETTERED = 0.8  # times the nominal error; what a calibration takes away from a real arm's is more than a fifth
 
 COMPUTED = "computed from the joints"
 
@@ -53,13 +59,14 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
     """Whether a model reproduces the readings to what no instrument resolves (:data:`FINEST`, 2 µm).
 
     The nominal model is not met better than to repeatability by any arm, so rounded readings that it reproduces but for
-    their last digit were computed as well.
+    their last digit were computed as well; those in whole millimetres tell nothing, for some arms are as good as that.
     """
     if len(samples) < _LEAST or not is_direct(samples.kinds) or all(f in samples.sockets for f in samples.frames):
         return ()
     step = _step(samples.reading)
+    by_digit = _LAST_DIGIT * step if step <= _TELLING else 0.0
     for stage, model, limit in (
-        ("nominal", "nominal model", max(FINEST, step)),
+        ("nominal", "nominal model", max(FINEST, by_digit)),
         ("final", "fitted model", FINEST),
     ):
         left = float(np.median(errors[stage].position_norm))
@@ -71,6 +78,30 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
                 "and are not a measurement. Record an instrument that looks at the arm from outside.",
             )
     return ()
+
+
+def too_good(
+    errors: Mapping[str, Errors], samples: Samples, chain: Mechanism, stated: Stated | None
+) -> tuple[str, ...]:
+    """Whether the description fits as no arm's does before it is calibrated, and nothing betters it: goals do so.
+
+    A controller's goals, or poses that it computed, miss the arm's joints by what these lag or were rounded by, and
+    follow its nominal model. Not asked where both repeatability and instrument are stated: then somebody knows the arm.
+    """
+    known = stated is not None and stated.rms_mm is not None and stated.instrument_mm is not None
+    sockets = all(frame in samples.sockets for frame in samples.frames)
+    if known or sockets or len(samples) < _LEAST or not is_direct(samples.kinds) or not is_serial_arm(chain):
+        return ()
+    nominal, final = (_rms(errors[stage].position_norm) for stage in ("nominal", "final"))
+    if nominal > _NOMINAL * chain.reach() or final < _BETTERED * nominal or computed(errors, samples):
+        return ()
+    return (
+        f"The robot description fits the readings to {1e3 * nominal:.3g} mm RMS before anything is calibrated, and no "
+        f"calibration betters it ({1e3 * final:.3g} mm): few arms are built like that, and the controller's goals or "
+        "its computed poses look like that. Check which column or topic the readings come from; if they are a "
+        "tracker's, and the description was calibrated for this very arm, state its repeatability and the "
+        "instrument's accuracy.",
+    )
 
 
 def rounded(errors: Mapping[str, Errors], samples: Samples, chain: Mechanism) -> tuple[str, ...]:

@@ -73,11 +73,12 @@ def judge(
     if not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor") or r in loose for r in reasons):
         reasons = (*reasons, *_reasons("predictable", (*_uneven(case), *_scatter(case, stated))))
     told = known.position is not None and (known.rotation is not None or not angles)
-    status: Status = "open" if reasons else "at_floor" if told else "cannot_tell"
+    vague = "" if not told else _vague(known.position, own[0], " mm") or _vague(known.rotation, own[1], "°")
+    status: Status = "open" if reasons else "at_floor" if told and not vague else "cannot_tell"
     return Verdict(
         status=status,
         reasons=reasons,
-        remedy=_remedy(known, angles, stated) if status == "cannot_tell" else "",
+        remedy=(vague or _remedy(known, angles, stated)) if status == "cannot_tell" else "",
         floor_mm=known.position.rms if known.position else None,
         floor_deg=known.rotation.rms if known.rotation else None,
         account_mm2=_account(case, parts, seen, own[0], known.position, angle=False),
@@ -218,6 +219,16 @@ def _above_floor(case: Case, floor: Floor | None, own: float, angle: bool) -> It
             f"{what}: {np.sqrt(square):.3g}{unit} RMS is left, and {floor.rms:.3g}{unit} is what "
             f"{how} for the arm and the instrument."
         )
+
+
+def _vague(floor: Floor | None, own: float, unit: str) -> str:
+    """What to do where the parameters' own uncertainty surely leaves more than arm and instrument together."""
+    if floor is None or own <= floor.interval[1]:
+        return ""
+    return (
+        f"The parameters' uncertainty makes {np.sqrt(own):.3g}{unit} by itself, more than the {floor.rms:.3g}{unit} of "
+        "arm and instrument, and hides what is left beside it: record more different postures."
+    )
 
 
 def _remedy(known: Floors, angles: bool, stated: Stated | None) -> str:

@@ -76,6 +76,16 @@ class Verdict:
     returns: int = 0
 
     @property
+    def floor_known(self) -> bool:
+        """Whether it is known for all that the readings tell: positions, and orientations where there are any."""
+        known = self.floor_mm is not None or self.account_mm2 is None
+        return (
+            known
+            and (self.floor_deg is not None or self.account_deg2 is None)
+            and (self.floor_mm, self.floor_deg) != (None, None)
+        )
+
+    @property
     def open_because(self) -> tuple[str, ...]:
         """A sentence for each reason; empty unless the status is open."""
         return tuple(reason.sentence for reason in self.reasons)
