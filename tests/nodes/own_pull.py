@@ -22,6 +22,7 @@ from modcal_core.impedance.wrench import Load
 from modcal_core.robots.kinematics import forward
 from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
 from modcal_nodes.setpoint.arm import SensedArm, limits, task
+from modcal_nodes.setpoint.joint_softness import JointSoftness
 from modcal_nodes.simulation.pulling import Pulling
 
 _EVERY = round(IMPEDANCE_SETPOINT["rate_hz"].default / ARTICULATION_ESTIMATOR["rate_hz"].default)
@@ -61,7 +62,8 @@ def pull(
     chosen = {name: parameter.default for name, parameter in IMPEDANCE_SETPOINT.items()} | other
     arm = SensedArm.of(urdf, chosen)
     arm.sensor.load = Load(world.scene.tool_mass, world.scene.tool_com)
-    operation = Operation(arm.chain, task(chosen), limits(arm.chain, chosen), arm.softest)
+    softest = JointSoftness.of(urdf, arm.chain, chosen["max_joint_lead_rad"]).least
+    operation = Operation(arm.chain, task(chosen), limits(arm.chain, chosen), softest)
     tracker, state = Tracker(), None
     period, opened, begun = operation.limits.period, 0.0, False
     rng = np.random.default_rng(0)

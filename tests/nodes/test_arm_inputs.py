@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
-import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from impedance.toy import PANDA, READY
 from nodes.pulled_arm import URDF
-from nodes.pulling import PANDA as PANDA_FILE
 from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadCommand
 from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.setpoint.arm import SensedArm
 from modcal_nodes.setpoint.arm_inputs import ArmInputs
 
 CHOSEN: dict[str, Any] = {
     "base": "", "tip": PANDA.tip, "wrench_frame": "", "tool_mass": 0.0, "tool_centre": [0.0, 0.0, 0.0],
     "cutoff_hz": 20.0, "wrench_by_tool": False, "timeout_s": 0.1, "calibrated": False,
-    "max_joint_lead_rad": 0.04,
 }  # fmt: skip
 
 
@@ -55,17 +50,3 @@ def test_a_wrist_that_has_never_spoken_is_no_force_sensor() -> None:
     inputs.take_joints(state, 10.0)
     with pytest.raises(BadCommand, match="wrench"):
         inputs.require_fresh(10.0)
-
-
-@pytest.mark.parametrize(
-    ("effort", "lead", "softest"),
-    [("87", 0.04, 2175.0), ("87", 0.0, np.nan), ("0", 0.04, np.nan), ("-3", 0.04, np.nan)],
-)
-def test_the_softest_that_a_servo_may_be_comes_from_the_effort_of_its_joint(
-    effort: str, lead: float, softest: float
-) -> None:
-    """Where none is stated, or what is stated is nonsense, or nobody says by how much servos lead, none is known."""
-    urdf = re.sub(r'effort="[^"]*"', f'effort="{effort}"', PANDA_FILE.read_text())
-    assert urdf != PANDA_FILE.read_text() or effort == "87"
-    arm = SensedArm.of(urdf, {**CHOSEN, "max_joint_lead_rad": lead})
-    assert arm.softest == pytest.approx(np.full(arm.chain.n, softest), nan_ok=True)

@@ -68,6 +68,21 @@ class ServoModel:
         covariance = np.asarray(np.linalg.inv(weighted), dtype=float)
         return np.einsum("nij,nj->ni", covariance, b / variance[:, None] + self._prior * self._guess), covariance
 
+    @property
+    def lag(self) -> Array:
+        """Of every row (m,) [s]; as stated before anything is learned."""
+        return self._x[:, 0]
+
+    @property
+    def lag_unsure_by(self) -> Array:
+        """Standard deviations of the lags (m,) [s]."""
+        return np.asarray(np.sqrt(self._covariance[:, 0, 0]))
+
+    @property
+    def rest(self) -> Array:
+        """What dry friction and the like leave of every row (m,) [rad or m]."""
+        return self._x[:, 2]
+
     def left(self, mean: Array) -> Array:
         """What the model leaves (m,) of means (m, 4) of speed, load, one and lead."""
         return np.asarray((mean * self._against).sum(axis=1))

@@ -58,6 +58,8 @@ class ToolForce:
         if task.mode == "admittance" and sensor.stamp >= joints.stamp - _TOGETHER:
             self._unfelt.take(joints.q, joints.stamp, now, self.felt, sent.jacobian, self.limits.force)
         self._joints.heard(joints.stamp, now)
+        if (servos := self._unfelt.servos) is not None:
+            self._joints.learned(*servos)
         age = max(now - joints.stamp, now - sensor.stamp, 0.0)
         self.delay = age + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])

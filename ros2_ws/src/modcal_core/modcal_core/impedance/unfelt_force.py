@@ -104,6 +104,16 @@ class UnfeltForce:
         self._sure_since, self._lasts = math.inf, False
         self._little = math.inf  # s, when little was hidden
 
+    @property
+    def servos(self) -> tuple[Array, Array, Array] | None:
+        """Lags (n,) [s] of the joints' servos, how unsure these are (n,) [s], and the leads (n,) [rad] that neither lag
+        nor load takes; None where nothing is learned yet.
+        """
+        if self.model.count < FEWEST:
+            return None
+        n, model = self._n, self.model
+        return model.lag[:n], model.lag_unsure_by[:n], model.rest[:n]
+
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
         self._begun = q.copy() if self._begun is None else self._begun

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -33,29 +32,16 @@ from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_nodes.ros.transitions import noted
 from modcal_nodes.setpoint.arm import limits, task
 from modcal_nodes.setpoint.arm_inputs import ArmInputs
 from modcal_nodes.setpoint.changes import require_changeable
+from modcal_nodes.setpoint.joint_softness import JointSoftness
 from modcal_nodes.setpoint.publishers import SetpointPublishers
 
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes
 _RCLError = rclpy_implementation.RCLError
-
-
-def _noted(transition: Callable[[Any, LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
-    """A transition whose exceptions are said and counted; rclpy would keep them to itself."""
-
-    @wraps(transition)
-    def noted(self: ImpedanceSetpoint, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            return transition(self, state)
-        except Exception as error:
-            self.faults.note(transition.__name__, error)
-            return TransitionCallbackReturn.ERROR
-
-    return noted
-
 
 _REST = 0.004  # s, while nothing is pulled
 _LATE = 1.5  # periods between two ticks
@@ -75,6 +61,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._operation: Operation | None = None
         self._said = "nothing was pulled yet"
         self._level = OK
+        self._judged_by = ""
         self._inputs: list[MonitoredSubscription] = []
         self._outputs: SetpointPublishers | None = None
         self._timer: Timer | None = None
@@ -128,7 +115,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._operation is not None and self._arm is not None:
             self._operation.restrict(task(self._chosen), limits(self._arm.chain, self._chosen), self._now())
 
-    @_noted
+    @noted
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters and begin to listen. Fails for parameters that make no sense."""
         try:
@@ -163,7 +150,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             for kind, topic, callback, qos, needed in heard
         ]
 
-    @_noted
+    @noted
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Be ready to pull."""
         self._active = True
@@ -171,26 +158,26 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._tell(OK, "ready")
         return super().on_activate(state)
 
-    @_noted
+    @noted
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop whatever is going on; nothing is published any more."""
         self._end("deactivated")
         return super().on_deactivate(state)
 
-    @_noted
+    @noted
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen no more, and forget what was heard."""
         self._forget()
         return super().on_cleanup(state)
 
-    @_noted
+    @noted
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """The end of it."""
         self._end("shut down")
         self._forget()
         return super().on_shutdown(state)
 
-    @_noted
+    @noted
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """After a fault in a transition: as before it was configured."""
         self._end("a transition failed")
@@ -275,8 +262,20 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             raise BadCommand("robot_description", "not received yet", "publish it (latched), or set the parameter")
         self._arm.require_fresh(self._now())
         arm = self._arm
-        self._operation = Operation(arm.chain, task(self._chosen), limits(arm.chain, self._chosen), arm.arm.softest)
+        softness = self._softness(arm)
+        self._operation = Operation(arm.chain, task(self._chosen), limits(arm.chain, self._chosen), softness.least)
+        self._judged_by = softness.said
+        if softness.unknown:
+            self.get_logger().warning(f"a force that the sensor does not tell is judged by {softness.said}")
         self._tell(OK, "tare")
+
+    def _softness(self, arm: ArmInputs) -> JointSoftness:
+        held = ""
+        if self._chosen["mode"] != "admittance":
+            held = f"mode is {self._chosen['mode']}: the stack is compliant itself"
+        elif self._outputs is not None and self._outputs.stiffness_taken:
+            held = "a controller listens to ~/target_stiffness: it holds the tool's axes"
+        return JointSoftness.of(arm.arm.urdf, arm.chain, self._chosen["max_joint_lead_rad"], held)
 
     # what it hears
 
@@ -379,6 +378,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             "refused": self._refusals.counts.total(),
             "phase": self._operation.phase if self._operation else "",
             "force N": f"{float(np.linalg.norm(self._operation.force[:3])):.1f}" if self._operation else "",
+            "unfelt force judged by": self._judged_by,
             "tick ms, median": f"{took[0]:.2f}",
             "tick ms, 99 %": f"{took[1]:.2f}",
         }

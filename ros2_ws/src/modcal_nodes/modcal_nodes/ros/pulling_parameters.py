@@ -89,9 +89,9 @@ IMPEDANCE_SETPOINT = {
         100e3, "Stiffest that the servos hold the tool, by which a force that is not felt is judged [N/m].", 100.0, 1e7
     ),
     "max_joint_lead_rad": Parameter(
-        0.0,
+        0.04,
         "Of an arm with stiff joint servos: lead of a joint's reference under its full effort at most, by which a "
-        "force that is not felt is judged [rad]; 0: not known, or a compliant arm.",
+        "force that is not felt is judged [rad]; 0: not known, or compliant joints.",
         0.0,
         1.0,
     ),

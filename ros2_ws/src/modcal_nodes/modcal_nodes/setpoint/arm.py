@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadRobot, BadTable
+from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.safety_monitor import Limits
@@ -17,7 +17,6 @@ from modcal_core.impedance.wrench import Load, WrenchSensor
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_drives import read_drives
 
 _SLOWS, _STANDS = 0.6, 0.95  # of the most force: what needs less than that is opened
 _LEAD, _LEAD_SHARE = 0.08, 1.3  # m by which the expected pose may lead; of what the most force takes of the impedance
@@ -25,16 +24,12 @@ _LEAD, _LEAD_SHARE = 0.08, 1.3  # m by which the expected pose may lead; of what
 
 @dataclass(frozen=True)
 class SensedArm:
-    """The chain to the tool, and its force sensor. farthest: no tool lies farther off [m].
-
-    softest (n,): stiffness that the servo of each joint has at least [N m/rad], NaN where nothing tells.
-    """
+    """The chain to the tool, and its force sensor. farthest: no tool lies farther off [m]."""
 
     urdf: str
     chain: Chain
     sensor: WrenchSensor
     farthest: float
-    softest: Array
 
     @classmethod
     def of(cls, urdf: str, chosen: dict[str, Any]) -> SensedArm:
@@ -46,7 +41,7 @@ class SensedArm:
         load = Load(chosen["tool_mass"], _vector("tool_centre", chosen))
         sensor = WrenchSensor(frames, load, chosen["cutoff_hz"], -1.0 if chosen["wrench_by_tool"] else 1.0)
         farthest = 1.05 * (chain.reach() + float(np.linalg.norm(chain.origins[0, :3, 3])))
-        return cls(urdf, chain, sensor, farthest, _softest(urdf, chain, chosen["max_joint_lead_rad"]))
+        return cls(urdf, chain, sensor, farthest)
 
 
 def limits(chain: Chain, chosen: dict[str, Any]) -> Limits:
@@ -133,18 +128,6 @@ def _require_damping(asked: ImpedanceTask) -> None:
         if value < (least := stiff * asked.servo_lag):
             said = f"is below {least:g}, stack_stiffness times servo_lag_s, so that contact would oscillate"
             raise BadTable(f"{what} {value:g}", said, "raise damping, or correct the other two")
-
-
-def _softest(urdf: str, chain: Chain, most_lead: float) -> Array:
-    """The least stiffness (n,) [N m/rad] of servos that lead by so much [rad] at most under the effort of a URDF."""
-    unknown = np.full(chain.n, np.nan)
-    if not most_lead > 0.0:
-        return unknown
-    try:
-        torque = read_drives(urdf, chain).torque
-    except BadRobot:  # whose efforts are nonsense can be pulled with, as one that states none
-        return unknown
-    return np.where(chain.revolute, torque / most_lead, np.nan)
 
 
 def _fixed(urdf: str, chain: Chain, frame: str) -> Array:

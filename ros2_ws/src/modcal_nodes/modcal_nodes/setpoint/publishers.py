@@ -22,6 +22,11 @@ class SetpointPublishers:
         self._references = node.create_lifecycle_publisher(JointTrajectoryPoint, "~/joint_references", 1)
         self._trajectory = node.create_lifecycle_publisher(JointTrajectory, "~/joint_trajectory", 1)
 
+    @property
+    def stiffness_taken(self) -> bool:
+        """Whether somebody listens to the stiffness that is asked for, as a stack that holds the tool's axes does."""
+        return bool(self._stiffness.get_subscription_count())
+
     def send(self, setpoint: ArmSetpoint, tip: str, now: float, period: float, horizon: float) -> None:
         """Publish a setpoint of the frame tip at this time [s]. period: until the next [s]. horizon: of a trajectory's
         point [s].
