@@ -263,3 +263,16 @@ def test_the_page_lists_every_case() -> None:
     page = (ROOT / "docs" / "bad_input.md").read_text()
     for case in (*CASES, *FILES):
         assert f"| {case} |" in page, case
+
+
+@pytest.mark.parametrize(
+    "verb", [["target", "--charuco", "7x5", "--square", "30mm"], ["repair", "."], ["history", "."]]
+)
+def test_an_empty_name_is_not_the_current_folder(
+    verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """``--out "$FOLDER"`` with nothing in FOLDER wrote the results among whatever was there."""
+    monkeypatch.chdir(tmp_path)
+    assert run([*verb, "--out", ""]) == 2
+    assert "is empty" in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())

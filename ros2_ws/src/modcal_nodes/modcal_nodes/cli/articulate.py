@@ -26,6 +26,7 @@ from modcal_msgs_py.tables.tracks import read_track
 from modcal_msgs_py.topics import accepted, role_of
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.number import Whole
+from modcal_nodes.cli.paths import WRITTEN
 from modcal_nodes.cli.robot import arm_line, chain_line, described
 from modcal_nodes.io.articulated import write_articulation
 from modcal_nodes.io.inputs import read_calibration
@@ -71,7 +72,7 @@ class _Read:
     show_default=True,
     help="Seed for choosing the samples of the first guesses.",
 )
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
 @speaking
 def articulate_command(
     bag: Path,

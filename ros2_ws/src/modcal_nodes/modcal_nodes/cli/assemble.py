@@ -28,7 +28,7 @@ from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.legend import explain, table
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.io.assemblies import read_assembly
 
@@ -66,7 +66,7 @@ _PARTS = {
     "--modules", "store", type=EXISTING, default=None, metavar="STORE",
     help="File written by modcal modules learn: the URDF includes the known errors of these physical modules.",
 )  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
 @speaking
 def assemble_command(
     spec: Path, library_file: Path | None, store: Path | None, out: Path | None, output: Output

@@ -23,7 +23,7 @@ from modcal_nodes.cli.camera import by_camera, calibrate_images, camera_options,
 from modcal_nodes.cli.certificate import CERTIFICATE, UNMET, certificate_files, certified_hashes, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import arm_line, chain_line
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
@@ -50,7 +50,7 @@ CELL = click.option(
     default=None,
     help="YAML of known distances, fixed parameters, and what is stated of arm and instrument.",
 )
-OUT = click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+OUT = click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
 
 
 _ROBOT = (

@@ -18,7 +18,7 @@ from modcal_core.report.comparison_page import summary, to_html
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.number import Decimal
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io.report_schema import SCHEMA
 
@@ -32,9 +32,7 @@ _MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
     "--tolerance-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
     help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
 )  # fmt: skip
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="Folder of comparison.html and comparison.json."
-)
+@click.option("--out", type=WRITTEN, default=None, help="Folder of comparison.html and comparison.json.")
 @speaking
 def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: Path | None, output: Output) -> int:
     """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.

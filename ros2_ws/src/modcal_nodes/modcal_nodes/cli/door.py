@@ -15,6 +15,7 @@ import click
 from modcal_core.errors import BadCommand
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.number import Decimal, Whole
+from modcal_nodes.cli.paths import WRITTEN
 
 _NODE, _LOG, _RESULT = "door_demo", "nodes.log", "pull.json"
 _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots usually speak in
@@ -31,7 +32,7 @@ _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots u
     help="Time after which it is given up.",
 )  # fmt: skip
 @click.option("--domain", type=Whole(0, 232), default=None, help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results. Default: KIND_demo.")
+@click.option("--out", type=WRITTEN, default=None, help="Folder of the results. Default: KIND_demo.")
 @speaking
 def door_command(kind: str, seed: int, patience: float, domain: int | None, out: Path | None, output: Output) -> None:
     """Open a simulated door or drawer from start to end, and report what was learned of it.

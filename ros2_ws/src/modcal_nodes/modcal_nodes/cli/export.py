@@ -26,6 +26,7 @@ from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
 from modcal_core.robots.xacro import xacro_origins
 from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.paths import WRITTEN
 from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -69,9 +70,7 @@ class _Source:
     default=None,
     help="For kinematics: the maker's own file of this arm.",
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml."
-)
+@click.option("--out", type=WRITTEN, default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
 @speaking
 def export_command(
     source: Path,

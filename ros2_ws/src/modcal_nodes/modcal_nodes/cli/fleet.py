@@ -18,7 +18,7 @@ from modcal_nodes.cli.calibrate import calibration_options
 from modcal_nodes.cli.console import console, written
 from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.number import Whole
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet.cluster import Certificates, run_on_cluster
 from modcal_nodes.fleet.compare import Compared, Row
@@ -42,9 +42,7 @@ _COLUMNS = {
 
 @click.command("fleet")
 @click.argument("bags", nargs=-1, required=True)
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("fleet"), show_default=True, help="Folder of the results."
-)
+@click.option("--out", type=WRITTEN, default=Path("fleet"), show_default=True, help="Folder of the results.")
 @click.option(
     "--jobs",
     type=Whole(min=1),

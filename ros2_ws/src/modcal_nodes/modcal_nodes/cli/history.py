@@ -20,7 +20,7 @@ from modcal_core.files import to_json, write_folder
 from modcal_core.report.history import History, HistoryEntry, summary, to_html, to_json_data
 from modcal_core.report.joint_offsets import offsets_of
 from modcal_nodes.cli.console import Output, speaking, written
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.show import show_blocks
 
 _MAX_FILE = 1 << 28  # bytes; a report of ours has some ten thousand
@@ -32,7 +32,7 @@ _DEPTH = 3  # folders below the one that is given
 @click.argument("folder", type=EXISTING)
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     default=None,
     help="Folder of history.html and history.json. Default: FOLDER.",
 )

@@ -22,6 +22,7 @@ from modcal_msgs_py.tables.schema import json_schema
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
 from modcal_nodes.cli.import_proposal import is_kinematic, proposed
+from modcal_nodes.cli.paths import WRITTEN
 from modcal_nodes.cli.robot import BASE, TIP, described
 
 _EXISTING = click.Path(exists=True, path_type=Path)
@@ -50,7 +51,7 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     default=None,
     help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.",
 )

@@ -28,6 +28,7 @@ from modcal_nodes.cli.by_joint import numbers_by_joint
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.number import Whole
+from modcal_nodes.cli.paths import WRITTEN
 from modcal_nodes.cli.robot import arm_line, described, file_line
 from modcal_nodes.cli.topics import topic_options
 
@@ -85,7 +86,7 @@ def _by_joint(command: click.Command) -> click.Command:
 @click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="Gravity in the base link [m/s²].")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     default=None,
     help="Folder of limits.json, joint_limits.yaml and report.html.",
 )

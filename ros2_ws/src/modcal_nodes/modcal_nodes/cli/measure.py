@@ -29,7 +29,7 @@ from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import BASE, TIP, arm_line
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io.inputs import read_cell
@@ -123,7 +123,7 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of what is drawn at random.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=WRITTEN,
     default=None,
     help="Folder of session and results; of --by-hand it is DIR.",
 )

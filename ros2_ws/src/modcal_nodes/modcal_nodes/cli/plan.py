@@ -19,7 +19,7 @@ from modcal_core.planning.site import Site, site_from_data
 from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import BASE, TIP, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
 
@@ -95,7 +95,7 @@ _THOROUGH = 6000, 8  # candidates and starts
 )
 @click.option("--target", type=EXISTING, default=None, metavar="FILE", help="Printed target of --camera's images.")
 @click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of candidates and starts.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of plan.yaml.")
+@click.option("--out", type=WRITTEN, default=None, help="Folder of plan.yaml.")
 @speaking
 def plan_command(
     robot: Path | None,

@@ -11,11 +11,12 @@ from rich.table import Table
 
 from modcal_msgs_py.mcap_repair import Repair, repair_bag
 from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.paths import WRITTEN
 
 
 @click.command("repair")
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="The new bag. Default: BAG_repaired.")
+@click.option("--out", type=WRITTEN, default=None, help="The new bag. Default: BAG_repaired.")
 @speaking
 def repair_command(bag: Path, out: Path | None, output: Output) -> None:
     """Repair BAG, which was truncated: killed recorder, full disk, power failure.

@@ -23,7 +23,7 @@ from modcal_core.robots.table_rows import vector
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import BASE, TIP, TOOL, file_line, read_robot
 from modcal_nodes.cli.stations import read_stations
 
@@ -82,7 +82,7 @@ _COLUMNS = {
     help="Noise of orientations, per axis.",
 )
 @click.option("--seed", type=Whole(min=0), default=0, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
 @speaking
 def sensitivity_command(
     robot: Path,

@@ -16,6 +16,7 @@ from modcal_core.robots.urdf import other_tips
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.number import Decimal, Whole
+from modcal_nodes.cli.paths import WRITTEN
 from modcal_nodes.cli.robot import chain_line
 from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import SIMULATED_CELL
@@ -39,7 +40,7 @@ _STATIONS = 60
 
 @click.command("simulate")
 @click.argument("robot", type=_EXISTING)
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the bag; must not exist.")
+@click.option("--out", required=True, type=WRITTEN, help="Folder of the bag; must not exist.")
 @click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
 @click.option(
     "--at", "later", type=(Decimal(min=0.0), str), multiple=True, metavar="S NAME=VALUE",

@@ -24,7 +24,7 @@ from modcal_core.modules.synthesis_data import task_from_data
 from modcal_nodes.cli.console import console, written
 from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.number import Whole
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.io.assemblies import read_library
 
 _COLUMNS = {
@@ -45,7 +45,7 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
 @click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of the search.")
 @click.option("--workers", type=Whole(min=1, max=256), default=None, help="Processes. Default: one per processor.")
 @click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
-@click.option("--out", type=click.Path(path_type=Path), default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
 def synthesize_command(
     task_file: Path, library_file: Path | None, seed: int, workers: int | None, thorough: bool, out: Path | None
 ) -> None:

@@ -13,6 +13,7 @@ from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
 from modcal_nodes.cli.console import Output, speaking, tell, written
 from modcal_nodes.cli.number import Decimal, Whole
+from modcal_nodes.cli.paths import WRITTEN
 
 _PAPERS = ("A4", "A3", "A2", "letter")
 _MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
@@ -86,9 +87,7 @@ class _Lengths(click.ParamType):
     metavar="MM",
     help="How well you measured them.  [default: 0.3, as with a ruler]",
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("target"), show_default=True, help="Folder of the results."
-)
+@click.option("--out", type=WRITTEN, default=Path("target"), show_default=True, help="Folder of the results.")
 @speaking
 def target_command(
     charuco: tuple[int, int] | None,
