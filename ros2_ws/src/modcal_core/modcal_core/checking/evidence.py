@@ -80,7 +80,7 @@ class ChangeJudge:
         self._z = self._whiten @ null.residual
         self._square = np.sum(self._z**2, axis=1)
         self._each = null.log_prior - self._half_logdet - 0.5 * self._square
-        self.log_null = float(scipy.special.logsumexp(self._each))
+        self.log_null = float(np.logaddexp.reduce(self._each))
         self.best = int(np.argmax(self._each))
 
     @property
@@ -119,7 +119,7 @@ class ChangeJudge:
             logs = -0.5 * k * np.log1p(g) + 0.5 * gain * g / (1.0 + g)
             left = np.broadcast_to(self._square[:, None] - gain, logs.shape)
         each = self._each[:, None] + logs
-        factor = float(scipy.special.logsumexp(each)) - np.log(len(SIZES)) - self.log_null
+        factor = float(np.logaddexp.reduce(each, axis=None)) - np.log(len(SIZES)) - self.log_null
         at = np.unravel_index(int(np.argmax(each)), each.shape)
         likely = float((self.null.log_prior[:, None] - self._half_logdet[:, None] - 0.5 * left).max())
         return JudgedChange(candidate, factor, likely, float(left[at]), float(SIZES[at[1]]))
@@ -147,7 +147,7 @@ class ChangeJudge:
             z = scipy.linalg.solve_triangular(L, self.null.residual, lower=True)
             squares.append(float(z @ z))
             logs.append(-float(np.log(np.diag(L)).sum()) - 0.5 * squares[-1])
-        factor = float(scipy.special.logsumexp(logs)) - np.log(len(logs)) - self.log_null
+        factor = float(np.logaddexp.reduce(logs)) - np.log(len(logs)) - self.log_null
         at = int(np.argmax(logs))
         empty = ChangeCandidate(hypothesis, self.null.residual, np.zeros((len(self.null.residual), 0)), np.empty(0))
         return JudgedChange(empty, factor, logs[at], squares[at], 1.0, pairs[at])
@@ -170,13 +170,13 @@ def _log_priors(keys: tuple[tuple[str, str], ...]) -> Array:
 
 def e_value(judged: Sequence[JudgedChange], log_prior: Array, weight: float = 1.0) -> float:
     """Logarithm of the mean Bayes factor over all changes, raised to the stations' weight."""
-    return weight * float(scipy.special.logsumexp([j.log_factor for j in judged] + log_prior))
+    return weight * float(np.logaddexp.reduce([j.log_factor for j in judged] + log_prior))
 
 
 def probabilities(judged: Sequence[JudgedChange], log_prior: Array, weight: float = 1.0) -> Array:
     """Posterior probability of each change, one of them being the case, (H,)."""
     each = weight * np.array([j.log_factor for j in judged]) + log_prior
-    return np.asarray(np.exp(each - scipy.special.logsumexp(each)))
+    return np.asarray(np.exp(each - np.logaddexp.reduce(each)))
 
 
 def is_noise(judged: JudgedChange) -> bool:

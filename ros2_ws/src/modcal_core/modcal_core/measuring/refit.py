@@ -6,7 +6,7 @@ them to choose effects the geometry alone is fitted, held by its priors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class Refit:
     freedom: float
     searched: bool
     left: str | None
-    taken_in: Readmitted = field(default_factory=Readmitted)
+    taken_in: Readmitted
 
     @property
     def spread(self) -> float:
