@@ -9,7 +9,6 @@ the writing of recordings comes from modcal. ``ROWS`` has a maker by row.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from collections.abc import Callable
@@ -20,12 +19,12 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "verdict"))
 sys.path.append(str(Path(__file__).resolve().parent))
+from bodies_beside import GRAVITY, OTHER, other_torque, with_other_arm
 from from_truth import HEADS, BesideTruth, beside_truth, together
-from scipy.spatial.transform import Rotation
 from without_noise import WorksWithoutNoise, exact_samples
 from workcell import BEGIN, Bend, Session, Works  # which puts bench/undeclared on the path
 
-from arm import DESCRIBED, FOLDER, TILT_X, TILT_Y, TURN  # isort: skip
+from arm import DESCRIBED, TILT_X, TILT_Y, TURN  # isort: skip
 from arm import ROBOTS as TIPS  # isort: skip
 
 from modcal_core.calibration.cell import Cell
@@ -41,7 +40,6 @@ Array = np.ndarray
 ROBOTS = ("ur10", "panda", "xarm7")
 PAUSE = 600.0  # s between two recordings
 CARRIED = {"ur10": (0.5, 8.0), "panda": (0.2, 2.5), "xarm7": (0.2, 3.0)}  # kg
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -220,36 +218,6 @@ def clean_recordings(rng: np.random.Generator) -> Planted:
     return Planted(works.robot, recordings, floor_of(sessions), None, ("*",), exact=tuple(works.exact))
 
 
-def _inertial(mass: float, xyz: str) -> str:
-    i = 0.01 * mass
-    return (
-        f'<inertial><origin xyz="{xyz}" rpy="0 0 0"/><mass value="{mass}"/>'
-        f'<inertia ixx="{i}" ixy="0" ixz="0" iyy="{i}" iyz="0" izz="{i}"/></inertial>'
-    )
-
-
-def _before(robot: str, joint: str, kind: str, xyz: str, axis: str, span: tuple[float, float], mass: float) -> None:
-    """The UR10 on a link that moves by one joint more, of this mass [kg]."""
-    text = (Path(FOLDER) / "ur10.urdf").read_text(encoding="utf-8")
-    children = set(re.findall(r'<child link="([^"]*)"', text))
-    root = next(name for name in re.findall(r'<link name="([^"]*)"', text) if name not in children)
-    limit = f'<limit lower="{span[0]}" upper="{span[1]}" effort="900" velocity="1"/>'
-    foot = f'<link name="foot"/><link name="{joint}_link">{_inertial(mass, "0.02 0 0.1")}</link>'
-    moves = (
-        f'<joint name="{joint}" type="{kind}"><origin xyz="{xyz}" rpy="0 0 0"/><parent link="foot"/>'
-        f'<child link="{joint}_link"/><axis xyz="{axis}"/>{limit}</joint>'
-    )
-    fixed = (
-        f'<joint name="{joint}_mount" type="fixed"><origin xyz="0.1 0.1 0.2" rpy="0.3 0 0.2"/>'
-        f'<parent link="{joint}_link"/><child link="{root}"/></joint>'
-    )
-    DESCRIBED[robot] = text.replace("</robot>", f"{foot}\n{moves}\n{fixed}\n</robot>"), "tool0"
-
-
-_before("lifted", "lift", "prismatic", "0.1 0 0.3", "0 0 1", (0.0, 0.6), 25.0)
-_before("torso", "torso", "revolute", "0 0 0.8", "0 1 0", (-0.6, 0.6), 12.0)
-
-
 def column(rng: np.random.Generator) -> Planted:
     """A lifting column that tilts under the moment of the arm that it carries."""
     works = WorksWithoutNoise("lifted", rng)
@@ -266,9 +234,6 @@ def column(rng: np.random.Generator) -> Planted:
     )
 
 
-OTHER = (("right_1", "0 1 0", (0.05, -0.3, 0.3), 6.0), ("right_2", "1 0 0", (0.0, 0.0, 0.4), 7.0))
-
-
 def other_arm(rng: np.random.Generator) -> Planted:
     """An elastic torso that carries another arm as well, whose joints are recorded beside the measured arm's."""
     works = WorksWithoutNoise("torso", rng)
@@ -282,34 +247,12 @@ def other_arm(rng: np.random.Generator) -> Planted:
         deviation.x[:, 0, TURN] += own / stiffness  # type: ignore[attr-defined]
 
     session = works.clean(140, bend)
-    parts, parent = [], "torso_link"
-    for name, axis, xyz, mass in OTHER:
-        limit = '<limit lower="-2" upper="2" effort="99" velocity="1"/>'
-        at = " ".join(str(v) for v in xyz)
-        parts.append(f'<link name="{name}_link">{_inertial(mass, "0.03 0 0.2")}</link>')
-        parts.append(
-            f'<joint name="{name}" type="revolute"><origin xyz="{at}" rpy="0 0 0"/><parent link="{parent}"/>'
-            f'<child link="{name}_link"/><axis xyz="{axis}"/>{limit}</joint>'
-        )
-        parent = f"{name}_link"
-    urdf = session.urdf.replace("</robot>", "\n".join(parts) + "\n</robot>")
+    urdf = with_other_arm(session.urdf)
     more = {name: turns[:, i] for i, (name, *_) in enumerate(OTHER)}
     recording = replace(session, urdf=urdf, more=more).recording()
     return Planted(
         "torso", (recording,), session.floor_mm, (SPRINGS, ("torso", "torso_link")), exact=tuple(works.exact)
     )
-
-
-def other_torque(torso: Array, turns: Array) -> Array:
-    """Torque of the other arm's weight about the torso's axis (N,) [N m], by moments about it."""
-    lean = Rotation.from_rotvec(np.outer(torso, [0.0, 1.0, 0.0]))
-    first = Rotation.from_rotvec(np.outer(turns[:, 0], [0.0, 1.0, 0.0]))
-    second = first * Rotation.from_rotvec(np.outer(turns[:, 1], [1.0, 0.0, 0.0]))
-    centre = np.array([0.03, 0.0, 0.2])
-    shoulder, elbow = (np.array(xyz) for _, _, xyz, _ in OTHER)
-    at = [shoulder + first.apply(centre), shoulder + first.apply(elbow) + second.apply(centre)]
-    weights = [mass * GRAVITY * np.array([0.0, 0.0, -1.0]) for *_, mass in OTHER]
-    return np.sum([np.cross(lean.apply(p), w)[:, 1] for p, w in zip(at, weights, strict=True)], axis=0)
 
 
 ROWS: dict[str, Maker] = {
