@@ -42,6 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--most", type=int, default=100_000, help="Samples of the largest fit of the table.")
     parser.add_argument("--million", action="store_true", help="Fit a million points as well.")
+    parser.add_argument("--before", type=Path, default=None, help="Checkout whose whole runs take turns with these.")
     parser.add_argument("--out", type=Path, default=None, help="Folder of speed.md and speed.json.")
     groups: dict[str, Callable[[], Iterable[Row]]] = {
         "calibration": lambda: fits.rows(scale, chosen.most),
@@ -52,7 +53,7 @@ def main() -> None:
         "bags": bags.rows,
         "synthesis": search.rows,
         "start": startup.rows,
-        "whole": lambda: whole.rows(scale),
+        "whole": lambda: whole.rows(scale, chosen.before),
     }
     parser.add_argument("--only", choices=list(groups), action="append", help="Only this group; may be repeated.")
     chosen = parser.parse_args()
