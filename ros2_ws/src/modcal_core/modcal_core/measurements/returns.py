@@ -50,8 +50,8 @@ def posture_numbers(q: Array) -> np.ndarray:
 
 def _alike(q: Array) -> list[list[int]]:
     """Rows of q (N, n) of the same posture, for each that stands there more than once, in order."""
-    # On a line in no special direction postures that are alike are neighbours, and hardly any others; of those the
-    # first joints tell nearly all apart
+    # On a line in no special direction postures that are alike are neighbours, and hardly any others; the first joints
+    # tell nearly all of these apart
     along = 0.5 + 0.5 * (_GOLDEN * np.arange(1, q.shape[1] + 1) % 1.0)
     x = q @ along
     order = np.argsort(x, kind="stable")
