@@ -76,6 +76,32 @@ def test_an_effect_with_other_settings_is_another(scene: tuple[Fit, Drivers, lis
     assert [part.sign for part in changes] == [-1.0, 1.0]
 
 
+def test_of_the_next_fit_only_what_is_new_is_made(scene: tuple[Fit, Drivers, list[Effect]]) -> None:
+    """What came before stays, though a wave beside it is fitted to other cycles; what is projected out is the same."""
+    fit, drivers, effects = scene
+    line, other, _ = with_some(fit, effects, [0, 2, 5]).model.effects
+    wave = next(e for e in candidates(drivers) if e.shape.kind == "sine").started(np.full(2, 1e-6))
+    turned = wave.with_values(wave.values * np.array([1.0, 1.0, 1.01]))
+    first, then, back = (
+        replace(fit, model=fit.model.with_effects(some))
+        for some in ((wave, line), (turned, line, other), (turned, other))
+    )
+    anchor = Anchor.of(fit, drivers)
+    before = anchor.beside(first, drivers).changes  # type: ignore[union-attr]
+    after = anchor.beside(then, drivers)
+    assert after is not None
+    assert after.changes[0] is before[0]
+    assert [part.Q.shape[2] for part in after.changes] == [1, 1, 3]
+    v = np.random.default_rng(1).normal(size=(after.rows, len(drivers)))
+    for now in (then, back):
+        seen, anew = (a.beside(now, drivers) for a in (anchor, Anchor.of(fit, drivers)))
+        one, two = (
+            sum(part.sign * (part.Q @ np.einsum("cNp,cN->p", part.Q, v)) for part in space.changes)  # type: ignore[union-attr]
+            for space in (seen, anew)
+        )
+        np.testing.assert_allclose(one, two, atol=1e-8 * np.abs(v).max())
+
+
 def test_many_directions_are_contracted_in_single_precision(rng: np.random.Generator) -> None:
     """To a millionth of what they are made of."""
     Q, some = rng.normal(size=(6, 400, 100)), rng.normal(size=(3, 6, 400))
