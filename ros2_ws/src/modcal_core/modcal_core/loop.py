@@ -15,11 +15,9 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
 from modcal_core.calibration.change_points import sharpened
-from modcal_core.calibration.distances_together import contradicted_together
 from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identifiability import identifiability
 from modcal_core.calibration.identify import Fit, require_enough
-from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
 from modcal_core.calibration.known_distances import distances_of
 from modcal_core.calibration.readmitted import readmitted, right_after_all
 from modcal_core.calibration.runs import places_of, runs_of
@@ -27,7 +25,6 @@ from modcal_core.calibration.score import errors, outlying
 from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.split import SHARES, split
 from modcal_core.calibration.starts import fit_geometry
-from modcal_core.calibration.stated_places import contradicted_places
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
 from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
@@ -38,7 +35,6 @@ from modcal_core.diagnosis.stated_loads import stated_arm, with_stated
 from modcal_core.effects.drivers import remembered
 from modcal_core.effects.families import payload
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.computed_part import computed_in_part
 from modcal_core.plausibility.conventions import proved
 from modcal_core.plausibility.require import require_plausible
 from modcal_core.regimes.find import find_regimes, moves_of
@@ -51,11 +47,11 @@ from modcal_core.report.report import Report
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.case import fitted_case
+from modcal_core.verdict.contradictions import contradictions
 from modcal_core.verdict.grounds import Grounds
-from modcal_core.verdict.readings import doubtful, too_good
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import rejection
-from modcal_core.verdict.sanity import long_tool, sane_inertias
+from modcal_core.verdict.sanity import sane_inertias
 from modcal_core.verdict.status import judge
 from modcal_core.verdict.where import with_places
 
@@ -160,15 +156,8 @@ def calibrate(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
         regimes=regimes_of(final.model, samples),
         contradictions=(
-            *contradictions_of_distances(distances),
-            *contradicted_together(final, train, cell.distances),
-            *contradicted_places(final, cell.tool, cell.known),
-            *doubtful(left, scored, samples, chain),
-            *too_good(left, scored, chain, cell.stated),
-            *computed_in_part(samples, chain, wrong),
-            *samples.origin.doubts,
+            *contradictions(final, train, samples, scored, wrong, left, distances, cell, chain),
             *absurd,
-            *long_tool(final.model),
         ),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),

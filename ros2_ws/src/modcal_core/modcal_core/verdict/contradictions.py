@@ -1,0 +1,49 @@
+"""What the data of a calibration contradict: known distances, stated places, readings that are none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.distances_together import contradicted_together
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.known_distances import KnownDistance
+from modcal_core.calibration.known_distances import contradictions as contradictions_of_distances
+from modcal_core.calibration.score import Errors
+from modcal_core.calibration.stated_places import contradicted_places
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.computed_part import computed_in_part
+from modcal_core.robots.mechanism import Mechanism
+from modcal_core.verdict.readings import doubtful, too_good
+from modcal_core.verdict.sanity import long_tool
+
+
+def contradictions(
+    fit: Fit,
+    train: Samples,
+    samples: Samples,
+    scored: Samples,
+    wrong: np.ndarray,
+    errors: Mapping[str, Errors],
+    distances: Sequence[KnownDistance],
+    cell: Cell,
+    chain: Mechanism,
+) -> tuple[str, ...]:
+    """A sentence for each contradiction; each makes the verdict *open*.
+
+    fit: of the samples ``train``. samples: all of them. scored: those that the ``errors`` of nominal, geometric and
+    final model are of. wrong (N,): samples that were rejected. distances: of the cell, as the fit has them. chain: the
+    nominal arm.
+    """
+    return (
+        *contradictions_of_distances(distances),
+        *contradicted_together(fit, train, cell.distances),
+        *contradicted_places(fit, cell.tool, cell.known),
+        *doubtful(errors, scored, samples, chain),
+        *too_good(errors, scored, chain, cell.stated),
+        *computed_in_part(samples, chain, wrong),
+        *samples.origin.doubts,
+        *long_tool(fit.model),
+    )
