@@ -4,7 +4,7 @@
 
 Groups: ``main``; ``later``, kinds that were written later than the rest; ``fresh``, ``fresh_again``, ``fresh_third``,
 ``fresh_fourth``, ``fresh_fifth``, ``fresh_sixth``, ``fresh_seventh`` and ``fresh_eighth``, each written after the last
-change to the code of its day and run once; ``real``, made out of recordings of real arms beside the checkout; ``good``;
+change to the code of its day and run once; ``real`` and ``ninth``, of real arms beside the checkout; ``good``;
 ``good_fifth`` and ``good_eighth``, healthy cells of other builds. A fault counts as named when what makes the verdict
 open, or what was modelled, holds the joint, the place or the topic that is at fault.
 """
@@ -152,6 +152,7 @@ def confusion(results: list[dict[str, Any]], console: Console) -> None:
         ("fresh_sixth", "Kinds once written after the last change, sixth group"),
         ("fresh_seventh", "Kinds once written after the last change, seventh group"),
         ("fresh_eighth", "Kinds written after the last change, in cells of their own"),
+        ("ninth", "Real recordings, tampered with"),
     ):
         rows = [r for r in results if r["group"] == group]
         if not rows:

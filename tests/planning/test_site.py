@@ -208,6 +208,15 @@ def test_one_turn_is_cut_where_the_arm_cannot_be() -> None:
     assert T[2, 3] < 0.0
 
 
+def test_one_turn_of_many_is_near_the_middle() -> None:
+    """Limits of ±360 that were meant in degrees: stations were planned at 89 rad."""
+    wide = ur10().with_limits(np.full(6, -360.0), np.full(6, 360.0))
+    here = site(surroundings={"floor_m": 0.0})
+    chain = one_turn(spheres_of(wide, here), here, np.random.default_rng(0))
+    assert np.allclose(chain.upper - chain.lower, 2 * np.pi)
+    assert np.abs([chain.lower, chain.upper]).max() <= 2 * np.pi + 1e-9
+
+
 @pytest.mark.parametrize(
     ("parts", "words"),
     [

@@ -161,8 +161,10 @@ def one_turn(spheres: Spheres, site: Site, rng: np.random.Generator) -> Mechanis
     q = q[clearance(spheres, site, q) >= 0.0]
     lower, upper = chain.lower.copy(), chain.upper.copy()
     for k in np.flatnonzero(wide):
-        # first angles of turns that stay within the limits, the middle one first among equals
-        first = np.linspace(lower[k], upper[k] - 2.0 * np.pi, 25)
+        # first angles of turns that stay within the limits, the middle one first among equals; those farther than a
+        # turn from the middle are the same again, and in limits that somebody wrote in degrees far from any arm's
+        middle = 0.5 * (lower[k] + upper[k])
+        first = np.linspace(max(lower[k], middle - 2.0 * np.pi), min(upper[k] - 2.0 * np.pi, middle), 25)
         first = first[np.argsort(np.abs(first - first.mean()), kind="stable")]
         apart = np.abs(np.angle(np.exp(1j * (q[:, k, None] - first))))
         begin = first[np.argmin(np.sum(apart < _CUT, axis=0))]
