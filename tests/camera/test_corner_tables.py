@@ -185,11 +185,11 @@ def test_a_row_a_posture_with_columns_of_cameras_markers_and_corners(tmp_path: P
     )
     file, _ = tables(tmp_path, rows)
     found = read_corner_tables(file, file, JOINTS, BODY, {"1": (100, 80), "2": (64, 48)})
-    assert list(found) == ["1", "2"]
-    assert [v.name for v in found["2"].views] == ["1", "2"]
-    assert list(found["2"].views[1].ids) == [BODY.point(5, 2)]
-    assert np.allclose(found["2"].q, [[0.0, 0.5], [1.0, 0.0]])
-    assert len(found["1"].views) == 1
+    assert list(found) == ["cam1", "cam2"]
+    assert [v.name for v in found["cam2"].views] == ["1", "2"]
+    assert list(found["cam2"].views[1].ids) == [BODY.point(5, 2)]
+    assert np.allclose(found["cam2"].q, [[0.0, 0.5], [1.0, 0.0]])
+    assert len(found["cam1"].views) == 1
     (sheet,) = read_corner_tables(
         *tables(tmp_path, "u_3,v_3,u_4,v_4\n1,2,3,4\n5,6,7,8\n", "a,b\n0,0\n1,0\n"), JOINTS, BOARD, {"": (9, 9)}
     ).values()
