@@ -18,6 +18,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
 from modcal_core.public import calibrate, check
+from modcal_core.report.checkup import summary, to_json_data
+from modcal_core.report.summary import SummaryLine
 from modcal_core.robot import Robot
 from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_nodes.simulation.world import World
@@ -69,12 +71,19 @@ def names(found: Checked) -> set[tuple[str, str]]:
 
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_an_unknown_frame_is_placed_and_no_change(cell: tuple[Recorded, Calibration], kind: str) -> None:
+    first = f"zero of {ur10().names[0]}"
     for seed in range(4):
         found, truth = checked(cell, lambda q, world: ELSEWHERE @ world(q), seed, kind=kind, frame="leica")
         assert found.status == "unchanged", found.sentence
         assert "where frame leica stands was found" in found.sentence
         assert found.advice.action == "refit_base"
         assert not {"base", "frame"} & {n.label for n in found.noticed}
+        zeros = next(n for n in found.noticed if n.label == "joint zero")
+        assert zeros.unseen == (first,)  # the frame that was placed takes it up
+        assert zeros.mm < 10.0
+        assert to_json_data(found)["not_noticed"] == [first]
+        lines = [line.text for line in summary(found) if isinstance(line, SummaryLine)]
+        assert any(line.endswith(f"These stations do not show: {first}.") for line in lines)
         assert found.expected[0] is not None
         assert found.expected[0] < 2e3 * FLOOR
         assert found.repaired is not None

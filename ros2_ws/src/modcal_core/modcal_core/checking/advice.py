@@ -24,6 +24,7 @@ _SAME = 0.0025  # of the squares: what differs by less over all recorded posture
 _LISTED = 4  # changes that a sentence has room for
 _SURE = 1.645  # standard deviations: 95 of 100
 _SWEEP = 24  # stations that show a gear's curve: a wave of a turn or two, and some of any other
+_UNSEEN_MM = 100.0  # RMS at the tool: a change that must be a decimetre is seen by eye, and not by these stations
 
 
 def same_everywhere(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> bool:
@@ -90,12 +91,13 @@ def _weights(state: CheckState) -> Array:
 
 def noticed(judge: ChangeJudge, state: CheckState, asked: Sequence[CellChange]) -> tuple[Noticed, ...]:
     """The smallest base, tool, zero and scale of those asked for that 95 of 100 such checks notice, RMS at the tool
-    [mm].
+    [mm], and which of them no check of these stations notices.
     """
     prior = log_priors(asked)
     N, n = len(state.samples), len(state.null.residual)
     member = judge.null.reference if judge.null.widest < 0 else judge.null.widest
     worst: dict[str, float] = {}
+    unseen: dict[str, list[str]] = {}
     for h, p in zip(asked, prior, strict=True):
         if h.kind in (NOISE, GEAR) or not h.sizes or h.kind not in (BASE, FRAME, TOOL, ZERO, "tracker_scale"):
             continue
@@ -107,8 +109,12 @@ def noticed(judge: ChangeJudge, state: CheckState, asked: Sequence[CellChange]) 
         if seen.any():
             name = {BASE: "base", FRAME: "frame", TOOL: "tool", ZERO: "joint zero"}.get(h.kind, "tracker scale")
             mm = float(np.max(1e3 * moved[seen] * need / whitened[seen]))
-            worst[name] = max(worst.get(name, 0.0), mm)
-    return tuple(Noticed(name, mm) for name, mm in worst.items())
+            if mm > _UNSEEN_MM:
+                unseen.setdefault(name, []).append(h.label)
+            else:
+                worst[name] = max(worst.get(name, 0.0), mm)
+    names = dict.fromkeys((*worst, *unseen))
+    return tuple(Noticed(name, worst.get(name, np.inf), tuple(unseen.get(name, ()))) for name in names)
 
 
 def _needed(k: int, n: int, log_prior: float, weight: float) -> float:

@@ -58,10 +58,14 @@ class NamedChange:
 
 @dataclass(frozen=True)
 class Noticed:
-    """The smallest change of a kind that these stations show in 95 of 100 cases: RMS at the tool [mm]."""
+    """The smallest change of a kind that these stations show in 95 of 100 cases: RMS at the tool [mm], inf for none.
+
+    unseen: changes of this kind that they do not show, such as the zero of a joint that turns as the base does.
+    """
 
     label: str
     mm: float
+    unseen: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,7 @@ def to_json_data(found: Checked, calibration: str = "") -> dict[str, Any]:
         "error_mm": {"frozen": found.before[0], "expected": found.expected[0], "with_changes": found.after[0]},
         "error_deg": {"frozen": found.before[1], "expected": found.expected[1], "with_changes": found.after[1]},
         "would_have_been_noticed_mm": {n.label: _finite(n.mm) for n in found.noticed},
+        "not_noticed": [label for n in found.noticed for label in n.unseen],
         "action": found.advice.action,
         "advice": found.advice.sentence,
         "stations_to_add": [
@@ -122,7 +123,9 @@ def summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
             out.append(SummaryTable(("change", "size", "value", "95 % interval", "unit"), lines, words=2))
     if found.noticed:
         said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm))
-        out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said}.", "legend"))
+        unseen = ", ".join(label for n in found.noticed for label in n.unseen)
+        but = f" These stations do not show: {unseen}." if unseen else ""
+        out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said or 'nothing'}.{but}", "legend"))
     out += [SummaryLine(note, "doubt") for note in found.notes]
     out.append(SummaryLine(found.sentence, _TONES[found.status]))
     out.append(SummaryLine(found.advice.sentence))
@@ -210,7 +213,9 @@ def _tables(found: Checked) -> tuple[PageTable, ...]:
         out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered))
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
-        below = "RMS at the tool over these stations, of the direction that shows least."
+        unseen = ", ".join(label for n in found.noticed for label in n.unseen)
+        but = f" These stations do not show: {unseen}." if unseen else ""
+        below = f"RMS at the tool over these stations, of the direction that shows least.{but}"
         out.append(PageTable("Noticed in 95 of 100 such checks", ("change", "mm"), noticed, 1, below))
     return tuple(out)
 
