@@ -54,7 +54,11 @@ def test_goals_that_the_joints_missed_by_a_little_are_doubted() -> None:
     rng = np.random.default_rng(0)
     goals = replace(made, q=made.q + rng.normal(0.0, 1e-4, made.q.shape))
     assert "before anything is calibrated" in said(goals)
-    assert "before anything is calibrated" not in said(record(4, 70).samples)
+    tracked = record(4, 70).samples
+    assert "before anything is calibrated" not in said(tracked)
+    good = calibrate(tracked, CHAIN, np.random.default_rng(0), look_for_effects=False).calibration
+    frozen = evaluate(good, goals, np.random.default_rng(0), refit_base=True, refit_tool=True)
+    assert "before anything is calibrated" in " ".join(frozen.grounds.contradictions)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from modcal_core.report.report import Report
 from modcal_core.verdict.case import frozen_case
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.not_applied import applicable
-from modcal_core.verdict.readings import doubtful
+from modcal_core.verdict.readings import doubtful, too_good
 from modcal_core.verdict.rejection import MOST_SINGLE, rejection
 from modcal_core.verdict.status import judge
 from modcal_core.verdict.where import with_places
@@ -78,6 +78,7 @@ def evaluate(
         contradictions=(
             *own_note(samples, calibration),
             *doubtful(residuals, scored, samples, calibration.nominal.chain),
+            *too_good(residuals, scored, calibration.nominal.chain, cell.stated),
             *computed_in_part(samples, calibration.nominal.chain, wrong),
             *samples.origin.doubts,
         ),
