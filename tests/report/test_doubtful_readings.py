@@ -8,8 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
+from verdict.visits import tour
 
+from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.score import Errors
+from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import so3
@@ -18,6 +21,8 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
 from modcal_core.verdict.readings import coarse, cut_off
+from modcal_core.verdict.tolerance import Asked, assess
+from modcal_core.verdict.verdict import Verdict
 
 CHAIN = ur10()
 
@@ -25,6 +30,12 @@ CHAIN = ur10()
 def said(samples: Samples) -> str:
     report = calibrate(samples, CHAIN, np.random.default_rng(0), look_for_effects=False).report
     return " ".join(report.grounds.contradictions)
+
+
+def judgement(samples: Samples, cell: Cell | None = None) -> Verdict:
+    report = calibrate(samples, CHAIN, np.random.default_rng(0), cell, look_for_effects=False).report
+    assert report.judged is not None
+    return report.judged
 
 
 def by_joints(made: Recorded, rounded: float = 0.0) -> Samples:
@@ -53,12 +64,28 @@ def test_goals_that_the_joints_missed_by_a_little_are_doubted() -> None:
     made = by_joints(record(4, 70))
     rng = np.random.default_rng(0)
     goals = replace(made, q=made.q + rng.normal(0.0, 1e-4, made.q.shape))
-    assert "before anything is calibrated" in said(goals)
+    judged = judgement(goals)
+    assert judged.status == "cannot_tell"
+    assert "before anything is calibrated" in judged.remedy
+    assert assess(np.full(40, 0.1), np.arange(40), Asked(1.0), judged).result == "CANNOT TELL"
+    assert not judgement(goals, Cell(stated=Stated(repeatability_mm=0.1, instrument_mm=0.05))).unproven
     tracked = record(4, 70).samples
-    assert "before anything is calibrated" not in said(tracked)
+    assert not judgement(tracked).unproven
     good = calibrate(tracked, CHAIN, np.random.default_rng(0), look_for_effects=False).calibration
     frozen = evaluate(good, goals, np.random.default_rng(0), refit_base=True, refit_tool=True)
-    assert "before anything is calibrated" in " ".join(frozen.grounds.contradictions)
+    assert "before anything is calibrated" in " ".join(frozen.grounds.unproven)
+
+
+def test_postures_that_were_read_again_show_that_somebody_measured() -> None:
+    """An arm that is built as it is described, and an instrument whose readings scatter where they are repeated."""
+    _, q, _ = tour(4, 80, 8)
+    rng = np.random.default_rng(1)
+    T = forward(CHAIN, q + rng.normal(0.0, 1e-5, q.shape))
+    T[:, :3, 3] += 5e-5 * rng.standard_normal((len(q), 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((len(q), 3)))
+    judged = judgement(samples_of(CHAIN, q, T))
+    assert not judged.unproven
+    assert judged.status == "at_floor", judged.open_because
 
 
 @pytest.mark.slow

@@ -78,13 +78,13 @@ def evaluate(
         contradictions=(
             *own_note(samples, calibration),
             *doubtful(residuals, scored, samples, calibration.nominal.chain),
-            *too_good(residuals, scored, calibration.nominal.chain, cell.stated),
             *computed_in_part(samples, calibration.nominal.chain, wrong),
             *samples.origin.doubts,
         ),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
         rejected_places=places_of(samples, wrong),
+        unproven=too_good(residuals, scored, calibration.nominal.chain, cell.stated),
         outside=(*unseen_note(scored, calibration, MOST_OUTSIDE), *applied.notes),
     )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)

@@ -49,6 +49,7 @@ from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.case import fitted_case
 from modcal_core.verdict.contradictions import contradictions
 from modcal_core.verdict.grounds import Grounds
+from modcal_core.verdict.readings import too_good
 from modcal_core.verdict.regimes import regimes_of
 from modcal_core.verdict.rejection import rejection
 from modcal_core.verdict.sanity import sane_inertias
@@ -159,6 +160,7 @@ def calibrate(
             *contradictions(final, train, samples, scored, wrong, left, distances, cell, chain),
             *absurd,
         ),
+        unproven=too_good(left, scored, chain, cell.stated),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
         rejected_places=places_of(samples, wrong),

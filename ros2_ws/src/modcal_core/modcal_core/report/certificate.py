@@ -162,7 +162,8 @@ def _reasons(report: Report) -> tuple[str, ...]:
     if (more := len(report.open_because) - shown) > 0:
         out.append(f"And {counted(more, 'more reason')}, in report.json.")
     if report.status == "cannot_tell" and report.judged is not None and report.judged.remedy:
-        out.append(f"The floor is not known. {report.judged.remedy}")
+        known = "" if report.judged.floor_known else "The floor is not known. "
+        out.append(f"{known}{report.judged.remedy}")
     said = report.judged is not None and any(reason.kind == "rejected" for reason in report.judged.reasons)
     if (count := report.rejected_stations()) and not said:
         out.append(_rejected(report, count))

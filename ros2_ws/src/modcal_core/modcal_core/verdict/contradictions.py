@@ -16,7 +16,7 @@ from modcal_core.calibration.stated_places import contradicted_places
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.computed_part import computed_in_part
 from modcal_core.robots.mechanism import Mechanism
-from modcal_core.verdict.readings import doubtful, too_good
+from modcal_core.verdict.readings import doubtful
 from modcal_core.verdict.sanity import long_tool
 
 
@@ -42,7 +42,6 @@ def contradictions(
         *contradicted_together(fit, train, cell.distances),
         *contradicted_places(fit, cell.tool, cell.known),
         *doubtful(errors, scored, samples, chain),
-        *too_good(errors, scored, chain, cell.stated),
         *computed_in_part(samples, chain, wrong),
         *samples.origin.doubts,
         *long_tool(fit.model),

@@ -38,7 +38,8 @@ class Grounds:
     ("pose inverted"), None if nothing. rejected_runs: runs (first, last station in order of time) of at least three
     neighbours that were rejected and belong to no regime. rejected_places: the same of neighbours by a joint's
     position. outside: sentences on what lies outside what a frozen
-    calibration has seen.
+    calibration has seen. unproven: why it is not certain that the readings were measured; it counts where no returns
+    show that they scatter.
     """
 
     converged: bool = True
@@ -49,3 +50,4 @@ class Grounds:
     rejected_runs: tuple[tuple[int, int], ...] = ()
     rejected_places: tuple[RejectedPlace, ...] = ()
     outside: tuple[str, ...] = ()
+    unproven: tuple[str, ...] = ()

@@ -83,7 +83,7 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
 def too_good(
     errors: Mapping[str, Errors], samples: Samples, chain: Mechanism, stated: Stated | None
 ) -> tuple[str, ...]:
-    """Whether the description fits as no arm's does before it is calibrated, and nothing betters it: goals do so.
+    """Whether the description fits as few arms' do before they are calibrated, and nothing betters it: goals do so.
 
     A controller's goals, or poses that it computed, miss the arm's joints by what these lag or were rounded by, and
     follow its nominal model. Not asked where both repeatability and instrument are stated: then somebody knows the arm.

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.stated import Stated
 from modcal_core.measurements.returns import LEAST_RETURNS
 from modcal_core.verdict.account import account
@@ -74,11 +75,12 @@ def judge(
         reasons = (*reasons, *_reasons("predictable", (*_uneven(case), *_scatter(case, stated))))
     told = known.position is not None and (known.rotation is not None or not angles)
     vague = "" if not told else _vague(known.position, own[0], " mm") or _vague(known.rotation, own[1], "°")
-    status: Status = "open" if reasons else "at_floor" if told and not vague else "cannot_tell"
+    unproven = "" if _scattered(known) else " ".join(grounds.unproven)
+    status: Status = "open" if reasons else "at_floor" if told and not vague and not unproven else "cannot_tell"
     return Verdict(
         status=status,
         reasons=reasons,
-        remedy=(vague or _remedy(known, angles, stated)) if status == "cannot_tell" else "",
+        remedy=(unproven or vague or _remedy(known, angles, stated)) if status == "cannot_tell" else "",
         floor_mm=known.position.rms if known.position else None,
         floor_deg=known.rotation.rms if known.rotation else None,
         account_mm2=_account(case, parts, seen, own[0], known.position, angle=False),
@@ -89,7 +91,14 @@ def judge(
         repeatability_mm=known.position.repeatability if known.position else Repeatability(None, None),
         repeatability_deg=known.rotation.repeatability if known.rotation else Repeatability(None, None),
         returns=known.returns,
+        unproven=unproven,
     )
+
+
+def _scattered(known: Floors) -> bool:
+    """Whether postures that were visited again were read otherwise, as goals are not."""
+    floor = known.position
+    return floor is not None and floor.repeatability.source == "revisits" and floor.rms > 1e3 * FINEST
 
 
 def _account(

@@ -61,7 +61,7 @@ def assess(norms_mm: Array, unit: np.ndarray, asked: Asked, verdict: Verdict | N
     """The result for these held-out errors [mm], (N,), that belong to these units, (N,).
 
     A predictable share alone does not stand in the way of a PASS: it says that the error could be smaller still. Every
-    other reason for an open verdict does.
+    other reason for an open verdict does, and so does doubt whether the readings were measured.
     """
     count = len(np.unique(unit))
     if not count:
@@ -79,6 +79,8 @@ def assess(norms_mm: Array, unit: np.ndarray, asked: Asked, verdict: Verdict | N
         against = [reason.sentence for reason in verdict.reasons if reason.kind != "predictable"]
         if against:
             because = f"The {name} is at most {high:.3f} mm, but {_lower(against[0])}"
+        elif verdict.unproven:
+            because = f"The {name} is at most {high:.3f} mm, but {_lower(verdict.unproven)}"
     if because:
         return Tolerance(asked, value, (low, high), "CANNOT TELL", because)
     said = f"The {name} is {value:.3f} mm, and at most {high:.3f} mm with 95 % confidence: within {limit}."

@@ -58,7 +58,8 @@ class Verdict:
     reasons: why the status is open; empty unless it is. remedy: what would tell, for a status of cannot_tell. floor_mm,
     floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2, account_deg2: rows that sum to
     the squared error of the nominal model; None where readings have no length or no angle. predictable,
-    predictable_deg: share of the held-out squared error that a regressor without physics predicts.
+    predictable_deg: share of the held-out squared error that a regressor without physics predicts. unproven: why it is
+    not certain that the readings were measured: then they prove no floor and no tolerance.
     """
 
     status: Status
@@ -74,6 +75,7 @@ class Verdict:
     repeatability_mm: Repeatability = Repeatability(None, None)
     repeatability_deg: Repeatability = Repeatability(None, None)
     returns: int = 0
+    unproven: str = ""
 
     @property
     def floor_known(self) -> bool:
