@@ -54,7 +54,7 @@ from modcal_nodes.simulation.plant import Plant  # noqa: E402
 JOINT_RATE, TRACKER_RATE, SEED = 1000.0, 200.0, 3
 UNWRITTEN = 1.0  # s of messages that a kill may take with it
 UNSENT, UNMATCHED = 0.05, 0.5  # s of messages about a restart of the publishers that they may take with them
-MOST_DEVIATIONS = 3.0  # combined standard deviations between the two calibrations
+MAX_DEVIATIONS = 3.0  # combined standard deviations between the two calibrations
 CALM_DOWN = 0.25  # share of the time at the end in which the calibrator and the recorder are not killed any more
 UNEXCUSED = "without an excuse"
 TOPICS = ("/joint_states", "/tracker/pose")
@@ -325,8 +325,8 @@ def _report(folder: Path, every: list[Subject], codes: dict[str, int], answers: 
     try:
         disturbed, calm = (read_calibration(folder / name) for name in ("disturbed", "calm"))
         apart = _deviations(disturbed, calm)
-        row("disturbed against calm, the tip at 100 postures", f"{apart:.2f} deviations", f"{MOST_DEVIATIONS:g}",
-            apart <= MOST_DEVIATIONS)  # fmt: skip
+        row("disturbed against calm, the tip at 100 postures", f"{apart:.2f} deviations", f"{MAX_DEVIATIONS:g}",
+            apart <= MAX_DEVIATIONS)  # fmt: skip
         urdf = ROOT / "examples" / "robots" / "ur10.urdf"
         chosen = {**{name: p.default for name, p in SIMULATED_CELL.items()}, "urdf": str(urdf), "seed": SEED}
         truth = Plant({**chosen, "stations": 10})

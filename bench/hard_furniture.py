@@ -40,7 +40,7 @@ URDF = PANDA.read_text()
 CHAIN = read_chain(URDF)
 USUAL, SEALED = 50.0, 80.0  # N that are stated
 GRASPS = ("weld", "ball")
-LEAST_OPENED, MOST_REFUSED = 0.95, 1.2
+MIN_OPENED, MAX_REFUSED = 0.95, 1.2
 _WAYS = 60  # places along the way at which the force is asked for
 _SLOWLY = 0.005  # m/s of the handle
 
@@ -150,7 +150,7 @@ def judged(scene: Scene, grasp: str, drawn: Furniture, pull: Pull) -> Result:
         if pull.peak > scene.stated:
             faults.append(f"{pull.peak:.0f} N")
     else:
-        if pull.peak > MOST_REFUSED * scene.stated:
+        if pull.peak > MAX_REFUSED * scene.stated:
             faults.append(f"{pull.peak:.0f} N")
         if not any(words in pull.said for words in ("does not move", "stopped moving", "beyond the limit", "jammed")):
             faults.append("another reason")
@@ -209,7 +209,7 @@ def main() -> int:
     let_go = [r for r in rest if r.right]
     print(f"\nopened {len(opened)} of {len(can)}, {len(gentle)} of them by no more than is stated; ", end="")
     print(f"of the others {len(let_go)} of {len(rest)} let go gently and for a true reason")
-    met = len(opened) >= LEAST_OPENED * len(can) and len(gentle) == len(can) and len(let_go) == len(rest)
+    met = len(opened) >= MIN_OPENED * len(can) and len(gentle) == len(can) and len(let_go) == len(rest)
     return int(not met)
 
 

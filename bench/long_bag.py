@@ -39,7 +39,7 @@ from modcal_msgs_py.types import definition, jazzy, message_class, serialise  # 
 RATE, EVERY = 1000, 33  # joint states a second, of which each 33rd has a reading
 STAND, TRAVEL = 2.5, 1.0  # s
 START = 1_700_000_000  # s
-MOST_SECONDS, MOST_MB = 20.0, 1000.0
+MAX_SECONDS, MAX_MB = 20.0, 1000.0
 PEER = 60_000  # messages that the other one reads
 JOINTS, POSE, TEXT = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
 
@@ -160,8 +160,8 @@ def main() -> int:
         (whole / "metadata.yaml").write_text(_metadata(some))
         theirs = others(whole / "bag_0.mcap")
         print(f"rosbags: {theirs / 1e6:.3f} million messages a second; {ours / theirs:.0f} x")
-    too_long = spent > MOST_SECONDS * chosen.minutes / 60.0 + 10.0 * (chosen.minutes < 30.0)
-    return int(done.returncode != 0 or too_long or memory > MOST_MB)
+    too_long = spent > MAX_SECONDS * chosen.minutes / 60.0 + 10.0 * (chosen.minutes < 30.0)
+    return int(done.returncode != 0 or too_long or memory > MAX_MB)
 
 
 def _metadata(count: int) -> str:

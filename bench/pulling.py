@@ -51,7 +51,7 @@ PLAIN: dict[str, tuple[Callable[[Furniture], Way], bool]] = {
     "stiff, learnt wrong": (learnt_wrong, False),
     "admittance, learnt wrong": (learnt_wrong, True),
 }
-LEAST_OPENED, MOST_PEAK, MOST_MEAN, LEAST_RATIO, MOST_REFUSED = 0.95, 40.0, 12.0, 8.0, 60.0
+MIN_OPENED, MAX_PEAK, MAX_MEAN, MIN_RATIO, MAX_REFUSED = 0.95, 40.0, 12.0, 8.0, 60.0
 STUBBORN: dict[str, dict[str, Any]] = {
     "locked door": {"kind": "door", "stop": 0.0},
     "locked drawer": {"kind": "drawer", "stop": 0.0},
@@ -132,14 +132,14 @@ def verdicts(opened: list[Run], stiff: list[Run], stubborn: list[Run]) -> list[t
     # over all scenes together: where a drawer happens to be pulled straight, stiffness does no harm
     ratio = sum(run.pull.peak for run in stiff) / peaks.sum()
     found = [
-        (share >= LEAST_OPENED, f"opened: {100.0 * share:.0f} %, at least {100.0 * LEAST_OPENED:.0f} %"),
-        (peaks.max() <= MOST_PEAK, f"largest peak: {peaks.max():.1f} N, at most {MOST_PEAK:g} N"),
-        (means.max() <= MOST_MEAN, f"largest mean: {means.max():.1f} N, at most {MOST_MEAN:g} N"),
-        (ratio >= LEAST_RATIO, f"peaks below the stiff, straight pull's by {ratio:.1f}, at least {LEAST_RATIO:g}"),
+        (share >= MIN_OPENED, f"opened: {100.0 * share:.0f} %, at least {100.0 * MIN_OPENED:.0f} %"),
+        (peaks.max() <= MAX_PEAK, f"largest peak: {peaks.max():.1f} N, at most {MAX_PEAK:g} N"),
+        (means.max() <= MAX_MEAN, f"largest mean: {means.max():.1f} N, at most {MAX_MEAN:g} N"),
+        (ratio >= MIN_RATIO, f"peaks below the stiff, straight pull's by {ratio:.1f}, at least {MIN_RATIO:g}"),
     ]
     if stubborn:
         worst = max(run.pull.peak for run in stubborn)
-        found.append((worst < MOST_REFUSED, f"what cannot be opened: {worst:.1f} N, below {MOST_REFUSED:g} N"))
+        found.append((worst < MAX_REFUSED, f"what cannot be opened: {worst:.1f} N, below {MAX_REFUSED:g} N"))
     return found
 
 
@@ -154,12 +154,12 @@ def plot(path: Path, runs: list[Run], openings: list[Opening]) -> None:
     for way in dict.fromkeys(run.way for run in runs):
         pulls = [run.pull for run in runs if run.way == way]
         left.plot([100.0 * p.opened / p.goal for p in pulls], [p.peak for p in pulls], ".", label=way)
-    left.axhline(MOST_PEAK, color="k", linewidth=0.5)
+    left.axhline(MAX_PEAK, color="k", linewidth=0.5)
     left.set(yscale="log", xlabel="opened [% of the goal]", ylabel="peak of the contact force [N]")
     left.legend(fontsize="small")
     for opening in openings:
         right.plot(opening.forces[:, 0], opening.forces[:, 1], linewidth=0.6)
-    right.axhline(MOST_PEAK, color="k", linewidth=0.5)
+    right.axhline(MAX_PEAK, color="k", linewidth=0.5)
     right.set(xlabel="time since it was asked for [s]", ylabel="contact force [N]", title="modcal")
     figure.savefig(path, dpi=150)
 

@@ -38,8 +38,8 @@ from modcal_core.geometry.so3 import Array  # noqa: E402
 JOINT_RATE, TRACKER_RATE = 1000.0, 200.0  # Hz
 WARM_UP = 0.4  # share of the time after which memory must be flat
 TURN = 0.1  # share of the time after which the calibrator makes stations of what it heard
-MOST_GROWTH = 2.0  # MB a minute after that, which is a hundred times less than what is heard
-MOST_COMPUTE = 1.0  # ms of a processor, p99 of one update
+MAX_GROWTH = 2.0  # MB a minute after that, which is a hundred times less than what is heard
+MAX_COMPUTE = 1.0  # ms of a processor, p99 of one update
 SAMPLES, MODEL = "/calibrator: samples", "/calibrator: model"
 
 
@@ -161,15 +161,15 @@ def _report(
     for topic in sorted(published):
         row(f"{topic}: recorded of published", f"{recorded[topic]} of {published[topic]}", "all",
             lambda t=topic: lost[t] == 0 and published[t] > 0)  # type: ignore[misc]  # fmt: skip
-    row("calibrator: compute of an update, p99", f"{p99:.3f} ms", f"{MOST_COMPUTE:g} ms", lambda: p99 <= MOST_COMPUTE)
+    row("calibrator: compute of an update, p99", f"{p99:.3f} ms", f"{MAX_COMPUTE:g} ms", lambda: p99 <= MAX_COMPUTE)
     row("calibrator: state of its model", figures["state"], "trusted", lambda: figures["state"] == "trusted")
     for key in ("median", "p99"):
         table.add_row(f"from stamp to update, {key}", f"{figures[f'from stamp to update, {key} [ms]']} ms", "", "")
     for name, one in usage.items():
         growth, turns = one.growth(since, turn), " ".join(f"{a:.0f}–{b:.0f}" for a, b in one.turns(since, turn))
         table.add_row(f"{name}: memory, least and most of every turn", f"{turns} MB", "", "")
-        row(f"{name}: memory, growth", f"{growth:+.2f} MB/min", f"{MOST_GROWTH:g} MB/min",
-            lambda g=growth: g <= MOST_GROWTH)  # type: ignore[misc]  # fmt: skip
+        row(f"{name}: memory, growth", f"{growth:+.2f} MB/min", f"{MAX_GROWTH:g} MB/min",
+            lambda g=growth: g <= MAX_GROWTH)  # type: ignore[misc]  # fmt: skip
         table.add_row(f"{name}: cores", f"{one.share():.2f}", "", "")
     Console().print(table)
     return 1 if broken else 0

@@ -1,7 +1,7 @@
 """Does a number that decides matter? Each one 30 % lower and higher, over recordings of the two public benchmarks.
 
     python bench/constants/run.py                                        # all of constants.json, hours
-    python bench/constants/run.py --only status.MOST_REJECTED,SIGNIFICANT --every 20 --jobs 1
+    python bench/constants/run.py --only status.MAX_REJECTED,SIGNIFICANT --every 20 --jobs 1
 
 Recordings are those of ``bench/undeclared`` (is the planted effect named, how well is the second recording predicted?)
 and ``bench/verdict`` (is the verdict right?). A whole-number constant moves by at least one. The table says which

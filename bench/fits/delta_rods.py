@@ -28,7 +28,7 @@ from modcal_core.robot import Robot
 FLOOR_MM = 0.01
 STATIONS, HELD_OUT = 160, 200
 APART_M = 6e-4
-MOST, NAMED = 1.1, 0.95
+MAX, NAMED = 1.1, 0.95
 CYCLES, AMPLITUDE, WITHIN = 40.0, 3e-4, 3.0  # of the gear a turn, rad, and standard deviations its cycles may be off
 
 
@@ -79,7 +79,7 @@ def main() -> int:
             f"right {right:.0%}, {dict(counted)}",
             flush=True,
         )
-        met &= over <= MOST and right >= NAMED
+        met &= over <= MAX and right >= NAMED
     return 0 if met else 1
 
 

@@ -21,7 +21,7 @@ from from_truth import from_truth
 from hard_cells import DISTANCE, KINDS, Fitted
 
 STAGES = ("nominal", "geometric", "final")
-MOST = 1.1  # times the floor
+MAX = 1.1  # times the floor
 
 
 def fitted(cell: Fitted, seed: int, geometry_only: bool) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 HEAD = (
-    f"\n| recording | seeds | ÷ floor, median | worst | at most {MOST:g} | values / readings fitted | expected "
+    f"\n| recording | seeds | ÷ floor, median | worst | at most {MAX:g} | values / readings fitted | expected "
     "| ÷ truth on the same stations, median | worst | ÷ fit begun at the truth, worst |\n"
     + "| --- "
     + "| --: " * 9
@@ -108,7 +108,7 @@ def _together(kind: str, rows: list[dict[str, Any]]) -> str:
     over, truth, begun = (np.array([row["final"] / row[k] for row in rows]) for k in ("floor", "truth", "from_truth"))
     values, readings = (round(float(np.mean([row[k] for row in rows]))) for k in ("values", "train"))
     return (
-        f"| `{kind}` | {len(rows)} | {np.median(over):.2f} | {over.max():.2f} | {np.mean(over <= MOST):.0%} "
+        f"| `{kind}` | {len(rows)} | {np.median(over):.2f} | {over.max():.2f} | {np.mean(over <= MAX):.0%} "
         f"| {values} / {readings} | {np.sqrt(1.0 + values / (3.0 * readings)):.2f} "
         f"| {np.nanmedian(truth):.2f} | {np.nanmax(truth):.2f} | {np.nanmax(begun):.3f} |"
     )

@@ -23,7 +23,7 @@ WORDS = (
     b"\x1b[31m", b"\xff", b"\x00", b"IDL: a/msg/B\nmodule a {", b"../", b"/joint_states", b"/tf", b"[/red]",
     b"sensor_msgs/msg/JointState", b"geometry_msgs/msg/PoseStamped", b"tf2_msgs/msg/TFMessage", b"std_msgs/msg/String",
 )  # fmt: skip
-_LEAST_SCHEMA = 14  # bytes
+_MIN_SCHEMA = 14  # bytes
 Record = tuple[int, bytes]
 
 
@@ -155,7 +155,7 @@ def _definition(content: list[Record | Chunk], rng: np.random.Generator) -> None
         if found:
             i = found[int(rng.integers(len(found)))]
             body = records[i][1]
-            if len(body) < _LEAST_SCHEMA:  # it was changed before
+            if len(body) < _MIN_SCHEMA:  # it was changed before
                 return
             (n,) = struct.unpack_from("<I", body, 2)
             if len(body) < 10 + n:

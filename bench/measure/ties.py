@@ -17,7 +17,7 @@ FAULTS = (
 )  # fmt: skip
 ARMS = ("ur10", "panda", "xarm7")
 RECORDED, NARROW = 45, 0.45  # stations of the recording, and the share of each joint's range that it covers
-MOST, AT_ONCE = 12, 4
+MAX, AT_ONCE = 12, 4
 
 
 def ties(count: int) -> None:
@@ -36,8 +36,8 @@ def ties(count: int) -> None:
             continue
         found += 1
         used = 0
-        while stations and used < MOST:
-            stations = stations[: MOST - used]
+        while stations and used < MAX:
+            stations = stations[: MAX - used]
             session = session.asking(stations)
             for number in session.pending:
                 session = session.with_station(number, bench.measure(session.stations[number]))
@@ -63,7 +63,7 @@ def ties(count: int) -> None:
             flush=True,
         )  # fmt: skip
     print(
-        f"ties: of {found} pairs that {RECORDED} stations left open, {separated} were separated by at most {MOST} "
+        f"ties: of {found} pairs that {RECORDED} stations left open, {separated} were separated by at most {MAX} "
         f"more; {one} turned out to be one motion, which is said"
     )
 

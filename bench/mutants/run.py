@@ -31,7 +31,7 @@ from sample import SAMPLE
 
 ROOT = Path(__file__).resolve().parents[2]
 _FIRST, _MORE = 15.0, 4.0  # s of tests in the first round, and how many times as many in the next
-_LEAST_LIMIT, _PATIENCE = 60.0, 8.0  # s that any test may take, and how many times as long as it usually does
+_MIN_LIMIT, _PATIENCE = 60.0, 8.0  # s that any test may take, and how many times as long as it usually does
 KILLED, SURVIVED, GONE, UNSEEN = "killed", "survived", "not applicable", "reached by no test"
 
 
@@ -221,9 +221,9 @@ class Bench:
         record, names = copy.root.parent / "record.jsonl", copy.root.parent / "tests.json"
         record.unlink(missing_ok=True)
         names.write_text(json.dumps([t.name for t in part]))
-        each = max(_LEAST_LIMIT, _PATIENCE * max(t.seconds for t in part))
+        each = max(_MIN_LIMIT, _PATIENCE * max(t.seconds for t in part))
         arguments = ["-n0", "-x", f"--timeout={each:.0f}", *dict.fromkeys(t.file for t in part)]
-        seconds = _LEAST_LIMIT + _PATIENCE * sum(t.seconds for t in part) + each
+        seconds = _MIN_LIMIT + _PATIENCE * sum(t.seconds for t in part) + each
         code = copy.pytest(arguments, {RECORD: str(record), TESTS: str(names)}, seconds, self.options.prefix)
         done = {line["done"]: line["outcome"] for line in lines_of(record) if "done" in line}
         for test in part:

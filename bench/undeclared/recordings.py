@@ -23,7 +23,7 @@ RATE, MOVE, DWELL = 25.0, 1.2, 0.6  # Hz, s, s
 COURSE, COURSE_SECOND, JOINT_RATE, TRACKER_RATE, SPEED = 60.0, 40.0, 125.0, 50.0, 0.3  # s, s, Hz, Hz, m/s
 NOISE_MM, NOISE_MRAD, REPEATABILITY = 0.02, 0.02, 1e-5  # per axis; per joint [rad]
 EFFORT_NOISE = 0.05  # N m
-LEAST = 2.5  # a planted fault stands out of the noise by this factor (RMS) after the best geometry
+MIN = 2.5  # a planted fault stands out of the noise by this factor (RMS) after the best geometry
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ def plant(cell: Cell, makers: tuple[Maker, ...], rng: np.random.Generator, durat
         for _ in range(50):
             fault = maker(draw)
             of_readings = fault.silent or fault.latency or fault.lag or fault.outliers
-            if of_readings or cell.size(sample, (fault,)).over_noise >= LEAST:
+            if of_readings or cell.size(sample, (fault,)).over_noise >= MIN:
                 faults.append(fault)
                 break
         else:

@@ -11,7 +11,7 @@ from modcal_core.articulation.bends import bend_explains
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.models.revolute import RevoluteMotion
 from modcal_core.articulation.share_check import ShareCheck
-from modcal_core.articulation.stretches import MOST, Stretches
+from modcal_core.articulation.stretches import MAX, Stretches
 from modcal_core.articulation.track import Track
 
 
@@ -59,7 +59,7 @@ def test_stretches_are_bounded_and_keep_the_path() -> None:
     p = np.outer(np.linspace(0.0, 2.0, 4000), [1.0, 0.0, 0.0])
     for x in p:
         some.come(x, 1e-4)
-    assert some.k <= MOST
+    assert some.k <= MAX
     assert some.path == pytest.approx(2.0, abs=0.04)
     assert some.counts.sum() == len(p)
     assert (np.diff(some.points[:, 0]) > 0.0).all()

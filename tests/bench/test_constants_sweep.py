@@ -27,10 +27,10 @@ def sweep() -> ModuleType:
 
 @pytest.mark.slow
 def test_a_number_moves_in_every_module_that_imported_it_and_comes_back(sweep: ModuleType) -> None:
-    before = pruning.LEAST_GAIN
-    with sweep.changed("modcal_core.diagnosis.pruning", "LEAST_GAIN", 1.3):
-        assert pruning.LEAST_GAIN == search.LEAST_GAIN == pytest.approx(1.3 * before)
-    assert pruning.LEAST_GAIN == search.LEAST_GAIN == before
+    before = pruning.MIN_GAIN
+    with sweep.changed("modcal_core.diagnosis.pruning", "MIN_GAIN", 1.3):
+        assert pruning.MIN_GAIN == search.MIN_GAIN == pytest.approx(1.3 * before)
+    assert pruning.MIN_GAIN == search.MIN_GAIN == before
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "bench" / "mutants"
-LEAST = 60  # mutants that make a sample
+MIN = 60  # mutants that make a sample
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def test_the_sample_fits_the_sources(bench: dict[str, ModuleType]) -> None:
         assert place.mutated(mutant.new) != place.text
         marks.setdefault(place.path, {}).setdefault(place.line, []).append(mutant.name)
         texts[place.path] = place.text
-    assert sum(len(names) for lines in marks.values() for names in lines.values()) >= LEAST
+    assert sum(len(names) for lines in marks.values() for names in lines.values()) >= MIN
     for path, lines in marks.items():
         ast.parse(fragments.marked(texts[path], lines))
 

@@ -158,7 +158,7 @@ def test_normal_equations_are_those_of_the_whole_jacobian(
 ) -> None:
     """However many samples are taken at once, and with two curves as sparse arrays."""
     monkeypatch.setattr("modcal_core.calibration.normal_equations.BLOCK", block)
-    monkeypatch.setattr("modcal_core.effects.knots._LEAST", thinned)
+    monkeypatch.setattr("modcal_core.effects.knots._MIN", thinned)
     monkeypatch.setattr("modcal_core.calibration.linearise._AT_ONCE", 17)
     samples = recorded(100)
     if points:

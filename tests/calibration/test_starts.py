@@ -32,7 +32,7 @@ from modcal_nodes.io.inputs import read_cell
 sys.path.append(str(Path(__file__).resolve().parents[2] / "bench" / "fits"))
 from hard_cells import DISTANCE, KINDS, Fitted, cube, sockets
 
-MOST = 1.1  # times the floor
+MAX = 1.1  # times the floor
 
 
 def halves(made: Fitted, cell: Cell) -> tuple[Samples, Samples]:
@@ -66,7 +66,7 @@ def test_a_tool_that_hardly_turns_is_found_with_the_arm(seed: int) -> None:
     alone = fitted(made, Cell(), train, together=False)
     fit = fitted(made, Cell(), train)
     assert missed(alone, rest) > 2.0 * made.floor_mm  # what about the nominal arm's tool came to
-    assert missed(fit, rest) < MOST * made.floor_mm
+    assert missed(fit, rest) < MAX * made.floor_mm
     assert (
         np.linalg.norm(fit.model.T_tip_tool[:3, 3] - made.tool)
         < 0.05
@@ -82,7 +82,7 @@ def test_sockets_with_a_known_distance_are_found_with_the_arm() -> None:
     train, rest = halves(made, cell)
     fit = fitted(made, cell, train)
     estimated = np.sqrt(1.0 + len(fit.parameters) / (3.0 * len(train)))  # what fitting so many to so few adds
-    assert missed(fit, rest) < MOST * estimated * made.floor_mm
+    assert missed(fit, rest) < MAX * estimated * made.floor_mm
     alone = fitted(made, cell, train, together=False)
     assert missed(alone, rest) > 5.0 * made.floor_mm  # what about the nominal arm's sockets came to
     assert max(abs(d.residual) for d in distances_of(fit, train, cell.distances)) < 2e-4  # m, four deviations
@@ -144,7 +144,7 @@ def test_a_stated_tool_is_held_within_its_tolerance() -> None:
     fit = fitted(made, cell, train)
     assert np.linalg.norm(fit.model.T_tip_tool[:3, 3] - drawn) < 4e-4
     assert np.linalg.norm(fitted(made, Cell(), train).model.T_tip_tool[:3, 3] - drawn) > 5e-3
-    assert missed(fit, rest) < MOST * made.floor_mm
+    assert missed(fit, rest) < MAX * made.floor_mm
     assert contradicted_places(fit, cell.tool, cell.known) == ()
 
 

@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 from lxml import html
-from report.browser import CONTRASTS, LEAST, browser
+from report.browser import CONTRASTS, MIN, browser
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [
@@ -134,7 +134,7 @@ def test_pages_complain_of_nothing_and_fit_a_phone(site: Path) -> None:
                 assert not opened.complaints(), name
                 assert opened.run("document.documentElement.dataset.bsTheme") == ("dark" if dark else "light")
                 assert opened.run("document.documentElement.scrollWidth") <= 400, name
-                assert not [said for said, contrast in opened.run(CONTRASTS) if contrast < LEAST], name
+                assert not [said for said, contrast in opened.run(CONTRASTS) if contrast < MIN], name
                 assert {request.partition(":")[0] for request in opened.requests()} <= {"file", "data"}
         opened.run("document.querySelector('[data-bs-theme-value=light]').click()")
         assert opened.run("document.documentElement.dataset.bsTheme") == "light"

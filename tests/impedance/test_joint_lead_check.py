@@ -13,7 +13,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.joint_lead_check import JointLeadCheck
 from modcal_core.robots.kinematics import pose_and_jacobian
 
-LAG, MOST, STIFFEST = 0.03, 50.0, 100e3
+LAG, MAX, STIFFEST = 0.03, 50.0, 100e3
 TRUE = np.array([4000.0] * 4 + [1000.0] * 3)  # N m/rad
 CONTACT = 15e3  # N/m, of a hand at what does not move
 
@@ -43,7 +43,7 @@ def pulled(share: float, least: Array, lag: float = LAG, late: int = 0, speed: f
         q = q + (aim - q) * PERIOD / (lag + PERIOD)
         check.heard(now - late * PERIOD, now)
         most = max(most, float(check.unexplained(q, now, share * wrench, J).max()))
-        if check.refused(q, now, share * wrench, J, MOST, STIFFEST) is not None:
+        if check.refused(q, now, share * wrench, J, MAX, STIFFEST) is not None:
             return force, most
         if force > 200.0:
             break
@@ -53,7 +53,7 @@ def pulled(share: float, least: Array, lag: float = LAG, late: int = 0, speed: f
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.2])
 def test_a_sensor_that_says_a_fifth_is_found_out_where_the_softest_is_known(share: float) -> None:
     force, _ = pulled(share, TRUE / 1.5)
-    assert force < 1.2 * MOST
+    assert force < 1.2 * MAX
 
 
 @pytest.mark.parametrize("softer", [1.0, 1.5, 3.0])
@@ -108,7 +108,7 @@ def met_in_motion(share: float, learned: bool, speeds: tuple[float, float] = (0.
         wrench = np.array([-force, 0.0, 0.0, 0.0, 0.0, 0.0])
         q = q + (reference + (J.T @ wrench) / TRUE - q) * PERIOD / (LAG + PERIOD)
         check.heard(now, now)
-        if check.refused(q, now, share * wrench, J, MOST, STIFFEST) is not None:
+        if check.refused(q, now, share * wrench, J, MAX, STIFFEST) is not None:
             return force
         if force > 150.0:
             break
@@ -119,8 +119,8 @@ def met_in_motion(share: float, learned: bool, speeds: tuple[float, float] = (0.
 def test_a_jam_in_motion_is_found_out_although_the_sensor_says_a_fifth(speeds: tuple[float, float]) -> None:
     """Also where the hand speeds up as it jams, for a model was just trusted; its lag hides little once it is known."""
     known, unknown = met_in_motion(0.2, True, speeds), met_in_motion(0.2, False, speeds)
-    assert known < 0.8 * MOST
-    assert known <= unknown < 1.2 * MOST
+    assert known < 0.8 * MAX
+    assert known <= unknown < 1.2 * MAX
 
 
 def test_a_jam_in_motion_that_the_sensor_tells_is_none() -> None:
@@ -142,7 +142,7 @@ def test_servos_that_follow_by_a_delay_hide_nothing_as_they_set_off_and_brake(ga
         sent.append(sent[-1] + way * (speed * PERIOD))
         check.sent(sent[-1], now)
         check.heard(now, now)
-        assert check.refused(sent[-1 - round(LAG / PERIOD)], now, np.zeros(6), J, MOST, STIFFEST) is None
+        assert check.refused(sent[-1 - round(LAG / PERIOD)], now, np.zeros(6), J, MAX, STIFFEST) is None
 
 
 def test_a_reference_that_is_late_now_and_then_is_no_hidden_force() -> None:
@@ -160,4 +160,4 @@ def test_a_reference_that_is_late_now_and_then_is_no_hidden_force() -> None:
         heard = max(heard, k - int(rng.integers(4)) if k // 25 % 2 else k)  # one never comes before an older one
         q = q + (sent[heard] - q) * PERIOD / (LAG + PERIOD)
         check.heard(now, now)
-        assert check.refused(q, now, np.zeros(6), J, MOST, STIFFEST) is None
+        assert check.refused(q, now, np.zeros(6), J, MAX, STIFFEST) is None

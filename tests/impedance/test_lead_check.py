@@ -9,7 +9,7 @@ import pytest
 
 from modcal_core.impedance.lead_check import LeadCheck, Stiffness
 
-PERIOD, LAG, MOST = 0.004, 0.03, 50.0
+PERIOD, LAG, MAX = 0.004, 0.03, 50.0
 LEVERS = 0.3  # m²
 
 
@@ -33,7 +33,7 @@ def pressed(check: LeadCheck, stiffness: float, heard: float, newtons: float = 1
         check.sent(p, now)
         felt = min(force, heard) + rng.normal(0.0, 0.1)
         check.felt(np.full(6, felt), now)
-        if check.refused(np.zeros(3), abs(felt), now, MOST, (LEVERS * abs(felt), LEVERS)) is not None:
+        if check.refused(np.zeros(3), abs(felt), now, MAX, (LEVERS * abs(felt), LEVERS)) is not None:
             return force
     raise AssertionError
 
@@ -43,7 +43,7 @@ def pressed(check: LeadCheck, stiffness: float, heard: float, newtons: float = 1
 def test_a_sensor_that_sticks_while_its_noise_goes_on_hides_less_than_1_2_of_what_is_stated(
     stiffness: float, heard: float
 ) -> None:
-    assert pressed(LeadCheck(known()), stiffness, heard) < 1.2 * MOST
+    assert pressed(LeadCheck(known()), stiffness, heard) < 1.2 * MAX
 
 
 @pytest.mark.parametrize("stiffness", [5e3, 20e3, 100e3])
@@ -59,13 +59,13 @@ def test_what_a_force_explains_goes_with_the_levers_of_the_posture() -> None:
     for _k in range(40):  # it stands
         check.sent(check._sent[-1][1], check._sent[-1][0] + PERIOD)
     stamp = check._sent[-1][0]
-    assert check.unfelt(tool, 20.0, stamp, MOST, (LEVERS * 20.0, LEVERS)) > 0.5 * MOST
-    assert check.unfelt(tool, 20.0, stamp, MOST, (4.0 * LEVERS * 20.0, LEVERS)) < 0.2 * MOST
+    assert check.unfelt(tool, 20.0, stamp, MAX, (LEVERS * 20.0, LEVERS)) > 0.5 * MAX
+    assert check.unfelt(tool, 20.0, stamp, MAX, (4.0 * LEVERS * 20.0, LEVERS)) < 0.2 * MAX
 
 
 def test_a_stiffer_arm_creeps_slower() -> None:
-    assert LeadCheck(known(300e3)).creep(MOST) == pytest.approx(LeadCheck(known(100e3)).creep(MOST) / 3.0)
-    assert LeadCheck(known(0.0)).creep(MOST) == math.inf
+    assert LeadCheck(known(300e3)).creep(MAX) == pytest.approx(LeadCheck(known(100e3)).creep(MAX) / 3.0)
+    assert LeadCheck(known(0.0)).creep(MAX) == math.inf
 
 
 def test_a_sensor_that_repeats_itself_longer_than_ever_is_stuck() -> None:
@@ -78,7 +78,7 @@ def test_a_sensor_that_repeats_itself_longer_than_ever_is_stuck() -> None:
         check.felt(raw, PERIOD * k)
         check.sent(np.array([1e-4 * k, 0.0, 0.0]), PERIOD * k)
     assert check.stuck
-    refused = check.refused(check._sent[-1][1], 5.0, PERIOD * k, MOST)
+    refused = check.refused(check._sent[-1][1], 5.0, PERIOD * k, MAX)
     assert refused is not None
     assert "to the last digit" in str(refused)
 

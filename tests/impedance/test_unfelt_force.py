@@ -16,7 +16,7 @@ from modcal_core.robots.kinematics import pose_and_jacobian
 pytestmark = pytest.mark.slow
 
 LAG, STATED_LAG = 0.025, 0.03  # s
-MOST = 50.0  # N
+MAX = 50.0  # N
 SUBSTEPS = 2
 GRASP = 20e3  # N/m
 JOINTS = 1.0 / np.array([4000.0] * 4 + [1000.0] * 3)  # rad/N m
@@ -89,9 +89,9 @@ def pulled(
         said = (w if held is None else held + share * (w - held)) + rng.normal(0.0, [0.1] * 3 + [0.005] * 3)
         stamp = now
         now_heard = now + rng.uniform(0.0, late)
-        check.take(arm.encoders(), stamp, now_heard, said, J, MOST)
+        check.take(arm.encoders(), stamp, now_heard, said, J, MAX)
         hidden.append(check.force)
-        if check.refused(said, MOST) is not None or np.linalg.norm(said[:3]) > 1.2 * MOST + 1.0:
+        if check.refused(said, MAX) is not None or np.linalg.norm(said[:3]) > 1.2 * MAX + 1.0:
             break  # the other is let go for what is felt
     return float(np.linalg.norm(arm.wrench[:3])), max(hidden)
 
@@ -100,8 +100,8 @@ def pulled(
 def test_a_sensor_that_freezes_before_a_jam_is_found_out_below_the_limit(stack: str) -> None:
     for seed in range(2):
         force, hidden = pulled(Arm(stack, 0.15, np.random.default_rng(seed)), follows=False)
-        assert force < 1.2 * MOST
-        assert 0.3 * MOST < hidden < 1.3 * force
+        assert force < 1.2 * MAX
+        assert 0.3 * MAX < hidden < 1.3 * force
 
 
 @pytest.mark.parametrize("stack", ["joints", "axes"])
@@ -109,19 +109,19 @@ def test_a_sensor_that_freezes_before_a_jam_is_found_out_below_the_limit(stack: 
 def test_a_sensor_that_follows_hides_nothing(stack: str, late: float, rng: np.random.Generator) -> None:
     """Up to a force beyond what is stated, in a jam at full speed, with messages that come late at random."""
     force, hidden = pulled(Arm(stack, 0.15, rng), follows=True, late=late, slows=False)
-    assert force > 1.2 * MOST
-    assert hidden < (0.4 if late else 0.2) * MOST
+    assert force > 1.2 * MAX
+    assert hidden < (0.4 if late else 0.2) * MAX
 
 
 @pytest.mark.parametrize("late", [0.005, 0.01])
 def test_messages_that_come_late_hide_a_little_more(late: float, rng: np.random.Generator) -> None:
     force, _ = pulled(Arm("joints", 0.15, rng), follows=False, late=late)
-    assert force < 1.4 * MOST
+    assert force < 1.4 * MAX
 
 
 def test_a_deaf_sensor_is_found_out_as_well(rng: np.random.Generator) -> None:
     force, _ = pulled(Arm("joints", 0.15, rng), follows=False, share=0.2)
-    assert force < 1.2 * MOST
+    assert force < 1.2 * MAX
 
 
 def test_a_servo_that_yields_more_than_its_twin_is_no_hidden_force(rng: np.random.Generator) -> None:
@@ -133,5 +133,5 @@ def test_a_servo_that_yields_more_than_its_twin_is_no_hidden_force(rng: np.rando
             super().follow(reference)
 
     force, hidden = pulled(Soft("joints", 0.15, rng), follows=True, slows=False)
-    assert force > 1.2 * MOST
-    assert hidden < 0.2 * MOST
+    assert force > 1.2 * MAX
+    assert hidden < 0.2 * MAX

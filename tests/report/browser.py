@@ -27,7 +27,7 @@ FLAGS = (
     "--remote-debugging-port=0",
 )  # fmt: skip
 
-LEAST = 4.5  # contrast of text with what it stands on, WCAG 2.2 AA
+MIN = 4.5  # contrast of text with what it stands on, WCAG 2.2 AA
 # what a text is, its contrast with the nearest ground that is painted behind it, and its colours
 CONTRASTS = """(() => {
   const rgb = (c) => { const v = c.match(/[\\d.]+/g).map(Number); return c.startsWith("color(srgb") ? v.map((x, k) => k < 3 ? 255 * x : x) : v; };

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import ur10
-from report.browser import CONTRASTS, LEAST, Page, browser
+from report.browser import CONTRASTS, MIN, Page, browser
 from report.judged import FLOOR
 from report.reports import points
 from report.test_certificate import full, report
@@ -129,7 +129,7 @@ def test_on_a_phone_in_both_colours(tab: Page, tmp_path: Path, written: Callable
         assert min(tab.run(LETTERS), default=9.0) > 6.0
         read = tab.run(CONTRASTS)
         assert len(read) > 30
-        assert not [said for said, contrast in read if contrast < LEAST]
+        assert not [said for said, contrast in read if contrast < MIN]
 
 
 @pytest.mark.parametrize("name", [*MADE, *VERBS])
@@ -148,7 +148,7 @@ def test_faint_letters_would_be_seen(tab: Page, tmp_path: Path) -> None:
     file.write_text("<body style='background:#fff'><p style='color:#999'>faint</p><p>plain</p></body>")
     tab.dark(False)
     tab.open(file)
-    assert [said for said, contrast in tab.run(CONTRASTS) if contrast < LEAST] == ["faint"]
+    assert [said for said, contrast in tab.run(CONTRASTS) if contrast < MIN] == ["faint"]
 
 
 @pytest.mark.parametrize("name", [*MADE, *VERBS])

@@ -72,7 +72,7 @@ def test_intervals_hold_what_they_say(kind: str, monkeypatch: pytest.MonkeyPatch
         made = calibrate(recording(count), chain, np.random.default_rng(0), look_for_effects=False)
         assert made.report.offsets is not None
         drawn.append(made.report.offsets.found)
-    monkeypatch.setattr("modcal_core.report.joint_offsets._MOST", 4000)
+    monkeypatch.setattr("modcal_core.report.joint_offsets._MAX", 4000)
     whole = joint_offsets(true, rng.uniform(-2.5, 2.5, (4000, 6)), kind == "pose")
     assert whole is not None
     z = [(o.value - t.value) / (o.std or np.nan) for run in drawn for o, t in zip(run, whole.found, strict=True)]

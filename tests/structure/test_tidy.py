@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 REGISTRIES = ["pypi" + ".org", "python" + "hosted.org", "deb.deb" + "ian.org", "registry.npm" + "js", "index" + "-url"]
 MACHINE = [r"(?<![\w.])/" + name + r"/\w" for name in ("wo" + "rk", "ro" + "ot", "ho" + "me", "Us" + "ers")]
 MACHINE += [r"(?<!\w)/t" + r"mp/w/", r"\.\./shared/sp" + "ec"]
-MOST_BYTES = 2 * 2**20
+MAX_BYTES = 2 * 2**20
 
 
 def tracked() -> list[Path]:
@@ -36,7 +36,7 @@ def test_no_address_or_path_of_one_machine(what: str) -> None:
 
 
 def test_no_large_file() -> None:
-    assert not [f"{p.relative_to(ROOT)}: {p.stat().st_size} bytes" for p in tracked() if p.stat().st_size > MOST_BYTES]
+    assert not [f"{p.relative_to(ROOT)}: {p.stat().st_size} bytes" for p in tracked() if p.stat().st_size > MAX_BYTES]
 
 
 PINNED, HASHED = r"[a-z0-9-]+==[\w.+!]+", r"    --hash=sha256:[0-9a-f]{64}"

@@ -12,7 +12,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.verdict.status import MOST_PREDICTABLE
+from modcal_core.verdict.status import MAX_PREDICTABLE
 from modcal_nodes.simulation.world import World
 
 
@@ -48,7 +48,7 @@ def test_instruments_that_agree_are_not(seed: int) -> None:
     report = calibrate(seen_by_both(seed), ur10(), np.random.default_rng(0), look_for_effects=False).report
     assert report.judged is not None
     assert report.judged.predictable is not None
-    assert report.judged.predictable.lower99 < MOST_PREDICTABLE
+    assert report.judged.predictable.lower99 < MAX_PREDICTABLE
     assert "instrument reads" not in " ".join(report.open_because)
 
 

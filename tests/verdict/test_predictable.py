@@ -17,7 +17,7 @@ from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
 from modcal_core.verdict.predictable import predictable
-from modcal_core.verdict.status import MOST_PREDICTABLE
+from modcal_core.verdict.status import MAX_PREDICTABLE
 
 
 @cache
@@ -53,7 +53,7 @@ def test_noise_is_not_predictable(kind: str, stations: int, draws: int, noise: s
     case = fitted(kind, stations)
     rng = np.random.default_rng(17)
     shares = [predictable(with_noise(case, rng, noise)).both for _ in range(draws)]
-    assert sum(share is not None and share.lower99 > MOST_PREDICTABLE for share in shares) == 0
+    assert sum(share is not None and share.lower99 > MAX_PREDICTABLE for share in shares) == 0
 
 
 @pytest.mark.parametrize("changed", ["length", "scale"])
@@ -73,7 +73,7 @@ def test_what_changes_half_way_is_predictable(changed: str) -> None:
     samples = replace(case.samples, reading=case.samples.reading + late[:, None] * more)
     found = predictable(replace(case, samples=samples))
     assert found.both is not None
-    assert found.both.lower99 > MOST_PREDICTABLE
+    assert found.both.lower99 > MAX_PREDICTABLE
     assert "changed" in found.source
 
 

@@ -32,11 +32,11 @@ from modcal_core.report.notes import own_note, unseen_note
 from modcal_core.report.report import Report
 from modcal_core.verdict.not_applied import Applied, applicable
 
-LEAST = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
+MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
 _NAMED = 4  # frames that a note has room for
 _DATES = 1.2e9  # s since 1970: 2008. No ROS recorded before
-MOST = 48  # stations of a longer recording that are looked at
+MAX = 48  # stations of a longer recording that are looked at
 
 
 @dataclass(frozen=True)
@@ -122,11 +122,11 @@ def checkup(
     """
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
-    if (count := distinct_postures(samples)) < LEAST:
+    if (count := distinct_postures(samples)) < MIN:
         again = "" if count == samples.stations else f" at {count} posture{'s' if count > 1 else ''}"
         raise NotEnoughData(
             f"{samples.stations} stations{again}",
-            f"at least {LEAST} postures are needed to tell changes apart",
+            f"at least {MIN} postures are needed to tell changes apart",
             "measure ten stations, spread over the ranges of all joints",
         )
     new = new_frames(calibration, samples)
@@ -137,7 +137,7 @@ def checkup(
     samples, (calibration, applied) = known.samples, placed
     begin = frozen(calibration, applied.model, samples, pattern)
     inside = _where_curves_are_known(calibration, samples)
-    part = calibration.with_scatter(spread_out(inside, MOST))
+    part = calibration.with_scatter(spread_out(inside, MAX))
     found = search(begin.model, part, begin.known, placed_anew(part, new))
     if known.doubt is not None:
         require_accounted(found, known.doubt)
@@ -185,7 +185,7 @@ def checkup(
         beyond=beyond,
         accuracy=None
         if fixed is None
-        else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MOST),
+        else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MAX),
     )
 
 
@@ -218,7 +218,7 @@ def _where_curves_are_known(calibration: Calibration, samples: Samples) -> Sampl
     low, high = calibration.seen
     beyond = ((samples.q < low - BLEND) | (samples.q > high + BLEND)) & curved
     left = samples.select(np.flatnonzero(~beyond.any(axis=1)))
-    return left if left.stations >= LEAST else samples
+    return left if left.stations >= MIN else samples
 
 
 def _status(found: FoundChanges, changes: tuple[NamedChange, ...]) -> Status:

@@ -24,11 +24,11 @@ from modcal_core.verdict.case import frozen_case
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.not_applied import applicable
 from modcal_core.verdict.readings import doubtful, too_good
-from modcal_core.verdict.rejection import MOST_SINGLE, rejection
+from modcal_core.verdict.rejection import MAX_SINGLE, rejection
 from modcal_core.verdict.status import judge
 from modcal_core.verdict.where import with_places
 
-MOST_OUTSIDE = 0.05  # share of the samples outside the joint ranges that were calibrated; more make a verdict doubt
+MAX_OUTSIDE = 0.05  # share of the samples outside the joint ranges that were calibrated; more make a verdict doubt
 
 
 def evaluate(
@@ -68,7 +68,7 @@ def evaluate(
     held_out = samples.select(sets.held_out)
     wrong = np.zeros(len(samples), bool)
     wrong[sets.held_out] = outlying(models["final"], calibration.noise, calibration.with_scatter(held_out))
-    single = wrong[sets.held_out].mean() <= MOST_SINGLE
+    single = wrong[sets.held_out].mean() <= MAX_SINGLE
     rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
     scored = samples.select(rows)
     residuals = {stage: errors(model, scored) for stage, model in models.items()}
@@ -85,7 +85,7 @@ def evaluate(
         rejected_runs=runs_of(samples, wrong),
         rejected_places=places_of(samples, wrong),
         unproven=too_good(residuals, scored, calibration.nominal.chain, cell.stated),
-        outside=(*unseen_note(scored, calibration, MOST_OUTSIDE), *applied.notes),
+        outside=(*unseen_note(scored, calibration, MAX_OUTSIDE), *applied.notes),
     )
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)
     judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)

@@ -17,7 +17,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.alignment import LIMIT, align
 from modcal_core.measurements.checks import require_usable
-from modcal_core.measurements.dropouts import MOST_GLITCHES, cleaned
+from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
 from modcal_core.measurements.dropped import GLITCHES, UNUSABLE, Dropped, dropped, together
 from modcal_core.measurements.dwells import StationRules
 from modcal_core.measurements.hung import hung
@@ -32,8 +32,8 @@ from modcal_core.robots.mechanism import Mechanism, forward
 _ROUNDS = 5  # iterations
 _SETTLED = 1e-6  # s; in a shorter delay a tool at 1 m/s moves less than a micrometre
 _EXPANDED = 2e-5  # rad or m: what an expansion may miss: less than an encoder's step of 18 bits
-_MOST_OF = 95  # % of the samples that must be expanded so well; the rest are starts and stops
-_MOST = 3000  # samples that a delay is fitted to
+_MAX_OF = 95  # % of the samples that must be expanded so well; the rest are starts and stops
+_MAX = 3000  # samples that a delay is fitted to
 # s; a shorter delay is the cell's own, and belongs to the calibration as an effect; a longer one is a clock's
 LONGEST_LATENCY = 0.025
 
@@ -93,11 +93,11 @@ def _flickering(recording: Recording, unused: dict[str, int], since: float, unti
     wrong = unused.get(GLITCHES, 0)
     count = sum(int(np.sum((track.stamps >= since) & (track.stamps < until))) for track in recording.readings)
     at_rest = count - sum(n for reason, n in unused.items() if reason != GLITCHES)
-    if wrong <= MOST_GLITCHES * at_rest:
+    if wrong <= MAX_GLITCHES * at_rest:
         return ()
     return (
         f"{wrong} of {at_rest} readings taken at rest lie far from the others of their station and were left out "
-        f"({wrong / at_rest:.0%}; up to {MOST_GLITCHES:.0%} may be wrong readings): see whether the tracker jumps "
+        f"({wrong / at_rest:.0%}; up to {MAX_GLITCHES:.0%} may be wrong readings): see whether the tracker jumps "
         "between targets.",
     )
 
@@ -183,7 +183,7 @@ def _within_reach(late: Samples, exact: Samples, delay: Array) -> np.ndarray:
         if len(rows):
             expected = here.q - seconds * np.nan_to_num(here.velocity) + 0.5 * seconds**2 * here.acceleration
             missed = np.abs(there.q[same[rows]] - expected[rows]).max(axis=1)
-            out[f] = np.percentile(missed, _MOST_OF) < _EXPANDED
+            out[f] = np.percentile(missed, _MAX_OF) < _EXPANDED
     return out
 
 
@@ -211,7 +211,7 @@ def _delays(samples: Samples, chain: Mechanism) -> Array:
         rows = np.flatnonzero((samples.frame == f) & samples.moving & np.isfinite(samples.velocity).all(axis=1))
         if not len(rows) or not is_direct(np.unique(samples.kind[rows]).tolist()):
             continue
-        few = samples.select(rows[spread_rows(len(rows), _MOST)])
+        few = samples.select(rows[spread_rows(len(rows), _MAX)])
         few = replace(few, frames=(samples.frames[f],), frame=np.zeros(len(few), int))
         late = latency.late().started(np.zeros(1))
         try:

@@ -26,7 +26,7 @@ from modcal_core.report.trace import Trace, iso_date
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
-_LEAST_COMPARED = 4  # stations; a standard error of fewer says nothing
+_MIN_COMPARED = 4  # stations; a standard error of fewer says nothing
 _SURE = 2.0  # standard errors by which the new model must be better: one chance in forty to replace it for nothing
 _WORTH = 0.9  # of the error before; a gain of less than a tenth is not worth a new calibration to all who use it
 
@@ -118,7 +118,7 @@ def _compare(job: Job, result: Solution) -> ModelComparison:
         return compared(score["nominal"].position_norm, score["final"].position_norm)
     if job.changed is not None:
         since = scored.select(scored.stamps >= job.changed)
-        scored = since if len(since) >= _LEAST_COMPARED else scored
+        scored = since if len(since) >= _MIN_COMPARED else scored
     before = errors(with_frames(job.trusted.calibrated, scored.frames), scored).position_norm
     after = errors(result.scored.model, scored).position_norm
     return compared(before, after)
@@ -129,7 +129,7 @@ def compared(before: Array, after: Array) -> ModelComparison:
     gain = before**2 - after**2
     count = len(gain)
     rms_before, rms_after = float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
-    sure = count >= _LEAST_COMPARED and gain.mean() > _SURE * gain.std(ddof=1) / np.sqrt(count)
+    sure = count >= _MIN_COMPARED and gain.mean() > _SURE * gain.std(ddof=1) / np.sqrt(count)
     return ModelComparison(rms_before, rms_after, count, bool(sure and rms_after < _WORTH * rms_before))
 
 

@@ -20,7 +20,7 @@ CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 _REFERENCE = ("reference", "desired")  # of a controller's state, since Humble and before
 _DENSE = 0.05  # s between the points that a trajectory is kept as
 _LONGEST = 3600.0  # s that a trajectory may last; more is no time
-_MOST_POINTS = 5000  # of one trajectory
+_MAX_POINTS = 5000  # of one trajectory
 
 
 @dataclass
@@ -73,7 +73,7 @@ class Commands:
         self, topic: str, names: tuple[str, ...], stamp: float, received: float, times: list[float], points: list[Any]
     ) -> None:
         t = np.array(times, dtype=float)
-        if not len(t) or len(t) > _MOST_POINTS or len(set(names)) != len(names):
+        if not len(t) or len(t) > _MAX_POINTS or len(set(names)) != len(names):
             return
         if any(len(p) != len(names) for p in points) or t[0] < 0.0 or not t[-1] < _LONGEST:
             return

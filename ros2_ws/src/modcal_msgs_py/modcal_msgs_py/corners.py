@@ -25,7 +25,7 @@ _FIELDS = {  # name: (kind of number, its PointField type)
 }
 _BYTES = 4  # of each number
 CORNER = np.dtype([(name, kind) for name, (kind, _) in _FIELDS.items()])
-_MOST = 40_000  # corners of one image; a grid of 200 × 200
+_MAX = 40_000  # corners of one image; a grid of 200 × 200
 
 
 def fill_corners(message: Any, field: Any, view: BoardView, size: tuple[int, int], frame: str) -> Any:
@@ -58,7 +58,7 @@ def read_corners(message: Any) -> tuple[BoardView, tuple[int, int]]:
     step = int(message.point_step)
     data = bytes(message.data)
     inside = all(0 <= there[name][0] <= step - _BYTES for name in _FIELDS)
-    if not 0 < count <= _MOST or not inside or len(data) < step * count:
+    if not 0 < count <= _MAX or not inside or len(data) < step * count:
         raise BadRecording("corners", f"{count} points in {len(data)} bytes", "publish the corners of board_detector")
     kinds, offsets = [kind for kind, _ in _FIELDS.values()], [there[name][0] for name in _FIELDS]
     layout = np.dtype({"names": list(_FIELDS), "formats": kinds, "offsets": offsets, "itemsize": step})

@@ -16,7 +16,7 @@ from pathlib import Path
 
 SYNC_SECONDS = 1.0
 # What may wait for a disk that stands still; more, and the caller waits too.
-_MOST_WAITING = 256 * 2**20
+_MAX_WAITING = 256 * 2**20
 
 
 class DiskFile:
@@ -44,7 +44,7 @@ class DiskFile:
     def write(self, data: bytes) -> int:
         """Hand over bytes, which must not change any more; their number."""
         with self._changed:
-            self._changed.wait_for(lambda: self.waiting < _MOST_WAITING or self._error is not None)
+            self._changed.wait_for(lambda: self.waiting < _MAX_WAITING or self._error is not None)
             self.check()
             if data:
                 self._waiting.append(data)

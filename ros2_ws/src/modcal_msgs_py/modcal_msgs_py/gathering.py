@@ -11,7 +11,7 @@ import numpy as np
 
 from modcal_msgs_py.mcap_walk import Block
 
-_LEAST = 1 << 18  # bytes; beyond, a block's own cost is a hundredth of its messages'
+_MIN = 1 << 18  # bytes; beyond, a block's own cost is a hundredth of its messages'
 
 
 def gathered(blocks: Iterable[Block]) -> Iterator[Block]:
@@ -26,7 +26,7 @@ def gathered(blocks: Iterable[Block]) -> Iterator[Block]:
         channels = set(np.flatnonzero(np.bincount(block.heads["channel"])).tolist())
         new = not channels <= met
         met |= channels
-        if new or size >= _LEAST:
+        if new or size >= _MIN:
             yield from _joined(held)
             held, size = [], 0
         if new:

@@ -24,7 +24,7 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMAGES = (IMAGE, COMPRESSED)
 TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"  # no part of ROS's messages: read by the definition in the bag
 CLOUD = "sensor_msgs/msg/PointCloud2"  # of corners, where its points have their fields
-_MOST_BYTES = 1 << 28  # of one image
+_MAX_BYTES = 1 << 28  # of one image
 _LARGEST = 1 << 15  # px a side
 
 
@@ -166,7 +166,7 @@ def raw_image(message: Any, received: float = 0.0) -> RawImage | None:
     data = message.data if isinstance(message.data, np.ndarray) else np.frombuffer(bytes(message.data), np.uint8)
     data = np.asarray(data, dtype=np.uint8)
     frame = str(message.header.frame_id)
-    if len(data) > _MOST_BYTES:
+    if len(data) > _MAX_BYTES:
         return None
     if hasattr(message, "format"):
         return RawImage(stamp, str(message.format), 0, 0, 0, False, data, True, frame)

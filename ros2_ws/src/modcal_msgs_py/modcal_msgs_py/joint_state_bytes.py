@@ -20,7 +20,7 @@ _BODY = 4  # bytes that say how the rest is encoded; alignment counts from there
 _STAMP = struct.Struct("<iI")
 _COUNT = struct.Struct("<I")
 _AFTER_STAMP = _BODY + _STAMP.size
-_MOST = 16  # layouts of one subscription, of as many publishers; others take the long way
+_MAX = 16  # layouts of one subscription, of as many publishers; others take the long way
 _EMPTY = np.empty(0)
 
 
@@ -86,7 +86,7 @@ class JointStateBytes:
 
     def _learn(self, cdr: bytes) -> _Layout | None:
         known = sum(map(len, self._layouts.values()))
-        layout = _layout(cdr) if known < _MOST and cdr.startswith(_PLAIN) else None
+        layout = _layout(cdr) if known < _MAX and cdr.startswith(_PLAIN) else None
         if layout is not None:
             self._layouts.setdefault(len(cdr), []).append(layout)
         return layout
@@ -94,7 +94,7 @@ class JointStateBytes:
 
 def _layout(cdr: bytes) -> _Layout | None:
     """Where everything stands; None for bytes that are no whole JointState."""
-    walk = _Walk(cdr)
+    walk = _JointStateWalk(cdr)
     try:
         frame = walk.text()
         count = walk.count()
@@ -112,7 +112,7 @@ def _layout(cdr: bytes) -> _Layout | None:
     return _Layout(frame, names, same, mask, tuple(spans), tuple(counts[1:]))
 
 
-class _Walk:
+class _JointStateWalk:
     """A walk through a message. counted: 255 for each byte that says something."""
 
     def __init__(self, cdr: bytes) -> None:

@@ -67,7 +67,7 @@ class MessageLayout:
             return None
         made = cls(len(sample))
         try:
-            end = _Walk(made, sample, "<" if sample[1] else ">").fields(fields, "", _HEAD)
+            end = _LayoutWalk(made, sample, "<" if sample[1] else ">").fields(fields, "", _HEAD)
         except (struct.error, UnicodeDecodeError, ValueError):
             return None
         if not len(sample) - 3 <= end <= len(sample):
@@ -112,7 +112,7 @@ class MessageLayout:
 
 
 @dataclass
-class _Walk:
+class _LayoutWalk:
     """A walk through one message, which leaves behind where everything stands."""
 
     made: MessageLayout

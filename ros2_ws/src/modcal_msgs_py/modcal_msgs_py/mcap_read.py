@@ -35,8 +35,8 @@ _LEFT_OUT = (
 _NO_TOPICS = Topics()
 PIECE = 400_000  # joint states; seven minutes at 1 kHz
 OVERLAP = 30.0  # s, longer than any station
-_MOST_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
-_MOST_KEPT = 64
+_MAX_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
+_MAX_KEPT = 64
 _HOPELESS = 1000  # messages of a topic in a row that cannot be decoded, after which the rest of a block is not tried
 _SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below which one by one is quicker
 _FEW_RUNS = 8  # which take less than reading the definitions of all types, without which nothing goes one by one
@@ -177,7 +177,7 @@ class _Reader:
         if fields is None:
             return
         met = self._layouts.setdefault((topic, type_name), [])
-        pieces = _sorted(block, which, fields, met) or [_Piece(None, which, np.empty((0, 0), np.uint8))]
+        pieces = _sorted(block, which, fields, met) or [_LayoutRun(None, which, np.empty((0, 0), np.uint8))]
         for piece in pieces:
             if piece.layout is not None:
                 received = 1e-9 * block.heads["received"][piece.which]
@@ -239,7 +239,7 @@ class _Reader:
         return hopeless
 
 
-class _Piece(NamedTuple):
+class _LayoutRun(NamedTuple):
     """Messages of a block in a row (their numbers) that have one layout, as rows; or none."""
 
     layout: MessageLayout | None
@@ -247,18 +247,18 @@ class _Piece(NamedTuple):
     rows: Bytes
 
 
-def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[MessageLayout]) -> list[_Piece]:
+def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[MessageLayout]) -> list[_LayoutRun]:
     """These messages of a block, in their order, by layout; nothing where that does not pay.
 
     met: the layouts of this topic so far; new ones are added.
     """
-    if len(met) > _MOST_KEPT:  # texts that change: what was met will not be met again
+    if len(met) > _MAX_KEPT:  # texts that change: what was met will not be met again
         met.clear()
     content = np.frombuffer(block.content, np.uint8)
     starts = block.starts[which]
     sizes = block.stops[which] - starts
     number, left = np.full(len(which), -1), np.arange(len(which))
-    for i in range(len(met) + _MOST_LAYOUTS):
+    for i in range(len(met) + _MAX_LAYOUTS):
         if i == len(met):
             first = left[0]
             made = MessageLayout.of(fields, bytes(block.content[starts[first] : starts[first] + sizes[first]]))
@@ -270,7 +270,7 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[Me
             rows = met[i].rows(content, starts[same])
             fits = met[i].fits(rows)
             if len(same) == len(which) and fits.all():  # nearly always
-                return [_Piece(met[i], which, rows)]
+                return [_LayoutRun(met[i], which, rows)]
             number[same[fits]] = i
             left = left[number[left] < 0]
         if not len(left):
@@ -282,5 +282,5 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[Me
     for start, stop in zip(np.r_[0, ends[:-1]].tolist(), ends.tolist(), strict=True):
         layout = met[number[start]] if number[start] >= 0 else None
         rows = layout.rows(content, starts[start:stop]) if layout else np.empty((0, 0), np.uint8)
-        pieces.append(_Piece(layout, which[start:stop], rows))
+        pieces.append(_LayoutRun(layout, which[start:stop], rows))
     return pieces

@@ -16,7 +16,7 @@ from modcal_core.impedance.safety_monitor import ArmSetpoint
 from modcal_msgs_py.stamps import seconds, set_seconds
 
 _LONGEST_URDF = 100_000  # characters of a description with one joint
-_MOST_VALUES = 64
+_MAX_VALUES = 64
 
 
 def wrench_numbers(message: Any) -> Array:
@@ -112,7 +112,7 @@ class ObjectInput:
     def hear_status(self, message: Any, now: float) -> None:
         """Take a DiagnosticArray that tells whether the model is trusted, and what happened to the object."""
         for status in message.status:
-            told = {str(pair.key): str(pair.value) for pair in list(status.values)[:_MOST_VALUES]}
+            told = {str(pair.key): str(pair.value) for pair in list(status.values)[:_MAX_VALUES]}
             if "trusted" in told:
                 stamp = seconds(message.header.stamp) or now
                 self._stamp = stamp if abs(now - stamp) <= self._stale else -math.inf

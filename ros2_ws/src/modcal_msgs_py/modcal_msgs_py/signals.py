@@ -12,8 +12,8 @@ from modcal_core.measurements.recording import SignalTrack
 from modcal_msgs_py.stamps import seconds
 
 _STEP = 1.0  # s between values that are kept
-_MOST = 3600  # values; an effect may follow with a lag of many minutes
-_MOST_NAMES = 64
+_MAX = 3600  # values; an effect may follow with a lag of many minutes
+_MAX_NAMES = 64
 _COLDEST, _HOTTEST = -273.15, 2000.0  # °C
 _STALE = 10.0  # s
 _SILENT = 60.0  # s without a value
@@ -33,9 +33,9 @@ class SignalsHeard:
             raise BadCommand(name, f"{value:g} °C cannot be", "send degrees Celsius")
         if not abs(now - stamp) <= _STALE:
             raise BadCommand(name, f"its stamp is {abs(now - stamp):.3g} s off", "stamp it with this clock")
-        if name not in self._values and len(self._values) >= _MOST_NAMES:
-            raise BadCommand(name, f"{_MOST_NAMES} temperatures are received already", "publish fewer")
-        kept = self._values.setdefault(name, deque(maxlen=_MOST))
+        if name not in self._values and len(self._values) >= _MAX_NAMES:
+            raise BadCommand(name, f"{_MAX_NAMES} temperatures are received already", "publish fewer")
+        kept = self._values.setdefault(name, deque(maxlen=_MAX))
         if kept and stamp < kept[-1][0]:  # the clock went back: what came before belongs to another time
             kept.clear()
         if len(kept) > 1 and stamp - kept[-2][0] < _STEP:

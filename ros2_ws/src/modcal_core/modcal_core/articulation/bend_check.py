@@ -22,7 +22,7 @@ from modcal_core.geometry.so3 import Array
 
 _DEGREE = 4  # of the bend, a polynomial along the path
 _FITTED = 2  # of the degrees that a joint's own parameters change: no bend is what these leave
-_LEAST = 4 * (_DEGREE + 1)  # stretches that are asked
+_MIN = 4 * (_DEGREE + 1)  # stretches that are asked
 _ASKED_EVERY = 0.02  # m of path
 _ALIKE = 3.0  # deviations by which neighbours are more alike than in noise, before
 _NOT_ALIKE = 1.0  # and beside the bend
@@ -52,7 +52,7 @@ def bend_left(left: Array, along: Array) -> bool:
     near = (left * left).sum(axis=1) < CAP**2
     e, a = left[near], along[near]
     span = float(np.ptp(a)) if len(a) else 0.0
-    if len(e) < _LEAST or span <= 0.0:
+    if len(e) < _MIN or span <= 0.0:
         return False
     waves = np.polynomial.legendre.legvander(2.0 * (a - a.min()) / span - 1.0, _DEGREE)
     before, after = (_beside(waves[:, : degree + 1], e) for degree in (_FITTED, _DEGREE))

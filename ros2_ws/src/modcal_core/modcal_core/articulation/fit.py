@@ -28,10 +28,10 @@ from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
 NU = 4.0  # of Student's t: the usual robust choice (Lange, Little & Taylor 1989)
-_LEAST = (2e-6, 2e-6)  # m, rad: no scale is smaller, so that exact data can be fitted
+_MIN = (2e-6, 2e-6)  # m, rad: no scale is smaller, so that exact data can be fitted
 _STEPS = 40  # iterations
 _INSIDE = 4.0  # times the expected square, beyond which a sample is an outlier: two deviations
-_LEAST_LAGS = 8  # samples of which an autocorrelation says anything
+_MIN_LAGS = 8  # samples of which an autocorrelation says anything
 _ENOUGH = 1e-3  # of a log-likelihood
 
 
@@ -127,14 +127,14 @@ def _rescaled(motion: Motion, e: Array, sigma: tuple[float, float]) -> tuple[flo
     rotation = sigma[1] ** 2
     if e.shape[1] == 6:
         rotation = float((w * (e[:, 3:] ** 2).sum(axis=1)).sum()) / (len(e) * 3)
-    return max(position**0.5, _LEAST[0]), max(rotation**0.5, _LEAST[1])
+    return max(position**0.5, _MIN[0]), max(rotation**0.5, _MIN[1])
 
 
 def _first_scales(e: Array) -> tuple[float, float]:
     """Scales that half of the samples keep."""
     position = float(np.median(np.linalg.norm(e[:, :3], axis=1))) / 1.18
     rotation = float(np.median(np.linalg.norm(e[:, 3:], axis=1))) / 1.54 if e.shape[1] == 6 else 1.0
-    return max(position, _LEAST[0]), max(rotation, _LEAST[1])
+    return max(position, _MIN[0]), max(rotation, _MIN[1])
 
 
 def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float]) -> tuple[Array, Array]:
@@ -248,7 +248,7 @@ def _agreement(z: Array) -> float:
     """
     n = len(z)
     power = float((z * z).sum())
-    if power <= 0.0 or n < _LEAST_LAGS:
+    if power <= 0.0 or n < _MIN_LAGS:
         return 1.0
     # Residuals of a fit lean to negative correlation by about parameters / n, which no one needs to correct.
     rho = np.array([1.0] + [float((z[k:] * z[:-k]).sum()) / power for k in range(1, min(n // 2, 200))])

@@ -20,7 +20,7 @@ from modcal_core.articulation.telling import travelled
 from modcal_core.articulation.track import Track
 
 _FITTED = 0.7  # of the path
-_LEAST_FITTED, _LEAST_ASKED = 8, 3  # samples
+_MIN_FITTED, _MIN_ASKED = 8, 3  # samples
 MAY_MISS = 0.03  # of the path that was travelled
 _MISSES = 4e-3  # m: twice the usual play, which no prediction does without
 _NOISE = 3.0  # deviations of white noise beside it
@@ -87,7 +87,7 @@ def predicted(
     for one in (kind, *rivals):
         off = []
         for near in (along < _FITTED, along > 1.0 - _FITTED):
-            if near.sum() < _LEAST_FITTED or (~near).sum() < _LEAST_ASKED:
+            if near.sum() < _MIN_FITTED or (~near).sum() < _MIN_ASKED:
                 continue
             seen = fit(track.part(near), models[one], start=fits[one].motion).motion
             R = None if track.rotations is None else track.rotations[~near]

@@ -32,7 +32,7 @@ _USUAL = {kind for kind, model in _MODELS.items() if model.usual}
 _LOG_SHARES = log_shares(_MODELS.values())
 _Stage = Literal["again", "fresh", "climb", "judge"]
 _CLIMBS = 2  # steps of a new guess before it is compared with one that has had many
-_LEAST_JITTER = 12  # changes of a residual, of which a median tells the noise
+_MIN_JITTER = 12  # changes of a residual, of which a median tells the noise
 _MOVES = 0.02  # probability that the handle moves at all, before it has
 EVEN: dict[Kind, float] = {STILL.name: 1.0 - _MOVES, **{kind: _MOVES * m.share for kind, m in _MODELS.items()}}
 
@@ -92,7 +92,7 @@ class ModelSelector:
         self.motion = better
 
     def _now(self, nodes: Nodes) -> NodeScene:
-        if len(self._jitter) >= _LEAST_JITTER:
+        if len(self._jitter) >= _MIN_JITTER:
             shift, turn = (statistics.median(some) for some in zip(*self._jitter, strict=True))
             self.scale = math.sqrt(shift / 2.77), math.sqrt(turn / 4.73)
         track = nodes.track()

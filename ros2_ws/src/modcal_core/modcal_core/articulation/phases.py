@@ -15,8 +15,8 @@ from modcal_core.articulation.telling import travelled, white
 from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
-LEAST_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
-LEAST = 10  # samples of it
+MIN_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
+MIN = 10  # samples of it
 _TRIED = 24  # places for the cut
 _PARAMETERS = 6  # of a circle in space
 _WORTH = 0.5  # of the usual play: what one motion must leave beside noise for two to be considered
@@ -27,8 +27,8 @@ _CAP = 0.03  # m: a sample farther off costs no more
 def best_cut(track: Track) -> int | None:
     """The first row of the second motion; None where the track is too short for two."""
     way = travelled(track)
-    inside = np.flatnonzero((way > LEAST_PATH) & (way < way[-1] - LEAST_PATH))
-    inside = inside[(inside >= LEAST) & (inside <= len(track) - LEAST)]
+    inside = np.flatnonzero((way > MIN_PATH) & (way < way[-1] - MIN_PATH))
+    inside = inside[(inside >= MIN) & (inside <= len(track) - MIN)]
     if not len(inside):
         return None
     coarse = np.unique(inside[np.linspace(0, len(inside) - 1, _TRIED).round().astype(int)])

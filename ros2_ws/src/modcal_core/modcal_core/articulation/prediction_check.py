@@ -18,7 +18,7 @@ from modcal_core.geometry.so3 import Array
 
 POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
 _OFTEN = 0.1  # of the distance ahead: how often a model is kept
-_MOST = 12  # models that are kept: somewhat more than lie in the distance ahead
+_MAX = 12  # models that are kept: somewhat more than lie in the distance ahead
 _ABSURD = 25.0  # tolerances: a gross outlier says nothing of the model
 _KNOWN = 2.0  # times the distance ahead: path that must be known before a model is kept
 _EARLY = 0.2  # of the distance ahead: how much sooner the pose that is nearest may be asked, where poses come seldom
@@ -26,7 +26,7 @@ _APART = 0.35  # of the distance ahead: path between the frontiers of two right 
 
 
 @dataclass(frozen=True, eq=False)
-class _Kept:
+class _FrontierModel:
     """A model as it was when the handle had come to a frontier. until: its configuration at which to ask.
 
     frontier: path [m] at which it was kept; ahead: how far ahead it is asked [m].
@@ -46,7 +46,7 @@ class PredictionCheck:
         """changes: how often the path was left before; after each as much more of it must be known."""
         self._known = _KNOWN * (1 + changes)
         self._ahead_m, self._ahead_rad, self._tolerance = ahead_m, ahead_rad, tolerance_m
-        self._kept: deque[_Kept] = deque(maxlen=_MOST)
+        self._kept: deque[_FrontierModel] = deque(maxlen=_MAX)
         self._right: tuple[float, float] | None = None  # side and frontier [m] of the first of right ones in a row
         self._range = [0.0, 0.0]
         self._before: Array | None = None
@@ -93,9 +93,11 @@ class PredictionCheck:
                 self._range[end] = a * length
                 known = self._range[1] - self._range[0] >= self._known * ahead
                 if known and not any(k.motion is motion and k.side == side for k in self._kept):
-                    self._kept.append(_Kept(motion, side, a + side * ahead / max(length, 1e-6), a * length, ahead))
+                    self._kept.append(
+                        _FrontierModel(motion, side, a + side * ahead / max(length, 1e-6), a * length, ahead)
+                    )
 
-    def _learn(self, kept: _Kept, error: float) -> None:
+    def _learn(self, kept: _FrontierModel, error: float) -> None:
         if error > _ABSURD * self._tolerance:
             return
         self.error = error

@@ -16,7 +16,7 @@ from modcal_core.articulation.track import Track
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
-_LEAST_NOISE = (1e-5, 1e-4)  # m, rad: of a node, so that exact data can be fitted
+_MIN_NOISE = (1e-5, 1e-4)  # m, rad: of a node, so that exact data can be fitted
 _JITTER = 9.0  # three deviations, squared: what noise alone makes of the farthest of some nodes
 LOG_2PI = math.log(2.0 * math.pi)  # of a normal density
 _STEPS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])  # of the prior's standard deviation
@@ -93,7 +93,7 @@ class NodeScene:
         """
         smooth = np.exp((-0.5 / furniture.DISTORTION_REACH**2) * apart * apart)
         both, per = [], 1.0 / counts
-        for s, least, d in zip(sigma, _LEAST_NOISE, furniture.DISTORTION, strict=True):
+        for s, least, d in zip(sigma, _MIN_NOISE, furniture.DISTORTION, strict=True):
             both.append((distorted * d) ** 2 * smooth)
             both[-1].ravel()[:: len(counts) + 1] += s**2 * per + least**2
         jitter = _JITTER * float(per.sum()) / len(per) * (sigma[0] ** 2 + (0.1 * sigma[1]) ** 2)

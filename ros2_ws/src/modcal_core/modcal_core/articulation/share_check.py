@@ -26,10 +26,10 @@ from modcal_core.geometry.so3 import Array
 _FITTED = 0.6  # of the path: a model from there has as much again to say, less a third
 _NOISE = 3.0  # deviations of noise beside what is tolerated, as for tracks
 _KEPT_EVERY = 0.01  # m of path between models that are kept, at first
-_MOST = 64  # of them: on a metre one each 2 cm
+_MAX = 64  # of them: on a metre one each 2 cm
 _ASKED_EVERY = 0.02  # m of path
 _WHOLE = 0.3  # m of path from which the type must have been right as well
-_LEAST = 3  # stretches that are asked
+_MIN = 3  # stretches that are asked
 
 
 class ShareCheck:
@@ -50,7 +50,7 @@ class ShareCheck:
         self.stretches.come(p, noise)
         path = self.stretches.path
         if not self._kept or path - self._kept[-1][0] >= self._every:
-            if len(self._kept) == _MOST:
+            if len(self._kept) == _MAX:
                 self._kept, self._every = self._kept[::2], 2.0 * self._every
             self._kept.append((path, motion))
         if path - self._asked >= _ASKED_EVERY:
@@ -60,7 +60,7 @@ class ShareCheck:
     def _ask(self, path: float, now: AxisMotion | None, noise: float) -> None:
         way, motion = next((kept for kept in reversed(self._kept) if kept[0] <= _FITTED * path), (0.0, None))
         points = self.stretches.beyond(way)
-        if motion is None or len(points) < _LEAST:
+        if motion is None or len(points) < _MIN:
             return
         if path < _WHOLE and now is not None and now.kind != motion.kind:
             self.fails = False

@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 
-MOST = 64  # stretches: of a metre some 2 cm each
+MAX = 64  # stretches: of a metre some 2 cm each
 _STRETCH = 4e-3  # m, at first; less would be play
 _NOISE = 4.0  # deviations of noise on an axis that a stretch is long, where that is more
 
@@ -18,7 +18,7 @@ class Stretches:
 
     def __init__(self) -> None:
         self.path, self.k = 0.0, 0
-        self._sums, self._counts, self._ways = np.zeros((MOST, 3)), np.zeros(MOST), np.zeros(MOST)
+        self._sums, self._counts, self._ways = np.zeros((MAX, 3)), np.zeros(MAX), np.zeros(MAX)
         self._length = _STRETCH
         self._begin: Array | None = None  # of the stretch that is under way
 
@@ -30,7 +30,7 @@ class Stretches:
         if far >= max(self._length, _NOISE * noise):
             self._begin = p
             self.path += far
-            if self.k == MOST:
+            if self.k == MAX:
                 self._pool()
             self._ways[self.k] = self.path
             self.k += 1
@@ -39,7 +39,7 @@ class Stretches:
 
     def _pool(self) -> None:
         """Neighbours together."""
-        half = MOST // 2
+        half = MAX // 2
         for each in (self._sums, self._counts):
             each[:half] = each[0::2] + each[1::2]
             each[half:] = 0.0

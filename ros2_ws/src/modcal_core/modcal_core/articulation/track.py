@@ -14,7 +14,7 @@ from modcal_core.geometry.so3 import Array
 FEWEST = 6  # samples; a circle in space has six parameters
 _UNIT = 0.02  # by which the length of a quaternion may be off 1
 RIGID = 1e-3  # by which a rotation matrix may be off one
-_MOST_OF, _MANY = 0.98, 50  # share of samples that an extent is taken of, where there are more than so many
+_MAX_OF, _MANY = 0.98, 50  # share of samples that an extent is taken of, where there are more than so many
 FARTHEST = 50.0  # m from the frame's origin; beyond, the unit is not metres or the reading is no arm's
 _WIDEST = 5.0  # m from the middle of the track: a gate of 10 m; beyond, a handle was seen in centimetres or millimetres
 
@@ -130,7 +130,7 @@ class Track:
     def extent(self) -> float:
         """How far the handle came [m]: largest distance from the median position, without the last 2 % of samples."""
         away = np.linalg.norm(self.positions - np.median(self.positions, axis=0), axis=1)
-        return float(np.quantile(away, _MOST_OF)) if len(away) > _MANY else float(away.max())
+        return float(np.quantile(away, _MAX_OF)) if len(away) > _MANY else float(away.max())
 
 
 def _frozen(values: ArrayLike) -> Array:

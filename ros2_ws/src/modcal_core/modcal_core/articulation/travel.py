@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 _MARK = 4e-3  # m from mark to mark
 _NOISE = 4.0  # deviations of noise on an axis from mark to mark, where that is more
 _PER_STEP = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, makes one step due at each pose
-_MOST = 60  # steps at one pose, some 40 ms: more than a whole round
+_MAX = 60  # steps at one pose, some 40 ms: more than a whole round
 _A_SECOND = 250.0  # steps, an eighth of a processor: what a hand at 25 cm/s makes due; a faster one is learned later
 _AHEAD = 5.0  # steps that may be computed before they are due
 _STEPS = 7  # of the last poses, whose median is the usual step
@@ -32,7 +32,7 @@ class Travel:
         self.step = (0.0, 0.0)
         self._mark: Array | None = None
         self._owed = 0.0
-        self._allowed, self._stamp = float(_MOST), -math.inf
+        self._allowed, self._stamp = float(_MAX), -math.inf
         self._steps: deque[tuple[float, float]] = deque(maxlen=_STEPS)
 
     @property
@@ -62,11 +62,11 @@ class Travel:
         No more than the usual motion from pose to pose makes due, where no more than from mark to mark is left over:
         what falls due at a mark is spread over the poses up to the next one: as much as a mark is worth may come later.
         """
-        self._allowed = min(self._allowed + _A_SECOND * max(stamp - self._stamp, 0.0), _MOST)
+        self._allowed = min(self._allowed + _A_SECOND * max(stamp - self._stamp, 0.0), _MAX)
         self._stamp = stamp
         owed, usual = round(self._owed), math.ceil(self.step[0] / self._per_step)
         most, least = int(self._allowed), int(self._owed > -_AHEAD)
         due = max(min(max(min(owed, usual), owed - round(_MARK / self._per_step)), most), least)
         self._allowed = max(self._allowed - due, 0.0)
-        self._owed = min(max(self._owed - due, -_AHEAD), _MOST)
+        self._owed = min(max(self._owed - due, -_AHEAD), _MAX)
         return due

@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
-from modcal_core.articulation.phases import LEAST_PATH, vanishes
+from modcal_core.articulation.phases import MIN_PATH, vanishes
 from modcal_core.articulation.stretches import Stretches
 from modcal_core.geometry.so3 import Array
 
-_LEAST = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
+_MIN = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
 _CUTS = 16  # tried along the path
 _FINER = (-0.6, -0.3, 0.3, 0.6)  # of the way from cut to cut, tried beside the best
 _ANEW = 0.02  # m of path after which the question is asked again
@@ -46,7 +46,7 @@ class TwoMotions:
             self._try(self._snapshot)
             return
         path, k = self._stretches.path, self._stretches.k
-        if path - self._asked >= _ANEW and path >= 2.0 * LEAST_PATH and k > 2 * _LEAST:
+        if path - self._asked >= _ANEW and path >= 2.0 * MIN_PATH and k > 2 * _MIN:
             self._ask(noise)
 
     def _ask(self, noise: float) -> None:
@@ -54,7 +54,7 @@ class TwoMotions:
         path, k = self._stretches.path, self._stretches.k
         self._snapshot, self._asked, self._fine = self._stretches.points, path, False
         self._noise = noise**2 * float(np.mean(1.0 / self._stretches.counts))
-        ends = max(_LEAST, math.ceil(LEAST_PATH * k / path))
+        ends = max(_MIN, math.ceil(MIN_PATH * k / path))
         first, last = ends, k - ends
         if last <= first:
             self._snapshot = None
@@ -72,7 +72,7 @@ class TwoMotions:
             self._fine = True
             step = (max(self._tried) - min(self._tried)) / max(len(self._tried) - 1, 1)
             near = {best + round(share * step) for share in _FINER}
-            self._left = [cut for cut in near if cut not in self._tried and _LEAST <= cut <= len(points) - _LEAST]
+            self._left = [cut for cut in near if cut not in self._tried and _MIN <= cut <= len(points) - _MIN]
             return
         n, self._snapshot = len(points), None
         one = squares(points) / (2 * n - _PARAMETERS) - self._noise

@@ -25,7 +25,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 JOINT = "object_joint"
-_MOST_TEXT = 100_000  # characters, some hundred times what describe writes
+_MAX_TEXT = 100_000  # characters, some hundred times what describe writes
 _RISE, _GRASP = "object_rise", "object_grasp"
 _SLIDE = InUrdf("prismatic")
 
@@ -80,8 +80,8 @@ def describe(
 
 def read(text: str) -> JointModel:
     """The joint that a text from ``describe`` tells of. Raises BadRobot for any other text."""
-    if len(text) > _MOST_TEXT:
-        said = f"has {len(text)} characters, {_MOST_TEXT} is the limit"
+    if len(text) > _MAX_TEXT:
+        said = f"has {len(text)} characters, {_MAX_TEXT} is the limit"
         raise BadRobot("object_description", said, "publish what describe wrote")
     try:
         robot = etree.fromstring(text.encode(), etree.XMLParser(resolve_entities=False, no_network=True))

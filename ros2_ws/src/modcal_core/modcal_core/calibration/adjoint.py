@@ -24,7 +24,7 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-_MOST = 20  # iterations
+_MAX = 20  # iterations
 _SETTLED = 1e-6  # relative change of the RMS error that ends it
 
 
@@ -69,7 +69,7 @@ def identify_twists(start: Model, samples: Samples, metres_per_radian: float = 1
     ends = np.cumsum([len(k) for k in kept])
     history: list[float] = []
     rank, condition = 0, np.inf
-    for _ in range(_MOST):
+    for _ in range(_MAX):
         before, behind, T = _frames(G, samples.q, chain.revolute)
         r = _residual(T, samples, pose, metres_per_radian)
         history.append(float(np.sqrt(np.mean(r**2))))

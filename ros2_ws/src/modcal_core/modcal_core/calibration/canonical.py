@@ -22,7 +22,7 @@ from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
 _APART = 1e-3  # usual errors, between which derivatives are taken
 _STILL = 1e-7  # usual errors; steps below say nothing
-_MOST_STEPS = 20  # iterations
+_MAX_STEPS = 20  # iterations
 
 
 def least_change(model: Model, nominal: Mechanism) -> Model:
@@ -94,7 +94,7 @@ def _least_squares(residual: Callable[[Array], Array], x: Array) -> Array:
     """
     r = residual(x)
     apart = _APART * np.eye(len(x))
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         ends = residual(np.concatenate([x + apart, x - apart]))
         J = ((ends[: len(x)] - ends[len(x) :]) / (2.0 * _APART)).T
         step = -np.linalg.lstsq(J, r, rcond=1e-9)[0]  # nothing along what changes nothing

@@ -18,7 +18,7 @@ from modcal_core.effects.effect import Term
 from modcal_core.effects.knots import Knots, knots_of
 from modcal_core.geometry.so3 import Array
 
-_MOST_KEPT = 8e6  # numbers of what is kept of two curves; of more it is made each time
+_MAX_KEPT = 8e6  # numbers of what is kept of two curves; of more it is made each time
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def _is_whole(terms: Sequence[list[Term]], of: Array) -> bool:
 
 def product(one: Knots, other: Knots, weight: Array, at: Drivers) -> Array:
     """``one diag(weight) otherᵀ``, (b, c), of curves at the samples of these drivers."""
-    if one.value.size * other.value.shape[1] > _MOST_KEPT:
+    if one.value.size * other.value.shape[1] > _MAX_KEPT:
         blocks = _blocks(one, other)
     else:
         blocks = at.made_of((one, other), _blocks)

@@ -27,7 +27,7 @@ from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
 _OFTEN, _PLACED = 12, 3  # readings of a frame: enough to judge it by, and the fewest that place it
-_MOST_KEPT = 200  # postures that a calibration remembers
+_MAX_KEPT = 200  # postures that a calibration remembers
 
 
 def finalise(
@@ -75,7 +75,7 @@ def finalise(
         fits += [fit, settled]
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     kind = str(samples.kind[0])
-    few = samples.q[spread_rows(len(samples), _MOST_KEPT)]
+    few = samples.q[spread_rows(len(samples), _MAX_KEPT)]
     covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
     return Calibration(
         *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),

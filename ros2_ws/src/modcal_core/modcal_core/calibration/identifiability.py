@@ -17,7 +17,7 @@ from modcal_core.geometry.so3 import Array
 _NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
 _FEW_NAMED = 3  # parameters that are named where none is that large
 _WEAK = 0.2  # of the prior's deviation, above which a combination that is seen counts as hardly seen
-_MOST_WEAK = 5  # named in one report
+_MAX_WEAK = 5  # named in one report
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def identifiability(fit: Fit) -> Identifiability:
     rank = int(seen.sum())
     names = [_name(v, fit) for v in vector[:, ~seen].T]
     deviations = 1.0 / np.sqrt(np.maximum(value, 1e-300))
-    hardly = [k for k in np.flatnonzero(seen) if deviations[k] > _WEAK][:_MOST_WEAK]
+    hardly = [k for k in np.flatnonzero(seen) if deviations[k] > _WEAK][:_MAX_WEAK]
     weak = tuple((_name(vector[:, k], fit), float(deviations[k])) for k in hardly)
     size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
     scaled = np.linalg.eigvalsh(fit.information / np.outer(size, size))[len(prior) - rank :]

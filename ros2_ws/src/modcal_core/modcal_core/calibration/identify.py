@@ -45,10 +45,10 @@ _LEADING, _CLOSE, _SLOWLY = 0.7, 10.0, 0.1  # the second in standard deviations
 # Within half a standard deviation they are taken with the same one whatever they do, so many at most: a sample near the
 # limit of rejection lets the weights, and with them the steps, go to and fro, which no curvature ends. Where so many
 # steps gain no more together than a tenth of a squared deviation, that is the end.
-_WITHIN, _MOST_SAME, _TO_AND_FRO, _NO_GAIN = 0.5, 10, 4, 0.1
+_WITHIN, _MAX_SAME, _TO_AND_FRO, _NO_GAIN = 0.5, 10, 4, 0.1
 _SURE = 0.1  # of the tolerance; what is expected to be left
-_LEAST_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
-_DAMPING, _LEAST_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
+_MIN_SHARE = 0.2  # of a step that leads uphill, before steps are bent towards the steepest way down
+_DAMPING, _MIN_DAMPING = 1e-4, 1e-12  # of the curvature along each value; the least is far above rounding
 _FLAT, _SHOWN = 30, 1.0  # iterations that together gain less of the cost than readings can show
 # A sample at the limit of rejection may go in and out for ever, each time by what the others then say of it. After so
 # many iterations, three times the usual, what is rejected once stays so
@@ -248,12 +248,12 @@ def _minimum(
             if near and fitted:  # that curvature has done its service: look again from here
                 break
             # bent, along a direction that is hardly seen
-            if damping == 0.0 and share > _LEAST_SHARE and least == _DAMPING:
+            if damping == 0.0 and share > _MIN_SHARE and least == _DAMPING:
                 share *= 0.5
             else:
                 damping, share, curvature = max(10.0 * damping, least), 1.0, None
         if damping > 0.0:  # in a long and bent valley a tenth of what was enough is enough again
-            least = max(0.1 * damping, _LEAST_DAMPING)
+            least = max(0.1 * damping, _MIN_DAMPING)
         looked = new is not at
         if near and fitted and looked and not downhill:
             near, length = False, last
@@ -272,7 +272,7 @@ def _minimum(
             if not near and length < last < np.inf:
                 leading = max(_LEADING, length / last)
             near = length <= leading * last and length <= _CLOSE
-            near = near or (length <= _WITHIN and same < _MOST_SAME)
+            near = near or (length <= _WITHIN and same < _MAX_SAME)
         else:
             near = length <= _SHRINKING * last and float(np.abs(step).max()) <= _NEAR * min(tolerance / CONVERGED, 1.0)
         near = near and damping == 0.0 and equations.quick_gradient

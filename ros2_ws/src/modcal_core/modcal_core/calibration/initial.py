@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.calibration.instruments import new_instruments
 from modcal_core.calibration.locate_instruments import (
-    MOST_ROWS,
+    MAX_ROWS,
     Known,
     find_tool,
     leaders,
@@ -89,7 +89,7 @@ def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) 
         order = []
     for f in order:
         rows = np.flatnonzero(samples.frame == f)
-        rows = rows[spread_rows(len(rows), MOST_ROWS)]
+        rows = rows[spread_rows(len(rows), MAX_ROWS)]
         A = T_base_tip[rows]
         if samples.is_pose[rows].all():
             base, found = _pose_tool(A, se3.transform(samples.R[rows], samples.reading[rows]))

@@ -21,7 +21,7 @@ from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
-MOST_ROWS = 500  # a start needs no more; spread over the recording
+MAX_ROWS = 500  # a start needs no more; spread over the recording
 _GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
 
 
@@ -101,7 +101,7 @@ def place_instruments(
             poses[f] = relative[instrument.frame].T_frame_base(samples.frames, poses)
             placed.add(f)
         rows = instrument.rows(samples)
-        rows = rows[spread_rows(len(rows), MOST_ROWS)]
+        rows = rows[spread_rows(len(rows), MAX_ROWS)]
         poses[f], values = instrument.of_kind.place(
             instrument.at_target(T_base_tool[rows]), samples.reading[rows], poses[f] if f in placed else None
         )
@@ -127,7 +127,7 @@ def residuals(instruments: Sequence[Instrument], samples: Samples, T_base_tool: 
     out = []
     for instrument in instruments:
         rows = instrument.rows(samples)
-        rows = rows[spread_rows(len(rows), MOST_ROWS)]
+        rows = rows[spread_rows(len(rows), MAX_ROWS)]
         scene = scene_in(T_frame_base[samples.frames.index(instrument.frame)], instrument.at_target(T_base_tool[rows]))
         sight = instrument.of_kind.see(scene, instrument.values, samples.reading[rows])
         out.append((sight.residual * sight.lever).ravel())

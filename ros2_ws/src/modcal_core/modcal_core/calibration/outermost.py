@@ -26,8 +26,8 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
 _OUTER = 0.2  # share of the postures, as much as is held out of a usual recording
-_LEAST_JUDGED = 12  # samples; fewer say nothing
-_MOST = 1500  # samples, for time
+_MIN_JUDGED = 12  # samples; fewer say nothing
+_MAX = 1500  # samples, for time
 _DRAWN_IN = 25.0  # of the median square, so that no wrong reading decides
 
 
@@ -46,7 +46,7 @@ def geometry_is_better(
     curved = curved_joints(full.effects, full.chain.names)
     if not curved.any():
         return False
-    rows = spread_rows(len(samples), _MOST)
+    rows = spread_rows(len(samples), _MAX)
     few = samples.select(rows)
     q = few.q[:, curved]
     away = np.abs(q - 0.5 * (q.max(axis=0) + q.min(axis=0))) / np.maximum(np.ptp(q, axis=0), 1e-12)
@@ -57,7 +57,7 @@ def geometry_is_better(
         _left_out(model, few, parameters, weight, distances, outside) for model in (alone, full)
     )
     sure = variance < UNSURE * left
-    if sure.sum() < _LEAST_JUDGED:
+    if sure.sum() < _MIN_JUDGED:
         return False
     limit = _DRAWN_IN * float(np.median(curves[sure]))
     return bool(np.minimum(geometry[sure], limit).mean() < np.minimum(curves[sure], limit).mean())

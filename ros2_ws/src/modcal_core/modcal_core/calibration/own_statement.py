@@ -20,7 +20,7 @@ from modcal_core.measurements.recording import POSE, ReadingTrack, Recording, jo
 from modcal_core.measurements.settled import dwells_of
 
 _FACTOR = 3.0  # of deviations; scatter has a slow part that standing still does not show, and filters hide some
-_LEAST = 50  # readings that a scatter is taken from, and twice as many as dwells
+_MIN = 50  # readings that a scatter is taken from, and twice as many as dwells
 _REMEDY = "State --instrument-mm"
 
 
@@ -114,7 +114,7 @@ def _scatter(track: ReadingTrack, dwells: Array) -> Array:
             turned = so3.log(np.swapaxes(so3.mean(R)[None], 1, 2) @ R)
             square[1] += float((turned**2).sum())
         freedom += len(values) - 1
-    if freedom < _LEAST:
+    if freedom < _MIN:
         return np.full(2, np.nan)
     out = np.sqrt(square / freedom)
     return np.where([True, track.kind == POSE], out, np.nan)

@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.measurements.samples import Samples
 
-LEAST_RUN = 3  # neighbours
+MIN_RUN = 3  # neighbours
 CHANCE = 0.01  # that as many rejections, scattered at random, make a run as long anywhere
 
 _MEMORY = 0.5  # s; samples in motion closer than this share their noise
@@ -66,7 +66,7 @@ def runs_of(samples: Samples, wrong: np.ndarray) -> tuple[tuple[int, int], ...]:
         count = int(rank.max()) + 1
         bad = np.bincount(rank, wrong[rows], count) > 0.5 * np.bincount(rank, minlength=count)
         for a, b in consecutive(bad):
-            if b - a >= LEAST_RUN and chance_of_run(b - a, int(bad.sum()), count) < CHANCE:
+            if b - a >= MIN_RUN and chance_of_run(b - a, int(bad.sum()), count) < CHANCE:
                 inside = number[rows[(rank >= a) & (rank < b)]]
                 runs.add((int(inside.min()), int(inside.max())))
     return tuple(sorted(runs))
@@ -91,14 +91,14 @@ def places_of(samples: Samples, wrong: np.ndarray) -> tuple[RejectedPlace, ...]:
         order = np.argsort(x, kind="stable")
         for a, b in consecutive(bad[order]):
             chance = chance_of_run(b - a, int(bad.sum()), count) * len(samples.names)
-            if b - a >= LEAST_RUN and chance < CHANCE:
+            if b - a >= MIN_RUN and chance < CHANCE:
                 at = order[a:b]
                 place = RejectedPlace(name, float(x[at].min()), float(x[at].max()), b - a)
                 found.append((chance, frozenset(at.tolist()), place))
     out: list[RejectedPlace] = []
     said: set[int] = set()
     for _, stations, place in sorted(found, key=lambda one: one[0]):
-        if len(stations - said) >= LEAST_RUN:
+        if len(stations - said) >= MIN_RUN:
             out.append(place)
             said |= stations
     return tuple(out)

@@ -37,8 +37,8 @@ _SETTLED = 0.1  # standard deviations of the scale, and as a share of that devia
 _GOOD = 1e-3  # m; of the order in which arms are off as they leave their maker
 _ALONG = 0.5  # cosine with the first joint's axis, from which a length is rather the base's place along it
 _ANYWHERE = 1.0  # m; farther than any fit has a base
-_LEAST_SHOWN = 4.0  # lengths of the arm that the readings tell, from which it is judged how far they are off
-_LEAST_OFF = 2e-4  # m; what drawings allow of lengths as an arm's links have (ISO 2768, medium: 0.2 to 0.5 mm)
+_MIN_SHOWN = 4.0  # lengths of the arm that the readings tell, from which it is judged how far they are off
+_MIN_OFF = 2e-4  # m; what drawings allow of lengths as an arm's links have (ISO 2768, medium: 0.2 to 0.5 mm)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyD
         return None
     cost_of = partial(_cost_of, samples=samples, distances=distances)
     shown = _shown(fit)
-    told = shown >= _LEAST_SHOWN
+    told = shown >= _MIN_SHOWN
     try:
         # from a good arm on: with lengths that are expected far off, wrong distances could be those of a bad one
         fit = _expecting(fit, _GOOD) if told else fit
@@ -120,7 +120,7 @@ def _off(fit: Fit, shown: float) -> float:
 
     The squares of the values over how many of them the readings tell (MacKay 1992).
     """
-    return max(float(np.sqrt(np.sum(fit.values[_lengths(fit)] ** 2) / max(shown, 1.0))), _LEAST_OFF)
+    return max(float(np.sqrt(np.sum(fit.values[_lengths(fit)] ** 2) / max(shown, 1.0))), _MIN_OFF)
 
 
 def _expecting(fit: Fit, off: float) -> Fit:

@@ -19,7 +19,7 @@ from modcal_core.measurements.returns import posture_numbers
 from modcal_core.measurements.samples import Samples
 
 SHARES = (0.5, 0.2, 0.3)  # *train*, *explain* and *test*: the fit needs most, the score more than the choice of effects
-_LEAST_DENSE = 200  # stations; fewer are posed one by one, and blocks of them would leave too few blocks
+_MIN_DENSE = 200  # stations; fewer are posed one by one, and blocks of them would leave too few blocks
 _BLOCKS, _SHORTEST, _LONGEST = 60, 5, 200  # how many blocks a recording is cut into, and stations in one
 _FEW_AGAIN = 0.1  # share of stations in a posture that was met before: so few hardly flatter, and show what repeats
 _FEWEST = 10  # blocks with which each set has one: a fifth is the smallest share
@@ -119,7 +119,7 @@ def block_length(samples: Samples) -> int:
     first = np.unique(samples.station, return_index=True)[1]
     first = first[np.argsort(samples.stamps[first], kind="stable")]
     q = samples.q[first][np.unique(_postures(samples, first))]
-    if len(q) < _LEAST_DENSE:
+    if len(q) < _MIN_DENSE:
         return 1
     near = np.median(np.linalg.norm(np.diff(q, axis=0), axis=1))
     far = np.median(np.linalg.norm(q - np.roll(q, len(q) // 3 + 1, axis=0), axis=1))

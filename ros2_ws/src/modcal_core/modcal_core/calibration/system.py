@@ -17,7 +17,7 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-MOST_KEPT = 20_000  # samples whose blocks are kept from step to step, with the drivers of each; some 5 kB each
+MAX_KEPT = 20_000  # samples whose blocks are kept from step to step, with the drivers of each; some 5 kB each
 
 
 class System(Protocol):
@@ -49,7 +49,7 @@ class PlainSystem:
         self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
         self._kept: list[RowBlock] | None = None
         self._last_view: tuple[Array, RowView] | None = None
-        self.quick_gradient = len(samples) <= MOST_KEPT
+        self.quick_gradient = len(samples) <= MAX_KEPT
 
     def residuals(self, values: Array) -> Linearised:
         """Residuals, without derivatives."""
@@ -76,7 +76,7 @@ class PlainSystem:
 
     def _blocks(self) -> Iterable[RowBlock]:
         """The samples in blocks, with their drivers where that takes little memory."""
-        if len(self._samples) > MOST_KEPT:
+        if len(self._samples) > MAX_KEPT:
             return blocks(self._samples)
         if self._kept is None:
             whole = len(self._samples) <= BLOCK

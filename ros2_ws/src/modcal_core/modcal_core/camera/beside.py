@@ -29,7 +29,7 @@ from modcal_core.plausibility.conventions import proved
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
 
-LEAST = 3  # readings, from which base and tool of an instrument can be placed about an arm that is known
+MIN = 3  # readings, from which base and tool of an instrument can be placed about an arm that is known
 _LEVER = 0.3  # m; an instrument that scatters by so much in position scatters by as much over this in orientation
 _FAR = 8.0  # standard deviations, beyond which a reading is left out
 _MEDIAN = 2.366  # of a χ² of three
@@ -146,7 +146,7 @@ def beside(
     samples, _ = proved(with_sockets(samples, cell or Cell(), chain), chain)
     for f, frame in enumerate(samples.frames):
         rows = samples.frame == f
-        least = max([LEAST, *(kinds()[str(k)].least for k in np.unique(samples.kind[rows]))])
+        least = max([MIN, *(kinds()[str(k)].least for k in np.unique(samples.kind[rows]))])
         if rows.sum() < least:
             said = f"{int(rows.sum())} readings in it, at least {least} are needed"
             raise NotEnoughData(f"frame {frame}", said, "take more, or leave the topic out (--ignore)")

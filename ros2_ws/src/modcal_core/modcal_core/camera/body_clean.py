@@ -21,7 +21,7 @@ _VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
 # Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
 # another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
 _FAR = 6.0
-_LEAST_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
+_MIN_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
 _SEEN = 1e-9  # of an image's information; directions below it are none that it shows
 
 
@@ -44,7 +44,7 @@ def far_markers(fit: CameraFit) -> np.ndarray:
     K, values = table.markers, table.places
     used = np.flatnonzero(np.bincount(table.marker, table.weight, K) > 0.0)
     out = np.zeros(K, bool)
-    if len(used) < _LEAST_MARKERS:
+    if len(used) < _MIN_MARKERS:
         return out
     middles = np.zeros((K, 3))
     middles[table.marker] = table.points - table.lever

@@ -18,7 +18,7 @@ from modcal_core.camera.pnp import BoardPose, pose_of_plane, refined_poses, twin
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
-LEAST_POINTS = 4  # of an image, of which a pose is taken: three leave four poses
+MIN_POINTS = 4  # of an image, of which a pose is taken: three leave four poses
 _FLAT = 0.15  # depth of points over their width, below which they are begun with as a plane
 _LINE = 0.05  # width of points over their length, below which they are a line
 
@@ -65,7 +65,7 @@ def _plane(points: Array) -> tuple[Array, bool] | None:
     """(pose of the plane that is nearest to points (m, 3), origin in their middle, whether they lie in it), None for
     points that show no pose.
     """
-    if len(points) < LEAST_POINTS:
+    if len(points) < MIN_POINTS:
         return None
     middle = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - middle)

@@ -18,7 +18,7 @@ from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import CornerTable, residuals
 from modcal_core.camera.few_points import Resection, resection
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
+from modcal_core.camera.mounting import MIN_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
 from modcal_core.camera.target import MARKER_CORNERS
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3
@@ -127,7 +127,7 @@ def _by_points(
     table: CornerTable, A: Array, lens: Lens | None, size: tuple[int, int], on_tip: bool | None
 ) -> list[BodyStart]:
     """The start from sightings of single points, nothing where they are too few or tell no mounting."""
-    if table.views < LEAST_VIEWS:
+    if table.views < MIN_VIEWS:
         return []
     ids, point = np.unique(table.ids, return_inverse=True)
     body = np.array([table.points[table.ids == i][0] for i in ids])

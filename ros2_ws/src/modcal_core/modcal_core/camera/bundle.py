@@ -25,9 +25,9 @@ _CORNERS = {"ul": (-1.0, 1.0), "ur": (1.0, 1.0), "lr": (1.0, -1.0), "ll": (-1.0,
 ARUCO_ORDER, APRILTAG_ORDER = ("ul", "ur", "lr", "ll"), ("ll", "lr", "ur", "ul")  # as their detectors number them
 PLACE_M, TURN_RAD = 1e-3, 1e-2  # of a label stuck on by hand: a millimetre, and as much over 100 mm
 SIZE, PRINT = 5e-3, 1e-2  # of a printed body, which shrinks by some tenths of a per cent, and of a printer's labels
-_MOST = 500  # markers; more is a slip of the pen
+_MAX = 500  # markers; more is a slip of the pen
 _LARGEST_M = 10.0  # m; a body of that size is in millimetres
-_LEAST_MARKERS = 3  # not on one line: fewer have no pose
+_MIN_MARKERS = 3  # not on one line: fewer have no pose
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class MarkerBundle:
 
     def __post_init__(self) -> None:
         """Raises BadTable for a body that no fit can place."""
-        if not 1 <= len(self.markers) <= _MOST:
-            said = f"has {len(self.markers)} markers, 1 to {_MOST} are allowed"
+        if not 1 <= len(self.markers) <= _MAX:
+            said = f"has {len(self.markers)} markers, 1 to {_MAX} are allowed"
             raise BadTable(f"target {BUNDLE}", said, "list the markers")
         ids = [m.id for m in self.markers]
         if len(set(ids)) < len(ids):
@@ -188,8 +188,8 @@ class MarkerBundle:
         kept = np.unique(marker[ids])
         turning = bool((np.abs(lever[ids]).max(axis=1) > 0.0).any())
         spread = np.linalg.svd(self.middles[kept] - self.middles[kept].mean(axis=0), compute_uv=False)
-        if not turning and (len(kept) < _LEAST_MARKERS or spread[1] < 0.01 * spread[0]):
-            said = f"shows {len(kept)} points, at least {_LEAST_MARKERS} that are not on one line are needed"
+        if not turning and (len(kept) < _MIN_MARKERS or spread[1] < 0.01 * spread[0]):
+            said = f"shows {len(kept)} points, at least {_MIN_MARKERS} that are not on one line are needed"
             raise BadTable(self.label, said, "give more of them, or the corners of the markers")
         return replace(self, markers=tuple(self.markers[k] for k in kept), turning=turning)
 

@@ -14,14 +14,14 @@ import numpy as np
 
 from modcal_core.camera.evidence import CameraScanner, WithModel
 from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
-from modcal_core.camera.mounting import LEAST_VIEWS
+from modcal_core.camera.mounting import MIN_VIEWS
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.search import SIGNIFICANT
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import candidates
 from modcal_core.geometry.so3 import Array
 
-_MOST = 6  # effects, for time
+_MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
 _GAIN = 6.0  # of −2 log likelihood, the price of the amplitudes taken off: odds of 20 : 1
 _PARTS = 4  # each of which is predicted from the others
@@ -57,7 +57,7 @@ def find_causes(
     if not looked_for:
         return fit, (), None
     scanner = CameraScanner(looked_for, drivers)
-    while len(causes) < _MOST and len(refused) < _REFUSED:
+    while len(causes) < _MAX and len(refused) < _REFUSED:
         asked = WithModel(fit, fit.poses.model.with_effects(_valued(fit)))
         if not scanner.enough(asked):  # type: ignore[arg-type]
             break
@@ -115,7 +115,7 @@ def predicted(fit: CameraFit, arm: float | None = None) -> float:
     Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
     """
     N = fit.table.views
-    if N - -(-N // _PARTS) < LEAST_VIEWS:
+    if N - -(-N // _PARTS) < MIN_VIEWS:
         return float("nan")
     square = np.empty(N)
     for part in range(_PARTS):

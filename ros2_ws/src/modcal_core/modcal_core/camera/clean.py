@@ -17,7 +17,7 @@ _IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread
 _ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
 _ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
 _VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
-LEAST_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
+MIN_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
 
 
 def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array) -> Array:
@@ -35,7 +35,7 @@ def enough_corners(points: Array) -> bool:
     That is so where they are not on one line, and are not once any one of them is left out.
     """
     m = len(points)
-    if m < LEAST_CORNERS:
+    if m < MIN_CORNERS:
         return False
     off = points[:, :2] - points[:, :2].mean(axis=0)
     scatter = off.T @ off
@@ -50,7 +50,7 @@ def bad_images(table: CornerTable, rms_px: Array) -> np.ndarray:
     kept = np.bincount(table.view, table.weight, table.views)
     worst = max(_IMAGE_PX, _IMAGE_TIMES * float(np.median(rms_px)))
     few = [not enough_corners(table.points[table.of_view(i)][_kept(table, i)]) for i in range(table.views)]
-    return np.asarray(few) | (kept < LEAST_CORNERS) | (rms_px > worst)
+    return np.asarray(few) | (kept < MIN_CORNERS) | (rms_px > worst)
 
 
 def _kept(table: CornerTable, view: int) -> np.ndarray:

@@ -18,12 +18,12 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 _SIGHTINGS = 25  # of one point, for the 38 ratios in their products: two of each, and some to spare
-_LEAST = 12  # of all points, for a camera's 11 numbers twice over
-_MOST = 2000  # sightings, for time; the others come into the fit
+_MIN = 12  # of all points, for a camera's 11 numbers twice over
+_MAX = 2000  # sightings, for time; the others come into the fit
 _TRIED = 4  # points that are begun with, those seen most often
 _ROUNDS = 100  # of camera and points in turn
 _OUTLIER = 5.0  # times the median, beyond which a sighting does not count
-_LEAST_POINTS = 3  # that the body is laid into
+_MIN_POINTS = 3  # that the body is laid into
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ def resection(A: Array, point: np.ndarray, rays: Array, body: Array, calibrated:
     A: flange pose at each sighting, (M, 4, 4) [m]. point: which is seen, (M,). rays: where, x and y at depth 1, or,
     unless calibrated, in any unit from the image's middle, (M, 2). body: the nominal points, (C, 3) [m].
     """
-    if len(A) > _MOST:
-        some = np.linspace(0, len(A) - 1, _MOST).astype(int)
+    if len(A) > _MAX:
+        some = np.linspace(0, len(A) - 1, _MAX).astype(int)
         A, point, rays = A[some], point[some], rays[some]
     counts = np.bincount(point, minlength=len(body))
     begin = [_matrix(A[:, :, 3], rays)]  # a body about the flange
@@ -62,7 +62,7 @@ def resection(A: Array, point: np.ndarray, rays: Array, body: Array, calibrated:
         return None
     miss, P, y = best
     seen = np.flatnonzero(np.isfinite(y).all(axis=1))
-    if len(seen) < _LEAST_POINTS:
+    if len(seen) < _MIN_POINTS:
         return None
     focal, T = _camera_of(P, calibrated)
     return Resection(focal, T, procrustes(body[seen], y[seen]), miss / focal)
@@ -90,7 +90,7 @@ def _in_turn(P: Array, A: Array, point: np.ndarray, rays: Array, count: int) -> 
     for _ in range(_ROUNDS):
         y = _points(P, A, point, rays, use, count)
         known = use & np.isfinite(y[point]).all(axis=1)
-        if known.sum() < _LEAST:
+        if known.sum() < _MIN:
             return None
         at = (A[known] @ np.c_[y[point[known]], np.ones(known.sum())][:, :, None])[:, :, 0]
         P = _matrix(at, rays[known])

@@ -25,7 +25,7 @@ from modcal_core.geometry.so3 import Array
 _GAIN = 20.0  # of −2 log likelihood, as of a move
 _SCREEN = 6.0  # the same at the sizes of the fit, below which they are not found again
 _SPREADS = np.geomspace(2e-4, 0.1, 28)  # relative, from what no image shows to another lens
-_LEAST = 1e-3  # relative; lenses breathe by more than that when they focus again, and a fixed one by less as it warms
+_MIN = 1e-3  # relative; lenses breathe by more than that when they focus again, and a fixed one by less as it warms
 _FOCUS, _SHAPE = np.array([1.0, 1.0]), np.array([1.0, -1.0])  # of focal lengths x and y
 
 
@@ -62,7 +62,7 @@ def unsteady_focus(fit: CameraFit, arm: float | None = None) -> UnsteadyFocus | 
     without = likeliest(fit.equations, fit.sizes, arm)
     plain = fit.equations.solve(without).misfit() + usual(without)
     misfit, spread = _found_again(fit, without, arm, _FOCUS)
-    if plain - misfit < _GAIN or spread < _LEAST:
+    if plain - misfit < _GAIN or spread < _MIN:
         return None
     rival, _ = _found_again(fit, without, arm, _SHAPE)
     return UnsteadyFocus(spread, plain - misfit) if rival - misfit >= _GAIN else None

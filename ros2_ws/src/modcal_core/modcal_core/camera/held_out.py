@@ -7,7 +7,7 @@ import numpy as np
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
-from modcal_core.camera.mounting import LEAST_VIEWS
+from modcal_core.camera.mounting import MIN_VIEWS
 
 _HELD_OUT = 4  # every fourth image
 
@@ -16,7 +16,7 @@ def held_out(fit: CameraFit, nominal: CameraFit, arm: float | None) -> tuple[flo
     """RMS of (nominal, calibrated) on every fourth image, fitted to the others at the same sizes [px]."""
     N = fit.table.views
     held = np.arange(N) % _HELD_OUT == _HELD_OUT - 1
-    if held.sum() == 0 or (~held).sum() < LEAST_VIEWS:
+    if held.sum() == 0 or (~held).sum() < MIN_VIEWS:
         return float("nan"), float("nan")
     out = []
     for one, size in ((nominal, None), (fit, arm)):

@@ -15,7 +15,7 @@ from modcal_core.camera.lens import Lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
 
-_LEAST_TILT = 1e-3  # of the equations; below, all images show the sheet square on
+_MIN_TILT = 1e-3  # of the equations; below, all images show the sheet square on
 
 
 def homography(points: Array, pixels: Array) -> Array:
@@ -48,7 +48,7 @@ def lens_of_homographies(found: Sequence[Array], size: tuple[int, int]) -> Lens:
         right += [-h[2, 0] * h[2, 1], -0.5 * d1[2] * d2[2]]
     A, b = np.array(rows), np.array(right)
     inverse_squares = np.linalg.lstsq(A, b, rcond=None)[0] if len(A) else np.zeros(2)
-    if np.abs(b).max(initial=0.0) < _LEAST_TILT or not (inverse_squares > 1e-4).all():
+    if np.abs(b).max(initial=0.0) < _MIN_TILT or not (inverse_squares > 1e-4).all():
         # one focal length for both, which is what nearly every camera has
         both = A.sum(axis=1)
         one = float(both @ b / max(both @ both, 1e-300)) if len(A) else 0.0

@@ -21,7 +21,7 @@ _STEPS = 100  # of Gauss and Newton, at most
 _MET = 1e-12  # relative gain of the cost
 _FLAT = np.zeros(SHAPE)
 _HALF_ANGLES = np.radians([35.0, 45.0, 55.0, 65.0, 80.0, 95.0])  # of fisheyes, from the middle to the farther edge
-_MANY, _LEAST = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
+_MANY, _MIN = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) 
     counts = np.bincount(table.view, minlength=table.views)
     many = np.flatnonzero(counts >= _MANY)
     found = []
-    for i in many if len(many) >= _LEAST else range(table.views):
+    for i in many if len(many) >= _MIN else range(table.views):
         rows = table.of_view(int(i))
         found.append(homography(table.points[rows, :2], table.pixels[rows]))
     return lens_of_homographies(found, size)

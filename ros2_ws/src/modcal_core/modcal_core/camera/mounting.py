@@ -21,7 +21,7 @@ from modcal_core.geometry.so3 import Array
 
 ON_TIP, IN_WORLD = "camera on the tip, target in the world", "camera in the world, target on the tip"
 MOUNTINGS = (ON_TIP, IN_WORLD)
-LEAST_VIEWS = 4  # three poses solve AX = ZB; a fourth tells whether they agree
+MIN_VIEWS = 4  # three poses solve AX = ZB; a fourth tells whether they agree
 _STILL_RAD, _STILL_M = 0.02, 0.005  # motion of the target in the images that is none, the arm having moved far more
 _MOVED_RAD, _MOVED_M = 0.1, 0.05  # of the arm
 _TURNED = 0.15  # rad; relative turns about a second axis that show all of a hand-eye pose
@@ -70,8 +70,8 @@ def find_mounting(T_base_tip: Array, poses: BoardPose, stated: bool | None = Non
     little motion, BadRecording where images do not change or both mountings meet them alike.
     """
     N = len(T_base_tip)
-    if N < LEAST_VIEWS:
-        raise NotEnoughData("images", f"{N} show the target, at least {LEAST_VIEWS} are needed", "take more images")
+    if N < MIN_VIEWS:
+        raise NotEnoughData("images", f"{N} show the target, at least {MIN_VIEWS} are needed", "take more images")
     turns = relative_turns(T_base_tip)
     _require_motion(T_base_tip, poses.T[:, 0], turns)
     found = [_solve(T_base_tip, poses, on_tip) for on_tip in (True, False)]
@@ -100,7 +100,7 @@ def _solve(A: Array, poses: BoardPose, on_tip: bool) -> tuple[Array, Array, Arra
     both = se3.inverse(poses.T) if on_tip else poses.T
     ratio = np.sqrt(poses.cost[:, 1] / np.maximum(poses.cost[:, 0], 1e-300))
     # images whose two poses differ clearly in cost decide first
-    rows = np.argsort(-ratio)[: max(LEAST_VIEWS, N // 2)]
+    rows = np.argsort(-ratio)[: max(MIN_VIEWS, N // 2)]
     pick = np.zeros(N, int)
     gap = np.zeros((N, 6))
     Y = X = np.eye(4)
@@ -117,7 +117,7 @@ def _solve(A: Array, poses: BoardPose, on_tip: bool) -> tuple[Array, Array, Arra
         keep = np.flatnonzero(good <= 5.0 * np.median(good))
         if (new == pick).all() and len(keep) == len(rows) and (keep == rows).all():
             break
-        pick, rows = new, keep if len(keep) >= LEAST_VIEWS else rows
+        pick, rows = new, keep if len(keep) >= MIN_VIEWS else rows
     return Y, X, poses.T[np.arange(N), pick], gap
 
 

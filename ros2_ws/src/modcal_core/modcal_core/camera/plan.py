@@ -33,9 +33,9 @@ _EDGE_PX = 10.0  # from the image's edge
 STEEPEST = float(np.radians(50.0))  # of the target against the line of sight; beyond, corners are found badly
 _NEAR, _FAR = 0.5, 2.0  # times the median distance of the images so far
 _WIDER = 0.25  # of each joint's range so far, beyond it on either side
-_LEAST = 0.15  # rad or m, beyond it at least
+_MIN = 0.15  # rad or m, beyond it at least
 _NOISE_PX = 0.1  # of a corner of a sharp image
-_LEAST_MARKERS = 3  # of a body; fewer show little of its pose by themselves
+_MIN_MARKERS = 3  # of a body; fewer show little of its pose by themselves
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator, s
     """Postures (m, n) that show the whole target as it is wanted."""
     chain, q = fit.poses.model.serial, fit.poses.q
     low, high = q.min(axis=0), q.max(axis=0)
-    wider = np.maximum(_WIDER * (high - low), _LEAST)
+    wider = np.maximum(_WIDER * (high - low), _MIN)
     # about the images that there are, so that many show the target
     tried = q[rng.integers(len(q), size=_TRIED)] + wider * rng.standard_normal((_TRIED, q.shape[1]))
     tried = np.clip(tried, np.maximum(low - wider, chain.lower), np.minimum(high + wider, chain.upper))
@@ -128,7 +128,7 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator, s
     usual = float(np.median(tilt_and_distance(before, centre)[1]))
     wanted = (away > _NEAR * usual) & (away < _FAR * usual)
     if isinstance(target, MarkerBundle):
-        wanted &= _markers(target, shown) >= min(_LEAST_MARKERS, target.marker_count)
+        wanted &= _markers(target, shown) >= min(_MIN_MARKERS, target.marker_count)
         return np.asarray(tried[wanted][in_view(fit, tried[wanted])][:_POOL])
     front = np.sign(np.median(np.einsum("ni,ni->n", before[:, :3, 2], before[:, :3, 3])))
     middle = np.einsum("mij,j->mi", seen[:, :3, :3], centre) + seen[:, :3, 3]

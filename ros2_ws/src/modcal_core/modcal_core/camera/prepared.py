@@ -18,7 +18,7 @@ from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
 from modcal_core.camera.mismatched import explained
 from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
-from modcal_core.camera.mounting import LEAST_VIEWS, Mounting, find_mounting
+from modcal_core.camera.mounting import MIN_VIEWS, Mounting, find_mounting
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.priors import FREE, CommonPrior, common_prior
 from modcal_core.camera.target import CalibrationTarget
@@ -133,14 +133,14 @@ def prepare(
         left_out,
     )
     far = mounting.off_m > max(_NOWHERE * chain.reach(), _NOWHERE_TIMES * float(np.median(mounting.off_m)))
-    return ready.select(~far, _STRANGE) if far.any() and (~far).sum() >= LEAST_VIEWS else ready
+    return ready.select(~far, _STRANGE) if far.any() and (~far).sum() >= MIN_VIEWS else ready
 
 
 def first_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
     """(a fit, what it was made from): images that are nowhere near the arm are left out. arm: as of a fit."""
     fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, arm=arm)
     strange = strangers(fit)
-    if strange.any() and (~strange).sum() >= LEAST_VIEWS:
+    if strange.any() and (~strange).sum() >= MIN_VIEWS:
         ready = ready.select(~strange, _STRANGE)
         fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fit.sizes, arm=arm)
     return fit, ready
@@ -163,8 +163,8 @@ def repeated(views: Sequence[BoardView]) -> dict[int, str]:
 
 def require_views(count: int, name: str) -> None:
     """Raises NotEnoughData for fewer images of the target than a mounting needs."""
-    if count < LEAST_VIEWS:
-        said = f"{count} show enough of the target, at least {LEAST_VIEWS} are needed"
+    if count < MIN_VIEWS:
+        said = f"{count} show enough of the target, at least {MIN_VIEWS} are needed"
         raise NotEnoughData(name, said, "take more images, the whole target sharp and in view")
 
 

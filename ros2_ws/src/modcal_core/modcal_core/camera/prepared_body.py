@@ -18,7 +18,7 @@ from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE
 from modcal_core.camera.mismatched import explained
-from modcal_core.camera.mounting import LEAST_VIEWS
+from modcal_core.camera.mounting import MIN_VIEWS
 from modcal_core.camera.prepared import CameraImages, PreparedImages, require_near_arm, require_views
 from modcal_core.camera.priors import common_prior
 from modcal_core.errors import BadRecording
@@ -61,7 +61,7 @@ def prepare_body(
         require_near_arm(mounting, chain, images.name)
     except BadRecording as error:
         whole = images_with_pose(table)
-        if whole.sum() < LEAST_VIEWS:
+        if whole.sum() < MIN_VIEWS:
             raise
         some, used = table.select(whole), lens or default_lens(images.size, model)
         raise explained(error, chain, q[whole], some, used, body_poses, images.camera_on_tip) from error
@@ -107,7 +107,7 @@ def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraF
             strange = elsewhere(fit)  # not before misread points are out, which draw their image away
             if not strange.any():
                 break
-        if (~strange).sum() < LEAST_VIEWS:
+        if (~strange).sum() < MIN_VIEWS:
             break
         ready = replace(ready, table=ready.table.with_weight(weight))
         if strange.any():
@@ -137,7 +137,7 @@ def _without_gross(ready: PreparedImages, arm: float | None) -> tuple[PreparedIm
         far = _gross(fit.pixels) | markers[ready.table.marker]
         strange = mostly_out(ready.table, far)
         weight = np.where(far, 0.0, 1.0)
-        if (~strange).sum() < LEAST_VIEWS or (not strange.any() and (weight == ready.table.weight).all()):
+        if (~strange).sum() < MIN_VIEWS or (not strange.any() and (weight == ready.table.weight).all()):
             break
         ready = replace(ready, table=ready.table.with_weight(weight))
         if strange.any():

@@ -20,8 +20,8 @@ _USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
 # industrial arms (0.3 mm, 0.5 mrad) to printed ones (1 mm, 5 mrad).
 # Markers on a body are off by a tolerance that is mostly a guess, as the arm's is.
 _FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
-_LEAST = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
-_MOST = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
+_MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
+_MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
 _ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400
 _MET = 0.02  # of −2 log likelihood, which moves by 1 at a standard deviation
@@ -54,7 +54,7 @@ def likeliest(
 
     def inside(logs: Array) -> Array:
         full = begin.logs
-        full[unknown] = np.clip(logs, _LEAST[unknown], _MOST[unknown])
+        full[unknown] = np.clip(logs, _MIN[unknown], _MAX[unknown])
         return full
 
     def misfit(logs: Array) -> float:

@@ -15,7 +15,7 @@ from modcal_core.calibration.canonical import least_change
 from modcal_core.calibration.model import Model
 from modcal_core.camera.arm_class import arm_size
 from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.beside import LEAST, ReadingsBeside
+from modcal_core.camera.beside import MIN, ReadingsBeside
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.causes import CameraCause, find_causes
 from modcal_core.camera.changes import MovedHalf
@@ -251,7 +251,7 @@ def _without_far(
         if arm.beside is None or rows is None:
             break
         far = arm.beside.far(rows, fit.sizes.other)
-        if not far.any() or (~far).sum() < LEAST:
+        if not far.any() or (~far).sum() < MIN:
             break
         arm = replace(arm, beside=arm.beside.without(far))
         fit = fit_camera(fit.table, arm, lens, prior, fit.sizes, arm=size)

@@ -34,7 +34,7 @@ _PLACES = 51  # at which an interval is tried, a thousandth apart
 _DRAWS = 2000  # for the ends of a 95 % interval to within a few per cent of themselves
 _POSTURES = 150  # which give the RMS over a range of joints to a few per cent
 _TRIES = 20  # postures drawn for each that shows the target
-_LEAST_SEEN = 20  # postures that show the target, below which those of the images are taken
+_MIN_SEEN = 20  # postures that show the target, below which those of the images are taken
 # Of a body, between two lines of sight: markers are read up to some 60° off square, so turned by half of that most of
 # those that one image shows are still read.
 _SAME_SIDE = float(np.radians(30.0))
@@ -244,7 +244,7 @@ def postures_in_view(fit: CameraFit, rng: np.random.Generator, count: int = _POS
     low, high = q.min(axis=0), q.max(axis=0)
     tried = rng.uniform(low, high, (_TRIES * count, q.shape[1]))
     good = tried[in_view(fit, tried)][:count]
-    if len(good) >= _LEAST_SEEN:
+    if len(good) >= _MIN_SEEN:
         return good, True
     a, b = rng.integers(len(q), size=(2, count))
     mixed = q[a] + rng.uniform(0.0, 1.0, (count, 1)) * (q[b] - q[a])

@@ -29,7 +29,7 @@ from modcal_core.geometry.so3 import Array
 
 WORLD, TIP = "world", "tip"
 _WINDOW = 8  # images that are looked back on
-_LEAST = 2  # of them that show a change: a single one may be a misread board
+_MIN = 2  # of them that show a change: a single one may be a misread board
 _GAIN = 20.0  # of −2 log likelihood against nothing, the price of the numbers taken off: odds of 1 : 20 000
 _CLEAR = 6.0  # of the same against the next likeliest: odds of 20 : 1
 _SAME = 1e-3  # rad or m by which joints differ within a stop
@@ -67,7 +67,7 @@ class _Half:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _ImageResidual:
     """One image against the model. place: of the tool in the frame, (3,). offset: of its target as the camera sees it,
     (6,). cov: of its corners, (6, 6). own: what the arm is off by at this stop, (6, n + 3), of unit variance. q: (n,).
     by_model: what the model's parameters move it by, (6, P). halves: the same of each half, (6, 6), by what that is.
@@ -112,7 +112,7 @@ class CameraWatch:
             state = one.state(fit.poses, fit.state, fit.state.values[first : first + len(one.own)])
             poses = one.poses.with_effects(fit.poses.model.effects)
             self._cameras[one.name] = _Watched(poses, state, one.columns(fit.poses, first))
-        self._seen: deque[_Seen] = deque(maxlen=_WINDOW * len(self._cameras))
+        self._seen: deque[_ImageResidual] = deque(maxlen=_WINDOW * len(self._cameras))
         self._count = 0
 
     def image(self, view: BoardView, q: Array, camera: str = "") -> Moved | None:
@@ -125,7 +125,7 @@ class CameraWatch:
             self._seen.append(seen)
         return self._judge()
 
-    def _look(self, view: BoardView, q: Array, camera: str) -> _Seen | None:
+    def _look(self, view: BoardView, q: Array, camera: str) -> _ImageResidual | None:
         fit, watched = self._fit, self._cameras[camera]
         if len(view) < POSE:
             return None
@@ -149,7 +149,7 @@ class CameraWatch:
         eye, zero = np.eye(3)[None], np.zeros((1, 3, 3))
         by_world = np.concatenate([np.concatenate([eye, -so3.hat(p)], 2), np.concatenate([zero, eye], 2)], 1)
         by_tool = np.concatenate([np.concatenate([R, zero], 2), np.concatenate([zero, R], 2)], 1)
-        return _Seen(
+        return _ImageResidual(
             view.stamp if np.isfinite(view.stamp) else float(self._count),
             p[0],
             own @ G[:POSE, -1],
@@ -166,7 +166,7 @@ class CameraWatch:
 
     def _judge(self) -> Moved | None:
         seen = list(self._seen)
-        if len(seen) < _LEAST:
+        if len(seen) < _MIN:
             return None
         K = len(seen)
         stops = _stops(seen)
@@ -185,7 +185,7 @@ class CameraWatch:
         halves = list(dict.fromkeys(half for s in seen for half in s.halves))
         nothing = np.zeros((POSE, POSE))
         found: list[tuple[float, _Half | str, int, Array, Array]] = []
-        for first in range(K - _LEAST + 1):
+        for first in range(K - _MIN + 1):
             since = np.repeat(np.arange(K) >= first, POSE)[:, None]
             for half in halves:
                 columns = np.concatenate([s.halves.get(half, nothing) for s in seen]) * since * usual
@@ -223,7 +223,7 @@ class CameraWatch:
         self._seen.clear()
 
 
-def _stops(seen: Sequence[_Seen]) -> np.ndarray:
+def _stops(seen: Sequence[_ImageResidual]) -> np.ndarray:
     """The number of the stop of each image: those one after the other at the same joints are of one."""
     apart = [np.abs(b.q - a.q).max() > _SAME for a, b in pairwise(seen)]
     return np.r_[0, np.cumsum(apart)].astype(int)

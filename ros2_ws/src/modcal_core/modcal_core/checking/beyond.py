@@ -17,7 +17,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
 UNTRIED = "the calibration, beyond the joint ranges that it was made from"
-_MOST = 0.5  # of the stations, beyond which what they say together is of places where nothing was tried
+_MAX = 0.5  # of the stations, beyond which what they say together is of places where nothing was tried
 _MARGIN = 0.02  # of a range, as where samples outside are counted
 _ASKED = 10  # stations of the calibration's own that are proposed: as many as a check is to have
 
@@ -35,7 +35,7 @@ class BeyondRanges:
     @property
     def mostly(self) -> bool:
         """Whether most of them do."""
-        return self.outside > _MOST * self.of
+        return self.outside > _MAX * self.of
 
     def doubts(self, moved_mm: float) -> bool:
         """Whether a change that moves the tool by so much [mm] may be what was not tried there."""

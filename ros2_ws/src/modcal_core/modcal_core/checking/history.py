@@ -24,7 +24,7 @@ _POINTS = 200  # of a curve
 _DAY = 86400.0  # s
 _SPREAD = 0.05  # of a spread of readings, its standard deviation: that of some 200 values
 Values = dict[str, tuple[str, float, float, bool]]  # unit, value, standard deviation, whether it is a size; by name
-_LEAST = 1e-12  # a value without error would weigh more than all others
+_MIN = 1e-12  # a value without error would weigh more than all others
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def _size_of(curves: Sequence[Effect], low: float, high: float) -> tuple[float, 
     x, size, _ = curve(curves, low, high, _POINTS)
     size = size - size.mean()
     rms = float(np.sqrt(np.mean(size**2)))
-    by_amplitude = [e.shape.basis(x) @ size / (len(x) * max(rms, _LEAST)) for e in curves]
+    by_amplitude = [e.shape.basis(x) @ size / (len(x) * max(rms, _MIN)) for e in curves]
     variance = sum(float(np.sum((g * e.std[: len(g)]) ** 2)) for g, e in zip(by_amplitude, curves, strict=True))
     return rms, float(np.sqrt(variance))
 
@@ -138,7 +138,7 @@ def series_of(entries: Sequence[tuple[str, float, Values]]) -> tuple[Series, ...
 
 def _trend(points: Sequence[SeriesPoint], size: bool, limit: float) -> Trend | None:
     t = np.array([p.time for p in points])
-    y, std = np.array([p.value for p in points]), np.maximum([p.std for p in points], _LEAST)
+    y, std = np.array([p.value for p in points]), np.maximum([p.std for p in points], _MIN)
     span = float(t[-1] - t[0])
     u = (t - t[0]) / span
     A = np.stack([np.ones_like(u), u], axis=1) / std[:, None]

@@ -28,7 +28,7 @@ BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
 GEAR, LOAD, SCALE, NOISE, READING = "gear", "load", "tracker_scale", "tracker_noise", "reading"
 KINDS = (BASE, FRAME, TOOL, ZERO, LENGTH, GEAR, LOAD, SCALE, NOISE, READING)
 _MEAN = 0.1  # share of its square that is one number at all stations: few stations see the mean of a wave as well
-MOST_CYCLES = 2  # a turn: eccentric gears and encoders; more waves than ten stations can tell apart are a curve
+MAX_CYCLES = 2  # a turn: eccentric gears and encoders; more waves than ten stations can tell apart are a curve
 _GROWS = {
     "position": GEAR,
     "load": LOAD,
@@ -126,7 +126,7 @@ def _of_joints(model: Model, samples: Samples, drivers: Drivers) -> Iterator[Cel
         if name in ratios:
             yield CellChange(GEAR, name, effect=_unsized(ratios[name]))
             if chain.revolute[j]:
-                yield from (CellChange(GEAR, name, effect=_unsized(e)) for e in gear_harmonic.whole(name, MOST_CYCLES))
+                yield from (CellChange(GEAR, name, effect=_unsized(e)) for e in gear_harmonic.whole(name, MAX_CYCLES))
             if samples.stations > 3:
                 yield CellChange(GEAR, name, curve=j)
         if is_serial_arm(chain):

@@ -14,7 +14,7 @@ from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.measurements.samples import Samples
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
-_LEAST_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent
+_MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def pattern_of(predictable: float | None) -> float:
     """The share of the noise that neighbouring postures have in common, by the predictable share in the calibration's
     report; None where there is no report.
     """
-    return PATTERN if predictable is None else float(np.clip(predictable, _LEAST_PATTERN, 1.0))
+    return PATTERN if predictable is None else float(np.clip(predictable, _MIN_PATTERN, 1.0))
 
 
 def frozen(calibration: Calibration, applied: Model, samples: Samples, pattern: float) -> FrozenCalibration:

@@ -31,12 +31,12 @@ from modcal_core.plausibility.mistakes import (
 from modcal_core.robots.mechanism import is_serial_arm
 
 INVERTED = "pose inverted"
-LEAST = 6  # readings of a frame, from which base and tool of an arm that is known leave enough to judge it by
+MIN = 6  # readings of a frame, from which base and tool of an arm that is known leave enough to judge it by
 _OF_THIS_ARM = 0.01  # of the reach: what misses by more with base and tool fitted again is another arm, or not metres
 _CANDIDATES = 6  # the likeliest by closed form, which are then fitted
 _NEAR = 20.0  # standard deviations, within which nothing has to be asked
 _OURS = 0.2  # of the miss as it is, by what is meant once a mistake is undone
-_AT_LEAST = 2e-3  # of the reach: what misses by less as it is may be an arm that bent, and is not refused for its words
+_AT_MIN = 2e-3  # of the reach: what misses by less as it is may be an arm that bent, and is not refused for its words
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def recognised(model: Model, samples: Samples, noise: NoiseModel) -> Recognised:
     plain = model.with_effects(())
     for f, frame in enumerate(samples.frames):
         rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == POINT)))
-        if len(rows) < LEAST or samples.is_same_point(f):
+        if len(rows) < MIN or samples.is_same_point(f):
             continue
         part = samples.select(rows)
         off = errors(model, part)
@@ -105,7 +105,7 @@ def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | BadRecording
     poses = bool(part.is_pose.all())
     # a point alone does not say how far the arm should turn: what is small is then small for itself
     as_is = _miss(model, part, poses)
-    if as_is.size(reach) < _AT_LEAST * reach:
+    if as_is.size(reach) < _AT_MIN * reach:
         return None
     mistakes = [*of_units(), *of_axes(), *of_joints(part.names)]
     if poses:

@@ -101,7 +101,7 @@ class _Picked(_Explained):
     with them taken up. aside: samples set aside as wrong.
     """
 
-    by: _Search
+    by: _ChangeSearch
     changes: tuple[JudgedChange, ...]
     log_e: tuple[float, ...]
     now: ChangedState
@@ -148,7 +148,7 @@ def _without_wrong(
     aside: list[int] = []
     allowed = max(1, len(samples) // 10)
     while True:
-        found = _Search(model, samples.select(rows), known, given, moved).picked()
+        found = _ChangeSearch(model, samples.select(rows), known, given, moved).picked()
         if found.wrong < 0 or len(aside) >= allowed or len(rows) < 4:
             return replace(found, aside=tuple(aside))
         out = rows[found.wrong]
@@ -157,7 +157,7 @@ def _without_wrong(
 
 
 @dataclass(frozen=True)
-class _Search:
+class _ChangeSearch:
     """One search. given: changes that are the case. moved: those that are taken up first."""
 
     model: Model

@@ -50,7 +50,7 @@ def wave_of(joint: int, model: Model, view: RowView, drivers: Drivers, judge: Ch
 
     best: tuple[float, float, bool] | None = None  # evidence, cycles, double
     for double in (False, True):
-        cycles = grid[grid <= 0.5 * gear_harmonic.MOST_CYCLES] if double else grid
+        cycles = grid[grid <= 0.5 * gear_harmonic.MAX_CYCLES] if double else grid
         logs = factors(cycles, double)
         total = float(scipy.special.logsumexp(logs))
         top = int(np.argmax(logs))

@@ -24,7 +24,7 @@ from modcal_core.robots.mechanism import is_delta, is_serial_arm
 
 TOLERANCE_M, TOLERANCE_RAD = 1e-7, 1e-7
 _DIFFERENCE = 1e-6  # rad or m
-_MOST_STEPS = 12
+_MAX_STEPS = 12
 _DAMPING = 1e-12
 _EFFECTS_M, _EFFECTS_RAD = 5e-3, 2e-2  # what effects may add to the reach of an arm
 _RESTARTS = 12  # each takes some ten milliseconds where there is nothing to be found
@@ -81,7 +81,7 @@ def compensate(
     # which side a joint comes from is settled by the plain way there, and once: play must not flip to and fro
     arriving = at.arriving(q)
     steps, error, J = 0, *_linearised(correction, desired, q, arriving, target, frame)
-    while _size(error) > 0.01 * min(tolerance_m, tolerance_rad) and steps < _MOST_STEPS:
+    while _size(error) > 0.01 * min(tolerance_m, tolerance_rad) and steps < _MAX_STEPS:
         better = _improved(correction, desired, q, error, J, arriving, target, frame)
         if better is None:
             break

@@ -11,7 +11,7 @@ from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.mechanism import Mechanism
 
-_LEAST_SECONDS = 0.1  # even the shortest way to a goal gets this long
+_MIN_SECONDS = 0.1  # even the shortest way to a goal gets this long
 _STREAM_ENDS = 0.5  # s without a setpoint, and nothing is streamed any more
 
 
@@ -63,7 +63,7 @@ class Bounds:
 
     def seconds(self, q: Array, now: Array) -> float:
         """How long the way from ``now`` to q (n,) takes at full speed [s]."""
-        return max(float((np.abs(q - now) / self.speed).max()), _LEAST_SECONDS)
+        return max(float((np.abs(q - now) / self.speed).max()), _MIN_SECONDS)
 
 
 class SetpointStream:

@@ -34,7 +34,7 @@ _MOVED = 5e-3  # m, rad; columns change by as much of themselves
 # alike, so each weight is as fair as any other; with 5 % from the best one 0.2 % of what rows say is lost
 _UNEVEN = 0.05
 _QUIETER = 0.1  # of any noise, by which priors are weighed against readings
-_MOST_NEW = 0.5  # of the columns, that may come and go; more are not worth it
+_MAX_NEW = 0.5  # of the columns, that may come and go; more are not worth it
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Anchor:
                 del others[same]
             at += len(effect.values)
         count = len(gone) + sum(len(e.values) for e in others)
-        if count > _MOST_NEW * len(self.L):
+        if count > _MAX_NEW * len(self.L):
             return None
         space = self.space
         rows = space.rows

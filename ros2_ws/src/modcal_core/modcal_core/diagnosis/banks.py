@@ -25,7 +25,7 @@ from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 
-LEAST_WAVES = 32  # below that an FFT costs more than it saves
+MIN_WAVES = 32  # below that an FFT costs more than it saves
 _SAME = 1e-9  # of a step
 
 
@@ -195,7 +195,7 @@ class SpectraOfDrivers:
 
 def wave_step(cycles: Array) -> float | None:
     """The step of which all cycles are multiples, one after the other; None where they are not, or are few."""
-    if len(cycles) < LEAST_WAVES:
+    if len(cycles) < MIN_WAVES:
         return None
     step = float(cycles[-1] - cycles[0]) / (len(cycles) - 1)
     if step <= 0.0:

@@ -22,8 +22,8 @@ _NEARLY = 0.93  # share of a free shape's explanation; its further amplitudes ta
 _LOOK_AHEAD = 3  # plain causes that together may beat a free shape
 _PLAINLY_MORE = 1.3  # times what the best line explains, for a whole curve, its chance taken off
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
-_MOST_NAMED = 12  # in a sentence
-_MOST_RIVALS = 4  # that are fitted, for time
+_MAX_NAMED = 12  # in a sentence
+_MAX_RIVALS = 4  # that are fitted, for time
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ def choose(
     if chosen.place == "base" and chosen.direction == "all":
         names = (f"tracker all by {chosen.public_driver}", *names)
     share = float(evidence.explained[best])
-    started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MOST_RIVALS])
-    return EffectChoice(chosen, evidence.p_value, names[:_MOST_NAMED], share, started, evidence.flips)
+    started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MAX_RIVALS])
+    return EffectChoice(chosen, evidence.p_value, names[:_MAX_NAMED], share, started, evidence.flips)
 
 
 def _simplicity(effect: Effect) -> tuple[float, ...]:

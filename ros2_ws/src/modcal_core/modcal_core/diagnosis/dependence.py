@@ -27,11 +27,11 @@ WORTH_NAMING = 0.2  # share of the squared residual that must be predicted
 _NEARLY = 0.93  # of the best share; with fewer functions that is plainer
 _RIVAL = 0.97  # of the named share; what predicts as much from elsewhere is named beside it
 _FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
-_LEAST_NEW = 0.02  # length that must be left of a column without what the parameters could make of it
+_MIN_NEW = 0.02  # length that must be left of a column without what the parameters could make of it
 _FARTHEST = 5.0  # times the median size; no sample may rule alone
 _RIDGE = (1e-4, 1e-2, 1.0)  # of the mean square of the columns
-_MOST = 400  # samples; more are thinned evenly
-_LEAST = 15  # stations; with fewer nothing is said
+_MAX = 400  # samples; more are thinned evenly
+_MIN = 15  # stations; with fewer nothing is said
 _SMALL = 1e-9  # of the largest column; less is rounding
 _HALF = 0.5  # of what lies along one joint's motion, that a driver must predict to be worth naming beside that
 _ALONG = 0.6  # share of the squares along one joint's motion beyond chance, from which that joint is named
@@ -70,7 +70,7 @@ def dependence(
     weight: of the six components, (6, N). fitted: derivatives (P, 6, k) by the parameters that were fitted to these
     samples, at those of :func:`asked_of`; None where the model is frozen: constant errors are looked for only then.
     """
-    if samples.stations < _LEAST or not is_serial_arm(model.chain) or model.instruments:
+    if samples.stations < _MIN or not is_serial_arm(model.chain) or model.instruments:
         return None
     rows = asked_of(samples)
     view = RowView.of(model, samples, model.drivers(samples))
@@ -92,7 +92,7 @@ def dependence(
         X = X[:, size > _SMALL * max(size.max(initial=0.0), 1e-300)]
         X = X if out is None else X - out @ (out.T @ X)
         left = np.linalg.norm(X, axis=0)
-        X = X[:, left > _LEAST_NEW * size[size > _SMALL * max(size.max(initial=0.0), 1e-300)]]
+        X = X[:, left > _MIN_NEW * size[size > _SMALL * max(size.max(initial=0.0), 1e-300)]]
         if X.shape[1]:
             share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
             found.append((share, X.shape[1], pair.place, pair.driver))
@@ -104,7 +104,7 @@ def dependence(
 
 def asked_of(samples: Samples) -> np.ndarray:
     """The samples that are asked, (k,): all, or a part of many."""
-    return spread_rows(len(samples), _MOST)
+    return spread_rows(len(samples), _MAX)
 
 
 def _by_motion(model: Model, view: RowView, residual: Array, weight: Array, rows: np.ndarray) -> Dependence | None:

@@ -19,7 +19,7 @@ from modcal_core.measurements.samples import Samples
 CONSTANT = ""  # the driver of an error that depends on nothing
 _CYCLES = 130  # a turn; gears of more teeth are rare
 _HATS = 12  # over a joint's range
-_MOST_SIGNALS = 20  # for time
+_MAX_SIGNALS = 20  # for time
 _SMALL = 1e-9  # of a spread or a range; less is rounding
 
 
@@ -34,7 +34,7 @@ class Pair:
 
 def pairs(model: Model, samples: Samples, view: RowView, rows: np.ndarray, constant: bool) -> Iterator[Pair]:
     """Every place with every driver, at these of the samples."""
-    builder = _Builder(model, samples, view, rows)
+    builder = _PairColumns(model, samples, view, rows)
     yield from builder.of_joints(constant)
     yield from builder.of_all_joints()
     yield from builder.of_ends(constant)
@@ -42,7 +42,7 @@ def pairs(model: Model, samples: Samples, view: RowView, rows: np.ndarray, const
     yield from builder.of_instrument()
 
 
-class _Builder:
+class _PairColumns:
     """Columns of places times numbers of drivers."""
 
     def __init__(self, model: Model, samples: Samples, view: RowView, rows: np.ndarray) -> None:
@@ -77,7 +77,7 @@ class _Builder:
             yield self._pair(who, "the positions of the other joints", axis, np.concatenate(others))
             loads = [self.at.values(f"{kind}:{name}") for kind in self._loads()]
             yield self._pair(who, f"the load of {name}", axis, _curves(np.stack(loads)))
-            for signal in self.at.signal_names()[:_MOST_SIGNALS]:
+            for signal in self.at.signal_names()[:_MAX_SIGNALS]:
                 number = _curves(self.at.values(signal)[None])
                 yield self._pair(who, f"what was recorded of {spoken_name(signal)}", axis, number)
             every = [(place, d) for d in range(6)]
@@ -127,7 +127,7 @@ class _Builder:
                 yield self._pair(who, CONSTANT, where, self.one)
             yield self._pair(who, "the order of the stations", where, self.order)
             yield self._pair(who, "how the joints arrived", where, self.came)
-            for signal in self.at.signal_names()[:_MOST_SIGNALS]:
+            for signal in self.at.signal_names()[:_MAX_SIGNALS]:
                 number = _curves(self.at.values(signal)[None])
                 yield self._pair(who, f"what was recorded of {spoken_name(signal)}", where, number)
         yield self._pair("the tool", "how it is turned against gravity", tool, gravity)

@@ -37,7 +37,7 @@ from modcal_core.effects.registry import complexity
 from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
 
-LEAST_FREEDOM = 20  # rows beyond what is fitted
+MIN_FREEDOM = 20  # rows beyond what is fitted
 _KEPT = 2  # fits whose rows are kept beside those of the last: a look ahead, and back
 _AT_ONCE = 10_000  # candidates times trials; what they explain then stays near the processor
 
@@ -176,7 +176,7 @@ class Scanner:
         """The least complexity among the candidates of a bank."""
         return self._least[id(bank)]
 
-    def enough(self, fit: Fit, least: int = LEAST_FREEDOM) -> bool:
+    def enough(self, fit: Fit, least: int = MIN_FREEDOM) -> bool:
         """Whether the samples leave rows enough beyond what is fitted to say anything."""
         return self.space_of(fit).freedom >= least
 

@@ -10,7 +10,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 
 _ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
-_LEAST_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
+_MIN_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
 
 
 def inverses(gram: Array, own: Array) -> tuple[Array, np.ndarray]:
@@ -26,14 +26,14 @@ def inverses(gram: Array, own: Array) -> tuple[Array, np.ndarray]:
     if m == 2:
         a, b, d = scaled[:, 0, 0], scaled[:, 0, 1], scaled[:, 1, 1]
         out = np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) / np.maximum(a * d - b * b, 1e-300)[:, None, None]
-        rest = np.flatnonzero(0.5 * (a + d) - np.hypot(0.5 * (a - d), b) <= _LEAST_NEW)
+        rest = np.flatnonzero(0.5 * (a + d) - np.hypot(0.5 * (a - d), b) <= _MIN_NEW)
     else:
         out = np.asarray(np.linalg.inv(scaled + _ONLY_ROUNDING * np.eye(m)), dtype=float)
-        rest = np.flatnonzero(~(np.einsum("cij,cij->c", out, out) < _LEAST_NEW**-2))
+        rest = np.flatnonzero(~(np.einsum("cij,cij->c", out, out) < _MIN_NEW**-2))
     sizes = np.full(len(scaled), m)
     value, vector = np.linalg.eigh(scaled[rest])
-    keep = value > _LEAST_NEW
-    part = np.where(keep, 1.0 / np.maximum(value, _LEAST_NEW), 0.0)[:, None]
+    keep = value > _MIN_NEW
+    part = np.where(keep, 1.0 / np.maximum(value, _MIN_NEW), 0.0)[:, None]
     out[rest], sizes[rest] = (vector * part) @ vector.transpose(0, 2, 1), keep.sum(axis=1)
     return out * scale[:, :, None] * scale[:, None, :], sizes
 

@@ -16,12 +16,12 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
-_MOST_FITTED = 1000  # samples that what pulls is fitted to, for time
+_MAX_FITTED = 1000  # samples that what pulls is fitted to, for time
 
 
 def step_of(fit: Fit, samples: Samples, asked: LoadHypothesis, x: Array) -> tuple[Array, Array]:
     """A step of Gauss and Newton (k,) of what pulls, the arm and its effects free, and the covariance (k, k)."""
-    rows = spread_rows(len(samples), _MOST_FITTED)
+    rows = spread_rows(len(samples), _MAX_FITTED)
     few, model, P = samples.select(rows), fit.model, len(fit.parameters)
     weight = row_weights(fit.weights[rows] * (len(samples) / len(rows)), fit.noise, few)
     drivers = model.drivers(few)

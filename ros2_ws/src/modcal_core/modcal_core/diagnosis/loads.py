@@ -23,7 +23,7 @@ from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.diagnosis.causes import Diagnosis
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis, Suspicion
 from modcal_core.diagnosis.load_step import by_weight, step_of
-from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN
+from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.families.compliance import KILOGRAMS, carrying
@@ -32,14 +32,14 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import is_serial_arm
 
-_MOST_ASKED = 400  # samples that a suspicion rests on; more are thinned
+_MAX_ASKED = 400  # samples that a suspicion rests on; more are thinned
 _SUSPICIOUS = 20.0  # gain for each number, in units of what is left for each row: chance makes one, other causes some
 _WORTH = 0.2  # gain as a share of what is left: less is not worth another search, nor a word on how an arm stands
 _SURE = 5.0  # standard deviations from which another way of weight or a mass is accepted
-_LEAST_TURN = np.radians(2.0)  # a floor is as level as that
-_MOST_STD = np.radians(5.0)  # of the way of weight; known worse it is not known
-_MOST_KG = 100.0  # above what all but the largest arms carry
-_MOST_BESIDE = 1.0  # m; no hand holds what it carries farther from the tip
+_MIN_TURN = np.radians(2.0)  # a floor is as level as that
+_MAX_STD = np.radians(5.0)  # of the way of weight; known worse it is not known
+_MAX_KG = 100.0  # above what all but the largest arms carry
+_MAX_BESIDE = 1.0  # m; no hand holds what it carries farther from the tip
 _NEARLY = 1.02  # of the squares on *explain*: one payload for all joints may leave so much more than one for each
 _ROUNDS = 6  # iterations
 _SETTLED = 0.05  # standard deviations
@@ -172,7 +172,7 @@ class _Weighing:
             return None
         fitted = self.fitted(new.fit, asked, x)
         if not fitted.sure(asked):
-            if asked.tilts and fitted.std[:2].max() > _MOST_STD:
+            if asked.tilts and fitted.std[:2].max() > _MAX_STD:
                 self.undetermined.append(asked)
             return None
         new = replace(new, fit=fitted.fit)
@@ -180,7 +180,7 @@ class _Weighing:
             return new
         before, after = self.missed(best, best), self.missed(new, best)
         plainer = asked.carries and _count(new) + asked.size <= _count(best) and after < _NEARLY * before
-        least = _WORTH if asked.tilts else LEAST_GAIN
+        least = _WORTH if asked.tilts else MIN_GAIN
         return new if after < (1.0 - least) * before or plainer else None
 
     def beside(self, asked: LoadHypothesis, best: Diagnosis) -> Array | None:
@@ -218,12 +218,12 @@ class _Weighing:
             best = replace(new, fit=alone)
         before, after = self.missed(best, best), self.missed(new, best)
         plainer = _count(new) + asked.size <= _count(best) and after < _NEARLY * before
-        return new if after < (1.0 - LEAST_GAIN) * before or plainer else None
+        return new if after < (1.0 - MIN_GAIN) * before or plainer else None
 
     @cached_property
     def seen(self) -> tuple[Space, Drivers]:
         """The residual of geometry alone at some of the samples, and their drivers."""
-        both = _thinned(self.train.join(self.explain), _MOST_ASKED)
+        both = _thinned(self.train.join(self.explain), _MAX_ASKED)
         drivers = self.geometric.model.drivers(both)
         return Space.of(self.geometric, drivers), drivers
 
@@ -273,17 +273,17 @@ class _Fitted:
         """Whether it is determined, and surely other than what was known."""
         if asked.tilts:
             turn, std = float(np.linalg.norm(self.x[:2])), float(self.std[:2].max())
-            if std > _MOST_STD or turn < max(_LEAST_TURN, _SURE * std):
+            if std > _MAX_STD or turn < max(_MIN_TURN, _SURE * std):
                 return False
         if asked.carries:
             mass, mass_std = self._masses(asked)
-            if np.abs(mass).max() > _MOST_KG or (np.abs(mass) < _SURE * mass_std).all():
+            if np.abs(mass).max() > _MAX_KG or (np.abs(mass) < _SURE * mass_std).all():
                 return False
             if asked.arm.weighed and mass.max() <= 0.0:  # nothing hangs upwards
                 return False
         if asked.places:
             beside = self.x[-3:]
-            return bool((np.abs(beside) > _SURE * self.std[-3:]).any() and np.linalg.norm(beside) < _MOST_BESIDE)
+            return bool((np.abs(beside) > _SURE * self.std[-3:]).any() and np.linalg.norm(beside) < _MAX_BESIDE)
         return True
 
     def _masses(self, asked: LoadHypothesis) -> tuple[Array, Array]:

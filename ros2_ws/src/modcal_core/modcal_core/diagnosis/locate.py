@@ -21,7 +21,7 @@ from modcal_core.measurements.thinning import spread_rows
 
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
 _NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve
-_MOST_SCANNED = 500  # samples; more are thinned evenly
+_MAX_SCANNED = 500  # samples; more are thinned evenly
 
 
 def located(fit: Fit, samples: Samples) -> EffectChoice | None:
@@ -29,7 +29,7 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
 
     Constant errors are looked for where the fit has no parameters of its own.
     """
-    rows = spread_rows(len(samples), _MOST_SCANNED)
+    rows = spread_rows(len(samples), _MAX_SCANNED)
     drivers = fit.model.drivers(samples.select(rows))
     constant = () if fit.parameters else unknown.constants(drivers)
     scanner = Scanner([*candidates(drivers), *constant], drivers)

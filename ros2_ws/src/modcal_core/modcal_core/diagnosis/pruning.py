@@ -22,7 +22,7 @@ from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
-LEAST_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away: 0.5 % in RMS (sweep)
+MIN_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away: 0.5 % in RMS (sweep)
 NOTHING = 2.0  # standard deviations within which an amplitude may be nothing: the usual 95 % interval holds 0
 DRAWN_IN = 25.0  # times the median square, to which each sample's is limited, so that none rules alone
 
@@ -44,7 +44,7 @@ def needless(
             lost = _mean_square(without(fit.model, known, [i]), explain, noise, limit) / have - 1.0
             costs.append(-np.inf if is_nothing(fit.model.effects, i, known) else lost)
         weakest = int(np.argmin(costs))
-        if costs[weakest] >= LEAST_GAIN:
+        if costs[weakest] >= MIN_GAIN:
             break
         gone.append(left.pop(keep + weakest))
         moved, effects = values_without(fit.model, known, [keep + weakest])

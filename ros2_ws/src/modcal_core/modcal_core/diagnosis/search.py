@@ -22,11 +22,11 @@ from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.diagnosis.causes import Cause, Diagnosis
 from modcal_core.diagnosis.chance import FLIPS
 from modcal_core.diagnosis.choice import EffectChoice, choose
-from modcal_core.diagnosis.evidence import LEAST_FREEDOM, Evidence, Scanner
+from modcal_core.diagnosis.evidence import MIN_FREEDOM, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import evidence_map
 from modcal_core.diagnosis.forms import other_forms
 from modcal_core.diagnosis.outliers import isolated_outliers
-from modcal_core.diagnosis.pruning import DRAWN_IN, LEAST_GAIN, joint_size, needless
+from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN, joint_size, needless
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.family import FREE, USUAL
@@ -35,9 +35,9 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
 SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes is judged on *explain* (sweep)
-MOST_EFFECTS = 30  # for time
-_MOST_SCANNED = 1000  # samples; a longer recording is thinned evenly
-_MOST_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
+MAX_EFFECTS = 30  # for time
+_MAX_SCANNED = 1000  # samples; a longer recording is thinned evenly
+_MAX_FITTED = 3000  # samples while searching; in the end all of *train* is fitted
 # Standard deviations to which a fit is brought while searching; of many rows as near as leaves its squares to lose no
 # more than this share of what an effect must take from them. In the end it is FITTED
 _TOLERANCE, _LEFT = 0.05, 1e-4
@@ -45,13 +45,11 @@ _TOLERANCE, _LEFT = 0.05, 1e-4
 # they may gain _LITTLE of it on *train*, and a step so long moves *explain* by less (two deviations of its noise along
 # a step of length s are 2 · 2 s √0.4, in 40 % as many rows)
 _HALF, _LITTLE, _NO_CHANCE = 0.5, 0.05, 0.04
-_MOST_STEPS = (
-    15  # of such a fit: usual are three to eight, and where a wave's cycles keep changing for more it has none
-)
-_MOST_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
-_MOST_REFUSED = 3  # choices in a row that did not predict, before the search ends
+_MAX_STEPS = 15  # of such a fit: usual are three to eight, and where a wave's cycles keep changing for more it has none
+_MAX_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
+_MAX_REFUSED = 3  # choices in a row that did not predict, before the search ends
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
-_MOST_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
+_MAX_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing; the largest of several is asked
 
 
@@ -64,7 +62,7 @@ def diagnose(
     progress: Callable[[str], None] = lambda _: None,
     suspects: Callable[[Drivers], Iterable[Effect]] = lambda _: (),
     known: Sequence[Cause] = (),
-    least_freedom: int = LEAST_FREEDOM,
+    least_freedom: int = MIN_FREEDOM,
 ) -> Diagnosis:
     """The effects that the fit to *train* lacks, judged on *explain*.
 
@@ -76,10 +74,10 @@ def diagnose(
     """
     rest = train, explain, rng, distances, progress, suspects, known, least_freedom
     many = _rejected(fit)
-    if many > _MOST_SINGLE and not known:
+    if many > _MAX_SINGLE and not known:
         whole = identify(fit.start, train, fit.parameters, distances, begin=fit.values, reject=False)
         found = _searched(whole, *rest, reject=False)
-        if found.causes and _rejected(found.fit) <= min(_HALVED * many, _MOST_SINGLE):
+        if found.causes and _rejected(found.fit) <= min(_HALVED * many, _MAX_SINGLE):
             return found
     return _searched(fit, *rest)
 
@@ -104,13 +102,13 @@ def _searched(
     """See :func:`diagnose`. reject: leave out what lies far outside while searching."""
     both = train.join(explain)
     alone = isolated_outliers(fit, both) if reject else np.zeros(len(both), bool)
-    both = both.select(_evenly(np.flatnonzero(~alone), _MOST_SCANNED))
+    both = both.select(_evenly(np.flatnonzero(~alone), _MAX_SCANNED))
     drivers = fit.model.drivers(both)
     scanner = Scanner([*candidates(drivers), *suspects(drivers)], drivers)
-    search = _Search(
+    search = _EffectSearch(
         fit,
         scanner,
-        train.select(_evenly(np.arange(len(train)), _MOST_FITTED)),
+        train.select(_evenly(np.arange(len(train)), _MAX_FITTED)),
         explain,
         tuple(distances),
         tuple(known),
@@ -119,10 +117,10 @@ def _searched(
     left: EffectChoice | None = None
     refused: set[tuple[str, str, str, str]] = set()
     scans: list[Evidence] = []
-    flips = FLIPS if len(both) <= _MOST_REVISITED else FLIPS // 2
+    flips = FLIPS if len(both) <= _MAX_REVISITED else FLIPS // 2
     missed = 0
     evidence: Evidence | None = None
-    while scanner.enough(search.fit, least_freedom) and len(search.causes) < MOST_EFFECTS and missed <= _MOST_REFUSED:
+    while scanner.enough(search.fit, least_freedom) and len(search.causes) < MAX_EFFECTS and missed <= _MAX_REFUSED:
         if evidence is None:  # after a choice that was refused, the fit is as it was, and so is what it leaves
             evidence = scanner.evidence(search.fit, rng, flips)
             scans = [*scans[:1], evidence]
@@ -172,7 +170,7 @@ def _with_uncontradicted(final: Fit, train: Samples, distances: Sequence[AnyDist
 
 
 @dataclass
-class _Search:
+class _EffectSearch:
     """The fit so far, and how it changes: effects added, taken out, exchanged."""
 
     fit: Fit
@@ -188,7 +186,7 @@ class _Search:
         self._geometric = self.fit
         rows = 3 * (len(self.train) + int(self.train.is_pose.sum()))
         # a step of so many deviations gains its square
-        must = LEAST_GAIN * rows  # what an effect must take of the squares
+        must = MIN_GAIN * rows  # what an effect must take of the squares
         self._tolerance = max(_TOLERANCE, float(np.sqrt(_LEFT * must)))
         self._clear = min(float(np.sqrt(_LITTLE * must)), _NO_CHANCE * must)
         self._stale = False  # whether the causes' own fits are those of another order
@@ -201,12 +199,12 @@ class _Search:
         rivals = tuple(rival for rival in choice.rivals if rival.key != effect.key)
         same = tuple(name for name in choice.same_as if name != effect.label)
         self.causes.append(Cause(effect, choice.p_value, same, rivals, self.fit, choice.flips))
-        better = self._mean_square(self.fit) < (1.0 - LEAST_GAIN) * missed
-        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MOST_REVISITED:
+        better = self._mean_square(self.fit) < (1.0 - MIN_GAIN) * missed
+        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MAX_REVISITED:
             self._exchange()
             self._take_out()
             # every round must bring something, or rounds could go in circles
-            better = self._mean_square(self.fit) < (1.0 - LEAST_GAIN) * missed
+            better = self._mean_square(self.fit) < (1.0 - MIN_GAIN) * missed
         if not better:
             self.fit, self.causes = before, causes
         return better
@@ -234,7 +232,7 @@ class _Search:
             if asked or length > self._clear:
                 return False
             asked = True
-            return self._missed_by(model) > (1.0 - _HALF * LEAST_GAIN) * missed
+            return self._missed_by(model) > (1.0 - _HALF * MIN_GAIN) * missed
 
         return self._refit(fit, (*fit.model.effects, started), hopeless if np.isfinite(missed) else None)
 
@@ -251,7 +249,7 @@ class _Search:
             tolerance=self._tolerance,
             begin=self.fit.values,
             reject=self.reject,
-            most=_MOST_STEPS,
+            most=_MAX_STEPS,
             hopeless=hopeless,
         )
 

@@ -34,8 +34,8 @@ from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
-_MOST_POINTS = 20_000  # of a signal; a faster one is thinned
-_MOST_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
+_MAX_POINTS = 20_000  # of a signal; a faster one is thinned
+_MAX_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
 _LAST, _LONGEST = 3, 20_000  # sets of samples whose drivers are remembered, and samples of a set
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
@@ -81,7 +81,7 @@ class Kept:
         if found is None:
             found = compute()
             self._bytes += found.nbytes
-            if self._bytes > _MOST_KEPT:
+            if self._bytes > _MAX_KEPT:
                 self._arrays.clear()
                 self._made.clear()
                 self._bytes = found.nbytes
@@ -217,7 +217,7 @@ class Drivers:
                 if told and lag == 0.0:
                     return told_at(t, x, stamps, self.samples.moving)
                 if told:
-                    step = float(t[-1] - t[0]) / _MOST_POINTS
+                    step = float(t[-1] - t[0]) / _MAX_POINTS
                     return delayed(*staircase(t, x, step), lag, stamps, step)
                 return delayed(t, x, lag, stamps) if len(t) > 1 else np.full(len(self), x[0] if len(x) else 0.0)
         return np.zeros(len(self))
@@ -347,7 +347,7 @@ def delayed(t: Array, x: Array, lag: float, at: Array, step: float = np.inf) -> 
     t: rising stamps (m,) [s]. x: values (m,). lag: [s]; a negative one undoes that of a slow sensor. step: [s] between
     points of the grid, at most; by default the usual one between stamps.
     """
-    step = max(min(float(np.median(np.diff(t))), step), float(t[-1] - t[0]) / _MOST_POINTS)
+    step = max(min(float(np.median(np.diff(t))), step), float(t[-1] - t[0]) / _MAX_POINTS)
     grid = np.arange(t[0], t[-1] + step, step)
     even = np.interp(grid, t, x)
     if lag > 0.0:

@@ -10,8 +10,8 @@ import scipy
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 
-_LEAST = 100_000  # numbers of a curve; of fewer, products of whole matrices are quicker
-_MOST_EACH = 8  # functions that are not zero at one sample; of more, blocks are no less work than whole matrices
+_MIN = 100_000  # numbers of a curve; of fewer, products of whole matrices are quicker
+_MAX_EACH = 8  # functions that are not zero at one sample; of more, blocks are no less work than whole matrices
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Knots:
     def of(cls, numbers: Array) -> Knots | None:
         """Those of a shape (b, N), None where many are not zero at some sample."""
         most = int(np.count_nonzero(numbers, axis=0).max(initial=0))
-        if not 0 < most <= _MOST_EACH:
+        if not 0 < most <= _MAX_EACH:
             return None
         whole = scipy.sparse.csr_array(numbers)
         by_sample = whole.tocsc()
@@ -53,4 +53,4 @@ class Knots:
 
 def knots_of(functions: Array, at: Drivers) -> Knots | None:
     """Those of a shape's functions (b, N) at these drivers, computed once; None where whole matrices are quicker."""
-    return at.made_of((functions,), Knots.of) if functions.size >= _LEAST else None
+    return at.made_of((functions,), Knots.of) if functions.size >= _MIN else None

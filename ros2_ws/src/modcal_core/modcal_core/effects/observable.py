@@ -10,35 +10,35 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import PART
 
-LEAST_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
-LEAST_SPEED = 1e-3  # rad/s or m/s
-MOST_BREAKS = 160  # times of a step that are tried, for time; the best is looked for more finely afterwards
+MIN_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
+MIN_SPEED = 1e-3  # rad/s or m/s
+MAX_BREAKS = 160  # times of a step that are tried, for time; the best is looked for more finely afterwards
 MOSTLY = 0.5  # share of the samples at which a driver must be known; at the others something stands in for it
-_LEAST_FOLLOWING = 2e-6  # rad or m; a joint that is as close to its commands errs by less than any instrument sees
-LEAST_SIDE = 4  # stations on either side of a step
-MOST_SIGNALS = 40  # of a recording, for time
-MOST_CARRIED = 8  # of these, that are tried as loads, for time
+_MIN_FOLLOWING = 2e-6  # rad or m; a joint that is as close to its commands errs by less than any instrument sees
+MIN_SIDE = 4  # stations on either side of a step
+MAX_SIGNALS = 40  # of a recording, for time
+MAX_CARRIED = 8  # of these, that are tried as loads, for time
 _CONSTANT = 1e-3  # of its size; a load that changes by less is a constant, and drives nothing that could be told
-_LEAST_OF_A_SIGN = 0.05  # share of the samples; fewer could all be single wrong readings
+_MIN_OF_A_SIGN = 0.05  # share of the samples; fewer could all be single wrong readings
 WARM_UPS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)  # time constants, as shares of the recording
 
 
 def moving_joints(drivers: Drivers) -> list[tuple[int, str]]:
     """Number and name of each joint that moved."""
     q = drivers.samples.q
-    return [(j, name) for j, name in enumerate(drivers.arm.chain.names) if np.ptp(q[:, j]) > LEAST_RANGE]
+    return [(j, name) for j, name in enumerate(drivers.arm.chain.names) if np.ptp(q[:, j]) > MIN_RANGE]
 
 
 def in_motion(drivers: Drivers) -> bool:
     """Whether readings were taken while joints moved."""
-    return bool(np.abs(np.nan_to_num(drivers.samples.velocity)).max(initial=0.0) > LEAST_SPEED)
+    return bool(np.abs(np.nan_to_num(drivers.samples.velocity)).max(initial=0.0) > MIN_SPEED)
 
 
 def followed(drivers: Drivers, j: int) -> bool:
     """Whether it is known by how much a joint follows its commands, and that varies."""
     apart = drivers.samples.following[:, j]
     known = np.isfinite(apart)
-    return bool(known.mean() >= MOSTLY and np.ptp(apart[known]) > _LEAST_FOLLOWING) if known.any() else False
+    return bool(known.mean() >= MOSTLY and np.ptp(apart[known]) > _MIN_FOLLOWING) if known.any() else False
 
 
 def varies(x: Array) -> bool:
@@ -64,7 +64,7 @@ def loads(drivers: Drivers, j: int) -> dict[str, Array]:
 
 def both_signs(x: Array) -> bool:
     """Whether a number is positive at some samples and negative at others, often enough to compare the two."""
-    return bool(min((x > 0).mean(), (x < 0).mean()) > _LEAST_OF_A_SIGN)
+    return bool(min((x > 0).mean(), (x < 0).mean()) > _MIN_OF_A_SIGN)
 
 
 def base_and_tool(drivers: Drivers) -> list[tuple[str, str]]:
@@ -87,12 +87,12 @@ def growing(drivers: Drivers) -> list[tuple[str, str]]:
 
 def carried_signals(drivers: Drivers) -> list[str]:
     """Names of recorded numbers that may say what the arm carries: those that are a message of their own."""
-    return [n for n in signals(drivers, temperatures=False) if PART not in n][:MOST_CARRIED]
+    return [n for n in signals(drivers, temperatures=False) if PART not in n][:MAX_CARRIED]
 
 
 def signals(drivers: Drivers, *, temperatures: bool) -> list[str]:
     """Names of recorded temperatures, or of all other recorded signals."""
-    return [n for n in drivers.signal_names() if n.startswith("temperature:") == temperatures][:MOST_SIGNALS]
+    return [n for n in drivers.signal_names() if n.startswith("temperature:") == temperatures][:MAX_SIGNALS]
 
 
 def span(drivers: Drivers) -> tuple[float, float] | None:
@@ -113,7 +113,7 @@ def warm_ups(drivers: Drivers) -> list[Shape]:
 def breaks(drivers: Drivers) -> Array:
     """Times between stations at which something may have happened [s]."""
     stamps = np.unique(drivers.samples.stamps)
-    between = 0.5 * (stamps[1:] + stamps[:-1])[LEAST_SIDE - 1 : -LEAST_SIDE or None]
-    if len(between) <= MOST_BREAKS:
+    between = 0.5 * (stamps[1:] + stamps[:-1])[MIN_SIDE - 1 : -MIN_SIDE or None]
+    if len(between) <= MAX_BREAKS:
         return np.asarray(between)
-    return np.asarray(between[np.linspace(0, len(between) - 1, MOST_BREAKS).astype(int)])
+    return np.asarray(between[np.linspace(0, len(between) - 1, MAX_BREAKS).astype(int)])

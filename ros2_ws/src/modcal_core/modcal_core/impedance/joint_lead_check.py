@@ -21,9 +21,9 @@ from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
 
 _REMEMBERED = 0.5  # s of references
-_MOST_LAG = 2.0  # times the stated lag may a servo's be, as long as nothing was learned of it
+_MAX_LAG = 2.0  # times the stated lag may a servo's be, as long as nothing was learned of it
 _LAG_OFF, _SURE = 0.1, 3.0  # of a lag that was learned, and deviations of it, by which a servo's may differ
-_MOST_REST = 3e-4  # rad of a rest that was learned: friction of 0.65 N m in a joint of 2175 N m/rad
+_MAX_REST = 3e-4  # rad of a rest that was learned: friction of 0.65 N m in a joint of 2175 N m/rad
 _SPAN = 0.012  # s over which a speed is measured: three readings
 _ON_ITS_WAY = 3.0  # periods that a reference may be now and then, although readings come in time
 _BOTH_WAYS = 2.0  # times as late as readings come may a lead seem to be: references are on their way as well
@@ -43,7 +43,7 @@ class JointLeadCheck:
         [s]. period: of references and readings [s].
         """
         self._least, self._lag, self._period = least, lag, period
-        self._most_lag, self._rest = np.full(len(least), _MOST_LAG * lag), np.zeros(len(least))
+        self._most_lag, self._rest = np.full(len(least), _MAX_LAG * lag), np.zeros(len(least))
         self._sent: deque[tuple[float, Array]] = deque()
         self._read: deque[tuple[float, Array]] = deque()
         self._speeds: deque[tuple[float, Array]] = deque()
@@ -80,9 +80,9 @@ class JointLeadCheck:
 
         rest: lead (n,) [rad] that neither lag nor load takes, as of dry friction.
         """
-        self._rest = np.minimum(np.abs(rest), _MOST_REST)
+        self._rest = np.minimum(np.abs(rest), _MAX_REST)
         at_most = lag + _LAG_OFF * self._lag + _SURE * unsure
-        self._most_lag = np.clip(at_most, _LAG_OFF * self._lag, _MOST_LAG * self._lag)
+        self._most_lag = np.clip(at_most, _LAG_OFF * self._lag, _MAX_LAG * self._lag)
 
     def unexplained(self, q: Array, stamp: float, wrench: Array, J: Array) -> Array:
         """The lead (n,) [rad] of each joint that neither lag nor the felt wrench (6,) explains; zeros before a motion.

@@ -29,8 +29,8 @@ from modcal_core.geometry.so3 import Array
 
 _LAGS = 1.5  # servo lags ago the setpoint may have been where the tool is now
 _REMEMBERED = 0.5  # s of setpoints
-_LEAST_LEAD = 1.5e-3  # m that are not explained, below which nothing is said: servos and measurements are no better
-_LEAST_SHARE = 0.4  # of the lead that takes the whole force, where that is less: what is stiff is pulled slowly
+_MIN_LEAD = 1.5e-3  # m that are not explained, below which nothing is said: servos and measurements are no better
+_MIN_SHARE = 0.4  # of the lead that takes the whole force, where that is less: what is stiff is pulled slowly
 _SAME, _SAME_WAY = 5, 0.2e-3  # readings in a row that are alike to the last digit; m that the setpoint moved meanwhile
 # Readings that must have differed before; how often as long as ever a sensor repeats itself when it is stuck, and for
 # how long [s], while the setpoint moved by so much [m]: drivers send a reading again while the next is late, and what
@@ -150,7 +150,7 @@ class LeadCheck:
             return known.stiffest * max(left - explained - slack, 0.0)
         explained = 0.0 if self.repeats else force / known.softest
         left = min(math.dist(p, tool) for p in lately) - explained
-        least = min(_LEAST_LEAD, _LEAST_SHARE * most / known.contact)
+        least = min(_MIN_LEAD, _MIN_SHARE * most / known.contact)
         if left <= least:
             return 0.0
         return known.contact * (math.dist(self._sent[-1][1], tool) - explained)  # as it will be, with no more lag

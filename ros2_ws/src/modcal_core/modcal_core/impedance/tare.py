@@ -17,7 +17,7 @@ from modcal_core.impedance.wrench import DOWN, Load, WrenchSensor
 
 PATIENCE = 10.0  # s
 _REST = 0.01  # rad/s or m/s of a joint that still counts as standing
-_LEAST_SPAN = 0.02  # s between two joint states, at least, over which that is measured
+_MIN_SPAN = 0.02  # s between two joint states, at least, over which that is measured
 
 
 class Tare:
@@ -76,7 +76,7 @@ class TarePhase:
         late = now - self._since > PATIENCE
         at_rest = True
         if self._before is not None and now > self._before[0]:
-            span = max(now - self._before[0], _LEAST_SPAN)
+            span = max(now - self._before[0], _MIN_SPAN)
             at_rest = bool(np.abs(joints.q - self._before[1]).max() <= _REST * span)
         self._before = now, joints.q
         if not self._tare.add(sensor.raw, sensor.stamp, at_rest):

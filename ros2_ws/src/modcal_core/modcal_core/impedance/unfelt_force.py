@@ -51,12 +51,12 @@ _BEFORE = (
     0.015  # m of the tool's way on which they lie: half a second of exploration; of an arm that stands, none is new
 )
 _STEP = 3e-4  # m from one to the next: fifty, of which a mean and a scatter are known to a tenth
-_LEAST = 10  # of them
+_MIN = 10  # of them
 # m: a tool that went on by as much was not held, for fingers yield half of it to 60 N; then the model is wrong
 _MOVED_ON = 8e-3
 _SHARE = 1.0  # of a change of the felt force that is not believed to be hidden beside it: what is learned of a servo
 # that yields by half as much as it does would show that
-_MOST = 0.4  # of max_force_n may go unfelt, for as much again comes until the arm stands
+_MAX = 0.4  # of max_force_n may go unfelt, for as much again comes until the arm stands
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
 _WORSE = 1.5  # times the error of the other model: then it is the other one
@@ -94,7 +94,7 @@ class UnfeltForce:
         self._waiting: deque[_Moment] = deque()
         self._learned = False
         self._errors = np.zeros(2)  # m², of the joints' rows and of the tool's
-        self._before = _Window(joints + 6)
+        self._before = _MomentWindow(joints + 6)
         self._compared = (0, 0)  # how often there was a new one, of the leads before and of the model
         self._base = np.zeros((joints + 6, 4)), np.zeros(3), np.zeros(joints + 6)
         self._recent: deque[_Moment] = deque()  # too new to be compared with
@@ -190,11 +190,11 @@ class UnfeltForce:
         maybe, likely, self.sure = self._hidden(at, by)
         self._likely.append(likely)
         self.force = min(self._likely)
-        if self.sure <= _MOST * most:
+        if self.sure <= _MAX * most:
             self._sure_since = math.inf
         elif math.isinf(self._sure_since):
             self._sure_since = at.stamp
-        if likely <= _MOST * most:
+        if likely <= _MAX * most:
             self._little = at.stamp
         stays = at.stamp - self._little > _STAYS
         self._lasts = at.stamp - self._sure_since >= _RINGS or stays
@@ -214,7 +214,7 @@ class UnfeltForce:
     def _hidden(self, at: _Moment, by: Array | None) -> tuple[float, float, float]:
         """The force [N] that may not be felt; that likely is not; and that surely is not, by an older reference too."""
         model, before, n = self.model, self._before, self._n
-        if model.count < FEWEST or before.count < _LEAST:
+        if model.count < FEWEST or before.count < _MIN:
             return 0.0, 0.0, 0.0
         if self._compared != (key := (before.added, model.count)):
             mean, squares, felt = before.means()
@@ -271,7 +271,7 @@ class UnfeltForce:
         return learned
 
 
-class _Window:
+class _MomentWindow:
     """Moments on the last of the tool's way, as sums. last: the newest of them. added: how many ever were."""
 
     last: _Moment
@@ -290,7 +290,7 @@ class _Window:
 
         The first few count as they come: what is locked is never moved, and is compared with the arm as it stood.
         """
-        if len(self._moments) >= _LEAST and moment.way - self.last.way < _STEP:
+        if len(self._moments) >= _MIN and moment.way - self.last.way < _STEP:
             return
         self._moments.append(moment)
         self.last = moment

@@ -25,14 +25,14 @@ APPLIED = 0.002  # s; a smaller offset is below what this method resolves
 CLEARLY = 3.0  # standard deviations beyond which an offset is not chance: one in 370 of clocks that agree
 LIMIT = 0.5  # s; a larger offset is a clock that is wrong rather than a delay
 _LONGEST = 60_000  # grid points; a longer recording is looked at in its first part
-_LEAST_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recording
+_MIN_JUMP, _LONGEST_JUMP = 0.1, 2.5  # s, of a clock that is set while recording
 _PLAINLY = 0.1  # correlation by which a piece must fit its own lag better than that of the other part
 _MOVING = 0.02  # m/s
 _LEAP = 5.0  # times the usual speed in motion; a quintic's peak is less than twice its mean
 _PIECE = 20.0  # s of recording that a jump is looked for in; a motion of a second or two is told in it
-_LEAST_PIECES = 4  # two on either side of a jump
-_LEAST_FOR_DRIFT = 3  # that a line is drawn through: two would always agree
-_LEAST = 50  # readings, joint states and grid points: one second of motion, less correlates by chance
+_MIN_PIECES = 4  # two on either side of a jump
+_MIN_FOR_DRIFT = 3  # that a line is drawn through: two would always agree
+_MIN = 50  # readings, joint states and grid points: one second of motion, less correlates by chance
 _SLOWEST = 0.1  # s between joint states; slower ones do not show a motion's peaks
 _SILENT = 0.2  # s between readings beyond which a speed between them is a guess
 _LONG_ENOUGH = 60.0  # s, for a drift: two pieces of half a minute at least
@@ -103,12 +103,12 @@ def clock_offset(track: ReadingTrack, t: Array, q: Array, tip: Callable[[Array],
     t: joint stamps, sorted, (m,) [s]. q: joint positions (m, n). tip: their poses (m, 4, 4).
     """
     steps = np.diff(t)
-    if len(track.stamps) < _LEAST or len(t) < _LEAST or np.median(steps) > _SLOWEST:
+    if len(track.stamps) < _MIN or len(t) < _MIN or np.median(steps) > _SLOWEST:
         return None
-    if float(steps[steps <= _SLOWEST].sum()) < _LEAST * STEP:  # rows that were written twice are no motion
+    if float(steps[steps <= _SLOWEST].sum()) < _MIN * STEP:  # rows that were written twice are no motion
         return None
     grid = np.arange(max(t[0], track.stamps.min() - SEARCH), min(t[-1], track.stamps.max() + SEARCH), STEP)[:_LONGEST]
-    if len(grid) < _LEAST:
+    if len(grid) < _MIN:
         return None  # they hardly overlap, which cutting stations will say
     order = np.argsort(track.stamps, kind="stable")
     stamps, position = track.stamps[order], track.values[order, :3]
@@ -195,7 +195,7 @@ def _correlation(seen: Array, moved: Array, lag: int) -> float:
     a = seen[max(lag, 0) : len(seen) + min(lag, 0)]
     b = moved[max(-lag, 0) : len(moved) - max(lag, 0)]
     known = np.isfinite(a) & np.isfinite(b)
-    if known.sum() < _LEAST:
+    if known.sum() < _MIN:
         return float("nan")
     a, b = a[known] - a[known].mean(), b[known] - b[known].mean()
     size = float(np.sqrt((a @ a) * (b @ b)))
@@ -208,17 +208,17 @@ def _jump(seen: Array, moved: Array) -> tuple[float, float] | None:
     The lags of pieces stand on two levels, one after the other, and each piece fits its own level much better.
     """
     count = min(len(seen) * STEP / _PIECE, 20.0)
-    if count < _LEAST_PIECES:
+    if count < _MIN_PIECES:
         return None
     pieces = np.array_split(np.arange(len(seen)), int(count))
     found = [_lag(seen[p], moved[p], 0, round(_LONGEST_JUMP / STEP)) for p in pieces]
     known = [(p, result[0]) for p, result in zip(pieces, found, strict=True) if result and result[1] > TRUSTED]
     lags = np.array([lag for _, lag in known])
-    if len(known) < _LEAST_PIECES or float(np.ptp(lags)) * STEP < _LEAST_JUMP:
+    if len(known) < _MIN_PIECES or float(np.ptp(lags)) * STEP < _MIN_JUMP:
         return None
     cut = int(np.argmax(np.abs(np.diff(lags)))) + 1
     levels = np.median(lags[:cut]), np.median(lags[cut:])
-    if abs(levels[1] - levels[0]) * STEP < _LEAST_JUMP:
+    if abs(levels[1] - levels[0]) * STEP < _MIN_JUMP:
         return None
     astray = 0
     for k, (p, _) in enumerate(known):
@@ -236,7 +236,7 @@ def _drift(seen: Array, moved: Array, lag: float) -> float:
     pieces = np.array_split(np.arange(len(seen)), int(np.clip(len(seen) * STEP / 30.0, 3, 20)))
     found = [(p.mean() * STEP, _lag(seen[p], moved[p], round(lag), round(0.3 / STEP))) for p in pieces]
     known = [(at, result[0] * STEP) for at, result in found if result is not None and result[1] > TRUSTED]
-    if len(known) < _LEAST_FOR_DRIFT:
+    if len(known) < _MIN_FOR_DRIFT:
         return 0.0
     at, offset = np.array(known).T
     design = np.stack([at - at.mean(), np.ones_like(at)], axis=1)

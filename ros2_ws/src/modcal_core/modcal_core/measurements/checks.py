@@ -13,10 +13,10 @@ from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recordi
 from modcal_core.robots.mechanism import Mechanism
 
 # Beyond these a revolute joint is suspected of degrees: one with limits in the URDF, and one that turns on [rad].
-MOST_TURNS = 2.0 * np.pi * 1.05
-MOST_TURNS_ENDLESS = 50.0
+MAX_TURNS = 2.0 * np.pi * 1.05
+MAX_TURNS_ENDLESS = 50.0
 _COUNTED_ON = 4.0 * np.pi  # what a joint may have turned on since its counter was set [rad]: two turns
-_LEAST_MESSAGES = 50
+_MIN_MESSAGES = 50
 _JUMP, _FASTEST = 0.05, 3.0  # rad, rad/s; a joint that goes so far so fast does not come back within
 _AT_ONCE, _BACK = 0.3, 0.2  # s, to within this share of the way
 _OFTEN = 0.05  # share of the messages; single ones are an encoder's glitches
@@ -28,7 +28,7 @@ POSITIONS = "tracker/pose or tracker/point"
 def joint_limits(chain: Mechanism) -> Array:
     """The largest position [rad, m] of each joint, (n,), beyond which degrees or millimetres are suspected."""
     stated = np.maximum(np.abs(chain.lower), np.abs(chain.upper))
-    turns = np.where(np.isfinite(stated), np.maximum(MOST_TURNS, 1.05 * stated), MOST_TURNS_ENDLESS)
+    turns = np.where(np.isfinite(stated), np.maximum(MAX_TURNS, 1.05 * stated), MAX_TURNS_ENDLESS)
     return np.asarray(np.where(chain.revolute, turns, FARTHEST))
 
 
@@ -85,7 +85,7 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> No
 def _require_one_source(track: JointTrack, chain: Mechanism) -> None:
     """Raises BadRecording where positions jump to and fro between messages: two nodes publish them under one name."""
     mine = [j for j, name in enumerate(track.names) if name in chain.names and chain.revolute[chain.names.index(name)]]
-    if len(track.stamps) < _LEAST_MESSAGES or not mine:
+    if len(track.stamps) < _MIN_MESSAGES or not mine:
         return
     # in the order in which they came: a clock that is set back would shuffle those of one node
     step = np.diff(track.position[:, mine], axis=0)

@@ -22,7 +22,7 @@ _OUTLIER = 4.0  # robust standard deviations: one in 16 000 of a normal error li
 _SLOW = 0.02  # m/s; at rest the speed says nothing of the delay
 _NORMAL = 1.4826  # median of absolute values to standard deviation of a normal error
 _FARTHEST = 1.0  # m, standard deviation of the point before it is fitted: tools are no longer
-_MOST_STEPS = 2.5  # grid steps that the fit may move from its start, which the correlation has told to one
+_MAX_STEPS = 2.5  # grid steps that the fit may move from its start, which the correlation has told to one
 _SLOWLY = 15.0  # grid steps, of slow motions, whose correlation is flat, where the speeds then agree much better ...
 _BETTER = 0.5  # ... so many times as far apart: a start that is right leaves nothing like that to be gained
 
@@ -68,7 +68,7 @@ def fit_offset(seen: Callable[[float], Array], velocity: Array, turning: Array, 
             return _as_started(start, velocity, step)
         if abs(change[3]) < _SETTLED:
             break
-    if abs(offset - start) > _MOST_STEPS * step and not scales[-1] < _BETTER * scales[0]:
+    if abs(offset - start) > _MAX_STEPS * step and not scales[-1] < _BETTER * scales[0]:
         return _as_started(start, velocity, step)
     stretch = np.flatnonzero(known) // round(_STRETCH / step)
     scores = np.zeros((int(stretch[-1]) + 1, 4))

@@ -27,8 +27,8 @@ IMPLAUSIBLE = "readings that cannot be (too far away, or not of unit length)"
 ELSEWHEN = "stamped at another time than all others"
 _LOST = 1e-6  # length of the quaternion of a tracker that has lost its target
 _SAID = 0.5  # share that is left out from which it is worth a warning of its own
-_MOST = 0.5  # share of implausible readings beyond which the plausible ones are the exception
-MOST_GLITCHES = 0.05  # share that may be single wrong readings, as of rejected stations; more make the verdict open
+_MAX = 0.5  # share of implausible readings beyond which the plausible ones are the exception
+MAX_GLITCHES = 0.05  # share that may be single wrong readings, as of rejected stations; more make the verdict open
 _UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254}  # of a metre
 _WITHIN = 0.8  # share of the implausible readings that are plausible in another unit, from which they are in it
 _NO_RATE = 1e6  # N m, N or per second; no actuator exerts so much
@@ -78,7 +78,7 @@ def elsewhen(stamps: Array) -> np.ndarray:
         return np.zeros(len(stamps), dtype=np.bool_)
     off = np.abs(stamps - np.median(stamps))
     far = np.asarray(~(off <= max(DAY, _SPREADS * float(np.median(off)))))
-    return far if far.sum() <= max(1.0, MOST_GLITCHES * len(stamps)) else np.zeros(len(stamps), dtype=np.bool_)
+    return far if far.sum() <= max(1.0, MAX_GLITCHES * len(stamps)) else np.zeros(len(stamps), dtype=np.bool_)
 
 
 def _joints(
@@ -110,7 +110,7 @@ def _joints(
             _count(lost, reason, int(those.sum()))
             of = "" if columns is None else f" of {track.names[mine[int(np.argmax(columns[those].sum(axis=0)))]]}"
             notes.append(_sentence(track.topic, those, track.stamps, what + of))
-            if reason == BEYOND and those.mean() > MOST_GLITCHES:
+            if reason == BEYOND and those.mean() > MAX_GLITCHES:
                 doubts.append(_too_often(notes[-1]))
     keep = ~(rows | other | far)
     if not keep.all():
@@ -129,13 +129,13 @@ def _beyond(track: JointTrack, mine: list[int], chain: Mechanism | None) -> np.n
     """Where a position is one that the joint cannot have, (m, len(mine)): a glitch, not an arm that speaks degrees."""
     size = np.abs(track.position[:, mine])
     surely = size > _NO_DEGREES
-    if surely.any(axis=1).mean() > _MOST if len(size) else True:
+    if surely.any(axis=1).mean() > _MAX if len(size) else True:
         return np.zeros(size.shape, dtype=np.bool_)
     if chain is None:
         return np.asarray(surely)
     known = dict(zip(chain.names, joint_limits(chain), strict=True))
     over = size > np.array([known.get(track.names[j], np.inf) for j in mine])
-    return np.asarray(over if over.any(axis=1).mean() <= MOST_GLITCHES else surely)
+    return np.asarray(over if over.any(axis=1).mean() <= MAX_GLITCHES else surely)
 
 
 def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTrack:
@@ -154,7 +154,7 @@ def _with_rates(track: JointTrack, mine: list[int], notes: list[str]) -> JointTr
         order = np.argsort(track.stamps, kind="stable")
         for k in np.flatnonzero(some).tolist():
             j, good, n = mine[k], known[:, k], int((~known[:, k]).sum())
-            few = n <= MOST_GLITCHES * len(good)
+            few = n <= MAX_GLITCHES * len(good)
             kept = order[good[order]]
             values[~good, j] = np.interp(track.stamps[~good], track.stamps[kept], values[kept, j]) if few else np.nan
             done = "the neighbouring values replace it" if few else "it counts as unknown there"
@@ -188,9 +188,9 @@ def _readings(
     odd: np.ndarray = np.zeros(len(rows), dtype=np.bool_)
     odd[~rows] = kinds()[track.kind].implausible(track.values[~rows], reach)
     odd &= ~other
-    if odd.sum() > _MOST * (~rows).sum():
+    if odd.sum() > _MAX * (~rows).sum():
         odd[:] = False  # what is wrong with them is said when they are checked
-    elif odd.sum() > MOST_GLITCHES * (~rows).sum():
+    elif odd.sum() > MAX_GLITCHES * (~rows).sum():
         _require_one_unit(track, ~rows, odd, reach)
     for reason, those, what in (
         (READINGS, broken, "not finite"),
@@ -201,7 +201,7 @@ def _readings(
         if those.any():
             _count(lost, reason, int(those.sum()))
             notes.append(_sentence(name, those, track.stamps, what))
-            if reason == IMPLAUSIBLE and those.sum() > MOST_GLITCHES * (~(broken | gone)).sum():
+            if reason == IMPLAUSIBLE and those.sum() > MAX_GLITCHES * (~(broken | gone)).sum():
                 doubts.append(_too_often(notes[-1]))
     rows = rows | other | odd
     return track.rows(~rows) if rows.any() else track

@@ -13,14 +13,14 @@ from itertools import pairwise
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.dropouts import MOST_GLITCHES
+from modcal_core.measurements.dropouts import MAX_GLITCHES
 from modcal_core.measurements.recording import POSE, ReadingTrack, Recording, joint_stamps_and_positions
 from modcal_core.measurements.returns import LEFT
 
 HUNG = "readings repeated while the joints moved"
-_LEAST = 5  # equal readings in a row
+_MIN = 5  # equal readings in a row
 _LASTS = 1.0  # s; trackers that are read slower than once a second are read at stations
-_MOST = 0.5  # share of all; beyond, the topic is none of the target, and is refused as such
+_MAX = 0.5  # share of all; beyond, the topic is none of the target, and is refused as such
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def hung(recording: Recording, names: tuple[str, ...]) -> Hung:
     for track in recording.readings:
         rows = _repeated(track, t[order], q[order])
         count = int(rows.sum())
-        if count > _MOST * len(rows):
+        if count > _MAX * len(rows):
             rows[:], count = False, 0
         found.append(rows)
         if not count:
@@ -67,7 +67,7 @@ def hung(recording: Recording, names: tuple[str, ...]) -> Hung:
             f"{len(rows)} readings, first at {first:.3f} s: the tracker hung, or had lost its target"
         )
         notes.append(f"{said}. They were left out.")
-        if count > MOST_GLITCHES * len(rows):
+        if count > MAX_GLITCHES * len(rows):
             doubts.append(f"{said}, and too often for single wrong readings. See its driver and its sight.")
     return Hung(tuple(found), tuple(notes), tuple(doubts))
 
@@ -75,13 +75,13 @@ def hung(recording: Recording, names: tuple[str, ...]) -> Hung:
 def _repeated(track: ReadingTrack, t: Array, q: Array) -> np.ndarray:
     """Which readings are those, (m,). t, q: joint states in order of time, (k,), (k, n)."""
     out = np.zeros(len(track.stamps), dtype=np.bool_)
-    if track.kind != POSE or len(t) < 2 or len(out) < _LEAST:
+    if track.kind != POSE or len(t) < 2 or len(out) < _MIN:
         return out
     order = np.argsort(track.stamps, kind="stable")
     stamps, values = track.stamps[order], track.values[order]
     edges = np.flatnonzero(np.r_[True, (np.diff(values, axis=0) != 0.0).any(axis=1), True])
     for start, end in pairwise(edges.tolist()):
-        if end - start < _LEAST or stamps[end - 1] - stamps[start] < _LASTS:
+        if end - start < _MIN or stamps[end - 1] - stamps[start] < _LASTS:
             continue
         low, high = np.searchsorted(t, (stamps[start], stamps[end - 1]))
         went = q[low : high + 1]

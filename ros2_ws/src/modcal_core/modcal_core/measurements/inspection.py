@@ -13,11 +13,11 @@ from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.dwells import StationRules, find_dwells
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
-from modcal_core.measurements.returns import LEAST_RETURNS, returns
+from modcal_core.measurements.returns import MIN_RETURNS, returns
 from modcal_core.robots.mechanism import Mechanism
 
-_LEAST = 20  # steps between stamps, of which a median tells what is usual
-_LEAST_GAP = 0.1  # s; shorter silences happen on any busy computer
+_MIN = 20  # steps between stamps, of which a median tells what is usual
+_MIN_GAP = 0.1  # s; shorter silences happen on any busy computer
 _RARE = 0.02  # share of the steps up to which gaps are silences; more are how the topic speaks
 _LATE = 0.5  # s from stamp to reception; no transport takes so long, so a clock is wrong
 _CLOCKS = 0.05  # s between two topics' delays; transport on one network differs by less
@@ -99,9 +99,9 @@ def _clock_findings(name: str, stamps: Array, received: Array) -> list[str]:
     if (repeats := int((steps == 0.0).sum())) > 0:
         out.append(f"{name}: {repeats} messages have the stamp of the message before.")
     forward = steps[steps > 0.0]
-    if len(forward) > _LEAST:
+    if len(forward) > _MIN:
         usual = float(np.median(forward))
-        gaps = forward[forward > max(_GAP * usual, _LEAST_GAP)]
+        gaps = forward[forward > max(_GAP * usual, _MIN_GAP)]
         if 0 < len(gaps) <= _RARE * len(forward):
             out.append(
                 f"{name}: silent {len(gaps)} times for up to {gaps.max():.2f} s; "
@@ -155,11 +155,11 @@ def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
     elif not sum(int(np.isin(r.stamps, t).sum()) for r in recording.readings):
         return []  # readings in motion have no posture to come back to
     count = len(returns(q))
-    if count >= LEAST_RETURNS:
+    if count >= MIN_RETURNS:
         return []
     few = "No posture is visited twice" if not count else f"Only {count} postures are visited twice"
     return [
-        f"{few}: the noise floor will be unknown; visit {LEAST_RETURNS} postures again, each from another side, or "
+        f"{few}: the noise floor will be unknown; visit {MIN_RETURNS} postures again, each from another side, or "
         "state --repeatability-mm and --instrument-mm."
     ]
 

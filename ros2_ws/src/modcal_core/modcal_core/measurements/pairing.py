@@ -52,9 +52,9 @@ class TrackSamples:
 
 
 _COLUMNS = tuple(f.name for f in fields(TrackSamples) if f.name not in ("moving", "spans"))
-_LEAST_DWELLS = 3  # fewer are a pause, not a recording that goes from station to station
+_MIN_DWELLS = 3  # fewer are a pause, not a recording that goes from station to station
 _PAIRED = 0.5  # share of the readings that must fall on joint states to be taken as pairs: most of them
-_LEAST_COURSE = 20  # joint states from which it is told how well a spline through them interpolates
+_MIN_COURSE = 20  # joint states from which it is told how well a spline through them interpolates
 _USUALLY = 90.0  # % of them; starts and stops are no smooth motion
 _INTERPOLATED = 1e-4  # rad or m; at a metre 0.1 mm, as good as a tracker in motion
 _MORE = 1.5  # usual steps that a gap between joint states may be: none is missing
@@ -109,14 +109,14 @@ def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
     # one topic may have been heard for longer than the other; what counts is the time that both cover
     shared = int(((track.stamps >= t[0]) & (track.stamps <= t[-1])).sum()) if len(t) else 0
-    if len(pairs) and len(pairs) >= _PAIRED * shared and (sparse or len(dwells) < _LEAST_DWELLS):
+    if len(pairs) and len(pairs) >= _PAIRED * shared and (sparse or len(dwells) < _MIN_DWELLS):
         rows = pairs[:, 1]
         if sparse:
             # a course between stations far apart is not known; what the joints said of their speed is
             return _as_is(track, pairs[:, 0], q[rows], velocity[rows], np.zeros_like(q[rows]), False)
         course, at = _course(t, q), t[rows] - t[0]
         return _as_is(track, pairs[:, 0], q[rows], course(at, 1), course(at, 2), moving=True)
-    if len(dwells) >= _LEAST_DWELLS:
+    if len(dwells) >= _MIN_DWELLS:
         return averaged(track, t, q, dwells)
     return _interpolated(track, t, q, rules)
 
@@ -181,7 +181,7 @@ def _widest(t: Array, q: Array, rules: StationRules) -> float:
     second one left out is found by a spline through the others, whose error falls with the fourth power of the step.
     """
     step = float(np.median(np.diff(t)))
-    if step <= 0.5 * rules.gap or len(t) < _LEAST_COURSE:
+    if step <= 0.5 * rules.gap or len(t) < _MIN_COURSE:
         return rules.gap
     known = np.arange(0, len(t), 2)
     left = np.arange(1, known[-1], 2)

@@ -9,7 +9,7 @@ from modcal_core.measurements.thinning import spread_rows
 
 _NEAREST = 3  # stations that are asked
 _RIGHT = 0.95  # share of the stations that their neighbours in posture put on the right side of a moment
-_MOST = 500  # stations that are asked; spread over the recording
+_MAX = 500  # stations that are asked; spread over the recording
 
 
 def explained_by_posture(samples: Samples, at: float) -> tuple[str, ...]:
@@ -18,7 +18,7 @@ def explained_by_posture(samples: Samples, at: float) -> tuple[str, ...]:
     Each station is put on the side on which the stations lie that are nearest to it in that joint. Where the order has
     nothing to do with the joint, that is right for half of them.
     """
-    rows = spread_rows(len(samples), _MOST)
+    rows = spread_rows(len(samples), _MAX)
     after = samples.stamps[rows] >= at
     if min(after.sum(), (~after).sum()) <= _NEAREST:
         return ()

@@ -7,7 +7,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.approach import TRAVEL
 
-LEAST_RETURNS = 6  # to as many distinct postures; a spread of 18 degrees of freedom is known to about a sixth
+MIN_RETURNS = 6  # to as many distinct postures; a spread of 18 degrees of freedom is known to about a sixth
 SAME = 1e-3  # rad or m; controllers come back to some 1e-4, and a model corrects for what is left
 LEFT = 2e-2  # rad or m; what a joint must move in between, far beyond backlash and settling
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # golden ratio: no two of its multiples are near each other, modulo 1

@@ -17,7 +17,7 @@ from modcal_core.measurements.dwells import StationRules, inliers, settling_dwel
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import ReadingTrack
 
-_TENTH, _MOST = 0.1, 0.5  # of a standstill: compared with what follows; left out at most
+_TENTH, _MAX = 0.1, 0.5  # of a standstill: compared with what follows; left out at most
 _FEWEST = 10  # standstills that say whether the arm had settled; as many as make a recording one of stations
 _SIGMAS = 3.0  # of the mean square of so many differences, beyond which the arm is taken to settle still
 _SCATTER = 3  # readings behind a tenth, from which their scatter is known
@@ -33,7 +33,7 @@ def dwells_of(t: Array, q: Array, tracks: Sequence[ReadingTrack], rules: Station
     begin, length = found[alone, 0], found[alone, 2] - found[alone, 0]
     if len(begin) >= _FEWEST:
         tracks = [track for track in tracks if track.kind in kinds() and len(track.stamps)]
-        for share in np.arange(0.0, _MOST + 0.5 * _TENTH, _TENTH):
+        for share in np.arange(0.0, _MAX + 0.5 * _TENTH, _TENTH):
             bounds = np.stack([begin + share * length, begin + (share + _TENTH) * length, found[alone, 2]], axis=1)
             said = [_settled(track, bounds) for track in tracks]
             if True in said and False not in said:

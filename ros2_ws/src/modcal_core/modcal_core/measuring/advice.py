@@ -23,7 +23,7 @@ from modcal_core.calibration.structure import choose_parameters
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.returns import LEAST_RETURNS
+from modcal_core.measurements.returns import MIN_RETURNS
 from modcal_core.measuring.choose import (
     deciding_stations,
     first_stations,
@@ -57,7 +57,7 @@ _SEARCHED = 4.0  # times the first stations, from which it may be said that a se
 _BROUGHT = 0.9  # of what the model from half of the stations leaves; more is left where the other half brought little
 _DECIDING = 4, 12  # stations to separate explanations: at once, and altogether
 _RETURNS_FROM = 2.0  # times the first stations; a model of fewer may lack what makes the goal seem out of reach
-_MOST_RETURNS = 12  # beyond, the floor is known to a tenth
+_MAX_RETURNS = 12  # beyond, the floor is known to a tenth
 
 
 @dataclass(frozen=True)
@@ -293,8 +293,8 @@ class Advisor:
         goal = self.goal.rms
         unclear = floor is None or (goal is not None and floor.interval[0] < (1e3 * goal) ** 2 < floor.interval[1])
         early = len(session.fitted) < _RETURNS_FROM * self.least(session.kind)
-        if not self.pool.recorded and unclear and not early and returned < _MOST_RETURNS:
-            count = LEAST_RETURNS if returned < LEAST_RETURNS else min(LEAST_RETURNS, _MOST_RETURNS - returned)
+        if not self.pool.recorded and unclear and not early and returned < _MAX_RETURNS:
+            count = MIN_RETURNS if returned < MIN_RETURNS else min(MIN_RETURNS, _MAX_RETURNS - returned)
             if stations := return_stations(session, count):
                 return self._asked(session, stations, "postures again: what the arm does not repeat", status, refitted)
         fitted, model = len(session.fitted), view.error()

@@ -27,8 +27,8 @@ from modcal_core.plausibility.require import LIMIT_OF_REACH
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
-_LEAST = 10  # stations; of fewer, base and tool leave nothing to tell a wrong one by
-_MOST = 2.0 / 3.0  # of the stations that agree; where fewer do it is the arm that is off, or all readings are wrong
+_MIN = 10  # stations; of fewer, base and tool leave nothing to tell a wrong one by
+_MAX = 2.0 / 3.0  # of the stations that agree; where fewer do it is the arm that is off, or all readings are wrong
 _UNITS = ((1e3, "metres"), (10.0, "centimetres"), (25.4, "inches"), (1e-3, "micrometres"))  # with their size in mm
 _BETTER = 4.0  # times smaller must be what is missed, before all readings are said to be mistaken
 
@@ -39,12 +39,12 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
     read: numbers of the stations that were read just now. Nothing is asked of a Delta, nor of few stations.
     """
     rows = session.rows()
-    if not is_serial_arm(mechanism) or len(rows) < _LEAST or not read:
+    if not is_serial_arm(mechanism) or len(rows) < _MIN or not read:
         return
     samples = session.samples(rows)
     consensus = Consensus(samples, mechanism)
     placed, agree = consensus.largest(np.arange(len(samples)))
-    if placed is None or agree.mean() < _MOST:
+    if placed is None or agree.mean() < _MAX:
         _require_convention(samples, mechanism, source)
         return
     near = consensus.within(placed, consensus.A, samples, CLEARLY)

@@ -29,7 +29,7 @@ _FIRST = 2.0 / 3.0  # of α for the first model that is tried, which is mostly t
 MIN_STATIONS = 6  # at random; what is wrong at two fifths of all postures shows at one of six with 95 %
 _LARGER = np.array([1.0, 1.3, 1.7])  # times what is expected: fits of few stations expect too little more often
 _WEIGHTS = np.array([0.5, 0.3, 0.2])  # of these: what the fit expects is mostly right
-_LEAST_RATIO = 1.05  # goal over expected error; nearer to 1 a proof takes hundreds of stations
+_MIN_RATIO = 1.05  # goal over expected error; nearer to 1 a proof takes hundreds of stations
 
 
 def share(alpha: float, version: int) -> float:
@@ -100,7 +100,7 @@ class Proof:
         s = self.expected * _LARGER
         each = self.axes * (np.log(goal / s) - 0.5 * expected**2 * (s**-2 - goal**-2))
         missing = -np.log(self.alpha) - self._evidences(goal)
-        good = (each > 0.0) & (goal > _LEAST_RATIO * s)
+        good = (each > 0.0) & (goal > _MIN_RATIO * s)
         if not good.any():
             return float("inf")
         least = float(max(MIN_STATIONS - len(self.errors), 0))

@@ -31,7 +31,7 @@ from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.sanity import sane_inertias
 
 _EXPLAIN = (3, 8)  # of ten stations these judge effects, the others fit: as in calibration/split.py without its test
-_LEAST_FREEDOM = 10  # rows beyond what is fitted, from which effects are looked for: a wrong one costs stations only
+_MIN_FREEDOM = 10  # rows beyond what is fitted, from which effects are looked for: a wrong one costs stations only
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def refit(
             np.random.default_rng(seed),
             cell.distances,
             known=causes_of_moves(geometric, samples),
-            least_freedom=_LEAST_FREEDOM,
+            least_freedom=_MIN_FREEDOM,
         )
         final = replace(found.fit, model=sharpened(found.fit.model, samples))
         left = None if found.left is None else found.left.effect.label

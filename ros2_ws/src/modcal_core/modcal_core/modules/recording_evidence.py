@@ -29,7 +29,7 @@ from modcal_core.modules.poe import chain_of
 from modcal_core.plausibility.require import require_plausible
 from modcal_core.robots.chain import Chain
 
-_FARTHEST, _MOST_TURNED = 0.015, 0.1  # m, rad; a module that is farther off than this is not the one that is named
+_FARTHEST, _MAX_TURNED = 0.015, 0.1  # m, rad; a module that is farther off than this is not the one that is named
 _ANYWHERE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # m, rad: base and tool are free
 
 
@@ -77,8 +77,8 @@ def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -
 def _require_as_described(assembly: Assembly, deviation: Array) -> None:
     """Raises BadRecording where some constant is farther from the drawing than any module is badly made."""
     shift, turn = (np.linalg.norm(deviation[:, at], axis=1) for at in (slice(0, 3), slice(3, 6)))
-    k = int(np.argmax(np.maximum(shift / _FARTHEST, turn / _MOST_TURNED)))
-    if shift[k] <= _FARTHEST and turn[k] <= _MOST_TURNED:
+    k = int(np.argmax(np.maximum(shift / _FARTHEST, turn / _MAX_TURNED)))
+    if shift[k] <= _FARTHEST and turn[k] <= _MAX_TURNED:
         return
     raise BadRecording(
         f"assembly {assembly.name}",

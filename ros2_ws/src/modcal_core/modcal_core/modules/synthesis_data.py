@@ -22,7 +22,7 @@ FORMAT = 1
 _SEE = "see docs/synthesis.md"
 _PUBLISHED = ("structure", "reachability", "joint_range", "dexterity", "upright")
 _ALWAYS = ("structure", "reachability")
-_LAST, _MOST_JOINTS = 7, 10
+_LAST, _MAX_JOINTS = 7, 10
 _FARTHEST = 20.0  # m; farther targets were written in millimetres
 _ROUNDING = 0.02  # how far a printed rotation may be from one
 _ROTATIONS = ("rotation", "rpy_rad", "quaternion_xyzw", "z_axis")
@@ -159,8 +159,8 @@ def _spheres(stated: Any, what: str) -> list[dict[str, Any]]:
 
 def _joints(stated: Any, what: str, needed: int) -> tuple[int, int]:
     data = _mapping(stated, what, ("first", "last"))
-    first = _whole(data.get("first", needed), f"{what}: first", 1, _MOST_JOINTS)
-    last = _whole(data.get("last", max(_LAST, first)), f"{what}: last", 1, _MOST_JOINTS)
+    first = _whole(data.get("first", needed), f"{what}: first", 1, _MAX_JOINTS)
+    last = _whole(data.get("last", max(_LAST, first)), f"{what}: last", 1, _MAX_JOINTS)
     if last < first:
         raise BadTable(what, f"run from {first} to {last}", "give first not above last")
     return first, last

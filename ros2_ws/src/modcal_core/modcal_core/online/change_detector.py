@@ -23,12 +23,12 @@ from modcal_core.online.fixed_linearisation import FixedLinearisation
 
 POSTURES = 48  # distinct postures that are remembered
 _SAME = 0.03  # rad or m; postures closer than this are one
-_MOST_SAID = 6.0  # standard deviations that one sample may say at most
+_MAX_SAID = 6.0  # standard deviations that one sample may say at most
 # Of the largest of some thousand sums of squares: 7.7 standard deviations, which no noise reaches, with room for a
 # model that misses a little more than it says
 ALARM = 60.0
-_LEAST = 3  # postures that must agree
-_LEAST_GAP = 0.2  # s between samples of an arm in motion, whose residuals are alike
+_MIN = 3  # postures that must agree
+_MIN_GAP = 0.2  # s between samples of an arm in motion, whose residuals are alike
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,12 @@ class ChangeDetector:
 
     def add(self, sample: Samples) -> float | None:
         """Take in one sample; returns the stamp since when something is different, or None."""
-        if self.seen and sample.moving[0] and 0.0 <= sample.stamps[0] - self.seen[-1].stamp < _LEAST_GAP:
+        if self.seen and sample.moving[0] and 0.0 <= sample.stamps[0] - self.seen[-1].stamp < _MIN_GAP:
             return None
         new = self._whitened(sample)
         far = np.flatnonzero(np.abs(self._q - sample.q).max(axis=1) > _SAME)[-POSTURES + 1 :]
         self.seen = [*(self.seen[i] for i in far), new]
-        said = new.residual * min(1.0, _MOST_SAID / max(float(np.linalg.norm(new.residual)), 1e-300))
+        said = new.residual * min(1.0, _MAX_SAID / max(float(np.linalg.norm(new.residual)), 1e-300))
         self._q = np.concatenate([self._q[far], sample.q])
         self._b = np.concatenate([self._b[far], said[None] @ new.motions])
         self._A = np.concatenate([self._A[far], np.sum(new.motions**2, axis=0)[None]])
@@ -97,14 +97,14 @@ class ChangeDetector:
         return Seen(sample, residual, motions, J)
 
     def _since(self) -> float | None:
-        if len(self.seen) < _LEAST:
+        if len(self.seen) < _MIN:
             return None
         b, A = np.cumsum(self._b[::-1], axis=0), np.cumsum(self._A[::-1], axis=0)  # newest first
-        gain = (b**2 / np.maximum(A, 1e-300))[_LEAST - 1 :]
+        gain = (b**2 / np.maximum(A, 1e-300))[_MIN - 1 :]
         self.largest = float(gain.max())
         if self.largest < ALARM:
             return None
-        suffix = int(np.argmax(gain.max(axis=1))) + _LEAST
+        suffix = int(np.argmax(gain.max(axis=1))) + _MIN
         return self.seen[-suffix].stamp
 
 

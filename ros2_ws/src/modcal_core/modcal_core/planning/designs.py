@@ -18,7 +18,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.mechanism import Mechanism, takes
 
 DESIGNS = ("l25", "array", "sobol")
-_MOST_RUNS = 20_000  # for time
+_MAX_RUNS = 20_000  # for time
 _DRAWN = 8  # times as many postures as are wanted of a robot that cannot take all of them
 _SAME = 1e-6  # rad
 
@@ -35,10 +35,10 @@ def orthogonal_array(factors: int, levels: int) -> np.ndarray:
     k = 2
     while (levels**k - 1) // (levels - 1) < factors:
         k += 1
-    if levels**k > _MOST_RUNS:
+    if levels**k > _MAX_RUNS:
         raise BadTable(
             f"orthogonal array of {factors} factors at {levels} levels",
-            f"{levels**k} runs, {_MOST_RUNS} are the limit",
+            f"{levels**k} runs, {_MAX_RUNS} are the limit",
             "choose fewer levels",
         )
     # unit vectors last to first, then the sums: i, j, i + j, i + 2 j … for two

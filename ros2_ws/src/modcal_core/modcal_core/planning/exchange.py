@@ -70,7 +70,7 @@ def exchange(
     return Exchange(np.sort(chosen), value, tuple(v for _, v, _ in ends), used)
 
 
-class _Search:
+class _CandidateSearch:
     """The candidates beside the stations that are chosen: which is best to add, as stations come and go."""
 
     def __init__(self, rows: StationRows, criterion: Criterion, H: Array) -> None:
@@ -96,7 +96,7 @@ class _Search:
         j = int(np.argmax(values))
         return j, float(values[j])
 
-    def without(self, k: int) -> _Search:
+    def without(self, k: int) -> _CandidateSearch:
         """The same with station k taken out; this one stays as it is."""
         out = copy(self)
         out.changed(k, -1.0)
@@ -104,7 +104,7 @@ class _Search:
 
 
 def _grown(rows: StationRows, count: int, criterion: Criterion, base: Array) -> np.ndarray:
-    search, free = _Search(rows, criterion, base), np.ones(len(rows), dtype=bool)
+    search, free = _CandidateSearch(rows, criterion, base), np.ones(len(rows), dtype=bool)
     chosen = np.empty(count, dtype=int)
     for k in range(count):
         j, _ = search.best(free)
@@ -123,7 +123,7 @@ def _improved(
     free = np.ones(len(rows), dtype=bool)
     free[chosen] = False
     H = base + rows.information(chosen)
-    search = _Search(rows, criterion, H)
+    search = _CandidateSearch(rows, criterion, H)
     value, used = float(criterion.value(H)), 0
     for used in range(1, passes + 1):  # noqa: B007 (reported)
         before = value

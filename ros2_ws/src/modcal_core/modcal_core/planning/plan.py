@@ -32,7 +32,7 @@ _MOVED = 24  # new candidates for every station and round
 _FEWER = 5  # stations fewer that are tried at the end, one by one
 STARTS = 2  # of the exchange
 _QUICK = (1, 2)  # starts and passes while the number of stations is looked for
-_MOST = 400  # stations
+_MAX = 400  # stations
 _USUAL = 1.5  # times the fewest stations, where neither a number nor an accuracy is asked for: some may be lost
 
 
@@ -201,7 +201,7 @@ def _how_many(
     pool: PosturePool, request: PlanRequest, good: Criterion, least: int, rng: np.random.Generator
 ) -> tuple[int, tuple[tuple[int, Accuracy], ...]]:
     """The smallest number of stations that meets the wish, by doubling and halving, and what was tried."""
-    most = min(_MOST, len(pool.q))
+    most = min(_MAX, len(pool.q))
     _require(least, least, len(pool.q))
     floor = pool.workspace.accuracy(np.zeros((len(pool.parameters),) * 2))
     if _measure(floor, request) >= _requested(request):

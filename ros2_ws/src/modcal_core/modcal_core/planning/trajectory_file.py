@@ -12,8 +12,8 @@ from modcal_core.errors import BadCommand, BadTable
 from modcal_core.geometry.so3 import Array
 
 _RISE = 1.5  # peak of a cubic's speed over its mean
-_LEAST_LEAD = 0.5  # s from the start to the first point
-_MOST_POINTS = 100_000  # of a file, for memory
+_MIN_LEAD = 0.5  # s from the start to the first point
+_MAX_POINTS = 100_000  # of a file, for memory
 _FORM = "give joint_names and points with positions and time_from_start, as modcal plan writes them"
 
 
@@ -36,7 +36,7 @@ class Trajectory:
             worst = int(np.argmax(off))
             said = f"is {off[worst]:.3g} from the first point, {farthest:g} is the limit"
             raise BadCommand(f"joint {self.names[worst]}", said, "bring the arm to the first point before")
-        lead = max(_RISE * float(off.max()) / speed, _LEAST_LEAD)
+        lead = max(_RISE * float(off.max()) / speed, _MIN_LEAD)
         return Trajectory(self.names, self.t - self.t[0] + lead, self.q)
 
 
@@ -47,7 +47,7 @@ def trajectory_from_data(data: Any, source: str) -> Trajectory:
             raise TypeError(f"{type(data).__name__} at the top")
         names = tuple(str(name) for name in data["joint_names"])
         points = list(data["points"])
-        if not points or len(points) > _MOST_POINTS or not names or len(set(names)) != len(names):
+        if not points or len(points) > _MAX_POINTS or not names or len(set(names)) != len(names):
             raise ValueError(f"{len(points)} points for joints {', '.join(names)}")
         q = np.array([[float(x) for x in point["positions"]] for point in points])
         after = [point["time_from_start"] for point in points]

@@ -26,8 +26,8 @@ from modcal_core.plausibility.agreement import ANGLE, OF_REACH, Disagreement
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_LEAST = 40  # stations; a coordinate has 13 coefficients
-_MOST = 400  # the same at most; more say the same
+_MIN = 40  # stations; a coordinate has 13 coefficients
+_MAX = 400  # the same at most; more say the same
 _FEW = 60  # stations to which turns of the description are fitted
 _SHIFTS = (1, -1, 2, -2, 3, -3)  # stations, by which readings may have slipped against the joints
 _APART = np.radians(3.0)  # by which two frames are turned, from which that is no error of an arm
@@ -77,9 +77,9 @@ class _Channels:
             return None
         f = int(np.argmax(np.bincount(samples.frame)))
         rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
-        if len(rows) < _LEAST or samples.frames[f] in samples.sockets:
+        if len(rows) < _MIN or samples.frames[f] in samples.sockets:
             return None
-        rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MOST]
+        rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MAX]
         part = samples.select(rows)
         return cls(part, chain, forward(chain, part.q))
 

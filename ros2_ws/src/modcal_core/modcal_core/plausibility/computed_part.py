@@ -18,12 +18,12 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_LEAST = 30  # stations
-_MOST = 400  # the same at most
+_MIN = 30  # stations
+_MAX = 400  # the same at most
 _POSES, _POINTS = 3, 14  # stations in a draw
 _DRAWS = 300  # of each kind
 _ENOUGH = 8  # stations beyond those drawn that are met to the last digit
-_MOST_AGREE = 0.95  # where more do, all are computed
+_MAX_AGREE = 0.95  # where more do, all are computed
 _COARSEST = 1e-5  # m; rounded more coarsely, measured readings are met by chance
 _STEPS = (1e-5, 1e-6)  # m; powers of ten that are written
 
@@ -39,8 +39,8 @@ def computed_in_part(samples: Samples, chain: Mechanism, wrong: np.ndarray | Non
     rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
     if samples.frames[f] in samples.sockets:
         return ()
-    rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MOST]
-    if len(rows) < _LEAST:
+    rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MAX]
+    if len(rows) < _MIN:
         return ()
     limit = max(FINEST, _step(samples.reading[rows]))
     if limit > _COARSEST:
@@ -51,7 +51,7 @@ def computed_in_part(samples: Samples, chain: Mechanism, wrong: np.ndarray | Non
     except np.linalg.LinAlgError:
         return ()
     count = int(met.sum())
-    if count < _ENOUGH + (_POSES if part.is_pose.all() else _POINTS) or count > _MOST_AGREE * len(rows):
+    if count < _ENOUGH + (_POSES if part.is_pose.all() else _POINTS) or count > _MAX_AGREE * len(rows):
         return ()
     runs, number = consecutive(met), part.station
     where = "here and there"

@@ -32,10 +32,10 @@ from modcal_core.plausibility.mistakes import (
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_LEAST = 12  # stations that must agree, and be explained
-_LEAST_SHARE = 0.2  # of the stations that must agree, lest chance finds that many
-_MOST_AGREE = 0.95  # where more do, single readings are wrong
-_MOST = 160  # stations; more are thinned evenly
+_MIN = 12  # stations that must agree, and be explained
+_MIN_SHARE = 0.2  # of the stations that must agree, lest chance finds that many
+_MAX_AGREE = 0.95  # where more do, single readings are wrong
+_MAX = 160  # stations; more are thinned evenly
 _OTHER_UNIT = 0.02  # by which a scale must differ to be another unit, and may miss one that has a name
 # of a metre
 _UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "kilometres": 1e-3}
@@ -50,17 +50,17 @@ def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:
         return None
     f = int(np.argmax(np.bincount(samples.frame)))
     rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
-    if len(rows) < 2 * _LEAST or samples.frames[f] in samples.sockets:
+    if len(rows) < 2 * _MIN or samples.frames[f] in samples.sockets:
         return None
     rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
-    rows = rows[spread_rows(len(rows), _MOST)]
+    rows = rows[spread_rows(len(rows), _MAX)]
     try:
-        return _Search(samples.select(rows), chain).found()
+        return _ExplanationSearch(samples.select(rows), chain).found()
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
         return None
 
 
-class _Search:
+class _ExplanationSearch:
     """Explanations of what does not agree, the plainest first."""
 
     def __init__(self, samples: Samples, chain: Chain) -> None:
@@ -71,11 +71,11 @@ class _Search:
     def found(self) -> Disagreement | None:
         everything = np.arange(len(self.samples))
         placed, agree = self._among.largest(everything)
-        if agree.mean() > _MOST_AGREE:
+        if agree.mean() > _MAX_AGREE:
             return None
-        if placed is not None and agree.sum() >= max(_LEAST, _LEAST_SHARE * len(agree)):
+        if placed is not None and agree.sum() >= max(_MIN, _MIN_SHARE * len(agree)):
             rest = np.flatnonzero(~self._among.within(placed, self._among.A, self.samples, CLEARLY))
-            if len(rest) >= _LEAST // 2:
+            if len(rest) >= _MIN // 2:
                 said = (
                     self._by_mistake(placed, rest, self._mistakes())
                     or self._turned(placed, rest)
@@ -166,7 +166,7 @@ class _Search:
     def _elsewhere(self, placed: Placed, rest: np.ndarray) -> Disagreement | None:
         """The rest with a base, a tool, or both of its own."""
         other, agree = self._among.largest(rest)
-        if other is None or agree.sum() < _LEAST // 2 or agree.mean() < EXPLAINED:
+        if other is None or agree.sum() < _MIN // 2 or agree.mean() < EXPLAINED:
             return None
         tool = replace(placed, Y=other.Y, t=other.t), "the base (or the tracker) is displaced"
         base = replace(placed, X=other.X, x=other.x), "the tool (or the target on it) is displaced"

@@ -39,23 +39,23 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 BEYOND_DOUBT = 50.0  # difference of log-likelihoods
-LEAST_STATIONS = 12  # poses of a frame: six unknown turns, and as much again to tell
+MIN_STATIONS = 12  # poses of a frame: six unknown turns, and as much again to tell
 INVERTED = "pose inverted"
 _INDEPENDENT = 100  # stations that count: errors of a nominal arm are alike in neighbouring postures
 _NOMINAL_ANGLE = 2e-3  # rad per axis; a nominal arm turns its tip by as much too far, so nothing finer decides
 _NOMINAL_SHARE = 1e-3  # of the reach; the same for positions
 _ASTRAY = 0.05  # share of readings that may say anything
-_FEW, _MOST = 60, 300  # stations, evenly along the recording, to look for candidates and to judge them
+_FEW, _MAX = 60, 300  # stations, evenly along the recording, to look for candidates and to judge them
 _CANDIDATES = 6  # the likeliest on few stations, that are judged on many
 _REFINED = (
     5.0  # in log-likelihood a station, by which the last refinement may bring one forward; nonsense lacks twice that
 )
 _PARTS = (1, 2, 4)  # equal parts with their own base and tool
-_LEAST_PART = 20  # stations
+_MIN_PART = 20  # stations
 _AN_ARM = 0.05  # of the reach; what misses by more is not explained, whatever was undone
 _ALIKE = 2.0  # in log-likelihood; conventions that say the same within it are named by the first of them
 _TURNED = 3.0  # nominal angles RMS over space, as an arm's own errors come to
-_MOST_LEFT = 0.5  # of the residual, by the convention that is meant
+_MAX_LEFT = 0.5  # of the residual, by the convention that is meant
 _PART = 0.2  # share of the stations that agree as they are, from which another convention is none of all of them
 _ROUNDS = 8  # iterations
 _NEAR = 3.0  # nominal deviations within which a nominal arm's readings lie (Gaussian: 99 % along each axis)
@@ -90,7 +90,7 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
     for f, frame in enumerate(samples.frames):
         rows = np.flatnonzero((samples.frame == f) & samples.is_pose)
         different = rows[np.unique(distinct(samples.q[rows]), return_index=True)[1]]  # one posture proves one thing
-        if len(different) < LEAST_STATIONS:
+        if len(different) < MIN_STATIONS:
             continue
         better = _better(samples.select(different), chain, stated)
         if better is None:
@@ -131,7 +131,7 @@ def _degrees(angle: float) -> str:
 
 def _better(samples: Samples, chain: Chain, stated: str | None) -> tuple[Mistake, Match, Match] | None:
     """The mistake that was made beyond doubt, and how well the readings fit with it and without."""
-    few, more = (thinned(samples, count) for count in (_FEW, _MOST))
+    few, more = (thinned(samples, count) for count in (_FEW, _MAX))
     whole = match(more, chain, parts=(1,))
     if whole.perfect:
         return None
@@ -182,7 +182,7 @@ def _explains(after: Match, before: Match) -> bool:
         (after.position, before.position),
         (after.typical, before.typical),
     )
-    return any(now <= _MOST_LEFT * then for now, then in pairs)
+    return any(now <= _MAX_LEFT * then for now, then in pairs)
 
 
 def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[Mistake]:
@@ -253,7 +253,7 @@ def match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[
     scale = _Scale.of(chain, samples.reading)
     best: Match | None = None
     for count in parts:
-        if count > 1 and size < count * _LEAST_PART:
+        if count > 1 and size < count * _MIN_PART:
             continue
         left = [
             _together(A[rows], samples.R[rows], samples.reading[rows], scale)

@@ -20,11 +20,11 @@ from modcal_core.plausibility.mistakes import Mistake, of_axes_of_the_pose
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_LEAST = 24  # stations; nine numbers of base and tool, and ways enough to hit by chance with fewer
-_MOST = 200  # the same at most, the first ones: steps must follow each other
+_MIN = 24  # stations; nine numbers of base and tool, and ways enough to hit by chance with fewer
+_MAX = 200  # the same at most, the first ones: steps must follow each other
 _UNITS = (("radians", 1.0), ("degrees", np.pi / 180.0), ("gon", np.pi / 200.0), ("milliradians", 1e-3))
 _LENGTHS = (("metres", 1.0), ("millimetres", 1e-3))
-_MOST_TURN = 1.05  # times a half or a whole turn; angles are no larger
+_MAX_TURN = 1.05  # times a half or a whole turn; angles are no larger
 
 
 def written_otherwise(samples: Samples, chain: Mechanism) -> Disagreement | None:
@@ -32,7 +32,7 @@ def written_otherwise(samples: Samples, chain: Mechanism) -> Disagreement | None
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
-    part = most_seen(samples, chain, _LEAST, _MOST)
+    part = most_seen(samples, chain, _MIN, _MAX)
     if part is None or not is_serial_arm(chain):
         return None
     A = forward(chain, part.q)
@@ -81,7 +81,7 @@ def _polar(position: Array) -> Iterator[Mistake]:
     for far, swapped in product((2, 0, 1), (False, True)):
         around, up = [k for k in range(3) if k != far][:: -1 if swapped else 1]
         for (unit, angle), (length, metre) in product(_UNITS, _LENGTHS):
-            most = _MOST_TURN * np.pi / angle
+            most = _MAX_TURN * np.pi / angle
             if size[around] > 2.0 * most or size[up] > most:
                 continue
             for zenith, clockwise in product((False, True), repeat=2):

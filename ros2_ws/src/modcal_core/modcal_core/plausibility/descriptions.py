@@ -16,12 +16,12 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import Disagreement, limits
-from modcal_core.plausibility.joint_columns import LEAST_ROWS, likely_orders
+from modcal_core.plausibility.joint_columns import MIN_ROWS, likely_orders
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_MOST = 100  # stations; more say the same
+_MAX = 100  # stations; more say the same
 _LIKELY = 6  # orders that are placed
 _BETTER = 4.0  # times what is missed by as it is
 
@@ -116,10 +116,10 @@ def _types(chain: Chain) -> Iterator[tuple[int, Chain]]:
 
 
 def _some(samples: Samples, chain: Mechanism) -> Samples | None:
-    part = most_seen(samples, chain, LEAST_ROWS, 10 * _MOST)
+    part = most_seen(samples, chain, MIN_ROWS, 10 * _MAX)
     if part is None:
         return None
-    return part.select(spread_rows(len(part), _MOST))
+    return part.select(spread_rows(len(part), _MAX))
 
 
 def _missed(chain: Chain, q: Array, samples: Samples) -> tuple[float, float]:

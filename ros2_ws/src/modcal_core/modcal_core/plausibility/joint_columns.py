@@ -19,9 +19,9 @@ from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
-LEAST_ROWS = 26  # half of what is seen is fitted; with fewer rows chance explains too much
+MIN_ROWS = 26  # half of what is seen is fitted; with fewer rows chance explains too much
 _ROWS = 40  # evenly along the table; a coordinate has 13 coefficients
-_MOST_ORDERS = 45_000  # that are compared: all of seven columns out of eight
+_MAX_ORDERS = 45_000  # that are compared: all of seven columns out of eight
 _AT_ONCE = 256  # orders in a block, for memory
 _SWAPPED = 3  # of the best, around which orders are looked at where there are too many for all
 _EXPLAINED = 2e-3  # share of the variance; right columns leave a hundredth of it, wrong ones a hundred times as much
@@ -50,15 +50,15 @@ def likely_orders(
     order; triples: columns that may be a position, in any unit. Empty where there are too few rows or columns.
     """
     N, M = len(values), len(pool)
-    if N < LEAST_ROWS or chain.n > M or not triples:
+    if N < MIN_ROWS or chain.n > M or not triples:
         return []
     rows = spread_rows(N, _ROWS)
-    search = _Search(chain, scale * values[rows], values[rows], triples)
+    search = _ColumnSearch(chain, scale * values[rows], values[rows], triples)
     windows = [tuple(pool[first : first + chain.n]) for first in range(M - chain.n + 1)]
     found = search.all(windows)
     if not any(order.explains for order in found):
-        every = perm(M, chain.n) <= _MOST_ORDERS
-        if every or factorial(chain.n) * len(windows) <= _MOST_ORDERS:
+        every = perm(M, chain.n) <= _MAX_ORDERS
+        if every or factorial(chain.n) * len(windows) <= _MAX_ORDERS:
             more = list(permutations(pool, chain.n)) if every else [o for w in windows for o in permutations(w)]
             found += search.all(more)
         found = _improved(search, found, pool)
@@ -66,7 +66,7 @@ def likely_orders(
     return list(best.values())[:count]
 
 
-def _improved(search: _Search, found: list[Order], pool: Sequence[int]) -> list[Order]:
+def _improved(search: _ColumnSearch, found: list[Order], pool: Sequence[int]) -> list[Order]:
     """Orders found by exchanging two joints, or one for a column that is not used, as long as that helps."""
     known = {order.columns: order for order in found}
     while True:
@@ -90,7 +90,7 @@ def _neighbours(order: tuple[int, ...], pool: Sequence[int]) -> Iterator[tuple[i
 
 
 @dataclass(frozen=True)
-class _Search:
+class _ColumnSearch:
     """q: all columns as joints (N, W) [rad, m]. values: the same as coordinates."""
 
     chain: Chain

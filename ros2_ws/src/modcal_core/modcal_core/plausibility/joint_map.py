@@ -27,10 +27,10 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames, spatial_jacobian
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
-_LEAST = 40  # stations; some seventy numbers are fitted to three or six of each
-_MOST = 100  # the same at most
+_MIN = 40  # stations; some seventy numbers are fitted to three or six of each
+_MAX = 100  # the same at most
 _STARTS = 4  # likeliest mixtures, and likeliest zeros, that are refined beside the columns as they are
-_MOST_INNER = 5  # joints whose zeros are looked at together, 4⁵ ways
+_MAX_INNER = 5  # joints whose zeros are looked at together, 4⁵ ways
 _ROUNDS = 40  # iterations
 _TURNED = 4.0  # times the limit of angles that a joint must be off by at the usual station to be named
 _SETTLED = 1e-3  # relative change of the cost at which a fit has settled
@@ -42,10 +42,10 @@ def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
-    part = most_seen(samples, chain, _LEAST, 10 * _MOST)
+    part = most_seen(samples, chain, _MIN, 10 * _MAX)
     if part is None or not is_serial_arm(chain):
         return None
-    part = part.select(spread_rows(len(part), _MOST))
+    part = part.select(spread_rows(len(part), _MAX))
     moved = part.q.std(axis=0) > 0.0
     starts = [_Map(np.eye(chain.n), np.zeros(chain.n)), *_likely(part, chain)]
     try:
@@ -90,7 +90,7 @@ def _likely(samples: Samples, chain: Chain) -> list[_Map]:
 def _zeros(chain: Chain) -> Iterator[_Map]:
     """Quarter turns in the zeros of the joints between the first and the last, whose own are base and tool as well."""
     inner = [j for j in range(1, chain.n - 1) if chain.revolute[j]]
-    if len(inner) > _MOST_INNER:
+    if len(inner) > _MAX_INNER:
         return
     for quarters in product(range(4), repeat=len(inner)):
         c = np.zeros(chain.n)

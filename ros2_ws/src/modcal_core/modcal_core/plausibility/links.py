@@ -22,8 +22,8 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 
-_LEAST = 24  # stations; nine numbers of base and tool, and pairs enough to hit by chance with fewer
-_MOST = 100  # the same at most
+_MIN = 24  # stations; nine numbers of base and tool, and pairs enough to hit by chance with fewer
+_MAX = 100  # the same at most
 _MOVES = 4.0  # times what a nominal arm misses by, that readings must move by to follow anything
 
 
@@ -32,10 +32,10 @@ def other_link(samples: Samples, chain: Mechanism) -> Disagreement | None:
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
-    part = most_seen(samples, chain, _LEAST, 10 * _MOST)
+    part = most_seen(samples, chain, _MIN, 10 * _MAX)
     if part is None or not is_serial_arm(chain) or chain.n < 2:
         return None
-    part = part.select(spread_rows(len(part), _MOST))
+    part = part.select(spread_rows(len(part), _MAX))
     angle, distance = limits(chain)
     spread = np.linalg.norm(part.reading - np.median(part.reading, axis=0), axis=1)
     if float(np.median(spread)) < _MOVES * distance:

@@ -27,11 +27,11 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
 LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m; units that tables have positions in
-LEAST_ROWS = 12  # six unknown turns, and as much again to tell
+MIN_ROWS = 12  # six unknown turns, and as much again to tell
 ARM_SHARE = 0.01  # of the reach; a nominal arm that misses by more (median) is not explained
 ARM_ANGLE = 0.035  # rad; the same of orientations
 OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
-_FEW, _MOST = 60, 300  # rows, evenly along the table, to look for meanings and to judge them
+_FEW, _MAX = 60, 300  # rows, evenly along the table, to look for meanings and to judge them
 _ROTATIONS = 48  # ways to read orientations, the best by themselves, that are tried with positions
 _NEAR = (3.0, 0.02)  # times, and rad more than, what the best leaves of orientations, that still count as good
 _JUDGED = 6  # meanings, the likeliest on few rows, that are judged on many
@@ -91,7 +91,7 @@ def judge(chain: Chain, choices: Sequence[Postures], position: Array, turned: Ar
     are whole.
     """
     ways = [] if turned is None else list(turnings(turned))
-    if len(position) < LEAST_ROWS or (turned is not None and not ways):
+    if len(position) < MIN_ROWS or (turned is not None and not ways):
         return []
     found: list[Judged] = []
     for c, choice in enumerate(choices):
@@ -113,7 +113,7 @@ def rivals(found: Sequence[Judged]) -> list[Judged]:
 
 
 def _judged_point(chain: Chain, choice: Postures, c: int, position: Array, unit: str) -> Judged:
-    rows = spread_rows(len(position), _MOST)
+    rows = spread_rows(len(position), _MAX)
     p = LENGTHS[unit] * position[rows]
     fit = points_match(chain, choice.q[rows], p, 3.0 * float(np.log(LENGTHS[unit])))
     return Judged(Meaning(c, unit, None), fit, np.tile(np.eye(3), (len(rows), 1, 1)), p)
@@ -128,7 +128,7 @@ def _judged_poses(
     likely = _likely_turnings(chain, few.q, some, ways)
     meanings = [Meaning(c, unit, way, inverse) for way in likely for inverse in (False, True) for unit in LENGTHS]
     scores = np.array(rough_scores(few, chain, [_as_mistake(m, turned) for m in meanings])[1:])
-    more = thinned(samples, _MOST)
+    more = thinned(samples, _MAX)
     out = []
     for i in np.argsort(-scores, kind="stable")[:_JUDGED]:
         mistake = _as_mistake(meanings[i], turned)

@@ -17,8 +17,8 @@ from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_LEAST, _MOST = 48, 400  # stations; two parts of 24, which links are told by
-_LEAST_SHARE = 0.2  # of the stations that must agree, lest chance finds that many
+_MIN, _MAX = 48, 400  # stations; two parts of 24, which links are told by
+_MIN_SHARE = 0.2  # of the stations that must agree, lest chance finds that many
 _CLEARLY = 2.0  # times what a nominal arm misses by
 
 
@@ -27,14 +27,14 @@ def part_apart(samples: Samples, chain: Mechanism) -> Disagreement | None:
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
-    part = most_seen(samples, chain, _LEAST, _MOST)
+    part = most_seen(samples, chain, _MIN, _MAX)
     if part is None or not is_serial_arm(chain):
         return None
     try:
         placed, agree = placed_by_most(part, chain)
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
         return None
-    if placed is None or agree.mean() < _LEAST_SHARE:
+    if placed is None or agree.mean() < _MIN_SHARE:
         return None
     angle, distance = limits(chain)
     turned, missed = placed.residual(forward(chain, part.q), part)

@@ -24,9 +24,9 @@ from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_LEAST = 24  # stations
-_MOST = 400  # the same at most, the first ones: rows that are left out would hide where the others belong
-_LEAST_SHARE = 0.2  # of the stations that must agree on a base and a tool
+_MIN = 24  # stations
+_MAX = 400  # the same at most, the first ones: rows that are left out would hide where the others belong
+_MIN_SHARE = 0.2  # of the stations that must agree on a base and a tool
 _FEWEST = 6  # readings that stand elsewhere
 _EXPLAINED = 0.8  # share of the rest that must belong to another posture
 _LEFT = 0.6  # of the variance, below which another order is looked at; by chance nine tenths are left
@@ -40,7 +40,7 @@ def mispaired(samples: Samples, chain: Mechanism) -> Disagreement | None:
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
-    part = most_seen(samples, chain, _LEAST, _MOST)
+    part = most_seen(samples, chain, _MIN, _MAX)
     if part is None or not is_serial_arm(chain):
         return None
     try:
@@ -89,7 +89,7 @@ def _in_order(samples: Samples, chain: Chain, said: str, order: np.ndarray) -> D
     N = len(samples)
     moved = replace(samples, q=samples.q[order])
     placed, agree = placed_by_most(moved, chain)
-    if placed is None or agree.sum() < max(_LEAST // 2, _LEAST_SHARE * N):
+    if placed is None or agree.sum() < max(_MIN // 2, _MIN_SHARE * N):
         return None
     A = forward(chain, samples.q)
     turns, places = placed.Y @ A[:, :3, :3] @ placed.X, se3.apply(A, placed.x) @ placed.Y.T + placed.t

@@ -19,11 +19,11 @@ from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_LEAST, _MOST = 30, 400  # stations
+_MIN, _MAX = 30, 400  # stations
 _WINDOW_POSES, _WINDOW_POINTS = 6, 10  # stations that base and tool are found from
 _CLEARLY = 2.0  # times what a nominal arm misses by
 _LOST = 3  # stations in a row that do not agree, at which a stretch ends
-_MOST_PARTS = 12  # stretches; a recording of more breaks tells nothing by them
+_MAX_PARTS = 12  # stretches; a recording of more breaks tells nothing by them
 _EXPLAINED = 0.8  # share of the stations that stretches of at least a window must hold
 _SAME = 3.0  # times what a nominal arm misses by, up to which a base or a tool of two parts is the same
 
@@ -33,7 +33,7 @@ def several_placements(samples: Samples, chain: Mechanism) -> Disagreement | Non
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
-    part = most_seen(samples, chain, _LEAST, _MOST)
+    part = most_seen(samples, chain, _MIN, _MAX)
     if part is None or not is_serial_arm(chain):
         return None
     try:
@@ -41,7 +41,7 @@ def several_placements(samples: Samples, chain: Mechanism) -> Disagreement | Non
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
         return None
     held = sum(b - a for a, b, _ in stretches)
-    if not 2 <= len(stretches) <= _MOST_PARTS or held < _EXPLAINED * len(part):
+    if not 2 <= len(stretches) <= _MAX_PARTS or held < _EXPLAINED * len(part):
         return None
     A = forward(chain, part.q)
     one_tool = _common(part, A, stretches, chain, tool=True)

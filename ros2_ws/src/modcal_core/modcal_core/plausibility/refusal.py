@@ -49,7 +49,7 @@ _AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not
 _PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
 _DRIFT = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
 _SCREENED = 4  # mistakes of several joints that are fitted
-_MOST = 300  # samples are enough to tell
+_MAX = 300  # samples are enough to tell
 
 
 def refuse(
@@ -68,7 +68,7 @@ def refuse(
     an arm's errors may come to.
     """
     chain = nominal.model.chain
-    rows = spread_rows(len(samples), _MOST)
+    rows = spread_rows(len(samples), _MAX)
     few = samples.select(np.unique(rows))
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
     if distances or placed:

@@ -19,14 +19,14 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 _FEW = 60  # stations, evenly along the recording
-_LEAST = 24  # stations; nine numbers of base and tool, and mistakes enough to hit by chance with fewer
+_MIN = 24  # stations; nine numbers of base and tool, and mistakes enough to hit by chance with fewer
 _BETTER = 4.0  # times what is missed by as it is
 _AT_ONCE = 64  # mistakes in a block, for memory
 
 
 def wrong_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
     """The mistake of one or several joints with which undone a nominal arm misses by no more than its own errors."""
-    if not is_serial_arm(chain) or len(samples.frames) != 1 or len(samples) < _LEAST or samples.moving.any():
+    if not is_serial_arm(chain) or len(samples.frames) != 1 or len(samples) < _MIN or samples.moving.any():
         return None
     if not (samples.is_pose | (samples.kind == "point")).all() or samples.sockets:
         return None

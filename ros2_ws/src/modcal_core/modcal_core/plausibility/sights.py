@@ -23,7 +23,7 @@ from modcal_core.plausibility.meanings import ARM_SHARE, OF_MOTION
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import forward
 
-_MOST = 120  # rows, evenly along the table; each trial of a tool places the instruments again
+_MAX = 120  # rows, evenly along the table; each trial of a tool places the instruments again
 _INDEPENDENT = 100  # rows that count, as of poses: errors of a nominal arm are alike in neighbouring postures
 _ASTRAY = 0.05  # share of readings that may say anything
 _NOMINAL = {"m": 1e-3, "rad": 1e-3}  # of the reach, and rad, per direction: finer says nothing of a nominal arm
@@ -67,11 +67,11 @@ def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volu
 
     log_volume: of one row, by how much the readings' volume was shrunk to have them in m and rad, in logarithm.
     """
-    rows = spread_rows(len(q), _MOST)
+    rows = spread_rows(len(q), _MAX)
     samples = _samples(q[rows], [Sighting(s.frame, s.kind, s.values[rows]) for s in sightings])
     tip = forward(chain, samples.q)
     instruments = new_instruments(samples)
-    best: list[_Seen] = []
+    best: list[_PlacedResidual] = []
     for tried, start in enumerate((np.zeros(3), *(_STARTS * chain.reach() * np.r_[np.eye(3), -np.eye(3)]))):
         seen = _fitted(instruments, samples, tip, start)
         if not best or _middle(seen) < _middle(best):
@@ -90,7 +90,7 @@ def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volu
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _PlacedResidual:
     """What one placed instrument leaves: residual (3, m) in its unit, lever (m,) [m per unit]; reading (m, 3)."""
 
     residual: Array
@@ -100,12 +100,14 @@ class _Seen:
     dimensions: int
 
 
-def _middle(seen: Sequence[_Seen]) -> float:
+def _middle(seen: Sequence[_PlacedResidual]) -> float:
     """Median of what instruments leave [m]."""
     return float(np.median(np.concatenate([np.linalg.norm(s.residual * s.lever, axis=0) for s in seen])))
 
 
-def _fitted(instruments: Sequence[Instrument], samples: Samples, T_base_tip: Array, start: Array) -> list[_Seen]:
+def _fitted(
+    instruments: Sequence[Instrument], samples: Samples, T_base_tip: Array, start: Array
+) -> list[_PlacedResidual]:
     """What instruments leave when they and the tool are fitted together, from a tool's place in the tip.
 
     Damped Gauss-Newton. An instrument's frame that moves by a twist (v, ω) changes the prediction as its target would
@@ -116,14 +118,14 @@ def _fitted(instruments: Sequence[Instrument], samples: Samples, T_base_tip: Arr
     placed, poses = place_instruments(instruments, samples, T_base_tip @ se3.transform(p=start), at)
     state = start, list(placed), poses
 
-    def see(x: Array, some: Sequence[Instrument], at: Array) -> tuple[list[_Seen], list[Array]]:
+    def see(x: Array, some: Sequence[Instrument], at: Array) -> tuple[list[_PlacedResidual], list[Array]]:
         seen, derivatives = [], []
         for k, (instrument, mine) in enumerate(zip(some, rows, strict=True)):
             tool = T_base_tip[mine] @ se3.transform(p=x)
             scene = scene_in(at[samples.frames.index(instrument.frame)], tool)
             sight = instrument.of_kind.see(scene, instrument.values, samples.reading[mine])
             kind = instrument.of_kind
-            seen.append(_Seen(sight.residual, sight.lever, samples.reading[mine], kind.unit, kind.dimensions))
+            seen.append(_PlacedResidual(sight.residual, sight.lever, samples.reading[mine], kind.unit, kind.dimensions))
             through = np.moveaxis(sight.through, 2, 0)
             constants = len(instrument.values)
             J = np.zeros((len(mine), 3, 3 + sum(6 + len(i.values) for i in some)))
@@ -135,7 +137,7 @@ def _fitted(instruments: Sequence[Instrument], samples: Samples, T_base_tip: Arr
             derivatives.append(J * sight.lever[:, None, None])
         return seen, derivatives
 
-    def cost(seen: Sequence[_Seen]) -> float:
+    def cost(seen: Sequence[_PlacedResidual]) -> float:
         return float(
             np.sum(np.log1p(np.concatenate([np.sum((s.residual * s.lever) ** 2, axis=0) for s in seen]) / _SOFT))
         )

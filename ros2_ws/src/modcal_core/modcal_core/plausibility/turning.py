@@ -15,7 +15,7 @@ from modcal_core.geometry.so3 import Array
 QUATERNION, EULER, ROTVEC, MATRIX = "quaternion", "euler", "rotvec", "matrix"
 # About moving axes; the same about fixed axes are these with axes and columns in the reverse order
 SEQUENCES = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "ZYZ", "ZXZ", "XYX", "XZX", "YXY", "YZY")
-_MOST_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees
+_MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees
 _UNIT = 0.02  # by which the length of a quaternion, or an element of RᵀR, may be off: exports have three digits
 _SHARE = 0.9  # of the rows, at least, in which it is so
 
@@ -71,7 +71,7 @@ def turnings(columns: Array) -> Iterator[Turning]:
 def _angles(largest: float) -> Iterator[Turning]:
     if largest > 720.0 * 1.05:
         return
-    for degrees in (True,) if largest > _MOST_RAD else (False, True):
+    for degrees in (True,) if largest > _MAX_RAD else (False, True):
         for order in permutations(range(3)):
             for sequence in SEQUENCES:
                 yield Turning(EULER, order, sequence, degrees)

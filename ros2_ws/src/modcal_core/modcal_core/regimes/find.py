@@ -44,10 +44,10 @@ from modcal_core.regimes.setups import Setup, SetupReadings, Stretches, stretche
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
-_MOST = 3000  # samples; a longer recording is thinned evenly
+_MAX = 3000  # samples; a longer recording is thinned evenly
 _ROUNDS = 3  # of stretches and a fit of the arm
 _TOLERANCE = 0.05  # standard deviations to which a fit is brought while searching
-_LEAST = 4  # stations in a stretch, from which there are two for each half
+_MIN = 4  # stations in a stretch, from which there are two for each half
 _CAP = 100.0  # squared standard scores; no sample may rule alone
 _SURE, _ENOUGH = 4.0, 2.0  # standard errors by which a move must do better on what it was not fitted to
 _ROOM = 0.5  # of what an effect is expected to be; half of a move is what a fit without it has in its spread
@@ -70,8 +70,8 @@ def find_regimes(
     if not places:
         return None
     stated = [move for move in stated if samples.stamps.min() < move.at < samples.stamps.max()]
-    if len(samples) > _MOST:
-        samples = samples.select(spread_rows(len(samples), _MOST))
+    if len(samples) > _MAX:
+        samples = samples.select(spread_rows(len(samples), _MAX))
     nominal = fit_cell(chain, samples, cell, inertias)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))
@@ -79,7 +79,7 @@ def find_regimes(
     choice = replace(choice, parameters=geometric.parameters)
     if not stated and not _suspicious(geometric, samples):
         return None
-    search = _Search(nominal.model, samples, choice.parameters, cell, places)
+    search = _RegimeSearch(nominal.model, samples, choice.parameters, cell, places)
     cuts = search.cuts([nominal.model, geometric.model])
     moves = search.decided([Move(at, "both") for at in cuts], tuple(stated))
     return search.start(moves) if moves else None
@@ -123,7 +123,7 @@ def _suspicious(fit: Fit, samples: Samples) -> bool:
 
 
 @dataclass(frozen=True)
-class _Search:
+class _RegimeSearch:
     """What is looked through. arm: nominal, with base and tool somewhere. places: that may move."""
 
     arm: Model
@@ -154,7 +154,7 @@ class _Search:
     @staticmethod
     def _times(found: Stretches, sights: SetupReadings) -> tuple[float, ...]:
         """Times between stretches; what is shorter than two stations joins its neighbour."""
-        ends = [b for a, b in found if b - a >= _LEAST]
+        ends = [b for a, b in found if b - a >= _MIN]
         return tuple(float(0.5 * (sights.stamps[b - 1] + sights.stamps[b])) for b in ends if b < len(sights))
 
     def start(self, moves: Sequence[Move], samples: Samples | None = None) -> Model:
@@ -231,7 +231,7 @@ class _Search:
 class _Score:
     """Moves, and how well they predict: squared standard scores of every sample by a fit to the other half."""
 
-    search: _Search
+    search: _RegimeSearch
     moves: list[Move]
 
     def __post_init__(self) -> None:

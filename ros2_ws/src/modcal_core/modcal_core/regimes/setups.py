@@ -22,12 +22,12 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.mechanism import forward
 
 _WINDOW = {True: 8, False: 12}  # stations that fix base and tool together: of poses, of points
-_MOST_WINDOWS = 60  # for time; they overlap by half up to there
+_MAX_WINDOWS = 60  # for time; they overlap by half up to there
 _FAR = 3.0  # usual misses beyond which a station is missed altogether
 _CHANGE = 4.0 * _FAR**2  # a change must be worth as much as four stations that are missed altogether
 _ROUNDS = 3  # of stretches and their base and tool
 _TURNS = 12  # of tool and base in turn, each in closed form
-MOST_STRETCHES = 10  # more are no moves, but a motion
+MAX_STRETCHES = 10  # more are no moves, but a motion
 
 Stretches = list[tuple[int, int]]  # first, end, in order of time
 
@@ -126,7 +126,7 @@ def stretches(sights: SetupReadings) -> Stretches:
     N, window = len(sights), _WINDOW[sights.poses]
     if 2 * window > N:
         return [(0, N)]
-    step = max(window // 2, (N - window) // _MOST_WINDOWS)
+    step = max(window // 2, (N - window) // _MAX_WINDOWS)
     windows = np.arange(0, N - window + 1, step)[:, None] + np.arange(window)
     setups = _setups(sights, windows)
     missed = np.stack([sights.residual(s) for s in setups])
@@ -135,7 +135,7 @@ def stretches(sights: SetupReadings) -> Stretches:
     found: Stretches = [(0, N)]
     for _ in range(_ROUNDS):
         before, found = found, _cheapest(np.minimum(missed / usual, _FAR) ** 2)
-        if len(found) > MOST_STRETCHES:
+        if len(found) > MAX_STRETCHES:
             return []
         if found == before:
             break

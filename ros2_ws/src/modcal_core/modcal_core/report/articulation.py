@@ -14,7 +14,7 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.effect_tables import number
-from modcal_core.report.figures import MOST_POINTS
+from modcal_core.report.figures import MAX_POINTS
 from modcal_core.report.object_scene import ObjectScene, object_scene
 from modcal_core.report.page import Chart, PageTable, as_script_data, render
 from modcal_core.report.palette import AFTER, BEFORE, LIGHT, OF_AXES
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lets_plot.plot.core import PlotSpec
 
 _UNITS = {"rad": ("°", float(np.degrees(1.0))), "m": ("mm", 1e3), "1": ("", 1.0)}  # how people read them
-_MOST_LEFT = 0.05  # m; what is farther is no residual of a joint, and would flatten the chart
+_MAX_LEFT = 0.05  # m; what is farther is no residual of a joint, and would flatten the chart
 _SIZE = (362, 310)  # px
 _RATIO = 1.35  # width to height of what is between the axes, about
 
@@ -202,14 +202,14 @@ def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
         "The measured path as dots, that of the joint as a line, in the plane of the path; a cross is its axis.",
     )
     left, _ = _left(found)
-    shown = np.linalg.norm(left, axis=1) < _MOST_LEFT
+    shown = np.linalg.norm(left, axis=1) < _MAX_LEFT
     far = int((~shown).sum())
     residual = chart(
         _along(found, left, shown, data["configuration"]["unit"]),
         "residual",
         f"Residual along the path: {data['residual_mm']['rms']:.2f} mm RMS.",
         "What the joint leaves along its motion: x, y and z in the frame of the track."
-        + (f" {far} samples farther than {1e3 * _MOST_LEFT:.0f} mm are not shown." if far else ""),
+        + (f" {far} samples farther than {1e3 * _MAX_LEFT:.0f} mm are not shown." if far else ""),
     )
     return [path, residual]
 
@@ -222,7 +222,7 @@ def _path(found: Articulation) -> PlotSpec:
     good = _trusted(fit)
     middle = p[good].mean(axis=0)
     plane = np.linalg.svd(p[good] - middle, full_matrices=False)[2][:2].T
-    seen = 1e3 * ((p - middle) @ plane)[good][spread_rows(int(good.sum()), MOST_POINTS)]
+    seen = 1e3 * ((p - middle) @ plane)[good][spread_rows(int(good.sum()), MAX_POINTS)]
     a = fit.configurations[good]
     path = 1e3 * (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
     drawn = plot(*_SIZE, "along the path, mm", "across it, mm", "top")
@@ -251,7 +251,7 @@ def _along(found: Articulation, left: Array, shown: np.ndarray, of: str) -> Plot
 
     unit, scale = _UNITS[of]
     rows = np.flatnonzero(shown)
-    rows = rows[spread_rows(len(rows), MOST_POINTS // 3)]
+    rows = rows[spread_rows(len(rows), MAX_POINTS // 3)]
     name = f"motion of the joint, {unit}" if unit else "motion of the joint"
     at = np.repeat(scale * found.choice.fit.configurations[rows], 3)
     of_axis = np.tile(list("xyz"), len(rows))

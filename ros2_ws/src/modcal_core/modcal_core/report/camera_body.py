@@ -17,7 +17,7 @@ _SURE = 3.0  # standard deviations of where it is
 
 
 @dataclass(frozen=True)
-class _Place:
+class _MarkerPlace:
     """marker: whose. offset_m: from the drawing, in the body's frame, (3,). std_m: of it, RMS of the three. turn_rad:
     from the drawing, 0 where corners were not read.
     """
@@ -75,7 +75,7 @@ def body_notes(solution: CameraSolution) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _places(solution: CameraSolution, target: MarkerBundle) -> list[_Place]:
+def _places(solution: CameraSolution, target: MarkerBundle) -> list[_MarkerPlace]:
     """Where the markers are, in the order of the target."""
     fit = solution.fit
     values = fit.state.shape[SHAPE:].reshape(len(target.markers), -1)
@@ -83,6 +83,6 @@ def _places(solution: CameraSolution, target: MarkerBundle) -> list[_Place]:
     std = np.sqrt(np.diag(fit.covariance))[first:].reshape(values.shape)
     grown = fit.state.shape[0] * (target.middles - target.middles.mean(axis=0))
     return [
-        _Place(one, v[:3] + g, float(np.sqrt((s[:3] ** 2).mean())), float(np.linalg.norm(v[3:])))
+        _MarkerPlace(one, v[:3] + g, float(np.sqrt((s[:3] ** 2).mean())), float(np.linalg.norm(v[3:])))
         for one, v, g, s in zip(target.markers, values, grown, std, strict=True)
     ]

@@ -14,7 +14,7 @@ from modcal_core.report.counted import counted
 from modcal_core.report.effect_tables import number, size_tables
 from modcal_core.report.page import Chart, PageTable, plain_page
 from modcal_core.report.parameter_tables import parameter_tables
-from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
+from modcal_core.report.robot_scene import MAX_POSTURES, RobotScene, arm_paths, joints_in_words
 
 TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
 _HOLDS = {
@@ -134,7 +134,7 @@ def _robot(model: Model, q: Array) -> RobotScene | None:
     if not len(q):
         return None
     chain = model.serial
-    rows = spread_rows(len(q), MOST_POSTURES)
+    rows = spread_rows(len(q), MAX_POSTURES)
     paths = arm_paths(chain, q[rows])
     said = [f"Image {row + 1} of {len(q)}: {joints_in_words(chain, q[row])}." for row in rows]
     alt = f"The arm in the postures of {counted(len(q), 'image')}."

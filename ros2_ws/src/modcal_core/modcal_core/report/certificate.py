@@ -21,7 +21,7 @@ from modcal_core.report.report import Report
 from modcal_core.verdict.iso9283 import PoseTest, pose_test
 
 Tone = Literal["good", "warn", "bad"]
-MOST_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
+MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
 _STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
@@ -137,7 +137,7 @@ def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
     asked = report.tolerance.asked.mm if report.tolerance else np.inf
     if stated.instrument_mm is None:
         out.append("The instrument's accuracy is not stated: its own error may be part of the result or hidden in it.")
-    elif stated.instrument_mm > MOST_OF_TOLERANCE * asked:
+    elif stated.instrument_mm > MAX_OF_TOLERANCE * asked:
         out.append(
             f"The instrument is accurate to {stated.instrument_mm:g} mm, more than a third of the tolerance: "
             "a tolerance this small cannot be verified with it."

@@ -15,9 +15,9 @@ from modcal_core.report.palette import AFTER, BEFORE, SOFT
 from modcal_core.report.panel import Panel
 
 _POINTS = 1600
-_MOST_SHAPES = 24  # charts; more are looked at by nobody
-_MOST_WAVES, _DRAWN_WAVES = 20, 6  # more than the first make a grey block of a small chart
-_MOST_TICKS = 250  # of samples, below the curve
+_MAX_SHAPES = 24  # charts; more are looked at by nobody
+_MAX_WAVES, _DRAWN_WAVES = 20, 6  # more than the first make a grey block of a small chart
+_MAX_TICKS = 250  # of samples, below the curve
 _UNITS = {
     "load": "N m",
     "effort": "N m",
@@ -38,7 +38,7 @@ def effect_shapes(report: ReportContents, share: float = 1.0) -> tuple[Chart, ..
         if drawn and report.model is not None:
             driver = report.model.drivers(report.samples).values(drawn[0].driver, drawn[0].lag)
             for component in range(len(component_names(drawn[0]))):
-                if len(out) < share * _MOST_SHAPES:
+                if len(out) < share * _MAX_SHAPES:
                     out.append(_shape(report, drawn, driver, component, f"shape{len(out)}"))
     return tuple(out)
 
@@ -65,7 +65,7 @@ def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, c
     panel = Panel(_limits(float(x.min()), float(x.max())), _limits(float(low.min()), float(high.max())))
     panel.band(x, low, high, BEFORE)
     panel.line(x, 1e3 * size, AFTER, 1.1)
-    panel.rug(np.sort(at)[spread_rows(len(at), _MOST_TICKS)], SOFT)
+    panel.rug(np.sort(at)[spread_rows(len(at), _MAX_TICKS)], SOFT)
     title = f"{effect.place}, {direction}: {effect.family.replace('_', ' ')}"
     if shown != slice(None):
         title += ", a part of its range"
@@ -80,7 +80,7 @@ def _few_waves(size: Array) -> slice:
     """The points (N,) of a curve that are drawn: of many waves a few in the middle, of which each can be seen."""
     over = size > size.mean()
     turns = np.flatnonzero(over[1:] != over[:-1])
-    if len(turns) <= 2 * _MOST_WAVES:
+    if len(turns) <= 2 * _MAX_WAVES:
         return slice(None)
     middle = len(turns) // 2
     return slice(int(turns[middle - _DRAWN_WAVES]), int(turns[middle + _DRAWN_WAVES]) + 2)

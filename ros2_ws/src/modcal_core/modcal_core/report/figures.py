@@ -32,9 +32,9 @@ from modcal_core.report.plots import (
 if TYPE_CHECKING:
     from modcal_core.report.contents import ReportContents
 
-MOST_POINTS = 1200  # more make the page heavy and show no more
+MAX_POINTS = 1200  # more make the page heavy and show no more
 _SETS = (("train", CIRCLE, SOFT), ("explain", SQUARE, GOOD), ("held_out", TRIANGLE, AFTER))
-_MOST_REJECTED = 300
+_MAX_REJECTED = 300
 
 
 def error_histogram(report: ReportContents) -> Chart | None:
@@ -122,9 +122,9 @@ def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
     for name, shape, colour in _SETS:
         rows = getattr(report.sets, name)
         rows = rows[~wrong[rows]]
-        rows = rows[spread_rows(len(rows), int(share * MOST_POINTS / 6.0))]
+        rows = rows[spread_rows(len(rows), int(share * MAX_POINTS / 6.0))]
         marks.append((rows, f"{name.replace('_', '-')} ({sizes[name]})", shape, colour))
-    out = report.rejected_rows()[:_MOST_REJECTED]
+    out = report.rejected_rows()[:_MAX_REJECTED]
     marks.append((out, f"rejected ({len(out)})", CROSS, BAD))
     marks = [mark for mark in marks if len(mark[0])]
     every = np.concatenate([rows for rows, *_ in marks])

@@ -30,7 +30,7 @@ from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.effect_sizes import at_tool, parameters
 from modcal_core.verdict.contributions import resampled
 
-_MOST_SEEN = 500  # samples at which the size at the tool is taken
+_MAX_SEEN = 500  # samples at which the size at the tool is taken
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def findings(
         key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
         groups.setdefault(key, []).append(i)
     left = errors(diagnosis.fit.model, scored).position_norm ** 2 if groups and len(scored) else None
-    few = samples.select(spread_rows(len(samples), _MOST_SEEN))
+    few = samples.select(spread_rows(len(samples), _MAX_SEEN))
     entries = []
     for numbers in groups.values():
         effects = tuple(shipped.effects[i] for i in numbers)

@@ -25,8 +25,8 @@ from modcal_core.verdict.verdict import Status
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
 MAX_BYTES = 950_000  # of a page: below 1 MB, with what a mail puts around it
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.04)  # of the usual marks that charts have, tried in turn
-_MOST_COLUMNS = 28  # drivers of a map
-_MOST_LISTED = 30  # stations that were left out
+_MAX_COLUMNS = 28  # drivers of a map
+_MAX_LISTED = 30  # stations that were left out
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _maps(evidence: tuple[EvidenceMap, ...]) -> list[dict[str, Any]]:
     for seen in evidence:
         for driver, share in zip(seen.drivers, np.nanmax(seen.share, axis=0).tolist(), strict=True):
             best[driver] = max(share, best.get(driver, 0.0))
-    kept = set(sorted(best, key=lambda d: -best[d])[:_MOST_COLUMNS])
+    kept = set(sorted(best, key=lambda d: -best[d])[:_MAX_COLUMNS])
     titles = ("Before any effect was added", "After the last one") if len(evidence) > 1 else ("The scan",)
     out = []
     for title, seen in zip(titles, evidence, strict=True):
@@ -220,6 +220,6 @@ def _rejected(report: ReportContents) -> dict[str, Any] | None:
             1e3 * float(report.residuals[row]),
             1e3 * float(report.residuals[row]) / max(usual, 1e-9),
         )
-        for row in rows[:_MOST_LISTED]
+        for row in rows[:_MAX_LISTED]
     ]
     return {"usual": usual, "listed": listed, "more": len(rows) - len(listed)}

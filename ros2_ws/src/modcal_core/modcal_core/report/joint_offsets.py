@@ -26,7 +26,7 @@ from modcal_core.report.base_and_tool import base_and_tool_motions, parameter_mo
 from modcal_core.robots.mechanism import is_serial_arm
 
 NORMAL = 1.96  # deviations of a 95 % interval
-_MOST = 200  # postures; offsets are constant, and more say the same
+_MAX = 200  # postures; offsets are constant, and more say the same
 _STEP = 1e-6  # rad or m, of a difference quotient
 _TAKEN_UP = 1e-3  # of a joint's motion at the tool, that is left when base and tool were fitted: rounding, no offset
 
@@ -73,7 +73,7 @@ def joint_offsets(model: Model, q: Array, turns: bool, known: Uncertainty | None
     """
     if model.arm is None or not is_serial_arm(model.chain) or not is_serial_arm(model.arm.chain) or not len(q):
         return None
-    q = q[spread_rows(len(q), _MOST)]
+    q = q[spread_rows(len(q), _MAX)]
     part = slice(6 if turns else 3)
     bare = replace(model, effects=(), T_frame_base=np.tile(np.eye(4), (len(model.frames), 1, 1)), instruments=())
     nominal = bare.with_chain(model.arm.chain)

@@ -13,7 +13,7 @@ from modcal_core.robots.acceleration import Window
 from modcal_core.robots.fastest_motion import constant_bounds
 from modcal_core.robots.loaded_arm import LoadedArm
 
-_MOST = 200  # postures written one by one
+_MAX = 200  # postures written one by one
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def to_json_data(found: LimitsFound) -> dict[str, Any]:
         "torque_share": arm.share,
         "joints": [_joint(found, equivalent, j) for j in range(len(names))],
     }
-    if len(found.q) <= _MOST:
+    if len(found.q) <= _MAX:
         data["at"] = [
             {
                 "position": dict(zip(names, found.q[k].tolist(), strict=True)),

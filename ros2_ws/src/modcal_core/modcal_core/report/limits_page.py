@@ -8,7 +8,7 @@ from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.counted import counted, percent
 from modcal_core.report.limits import LimitsFound
 from modcal_core.report.page import PageTable, plain_page
-from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
+from modcal_core.report.robot_scene import MAX_POSTURES, RobotScene, arm_paths, joints_in_words
 
 _FILES = [
     ("limits.json", "all numbers, for programs"),
@@ -96,7 +96,7 @@ def _span(low: float, high: float) -> str:
 def _robot(found: LimitsFound) -> RobotScene:
     """The arm in its postures, every joint as large as the share of its torque that is needed at most."""
     chain = found.arm.chain
-    rows = spread_rows(len(found.q), MOST_POSTURES)
+    rows = spread_rows(len(found.q), MAX_POSTURES)
     paths = arm_paths(chain, found.q[rows])
     said = []
     for row in rows:

@@ -11,7 +11,7 @@ from modcal_core.articulation.joints import PlacedJoint
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.thinning import spread_rows
 
-_MOST_SEEN, _MOST_PLACES = 400, 61  # that a page can show and a person look through
+_MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it
 _HAND = 0.06  # m; the strokes of the handle's orientation are half a hand long
 
@@ -68,7 +68,7 @@ def object_scene(
     seen: measured places (n, 3) [m]. joint: its ``axis`` and ``point`` as stated in JSON, where it has them. scale:
     from the unit of configurations to what people read, ° or mm. frame: of the track, may be empty.
     """
-    over = np.linspace(a.min(), a.max(), _MOST_PLACES)
+    over = np.linspace(a.min(), a.max(), _MAX_PLACES)
     T = model.pose(over)
     path = T[:, :3, 3]
     axis = feet = None
@@ -87,5 +87,5 @@ def object_scene(
     )
     alt = f"The measured places of the handle, the path of a {model.kind} joint"
     alt += ", its axis, and the handle on it" if axis is not None else ", and the handle on it"
-    few = seen[spread_rows(len(seen), _MOST_SEEN)]
+    few = seen[spread_rows(len(seen), _MAX_SEEN)]
     return ObjectScene(few, path, T, bool(model.oriented), axis, feet, said, frame or "the track's frame", alt)

@@ -55,7 +55,7 @@ def _environment() -> Environment:
     """The templates, compiled once and kept as Python keeps its modules: that takes a tenth of a small calibration."""
     from jinja2 import BytecodeCache, Environment, PackageLoader, StrictUndefined
 
-    class Kept(BytecodeCache):
+    class TemplateCache(BytecodeCache):
         """Compiled templates beside modules compiled by Python; Jinja sees which are old."""
 
         def load_bytecode(self, bucket: Any) -> None:
@@ -73,7 +73,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
-        bytecode_cache=Kept(),
+        bytecode_cache=TemplateCache(),
     )
 
 

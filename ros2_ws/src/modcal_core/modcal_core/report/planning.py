@@ -15,7 +15,7 @@ from modcal_core.planning.plan import Plan
 from modcal_core.report.counted import percent
 from modcal_core.report.page import Chart, plain_page
 from modcal_core.report.panel import Panel, side_by_side
-from modcal_core.report.robot_scene import MOST_POINTS, MOST_POSTURES, RobotScene, arm_paths, joints_in_words
+from modcal_core.report.robot_scene import MAX_POINTS, MAX_POSTURES, RobotScene, arm_paths, joints_in_words
 from modcal_core.robots.table_rows import plain
 
 _FILES = [
@@ -160,9 +160,9 @@ def _robot(plan: Plan) -> RobotScene:
     """The arm at the stations in their order, among the places that could be chosen."""
     pool, tracker = plan.pool, plan.pool.site.tracker
     chain = pool.model.chain
-    rows = spread_rows(len(plan.q), MOST_POSTURES)
+    rows = spread_rows(len(plan.q), MAX_POSTURES)
     paths = arm_paths(chain, plan.q, pool.model.T_tip_tool)
-    could = arm_paths(chain, pool.q[spread_rows(len(pool.q), MOST_POINTS)], pool.model.T_tip_tool)[:, -1]
+    could = arm_paths(chain, pool.q[spread_rows(len(pool.q), MAX_POINTS)], pool.model.T_tip_tool)[:, -1]
     said = [f"Station {row + 1} of {len(plan.q)}: {joints_in_words(chain, plan.q[row])}." for row in rows]
     marks = () if tracker is None else (("tracker", tracker.position),)
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
@@ -175,7 +175,7 @@ def _charts(plan: Plan) -> list[Chart]:
     pool, tracker = plan.pool, plan.pool.site.tracker
     origin = pool.model.T_frame_base[0][:3, 3]
     could, chosen = (pool.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
-    could = could[spread_rows(len(could), MOST_POINTS)]
+    could = could[spread_rows(len(could), MAX_POINTS)]
     base = np.zeros((1, 3))
     sight = base[:0] if tracker is None else np.asarray(tracker.position, dtype=float)[None]
     every = np.concatenate([could, chosen, base, sight])

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 LARGE, SMALL = 12, 11  # px of the page; print of names and of ticks
 _LINE = 2.2  # px; the width of a line of size 1, and the diameter of a dot
 SQUARE, CIRCLE, TRIANGLE, CROSS, DOT = 0, 1, 2, 4, 16  # marks, all but the dot hollow
-_MOST_DECADES = 7  # with a number on an axis
+_MAX_DECADES = 7  # with a number on an axis
 _STEPS: tuple[tuple[float, ...], ...] = (  # of a decade, tried in turn until two numbers stand on the axis
     (1.0,),
     (1.0, 3.0),
@@ -88,14 +88,14 @@ def in_numbers(low: float, high: float) -> dict[str, Any]:
             break
     else:  # hardly a stretch of a decade: as a plain axis has them
         ticks = round_numbers(low, high)[0]
-    ticks = ticks[:: -(-len(ticks) // _MOST_DECADES)]
+    ticks = ticks[:: -(-len(ticks) // _MAX_DECADES)]
     return {"breaks": ticks.tolist(), "labels": [f"{tick:g}" for tick in ticks]}
 
 
 def in_decades(low: float, high: float) -> dict[str, Any]:
     """Ticks of a logarithmic axis from low to high as powers of ten."""
     powers = np.arange(np.ceil(np.log10(low) - 1e-9), np.floor(np.log10(high) + 1e-9) + 1.0)
-    powers = powers[:: -(-len(powers) // _MOST_DECADES) or 1]
+    powers = powers[:: -(-len(powers) // _MAX_DECADES) or 1]
     return {"breaks": (10.0**powers).tolist(), "labels": [f"10{f'{p:.0f}'.translate(_RAISED)}" for p in powers]}
 
 

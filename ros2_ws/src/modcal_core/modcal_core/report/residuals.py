@@ -10,14 +10,14 @@ from modcal_core.calibration.score import Errors
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.figures import MOST_POINTS
+from modcal_core.report.figures import MAX_POINTS
 from modcal_core.report.page import Chart
 from modcal_core.report.palette import AFTER, BEFORE, OF_AXES
 from modcal_core.report.panel import Panel
 
-_MOST_STEPS = 5  # that are drawn; more effects are drawn together
-_MOST_TEMPERATURES = 4
-_MOST_DRAWN = 14_000  # dots of a page before and after its steps, which are folded
+_MAX_STEPS = 5  # that are drawn; more effects are drawn together
+_MAX_TEMPERATURES = 4
+_MAX_DRAWN = 14_000  # dots of a page before and after its steps, which are folded
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
         return ()
     along = axes_of(report)
     pairs = _pairs(report)
-    most = max(min(MOST_POINTS // 3, _MOST_DRAWN // (6 * len(along) * len(pairs))), 40)
+    most = max(min(MAX_POINTS // 3, _MAX_DRAWN // (6 * len(along) * len(pairs))), 40)
     most = max(int(share * most), 20)
     rows = spread_rows(len(report.scored), most)
     out = []
@@ -58,7 +58,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
         charts = tuple(_before_after(a, before, after, rows, f"step{k}-{i}", added) for i, a in enumerate(along))
         out.append(ChartGroup(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
     final = report.errors["final"]
-    rows = spread_rows(len(report.scored), max(int(share * MOST_POINTS / 3.0), 20))
+    rows = spread_rows(len(report.scored), max(int(share * MAX_POINTS / 3.0), 20))
     charts = tuple(_left(a, final, rows, f"left-{i}") for i, a in enumerate(along))
     text = (
         "The residual of the final model: x as circles, y as triangles, z as squares. "
@@ -78,7 +78,7 @@ def axes_of(report: ReportContents) -> list[Against]:
     heat = []
     if report.model is not None:
         at = report.model.drivers(scored)
-        names = [name for name in at.signal_names() if name.startswith("temperature:")][:_MOST_TEMPERATURES]
+        names = [name for name in at.signal_names() if name.startswith("temperature:")][:_MAX_TEMPERATURES]
         heat = [Against(name, f"temperature of {name.partition(':')[2]}, °C", at.values(name)) for name in names]
     return [*joints, time, *heat]
 
@@ -87,10 +87,10 @@ def _pairs(report: ReportContents) -> list[tuple[str, Errors, Errors]]:
     """What was added, and the errors before and after."""
     stages = [report.errors["nominal"], *(step.errors for step in report.steps)]
     names = [step.added for step in report.steps]
-    if len(names) > _MOST_STEPS:
-        rest = len(names) - _MOST_STEPS + 1
-        names = [*names[: _MOST_STEPS - 1], f"{rest} more effects"]
-        stages = [*stages[:_MOST_STEPS], stages[-1]]
+    if len(names) > _MAX_STEPS:
+        rest = len(names) - _MAX_STEPS + 1
+        names = [*names[: _MAX_STEPS - 1], f"{rest} more effects"]
+        stages = [*stages[:_MAX_STEPS], stages[-1]]
     return [(name, stages[k], stages[k + 1]) for k, name in enumerate(names)]
 
 

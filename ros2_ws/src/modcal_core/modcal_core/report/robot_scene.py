@@ -11,7 +11,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.delta import ARMS
 from modcal_core.robots.mechanism import Mechanism, is_delta, tool_frames
 
-MOST_POSTURES, MOST_POINTS = 60, 500  # that a page can show and a person look through
+MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
 
 
 @dataclass(frozen=True)

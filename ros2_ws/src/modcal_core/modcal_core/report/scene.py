@@ -24,10 +24,10 @@ from modcal_core.robots.mechanism import tool_frames
 if TYPE_CHECKING:
     from lets_plot.plot.core import PlotSpec
 
-MOST_ARROWS = 300
-_MOST_POSTURES = 60
-_MOST_STILL = 120  # arrows of the still picture, which cannot be turned or zoomed
-_MOST_STAGES = 7
+MAX_ARROWS = 300
+_MAX_POSTURES = 60
+_MAX_STILL = 120  # arrows of the still picture, which cannot be turned or zoomed
+_MAX_STAGES = 7
 _WIDE, _HIGH = 386, 384  # px, either half of the still picture
 _RATIO = 1.0  # width to height of what is between its axes, about
 
@@ -67,14 +67,14 @@ def scene(report: ReportContents, share: float = 1.0) -> ReportScene | None:
     model, scored = report.model, report.scored
     if model is None or not len(scored):
         return None
-    rows = spread_rows(len(scored), int(share * MOST_ARROWS))
+    rows = spread_rows(len(scored), int(share * MAX_ARROWS))
     samples = scored.select(rows)
     indirect = indirect_rows(samples)
     named = [("nominal model", report.errors["nominal"]), *((s.added, s.errors) for s in report.steps)]
-    named = [*named[: _MOST_STAGES - 1], *named[-1:]] if len(named) > _MOST_STAGES else named
+    named = [*named[: _MAX_STAGES - 1], *named[-1:]] if len(named) > _MAX_STAGES else named
     stages = tuple((name, _in_base(model, samples, e, rows, indirect)) for name, e in named)
     places = _arms(model, samples)
-    shown = spread_rows(len(samples), max(int(share * _MOST_POSTURES), 8))
+    shown = spread_rows(len(samples), max(int(share * _MAX_POSTURES), 8))
     paths = tuple(tuple(path[k] for path in places) for k in shown)
     names = tuple(f"station {int(s)}" for s in samples.station)
     return ReportScene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()), model.chain.base)
@@ -107,7 +107,7 @@ def still(drawn: ReportScene) -> Chart:
     """The same from the side and from above, for paper and where no script runs."""
     import lets_plot as lp
 
-    rows = spread_rows(len(drawn.points), _MOST_STILL)
+    rows = spread_rows(len(drawn.points), _MAX_STILL)
     points = drawn.points[rows]
     before, after = 1e3 * drawn.stages[0][1][rows], 1e3 * drawn.stages[-1][1][rows]
     reach = float(np.ptp(points, axis=0).max()) or 1.0

@@ -14,7 +14,7 @@ from modcal_core.report.counted import percent
 from modcal_core.report.page import PageTable, plain_page
 from modcal_core.report.palette import AFTER, GOOD, INK, LIGHT, WARN
 from modcal_core.report.plots import SMALL, chart, columns, line_size, plot, svg
-from modcal_core.report.robot_scene import MOST_POSTURES, RobotScene, arm_paths, joints_in_words
+from modcal_core.report.robot_scene import MAX_POSTURES, RobotScene, arm_paths, joints_in_words
 
 if TYPE_CHECKING:
     from lets_plot.plot.core import FeatureSpec, PlotSpec
@@ -204,7 +204,7 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
 def _robot(study: Study) -> RobotScene:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
     chain, share = study.closed.chain, study.joint.before.share
-    rows = spread_rows(len(study.q), MOST_POSTURES)
+    rows = spread_rows(len(study.q), MAX_POSTURES)
     paths = arm_paths(chain, study.q[rows])
     of_joint = [
         sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint)

@@ -20,7 +20,7 @@ from modcal_core.measurements.thinning import spread_rows
 from modcal_core.report.base_and_tool import base_and_tool_motions as taken_by
 from modcal_core.report.base_and_tool import parameter_motions, poses_at, twists, without
 
-_MOST = 300  # postures; the differences are smooth, and more say the same
+_MAX = 300  # postures; the differences are smooth, and more say the same
 _DRAWS = 1000  # of the covariances; the 95 % quantile then has 50 above it
 _TAIL = 0.05  # share of the draws beyond what is expected
 _OWN = 0.02  # of what a parameter moves the tool by; less is the tilt of a calibrated axis against the nominal one
@@ -55,7 +55,7 @@ def tool_difference(first: Calibration, second: Calibration) -> ToolDifference |
     if not kept:
         return None
     q = np.concatenate(kept)
-    q = q[spread_rows(len(q), _MOST)]
+    q = q[spread_rows(len(q), _MAX)]
     turns = first.kind == second.kind == "pose"
     (one, left_one), (two, left_two) = _standing(first), _standing(second)
     # one tool for both, so that the point that is compared is the same on the arm

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from modcal_core.geometry.so3 import Array
 
-_MOST_STEPS = 60
+_MAX_STEPS = 60
 _GAP = 1e-9  # of Σ w log z, to the best there is
 _TO_THE_WALL = 0.99  # of the way to where something would turn negative
 _CENTRING = 0.1
@@ -56,7 +56,7 @@ def _largest(B: Array, w: Array) -> Array:
     z = np.full((N, k), 0.5) / B.sum(axis=-1).max(axis=-1)[:, None]
     s = 1.0 - (B @ z[..., None])[..., 0]
     y = np.full((N, m), 1.0 / m) / s
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         gap = np.sum(y * s, axis=-1, keepdims=True)
         scaled = B * z[:, None, :]  # by which z changes relatively: well conditioned whatever the bounds' sizes
         scaled_t = np.swapaxes(scaled, -1, -2)

@@ -24,7 +24,7 @@ from modcal_core.robots.urdf_drives import Drives
 from modcal_core.robots.urdf_inertias import Inertias
 
 _ROUNDS = 3  # of tangents, after one without viscous friction
-_LEAST = 1e-3  # of the greatest x: tangents are taken no nearer to standing
+_MIN = 1e-3  # of the greatest x: tangents are taken no nearer to standing
 _NONE = 1e-30  # N m s: less friction than there is
 _FASTEST = 1e3  # 1/s along the path, where no speed limit says less
 
@@ -98,7 +98,7 @@ def _with_viscous(rows: PathRows, pull: Array, x: Array) -> PathRows:
     """The rows with pull · √x added on the safe side; x (N + 1,): where the tangent is taken."""
     takes, gives = np.maximum(pull, 0.0), np.minimum(pull, 0.0)
     # no nearer to standing than makes sense, and not where the tangent would leave nothing to stand with
-    at = np.sqrt(np.maximum(x, _LEAST * x.max()))[:, None]
+    at = np.sqrt(np.maximum(x, _MIN * x.max()))[:, None]
     at_upper = np.minimum(at, rows.upper / np.maximum(takes, _NONE))
     at_lower = np.minimum(at, -rows.lower / np.maximum(-gives, _NONE))
     chord = 1.0 / np.sqrt(rows.most)[:, None]  # √x ≥ x / √most, and √x ≤ x / (2 √x̂) + √x̂ / 2

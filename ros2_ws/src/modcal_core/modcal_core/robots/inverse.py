@@ -27,7 +27,7 @@ from modcal_core.robots.kinematics import joint_motions, posture_frames
 
 ALL_SIX = (True, True, True, True, True, True)
 TOLERANCE = 1e-10  # m and rad
-_MOST_STEPS = 60
+_MAX_STEPS = 60
 LONGEST = 0.6  # rad or m, of one joint in one step
 DAMPING = 1e-3  # times the squared error
 _FREE_TURN = np.pi  # rad; where a joint has no limits, others are tried this far about zero
@@ -94,7 +94,7 @@ def _descend(
 ) -> tuple[Array, Array]:
     """The posture that the steps from q end in, and the error (6,) that is left there, zero where none is wanted."""
     e, J = _linearised(chain, goal, q)
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         r, A = weight * e[wanted], weight[:, None] * J[wanted]
         if np.abs(e[wanted]).max(initial=0.0) <= tolerance:
             break

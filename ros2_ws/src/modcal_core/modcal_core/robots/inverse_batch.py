@@ -19,8 +19,8 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.inverse import ALL_SIX, DAMPING, LONGEST, TOLERANCE
 from modcal_core.robots.kinematics import frames, tip_motions
 
-_MOST_STEPS = 100  # accepted or not
-_MOST_REFUSED = 6  # steps in a row that made it worse
+_MAX_STEPS = 100  # accepted or not
+_MAX_REFUSED = 6  # steps in a row that made it worse
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def _descend(
     damping = DAMPING * cost + 1e-14
     refused = np.zeros(len(q), int)
     alive = np.abs(e[:, wanted]).max(axis=1, initial=0.0) > tolerance
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         rows = np.flatnonzero(alive)
         if not len(rows):
             break
@@ -105,7 +105,7 @@ def _descend(
         damping[good], refused[good] = DAMPING * cost[good] + 1e-14, 0
         damping[bad], refused[bad] = np.maximum(30.0 * damping[bad], 1e-6), refused[bad] + 1
         arrived = np.abs(e[rows][:, wanted]).max(axis=1, initial=0.0) <= tolerance
-        alive[rows[arrived | stalled | (refused[rows] >= _MOST_REFUSED)]] = False
+        alive[rows[arrived | stalled | (refused[rows] >= _MAX_REFUSED)]] = False
     return q, e
 
 

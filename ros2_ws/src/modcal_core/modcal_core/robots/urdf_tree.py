@@ -27,11 +27,11 @@ TURNS = {"revolute": True, "continuous": True, "prismatic": False}
 _FIX = "correct the URDF"
 _NO_XML = "give a URDF file; modcal import TABLE --out arm.urdf makes one of a DH or CPC table"
 _ONE_ROBOT = "describe one robot, with meshes in files of their own"
-_MOST_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
+_MAX_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
 
 # What is larger is no robot, and would hold up a node, or Python's stack, while it is read.
-_MOST_TEXT = 5_000_000  # characters
-_MOST_JOINTS, _DEEPEST = 2000, 250  # joints, in all and in a row
+_MAX_TEXT = 5_000_000  # characters
+_MAX_JOINTS, _DEEPEST = 2000, 250  # joints, in all and in a row
 
 # The children that are read in each element, and the attributes in each of those.
 _CHILDREN: Mapping[str, set[str]] = {
@@ -141,8 +141,8 @@ def parse(urdf_xml: str) -> Tree:
     """The checked tree of a URDF text, its arrays read-only. Raises BadRobot for anything that is not one."""
     root = document(urdf_xml)
     for tag in ("link", "joint"):
-        if (count := sum(_local(child) == tag for child in root)) > _MOST_JOINTS:
-            raise BadRobot("robot description", f"has {count} {tag}s, {_MOST_JOINTS} is the limit", _ONE_ROBOT)
+        if (count := sum(_local(child) == tag for child in root)) > _MAX_JOINTS:
+            raise BadRobot("robot description", f"has {count} {tag}s, {_MAX_JOINTS} is the limit", _ONE_ROBOT)
     robot = _parsed(_essential(root))
     joints = tuple(_joint(joint) for joint in robot.joints)
     links = tuple(link.name for link in robot.links)
@@ -158,8 +158,8 @@ def parse(urdf_xml: str) -> Tree:
 
 def document(urdf_xml: str) -> Any:
     """The root element of a URDF text, whatever it holds. Raises BadRobot for what is not XML, no URDF, or xacro."""
-    if len(urdf_xml) > _MOST_TEXT:
-        said = f"has {1e-6 * len(urdf_xml):.0f} million characters, {1e-6 * _MOST_TEXT:.0f} million is the limit"
+    if len(urdf_xml) > _MAX_TEXT:
+        said = f"has {1e-6 * len(urdf_xml):.0f} million characters, {1e-6 * _MAX_TEXT:.0f} million is the limit"
         raise BadRobot("robot description", said, _ONE_ROBOT)
     # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
     parser = etree.XMLParser(encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True)
@@ -259,8 +259,8 @@ def _origin(origin: Any, what: str) -> Array:
         return np.eye(4)
     xyz = _finite(origin.xyz or (0, 0, 0), 3, f"{what} xyz>")
     rpy = _finite(origin.rpy or (0, 0, 0), 3, f"{what} rpy>")
-    if np.abs(rpy).max() > _MOST_TURN:
-        said = f"{rpy[np.argmax(np.abs(rpy))]:g} rad is beyond {_MOST_TURN:.1f}: it looks like degrees"
+    if np.abs(rpy).max() > _MAX_TURN:
+        said = f"{rpy[np.argmax(np.abs(rpy))]:g} rad is beyond {_MAX_TURN:.1f}: it looks like degrees"
         raise BadRobot(f"{what} rpy>", said, "give it in radians")
     return se3.transform(so3.from_rpy(rpy), xyz)
 

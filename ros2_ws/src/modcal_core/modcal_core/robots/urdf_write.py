@@ -72,14 +72,14 @@ def write_origins(urdf_xml: str, origins: Mapping[str, Array]) -> str:
 
 
 @dataclass
-class _Place:
+class _OriginSpan:
     """Where things stand in the bytes of one joint: the end of its start tag, and its origin's start tag."""
 
     inside: int
     origin: tuple[int, int] | None = None
 
 
-def _edits(raw: bytes, place: _Place, T: Array) -> list[tuple[int, int, bytes]]:
+def _edits(raw: bytes, place: _OriginSpan, T: Array) -> list[tuple[int, int, bytes]]:
     """Replacements (from, to, new bytes) that give one joint its origin."""
     values = {b"xyz": _text(T[:3, 3]), b"rpy": _text(so3.to_rpy(T[:3, :3]))}
     if place.origin is None:
@@ -121,13 +121,13 @@ def _text(values: Array) -> bytes:
     return " ".join(repr(float(v) + 0.0) for v in values).encode()
 
 
-def _find_joints(raw: bytes) -> dict[str, _Place]:
+def _find_joints(raw: bytes) -> dict[str, _OriginSpan]:
     """The place of every joint of the robot, by its name."""
     # what stands before the XML declaration is against the rules but common; ROS's parsers pass over it
     skip = len(raw) - len(raw.removeprefix(b"\xef\xbb\xbf").lstrip())
     parser = expat.ParserCreate("utf-8")
     stack: list[str] = []
-    places: dict[str, _Place] = {}
+    places: dict[str, _OriginSpan] = {}
     joint = ""
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -135,7 +135,7 @@ def _find_joints(raw: bytes) -> dict[str, _Place]:
         at = skip + parser.CurrentByteIndex
         if tag == "joint" and stack == ["robot"]:
             joint = attributes.get("name", "")
-            places[joint] = _Place(_end_of_tag(raw, at))
+            places[joint] = _OriginSpan(_end_of_tag(raw, at))
             if raw[: places[joint].inside].endswith(b"/>"):  # no inside to put anything in
                 del places[joint]
         elif tag == "origin" and stack == ["robot", "joint"] and places[joint].origin is None:

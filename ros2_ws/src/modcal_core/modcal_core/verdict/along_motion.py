@@ -17,11 +17,11 @@ from modcal_core.measurements.thinning import spread_rows
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case
 
-_LEAST, _MOST = 60, 3000  # readings in motion
+_MIN, _MAX = 60, 3000  # readings in motion
 _SLOW = 0.02  # m/s; slower ones have no direction to speak of
 _TIMES = 4.0  # mean square along the way, in that of a direction across it
 _MOSTLY = 0.6  # of all squares
-_LEAST_TIME = 2e-4  # s; less is what clocks of computers are apart by
+_MIN_TIME = 2e-4  # s; less is what clocks of computers are apart by
 _FARTHEST = 5.0  # times the median size; no reading may rule alone
 
 
@@ -49,9 +49,9 @@ def along_motion(case: Case) -> AlongMotion | None:
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     rows = rows[case.samples.moving[rows] & np.isfinite(case.samples.velocity[rows]).all(axis=1)]
     chain = case.model.chain
-    if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
+    if len(rows) < _MIN or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None
-    rows = rows[spread_rows(len(rows), _MOST)]
+    rows = rows[spread_rows(len(rows), _MAX)]
     samples = case.samples.select(rows)
     view = RowView.of(case.model, samples, case.model.drivers(samples))
     velocity = np.zeros((3, len(samples)))
@@ -60,7 +60,7 @@ def along_motion(case: Case) -> AlongMotion | None:
         velocity += column.reshape(3, -1) * samples.velocity[:, j]
     speed = np.linalg.norm(velocity, axis=0)
     fast = speed > _SLOW
-    if fast.sum() < _LEAST:
+    if fast.sum() < _MIN:
         return None
     way, gap, speed = velocity[:, fast] / speed[fast], view.position[:, fast], speed[fast]
     size = np.linalg.norm(gap, axis=0)
@@ -70,6 +70,6 @@ def along_motion(case: Case) -> AlongMotion | None:
     square = float(np.mean(along**2))
     across = 0.5 * (whole - square)
     seconds = float(np.sqrt(np.median((along / speed) ** 2))) / 0.6745  # of a normal deviate
-    if square < _TIMES * across or square < _MOSTLY * whole or seconds < _LEAST_TIME:
+    if square < _TIMES * across or square < _MOSTLY * whole or seconds < _MIN_TIME:
         return None
     return AlongMotion(seconds, square / whole, float(np.sqrt(square / max(across, 1e-300))))

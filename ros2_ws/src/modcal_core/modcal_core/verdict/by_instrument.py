@@ -17,8 +17,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.features import Group
 
-_LEAST = 12  # readings of a frame: fewer do not tell the nine numbers of a scale and a shear from their noise
-_MOST = 6  # frames; many are placements of a plate, each seen a few times
+_MIN = 12  # readings of a frame: fewer do not tell the nine numbers of a scale and a shear from their noise
+_MAX = 6  # frames; many are placements of a plate, each seen a few times
 
 
 def by_instrument(model: Model, samples: Samples, weight: Array, by_parameters: Array) -> Iterator[Group]:
@@ -28,8 +28,8 @@ def by_instrument(model: Model, samples: Samples, weight: Array, by_parameters: 
     (K, 6, N).
     """
     count = np.bincount(samples.frame, minlength=len(samples.frames))
-    seen = np.flatnonzero(count >= _LEAST).tolist()
-    if not 2 <= len(seen) <= _MOST or samples.sockets:
+    seen = np.flatnonzero(count >= _MIN).tolist()
+    if not 2 <= len(seen) <= _MAX or samples.sockets:
         return
     reading = RowView.of(model, samples, model.drivers(samples)).reading.copy()
     for f in range(len(samples.frames)):

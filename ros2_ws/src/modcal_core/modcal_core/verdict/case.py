@@ -21,8 +21,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
-_MOST_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
-_MOST_REFITTED = 400  # the same of base and tool
+_MAX_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
+_MAX_REFITTED = 400  # the same of base and tool
 _WIDE = 1.0  # m, rad; where base or tool may be that were found again
 
 
@@ -63,7 +63,7 @@ def fitted_case(
     distances: Sequence[AnyDistance] = (),
 ) -> Case:
     """The case of a fit to *train*. wrong: rejected samples (N,). left: errors of the held-out rows not rejected."""
-    rows = spread_rows(len(sets.train), _MOST_FITTED)
+    rows = spread_rows(len(sets.train), _MAX_FITTED)
     part = replace(fit, weights=fit.weights[rows] * (len(sets.train) / max(len(rows), 1)))
     known = uncertainty(fit.model, samples.select(sets.train[rows]), fit.parameters, part, distances)
     held_out = sets.held_out[~wrong[sets.held_out]]
@@ -91,7 +91,7 @@ def frozen_case(
         train = ~wrong
         train[rows] = False
         part = np.flatnonzero(train)
-        part = part[spread_rows(len(part), _MOST_REFITTED)]
+        part = part[spread_rows(len(part), _MAX_REFITTED)]
         known = _refitted(known, model, samples.select(part), calibration.noise, refit_base, refit_tool)
     residuals = errors(model, samples)
     return Case(samples, wrong, rows, unit, model, known, calibration.noise, left, residuals, fitted=False)

@@ -15,8 +15,8 @@ from modcal_core.verdict.case import Case
 from modcal_core.verdict.verdict import Interval
 
 DRAWS = 400  # bootstrap samples; ends of a 95 % interval then move by an eighth of a deviation
-_MOST_COUNTED = 5000  # stations, of which 16 MB are kept; of more it is worked out each time
-_MOST = 600  # scored samples; the mean over more is the same
+_MAX_COUNTED = 5000  # stations, of which 16 MB are kept; of more it is worked out each time
+_MAX = 600  # scored samples; the mean over more is the same
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
     effects = case.model.effects
     if not effects or not len(case.held_out):
         return ()
-    rows = case.held_out[spread_rows(len(case.held_out), _MOST)]
+    rows = case.held_out[spread_rows(len(case.held_out), _MAX)]
     scored = case.samples.select(rows)
     with_all = errors(case.model, scored)
     out = []
@@ -67,7 +67,7 @@ def resampled(square: Array, station: np.ndarray) -> tuple[float, Interval]:
     """Mean of numbers (N,) and its 95 % interval, by drawing their stations (N,) again."""
     _, of = np.unique(station, return_inverse=True)
     total, count = np.bincount(of, square), np.bincount(of)
-    if len(count) <= _MOST_COUNTED:
+    if len(count) <= _MAX_COUNTED:
         sums, of_all = (_often(len(count)) @ np.stack([total, count], axis=1)).T
         means = sums / of_all
     else:

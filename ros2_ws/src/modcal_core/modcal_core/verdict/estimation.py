@@ -7,7 +7,7 @@ import numpy as np
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.case import Case, derivatives
 
-_MOST = 400  # scored samples; the mean over more is the same
+_MAX = 400  # scored samples; the mean over more is the same
 
 
 def estimation(case: Case) -> tuple[float, float]:
@@ -17,7 +17,7 @@ def estimation(case: Case) -> tuple[float, float]:
     """
     if not len(case.held_out):
         return 0.0, 0.0
-    rows = case.held_out[spread_rows(len(case.held_out), _MOST)]
+    rows = case.held_out[spread_rows(len(case.held_out), _MAX)]
     samples = case.samples.select(rows)
     _, J = derivatives(case.model, case.known.parameters, samples)
     K = len(J)

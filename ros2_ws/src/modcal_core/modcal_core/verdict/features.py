@@ -28,12 +28,12 @@ _NEAR = 40  # the same of neighbours in posture
 _FREQUENCIES = 0.6, 2.0  # rad per deviation of the postures: less than half a wave over most of them, and more than one
 _NEAR_STATIONS = 300  # stations from which neighbours in posture are close enough to say anything
 _SLOW, _FAST = 4, 44  # waves over the order of the stations
-_MOST_WAVES = 130  # waves a turn of a joint's own position, where single ones are looked for
+_MAX_WAVES = 130  # waves a turn of a joint's own position, where single ones are looked for
 _LOADED_WAVES = 60  # the same of errors that grow with the joint's load
-_MOST_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
-_MOST_NAMED = 6  # signals that a sentence names
-_MOST_SIGNALS = 40  # for time
-_MOST_BESIDE = 14  # other joints, for time: another two arms of seven
+_MAX_COLUMNS = 300  # of a group; more are mixed at random, which keeps their products
+_MAX_NAMED = 6  # signals that a sentence names
+_MAX_SIGNALS = 40  # for time
+_MAX_BESIDE = 14  # other joints, for time: another two arms of seven
 _CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
 
 
@@ -75,7 +75,7 @@ class Waves:
 
 def groups(model: Model, samples: Samples, weight: Array) -> Iterator[Group]:
     """The groups of these samples. weight: of their six components, (6, N)."""
-    builder = _Builder(model, samples, weight)
+    builder = _GroupBuilder(model, samples, weight)
     yield builder.own_positions()
     yield builder.other_positions()
     yield builder.posture()
@@ -93,7 +93,7 @@ def on_the_way(model: Model, samples: Samples, weight: Array, by_parameters: Arr
 
     by_parameters: derivatives of the samples by the parameters, in units of the noise, (K, 6, N).
     """
-    return _Builder(model, samples, weight).on_the_way(by_parameters)
+    return _GroupBuilder(model, samples, weight).on_the_way(by_parameters)
 
 
 def single_waves(model: Model, samples: Samples, weight: Array) -> Iterator[tuple[str, Waves]]:
@@ -102,14 +102,14 @@ def single_waves(model: Model, samples: Samples, weight: Array) -> Iterator[tupl
 
     With what they are called, for a person. weight: of the samples' six components, (6, N).
     """
-    builder = _Builder(model, samples, weight)
+    builder = _GroupBuilder(model, samples, weight)
     yield "single waves of the joint positions", builder.single_waves()
-    beside = moving_beside(samples)[:_MOST_BESIDE]
+    beside = moving_beside(samples)[:_MAX_BESIDE]
     if beside:
         yield f"single waves of the positions of {_listed(beside)}", builder.waves_beside()
 
 
-class _Builder:
+class _GroupBuilder:
     """What all groups of some samples share."""
 
     def __init__(self, model: Model, samples: Samples, weight: Array) -> None:
@@ -233,7 +233,7 @@ class _Builder:
 
     def signals(self) -> Group | None:
         """Base, tool and joints with each recorded signal, its waves, and what of it the posture does not tell."""
-        names = self.at.signal_names()[:_MOST_SIGNALS]
+        names = self.at.signal_names()[:_MAX_SIGNALS]
         if not names:
             return None
         x = np.stack([self.at.values(name) for name in names])
@@ -253,7 +253,7 @@ class _Builder:
         """See the function of this name."""
         axes = list(zip(self.places, self.axis, strict=True))
         motions = [self._motions([axis]) for axis in axes]
-        numbers = [self._waves(j, _MOST_WAVES)[2 * _OWN_WAVES :] for j in range(len(axes))]
+        numbers = [self._waves(j, _MAX_WAVES)[2 * _OWN_WAVES :] for j in range(len(axes))]
         if self.at.arm.weighed:  # teeth and pins bend under load
             for j, (name, axis) in enumerate(zip(self.chain.names, axes, strict=True)):
                 load = _standard(self.at.values(f"load:{name}")[None])
@@ -269,7 +269,7 @@ class _Builder:
 
     def waves_beside(self) -> Waves:
         """Base and tool with waves of the other joints that were recorded, alone and two at a time."""
-        q = others_at(self.samples)[:, :_MOST_BESIDE]
+        q = others_at(self.samples)[:, :_MAX_BESIDE]
         turns = [periodic("sine", np.ones(1), column).reshape(2, -1) for column in q.T]
         both = [a * b for i, x in enumerate(turns) for y in turns[:i] for a in x for b in y]
         return Waves((self._motions(self._ends()),), (np.stack([*(wave for x in turns for wave in x), *both]),))
@@ -327,17 +327,17 @@ class _Builder:
         columns = np.concatenate(parts)
         size = np.sqrt(np.einsum("dcn,dcn->d", columns, columns))
         columns = columns[size > 1e-9 * size.max(initial=1e-300)]
-        if len(columns) > _MOST_COLUMNS:
+        if len(columns) > _MAX_COLUMNS:
             flat = columns.reshape(len(columns), -1)
             flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
-            mix = self.rng.normal(size=(_MOST_COLUMNS, len(flat))) / np.sqrt(_MOST_COLUMNS)
-            columns = (mix @ flat).reshape(_MOST_COLUMNS, *columns.shape[1:])
+            mix = self.rng.normal(size=(_MAX_COLUMNS, len(flat))) / np.sqrt(_MAX_COLUMNS)
+            columns = (mix @ flat).reshape(_MAX_COLUMNS, *columns.shape[1:])
         return Group(name, columns)
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return f"{', '.join(names[:_MOST_NAMED])}{more}"
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return f"{', '.join(names[:_MAX_NAMED])}{more}"
 
 
 def _standard(x: Array) -> Array:

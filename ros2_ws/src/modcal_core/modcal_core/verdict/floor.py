@@ -19,13 +19,13 @@ from modcal_core.calibration.stated import Stated
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.other_joints import others_at
-from modcal_core.measurements.returns import LEAST_RETURNS, SAME, returns
+from modcal_core.measurements.returns import MIN_RETURNS, SAME, returns
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.verdict import Interval, Repeatability
 
 _JUMP = 30.0  # times; six Gaussian differences along one line leave such a gap among their sizes once in some 700
 _MORE_THAN_STATED = 1.44  # times the square, as for the error itself
-_MOST_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
+_MAX_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ def floors(residuals: Errors, samples: Samples, wrong: np.ndarray, stated: State
     stated = stated or Stated()
     visits = returns_of(samples, wrong) if is_direct(samples.kinds) else ()
     # a visit that was rejected shows no floor, and one of six leaves the others as they are
-    spared = len(visits) == LEAST_RETURNS - 1 and len(returns_of(samples)) >= LEAST_RETURNS
-    least = LEAST_RETURNS - int(spared)
+    spared = len(visits) == MIN_RETURNS - 1 and len(returns_of(samples)) >= MIN_RETURNS
+    least = MIN_RETURNS - int(spared)
     residual = 1e3 * residuals.position
     position = _of_returns(residual, visits, stated.instrument_mm, least)
     told = _stated(stated.rms_mm, stated.instrument_mm)
@@ -95,7 +95,7 @@ def _scatter(residual: Array, visits: tuple[np.ndarray, ...]) -> tuple[Array, Ar
 
 def _jumps(residual: Array, visits: tuple[np.ndarray, ...], unit: str) -> tuple[str, ...]:
     """A sentence where some returns agree and several others differ by far more: that is no repeatability."""
-    if len(visits) < LEAST_RETURNS:
+    if len(visits) < MIN_RETURNS:
         return ()
     scatter, freedom = _scatter(residual, visits)
     size = np.sort(np.sqrt(scatter / freedom))
@@ -131,7 +131,7 @@ def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.nd
     for f in range(len(samples.frames)):
         rows = np.flatnonzero(keep & (samples.frame == f))
         rows = rows[np.argsort(samples.stamps[rows], kind="stable")]
-        if len(rows) > LEAST_RETURNS:
+        if len(rows) > MIN_RETURNS:
             for visits in returns(samples.q[rows], samples.approach[rows]):
                 # what else moves may weigh on the arm: only where it stands as before is it the same posture
                 same = rows[visits][
@@ -143,7 +143,7 @@ def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.nd
 
 
 def _of_returns(
-    residual: Array, visits: tuple[np.ndarray, ...], instrument: float | None, least: int = LEAST_RETURNS
+    residual: Array, visits: tuple[np.ndarray, ...], instrument: float | None, least: int = MIN_RETURNS
 ) -> Floor | None:
     """The floor of residuals (N, 3) [mm or deg] by these visits, None where they are fewer than the least."""
     if len(visits) < least:
@@ -153,7 +153,7 @@ def _of_returns(
     # one wrong reading among them must not set the floor
     usual = float(np.median(each / _median_factor(freedom))) + 1e-30
     good = standard_score(scatter / (usual / 3.0), 3.0 * freedom) <= REJECT_Z
-    if good.sum() < LEAST_RETURNS or (~good).mean() > _MOST_REFUSED:
+    if good.sum() < MIN_RETURNS or (~good).mean() > _MAX_REFUSED:
         good[:] = True
     square = float(scatter[good].sum() / freedom[good].sum())
     return Floor(
@@ -208,6 +208,6 @@ def reading_scatter_mm(samples: Samples) -> float | None:
     Nothing is said of readings that are no positions: what is noise differs from one instrument to the next.
     """
     known = samples.sigma_position[np.isfinite(samples.sigma_position)]
-    if len(known) < LEAST_RETURNS or not is_direct(samples.kinds):
+    if len(known) < MIN_RETURNS or not is_direct(samples.kinds):
         return None
     return 1e3 * float(np.sqrt(3.0 * np.mean(known**2)))

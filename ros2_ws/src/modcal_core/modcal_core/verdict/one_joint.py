@@ -23,9 +23,9 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case, weights
 
-_MOST = 300  # samples, for time; more are thinned evenly
-_LEAST = 30  # samples; a variance is known to a quarter by these
-_LEAST_JOINTS = 3  # of one kind, that a joint is compared with
+_MAX = 300  # samples, for time; more are thinned evenly
+_MIN = 30  # samples; a variance is known to a quarter by these
+_MIN_JOINTS = 3  # of one kind, that a joint is compared with
 _MOSTLY = 0.5  # share of the squares: most of what is left
 _TIMES = 3.0  # the scatter of the usual joint; sizes of gears and encoders in one arm differ by about two
 _DRAWS = 200  # of stations; the lowest hundredth is two of them
@@ -65,9 +65,9 @@ def one_joint(case: Case) -> OneJoint | None:
     """The joint, or the two, that most of what a case leaves is the scatter of, None where there is none."""
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     rows = rows[~case.samples.moving[rows]]
-    rows = rows[spread_rows(len(rows), _MOST)]
+    rows = rows[spread_rows(len(rows), _MAX)]
     chain = case.model.chain
-    if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
+    if len(rows) < _MIN or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None
     residual, motions, more = _parts(case, chain, rows)
     whole = max(float(np.sum(residual**2)), 1e-300)
@@ -84,7 +84,7 @@ def one_joint(case: Case) -> OneJoint | None:
     drawn: list[Array] = []
     for loose in ([first], [first, second]):
         alike = [k for k in range(chain.n) if k not in loose and chain.revolute[k] == chain.revolute[first]]
-        if share[loose].sum() < _MOSTLY or len(alike) < _LEAST_JOINTS:
+        if share[loose].sum() < _MOSTLY or len(alike) < _MIN_JOINTS:
             continue
         if chain.revolute[second] != chain.revolute[first] and len(loose) > 1:
             continue

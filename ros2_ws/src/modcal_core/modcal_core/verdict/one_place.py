@@ -22,8 +22,8 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case
 
-_MOST = 240  # samples, for time; more are thinned evenly
-_LEAST = 40  # samples; a covariance of a body has 21 numbers
+_MAX = 240  # samples, for time; more are thinned evenly
+_MIN = 40  # samples; a covariance of a body has 21 numbers
 _BEYOND_DOUBT = 50.0  # difference of log-likelihoods, as of conventions
 _PARAMETERS = 21  # of a body's covariance, at the price of half the logarithm of the samples each (BIC)
 _MOSTLY = 0.5  # share of the squared position error: most of what is left
@@ -55,9 +55,9 @@ def one_place(case: Case) -> OnePlace | None:
     """The base or the tool, where most of what a case leaves is its scatter; None where neither does."""
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     rows = rows[~case.samples.moving[rows] & case.samples.is_pose[rows]]
-    rows = rows[spread_rows(len(rows), _MOST)]
+    rows = rows[spread_rows(len(rows), _MAX)]
     chain = case.model.chain
-    if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
+    if len(rows) < _MIN or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None
     samples = case.samples.select(rows)
     if samples.sockets:

@@ -19,8 +19,8 @@ from modcal_core.measurements.recording import RANGE
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.case import Case, weights
 
-_LEAST = 50  # readings of an instrument
-_MOST = 600  # the same at most
+_MIN = 50  # readings of an instrument
+_MAX = 600  # the same at most
 _FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
 _ORDERS = 400  # random ones
 _WORTH = 0.15  # share of an instrument's squares
@@ -54,7 +54,7 @@ def one_topic(case: Case) -> OneTopic | None:
     """The range instrument whose residual depends on its own reading alone, None where there is none."""
     samples = case.samples
     ranged = np.flatnonzero((samples.kind == RANGE) & ~samples.moving)
-    frames = [int(f) for f in np.unique(samples.frame[ranged]) if (samples.frame[ranged] == f).sum() >= _LEAST]
+    frames = [int(f) for f in np.unique(samples.frame[ranged]) if (samples.frame[ranged] == f).sum() >= _MIN]
     if len(frames) < 2:
         return None
     all_of = samples.select(ranged)
@@ -69,7 +69,7 @@ def one_topic(case: Case) -> OneTopic | None:
     sizes: dict[int, float] = {}
     for f in frames:
         rows = np.flatnonzero(all_of.frame == f)
-        rows = rows[spread_rows(len(rows), _MOST)]
+        rows = rows[spread_rows(len(rows), _MAX)]
         size = float(np.median(np.abs(residual[rows])))
         r = np.clip(residual[rows], -_FARTHEST * size, _FARTHEST * size)
         sizes[f] = float(np.sqrt(np.mean(r**2)))

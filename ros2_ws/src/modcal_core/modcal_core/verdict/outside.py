@@ -16,7 +16,7 @@ from modcal_core.verdict.contributions import mean_square, resampled
 from modcal_core.verdict.estimation import estimation
 from modcal_core.verdict.floor import Floors
 
-MOST_ABOVE_OWN = 1.44  # E² in units of that of the calibration's own recording: a fifth more in RMS
+MAX_ABOVE_OWN = 1.44  # E² in units of that of the calibration's own recording: a fifth more in RMS
 
 
 def worse_outside(case: Case, known: Floors, outside: tuple[str, ...]) -> Iterator[str]:
@@ -30,7 +30,7 @@ def worse_outside(case: Case, known: Floors, outside: tuple[str, ...]) -> Iterat
     own = 1e6 * 3.0 * case.noise.position**2
     square, (low, _) = resampled(mean_square(case.errors["final"], angle=False), case.samples.station[case.held_out])
     here = max(own, known.position.square if known.position else 0.0)
-    if low > MOST_ABOVE_OWN * here + estimation(case)[0]:
+    if low > MAX_ABOVE_OWN * here + estimation(case)[0]:
         yield (
             f"Position: {np.sqrt(square):.3g} mm RMS is left, and {np.sqrt(own):.3g} mm was on the calibration's own "
             f"recording, and it is used outside that recording here. {' '.join(outside)}"

@@ -22,14 +22,14 @@ from modcal_core.plausibility.screening import wrong_joints
 from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.rejected_alike import rejected_alike
-from modcal_core.verdict.status import MOST_PREDICTABLE, MOST_REJECTED
+from modcal_core.verdict.status import MAX_PREDICTABLE, MAX_REJECTED
 from modcal_core.verdict.verdict import Verdict
 
 _Look = Callable[[Samples, Mechanism], Disagreement | None]
 _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
-_LEAST_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
+_MIN_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 _SURELY = 0.5  # of the floor; what is less beyond it is not told from it
-_LEAST_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
+_MIN_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 
 
 def sentences(
@@ -45,8 +45,8 @@ def sentences(
     if case.fitted:
         fitted = derivatives(case.model, case.known.parameters, samples.select(asked_of(samples)))[1]
     both = judged.predictable_both
-    share = both.share if both is not None and both.lower99 > MOST_PREDICTABLE else 1.0
-    least = float(np.clip(_MOSTLY * share, _LEAST_NAMED, WORTH_NAMING))
+    share = both.share if both is not None and both.lower99 > MAX_PREDICTABLE else 1.0
+    least = float(np.clip(_MOSTLY * share, _MIN_NAMED, WORTH_NAMING))
     found = dependence(case.model, samples, weights(case.noise, samples), fitted, least)
     named = " ".join(judged.open_because)
     said = [*(sentence for sentence in outside if sentence not in named), *_apart(case, described or case.model.chain)]
@@ -74,7 +74,7 @@ def _only_one_kind(judged: Verdict, case: Case) -> Iterator[str]:
             "only: a joint or a tilt of the base would turn the tool by more. Look at what moves points alone: the "
             "target's seat on the tool, what the tracker reads, lengths."
         )
-    elif turned * _LEAST_LEVER * reach > max(moved, surely_moved):
+    elif turned * _MIN_LEVER * reach > max(moved, surely_moved):
         yield (
             f"Orientations miss by {np.degrees(turned):.3g}° beyond their floor and positions by {1e3 * moved:.2g} mm "
             "only: a joint far from the tool would move it by more. Look at what turns the tool alone: its seat, the "
@@ -92,7 +92,7 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
 
     chain: the arm before it was fitted, for a fitted one has links that make up for what is wrong.
     """
-    many = bool(case.wrong.mean() > MOST_REJECTED)
+    many = bool(case.wrong.mean() > MAX_REJECTED)
     looks = _looks(case, chain, many)
     other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
     if many or _far(case.errors["final"], chain):

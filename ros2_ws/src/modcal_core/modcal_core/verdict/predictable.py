@@ -31,13 +31,13 @@ from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regre
 from modcal_core.verdict.sparse import SparseRegressor
 from modcal_core.verdict.verdict import Share
 
-_MOST = 500  # samples; a longer recording is thinned evenly
-_LEAST_STATIONS = 15  # three in each fold; with fewer nothing can be said
+_MAX = 500  # samples; a longer recording is thinned evenly
+_MIN_STATIONS = 15  # three in each fold; with fewer nothing can be said
 _FLIPS = 64  # trials of noise, to which a Gumbel law is fitted
 _DRAWS = 400  # bootstrap samples
 _FARTHEST = 5.0  # times the median size; no sample may rule alone
 _FREE = 1e3  # deviations of the noise by which parameters may be off that were fitted to these very samples
-_LEAST_NEW = 0.02  # length that must be left of a column without what the parameters could make of it
+_MIN_NEW = 0.02  # length that must be left of a column without what the parameters could make of it
 _DOUBT = 2.0  # times; a kept covariance assumes white noise, which an arm that does not repeat has not
 
 
@@ -61,9 +61,9 @@ def predictable(case: Case) -> Predictable:
     frozen one on those that are scored.
     """
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
-    rows = rows[spread_rows(len(rows), _MOST)]
+    rows = rows[spread_rows(len(rows), _MAX)]
     samples = case.samples.select(rows)
-    if samples.stations < _LEAST_STATIONS:
+    if samples.stations < _MIN_STATIONS:
         return Predictable()
     fold, unit = _folds(samples, block_length(case.samples), case.samples)
     order = np.argsort(fold, kind="stable")
@@ -86,12 +86,12 @@ def predictable(case: Case) -> Predictable:
         before = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         columns = project(columns)
         size = np.sqrt(np.einsum("dr,dr->d", columns, columns))
-        keep = size > _LEAST_NEW * before
+        keep = size > _MIN_NEW * before
         if keep.any():
             columns = (columns if keep.all() else columns[keep]) / size[keep, None]
             tests.append(Ridge.of(group.name, columns, baseline))
     for name, waves in single_waves(case.model, samples, weight):
-        few = SparseRegressor.of(name, waves, baseline, project, _LEAST_NEW)
+        few = SparseRegressor.of(name, waves, baseline, project, _MIN_NEW)
         tests += [few] if few is not None else []
     return _weighed(tests, baseline, r, own, layout, unit)
 

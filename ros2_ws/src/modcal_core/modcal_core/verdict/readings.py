@@ -17,11 +17,11 @@ _STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
 _TELLING = 1e-4  # m; no arm's description is met to half of this, and some are met to half of the next step
 _LAST_DIGIT = 0.6  # of a step; rounding to it leaves 0.48 at the usual station, and joints of few digits some more
 _SAME = 0.01  # of a step; readings this close to its multiples are rounded to it
-_LEAST = 12  # samples from which a median is taken for the usual
+_MIN = 12  # samples from which a median is taken for the usual
 # rad RMS; any instrument that measures orientation does so better, and no arm in order turns its tool by more
 _TURNED = np.radians(2.0)
 _LEVER = 0.1  # of the reach; an error of the arm that turns the tool moves it by the angle times this, at least
-_MOST_BY_ARM = np.radians(5.0)
+_MAX_BY_ARM = np.radians(5.0)
 _FINE = 2e-5  # m; what rounding may make to be finer than any arm repeats
 _BY_ROUNDING = 1.6  # times what rounding makes: the tool reaches farther than the tip
 _MOSTLY = 0.5  # of the squared error
@@ -29,7 +29,7 @@ _MOVED = 1e-3  # rad or m; a joint that moved by more should be seen
 _REPEATED = 3  # readings in a row that are the same to the last digit
 _PILED, _PILED_SHARE = 5, 0.03  # stations, and share of them, at which a coordinate is the same to the last digit
 _ROUNDED = 0.2  # share of values that occur more than once, from which a column is rounded and repeats by itself
-_MOST_BITS = 16  # binary digits; single precision has 23, which is finer than instruments are
+_MAX_BITS = 16  # binary digits; single precision has 23, which is finer than instruments are
 _FINEST_STEP = 1e-7  # m or rad; what numbers are apart by less is no last digit
 _SEEN = 0.005  # m; readings that moved by more while the joints were the same
 
@@ -61,7 +61,7 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
     The nominal model is not met better than to repeatability by any arm, so rounded readings that it reproduces but for
     their last digit were computed as well; those in whole millimetres tell nothing, for some arms are as good as that.
     """
-    if len(samples) < _LEAST or not is_direct(samples.kinds) or all(f in samples.sockets for f in samples.frames):
+    if len(samples) < _MIN or not is_direct(samples.kinds) or all(f in samples.sockets for f in samples.frames):
         return ()
     step = _step(samples.reading)
     by_digit = _LAST_DIGIT * step if step <= _TELLING else 0.0
@@ -90,7 +90,7 @@ def too_good(
     """
     known = stated is not None and stated.rms_mm is not None and stated.instrument_mm is not None
     sockets = all(frame in samples.sockets for frame in samples.frames)
-    if known or sockets or len(samples) < _LEAST or not is_direct(samples.kinds) or not is_serial_arm(chain):
+    if known or sockets or len(samples) < _MIN or not is_direct(samples.kinds) or not is_serial_arm(chain):
         return ()
     nominal, final = (_rms(errors[stage].position_norm) for stage in ("nominal", "final"))
     if nominal > _NOMINAL * chain.reach() or final < _BETTERED * nominal or computed(errors, samples):
@@ -110,7 +110,7 @@ def rounded(errors: Mapping[str, Errors], samples: Samples, chain: Mechanism) ->
     Each joint's last digit is as wrong as a number between two steps is, step / √12, and moves the tip by its lever.
     """
     step = _step_of_joints(samples.q)
-    if not step or len(samples) < _LEAST or not is_direct(samples.kinds) or not is_serial_arm(chain):
+    if not step or len(samples) < _MIN or not is_direct(samples.kinds) or not is_serial_arm(chain):
         return ()
     tip = forward(chain, samples.q)[:, :3, 3]
     moved = np.stack([forward(chain, samples.q + step * e)[:, :3, 3] - tip for e in np.eye(chain.n)])
@@ -133,7 +133,7 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
     Each coordinate is as wrong as a number between two steps is, step / √12, which is step / 2 over three axes.
     """
     free = np.array([frame not in samples.sockets for frame in samples.frames])[samples.frame]  # a socket reads zero
-    if free.sum() < _LEAST or not is_direct(samples.kinds):
+    if free.sum() < _MIN or not is_direct(samples.kinds):
         return ()
     position = samples.reading[free]
     step = max(_step(position), min(_lattice(column) for column in position.T))
@@ -155,7 +155,7 @@ def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
 def _bits(x: np.ndarray) -> int:
     """Binary digits after the first that numbers are written with, 0 where they are many."""
     mantissa, _ = np.frexp(x)
-    for bits in range(4, _MOST_BITS + 1):
+    for bits in range(4, _MAX_BITS + 1):
         u = mantissa * 2.0 ** (bits + 1)
         if np.abs(u - np.round(u)).max() < 1e-6:
             return bits
@@ -180,7 +180,7 @@ def coarse_joints(left: Errors, scored: Samples, samples: Samples, chain: Mechan
 
     samples: all of the recording, which tell better than the scored ones what is rounded.
     """
-    if len(scored) < _LEAST or not is_direct(samples.kinds) or not is_serial_arm(chain):
+    if len(scored) < _MIN or not is_direct(samples.kinds) or not is_serial_arm(chain):
         return ()
     steps = np.array([_step_of_joints(q) if np.ptp(q) > _MOVED else 0.0 for q in samples.q.T])
     if not steps.any():
@@ -244,7 +244,7 @@ def cut_off(samples: Samples) -> tuple[str, ...]:
     out = []
     for f, frame in enumerate(samples.frames):
         rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")))
-        if frame in samples.sockets or len(rows) < _LEAST:
+        if frame in samples.sockets or len(rows) < _MIN:
             continue
         lost = _same_everywhere(samples.reading[rows])
         if lost is not None:
@@ -287,11 +287,11 @@ def _in_runs(same: np.ndarray) -> int:
 def turned(left: Errors, samples: Samples, chain: Mechanism) -> tuple[str, ...]:
     """Whether orientations miss by more than instrument and arm can, while positions fit."""
     angle = _rms(left.rotation_norm)
-    if len(left.rotation_norm) < _LEAST:
+    if len(left.rotation_norm) < _MIN:
         return ()
     # known scatter of the readings, and what an arm whose positions miss by so much could turn
     known = 3.0 * float(np.sqrt(3.0) * np.nan_to_num(np.nanmedian(np.r_[0.0, samples.sigma_rotation[samples.is_pose]])))
-    by_arm = min(_rms(left.position_norm) / (_LEVER * chain.reach()), float(_MOST_BY_ARM))
+    by_arm = min(_rms(left.position_norm) / (_LEVER * chain.reach()), float(_MAX_BY_ARM))
     if angle <= max(float(_TURNED), known, by_arm):
         return ()
     return (

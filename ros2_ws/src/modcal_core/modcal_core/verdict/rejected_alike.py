@@ -9,7 +9,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.verdict.case import Case
 
-_LEAST = 6  # rejected readings
+_MIN = 6  # rejected readings
 _MOSTLY = 0.8  # of them
 _USUAL = 97.5  # %; of the others' errors, up to which an error is usual
 _APART = 0.85  # chance that a rejected reading has more of something than another has (area under the curve)
@@ -20,7 +20,7 @@ _SPEED = 1e-3  # rad/s or m/s
 def rejected_alike(case: Case) -> tuple[str, ...]:
     """Sentences on what the rejected readings of a case have in common; none where that is nothing."""
     wrong = case.wrong
-    if wrong.sum() < _LEAST or (~wrong).sum() < _LEAST:
+    if wrong.sum() < _MIN or (~wrong).sum() < _MIN:
         return ()
     return (*_one_topic(case), *_one_half(case), *_apart(case))
 
@@ -40,7 +40,7 @@ def _one_half(case: Case) -> Iterator[str]:
     """Rejected poses of which only the orientation is wrong, or only the position."""
     pose = np.flatnonzero(case.samples.is_pose)
     wrong = case.wrong[pose]
-    if wrong.sum() < _LEAST or (~wrong).sum() < _LEAST:
+    if wrong.sum() < _MIN or (~wrong).sum() < _MIN:
         return
     gap, turn = case.residuals.position_norm[pose], case.residuals.rotation_norm
     usual_gap, usual_turn = (x <= np.percentile(x[~wrong], _USUAL) for x in (gap, turn))

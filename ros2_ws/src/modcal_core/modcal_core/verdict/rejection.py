@@ -9,7 +9,7 @@ import numpy as np
 from modcal_core.calibration.score import Errors, ErrorSize
 from modcal_core.measurements.samples import Samples
 
-MOST_SINGLE = 0.05  # share of readings up to which rejected ones are taken for single wrong readings
+MAX_SINGLE = 0.05  # share of readings up to which rejected ones are taken for single wrong readings
 
 
 @dataclass(frozen=True)

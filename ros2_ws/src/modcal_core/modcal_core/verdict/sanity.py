@@ -8,7 +8,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias
 
-_MOST_KG = 5000.0  # the heaviest serial arms weigh three tonnes in all
+_MAX_KG = 5000.0  # the heaviest serial arms weigh three tonnes in all
 
 
 def sane_inertias(inertias: Inertias | None, chain: Mechanism) -> tuple[Inertias | None, tuple[str, ...]]:
@@ -19,7 +19,7 @@ def sane_inertias(inertias: Inertias | None, chain: Mechanism) -> tuple[Inertias
     said = []
     for name, mass, com in zip(chain.names, inertias.mass, inertias.com, strict=True):
         away = float(np.linalg.norm(com))
-        if not np.isfinite(mass) or not np.isfinite(away) or not 0.0 <= mass <= _MOST_KG:
+        if not np.isfinite(mass) or not np.isfinite(away) or not 0.0 <= mass <= _MAX_KG:
             said.append(f"behind {name} a mass of {mass:.3g} kg")
         elif mass > 0.0 and away > reach:
             said.append(f"behind {name} a centre of mass {away:.3g} m away, where the arm reaches {reach:.2f} m")

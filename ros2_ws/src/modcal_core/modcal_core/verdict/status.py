@@ -8,7 +8,7 @@ import numpy as np
 
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.stated import Stated
-from modcal_core.measurements.returns import LEAST_RETURNS
+from modcal_core.measurements.returns import MIN_RETURNS
 from modcal_core.verdict.account import account
 from modcal_core.verdict.along_motion import along_motion
 from modcal_core.verdict.case import Case
@@ -25,13 +25,13 @@ from modcal_core.verdict.two_groups import two_groups
 from modcal_core.verdict.uneven import uneven
 from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
-MOST_REJECTED = 0.05  # share of the stations: one of twenty may be a wrong reading
-MOST_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost: 5 % in RMS
-MOST_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
-MOST_OF_REACH = 5e-4  # that returns may differ by; industrial arms repeat to some 1e-4 of their reach (ISO 9283 RP)
-MOST_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know to some tenths
-MOST_OVERSTATED = 4.0  # times what is left, in RMS; data sheets give what is never exceeded, some three times the usual
-MOST_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
+MAX_REJECTED = 0.05  # share of the stations: one of twenty may be a wrong reading
+MAX_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost: 5 % in RMS
+MAX_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
+MAX_OF_REACH = 5e-4  # that returns may differ by; industrial arms repeat to some 1e-4 of their reach (ISO 9283 RP)
+MAX_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know to some tenths
+MAX_OVERSTATED = 4.0  # times what is left, in RMS; data sheets give what is never exceeded, some three times the usual
+MAX_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
 
 
 def judge(
@@ -119,8 +119,8 @@ def _not_reached(grounds: Grounds) -> Iterator[str]:
 def _rejected(case: Case, grounds: Grounds) -> Iterator[str]:
     station = case.samples.station
     count, of = len(np.unique(station[case.wrong])), len(np.unique(station))
-    if count > MOST_REJECTED * of:
-        share = f"{count / of:.0%}; up to {MOST_REJECTED:.0%} may be wrong readings"
+    if count > MAX_REJECTED * of:
+        share = f"{count / of:.0%}; up to {MAX_REJECTED:.0%} may be wrong readings"
         yield f"{count} of {of} stations were rejected ({share})."
     for first, last in grounds.rejected_runs:
         yield f"Stations {first} to {last} were rejected in sequence: something was different there."
@@ -134,7 +134,7 @@ def _rejected(case: Case, grounds: Grounds) -> Iterator[str]:
 def _not_applied(case: Case, grounds: Grounds) -> Iterator[str]:
     square = float(mean_square(case.errors["final"], angle=False).mean())
     for item in grounds.not_applied:
-        if item.cost_mm2 > MOST_NOT_APPLIED * square:
+        if item.cost_mm2 > MAX_NOT_APPLIED * square:
             yield (
                 f"The effect '{item.effect}' could not be applied ({item.why}); that costs {item.cost_mm2:.3g} mm² of "
                 f"{square:.3g} mm²."
@@ -143,7 +143,7 @@ def _not_applied(case: Case, grounds: Grounds) -> Iterator[str]:
 
 def _predictable(seen: Predictable) -> Iterator[str]:
     share = seen.both
-    if share is not None and share.lower99 > MOST_PREDICTABLE:
+    if share is not None and share.lower99 > MAX_PREDICTABLE:
         yield (
             f"About {share.share:.0%} of the squared error that is left can be predicted from {seen.source} "
             f"(at least {share.lower99:.0%}, 99 %), and the model does not explain it."
@@ -166,10 +166,10 @@ def _along_motion(case: Case, stated: Stated | None) -> Iterator[str]:
 def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
     """Returns that differ by more than arms do, unless it was stated that this one does."""
     stated = stated or Stated()
-    limit = 1e3 * MOST_OF_REACH * case.model.chain.reach()
+    limit = 1e3 * MAX_OF_REACH * case.model.chain.reach()
     for floor, most, own, unit in (
         (known.position, limit, stated.rms_mm, " mm"),
-        (known.rotation, MOST_TURNED, stated.repeatability_deg, "°"),
+        (known.rotation, MAX_TURNED, stated.repeatability_deg, "°"),
     ):
         if floor is None or floor.repeatability.source != "revisits" or own is not None or floor.rms <= most:
             continue
@@ -206,7 +206,7 @@ def _below_stated(case: Case, floor: Floor | None, angle: bool) -> Iterator[str]
     station = case.samples.station[case.held_out]
     station = station[case.samples.is_pose[case.held_out]] if angle else station
     square, (_, high) = resampled(mean_square(case.errors["final"], angle), station)
-    if high < floor.square / MOST_OVERSTATED**2:
+    if high < floor.square / MAX_OVERSTATED**2:
         unit, what = ("°", "orientation") if angle else (" mm", "position")
         yield (
             f"{floor.rms:.3g}{unit} was stated for the {what} of arm and instrument together, and only "
@@ -221,7 +221,7 @@ def _above_floor(case: Case, floor: Floor | None, own: float, angle: bool) -> It
     station = case.samples.station[case.held_out]
     station = station[case.samples.is_pose[case.held_out]] if angle else station
     square, (low, _) = resampled(mean_square(case.errors["final"], angle), station)
-    if low > MOST_ABOVE_FLOOR * floor.interval[1] + own:
+    if low > MAX_ABOVE_FLOOR * floor.interval[1] + own:
         unit, what = ("°", "Orientation") if angle else (" mm", "Position")
         how = "returns show" if floor.repeatability.source == "revisits" else "was stated"
         yield (
@@ -243,9 +243,9 @@ def _vague(floor: Floor | None, own: float, unit: str) -> str:
 def _remedy(known: Floors, angles: bool, stated: Stated | None) -> str:
     stated = stated or Stated()
     ways = []
-    if known.position is None or known.returns < LEAST_RETURNS:
+    if known.position is None or known.returns < MIN_RETURNS:
         seen = f" ({known.returns} so far)" if known.returns else ""
-        ways.append(f"visit {LEAST_RETURNS} of these postures twice, from another side the second time{seen}")
+        ways.append(f"visit {MIN_RETURNS} of these postures twice, from another side the second time{seen}")
     missing = []
     if known.position is None:
         missing += ["the arm's repeatability"] if stated.rms_mm is None else []

@@ -24,9 +24,9 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import is_serial_arm
 from modcal_core.verdict.case import Case, weights
 
-_MOST = 300  # samples; more are thinned evenly
-_LEAST = 30  # samples
-_LEAST_OF_THEM = 0.1  # share of the samples in the smaller group
+_MAX = 300  # samples; more are thinned evenly
+_MIN = 30  # samples
+_MIN_OF_THEM = 0.1  # share of the samples in the smaller group
 _EXPLAINED = 0.5  # share of the squares
 _SEPARATE = 0.85  # share of the squares along the motion; a wave, of all that is not two-valued the most, has 0.81
 _ROUNDS = 12  # iterations
@@ -71,9 +71,9 @@ class _Motion:
 def two_groups(case: Case) -> TwoGroups | None:
     """Two groups that most of what a case leaves falls into, None where there are none."""
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
-    rows = rows[spread_rows(len(rows), _MOST)]
+    rows = rows[spread_rows(len(rows), _MAX)]
     chain = case.model.chain
-    if len(rows) < _LEAST or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
+    if len(rows) < _MIN or not is_serial_arm(chain) or not is_direct(case.samples.kinds):
         return None
     samples = case.samples.select(rows)
     view = RowView.of(case.model, samples, case.model.drivers(samples))
@@ -149,7 +149,7 @@ def _split(columns: Array, residual: Array) -> tuple[float, Array, Array] | None
     assert best is not None
     share, sign, theta, separate = best
     few = min(float(np.mean(sign > 0.0)), float(np.mean(sign < 0.0)))
-    return (share, sign, theta) if share >= _EXPLAINED and separate >= _SEPARATE and few >= _LEAST_OF_THEM else None
+    return (share, sign, theta) if share >= _EXPLAINED and separate >= _SEPARATE and few >= _MIN_OF_THEM else None
 
 
 def _separate(off: Array, along: Array, sign: Array) -> float:

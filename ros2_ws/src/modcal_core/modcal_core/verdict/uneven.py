@@ -16,7 +16,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.verdict.case import Case, weights
 
-_LEAST = 40  # stations
+_MIN = 40  # stations
 _WINDOWS = (8, 12, 18, 27, 40, 60)  # stations; half as long again each
 _TIMES = 6.25  # mean square in the window, in that of the rest: two and a half times in RMS, more than levers make
 _SHARE = 0.25  # of all squares, that the window has beyond what as many of the rest have
@@ -45,7 +45,7 @@ def uneven(case: Case) -> Uneven | None:
     """The stations at which what a case leaves scatters far more than at the others, None where there are none."""
     rows = np.arange(len(case.wrong)) if case.fitted else case.held_out  # rejected ones too: they scatter most
     rows = rows[~case.samples.moving[rows]]
-    if len(rows) < _LEAST or not is_direct(case.samples.kinds):
+    if len(rows) < _MIN or not is_direct(case.samples.kinds):
         return None
     samples = case.samples.select(rows)
     view = RowView.of(case.model, samples, case.model.drivers(samples))
@@ -57,7 +57,7 @@ def uneven(case: Case) -> Uneven | None:
     stations, of = np.unique(number, return_inverse=True)
     mean = np.bincount(of, square) / np.bincount(of)
     mean = np.minimum(mean, _FARTHEST**2 * float(np.median(mean)))
-    if len(mean) < _LEAST or not mean.sum() > 0.0:
+    if len(mean) < _MIN or not mean.sum() > 0.0:
         return None
     found = _largest(mean[None])
     if found is None:

@@ -33,7 +33,7 @@ _SPEEDS = {"rad/s": "rad/s", "rad/sec": "rad/s", "rads": "rad/s", "deg/s": "deg/
 _TORQUES = {"nm": "N m", "n-m": "N m", "n.m": "N m", "n": "N", "nmm": "N mm", "knm": "kN m"}
 _PER_DEGREE = np.pi / 180.0
 _GAP = 0.25  # s between rows that are one motion, so that the slope of the joints is their speed
-_MOVING, _LEAST_MOVING = 0.02, 20  # rad/s, and values that move as fast or faster, to tell a unit
+_MOVING, _MIN_MOVING = 0.02, 20  # rad/s, and values that move as fast or faster, to tell a unit
 _SURE = 0.9  # correlation of speeds with slopes
 _SLOPE = 1.25  # factor by which the scale of speeds may be off: filters of controllers and coarse stamps
 _HOLDS = 0.8  # correlation of efforts with what gravity asks, from which their sign is told
@@ -185,7 +185,7 @@ def _slope(values: Array, q: Array, stamps: Array) -> float | None:
         & ((step > 0.0) & (step < 2.0 * _GAP))[:, None]
         & (abs(slopes) > _MOVING)
     )
-    if keep.sum() < _LEAST_MOVING:
+    if keep.sum() < _MIN_MOVING:
         return None
     a, b = slopes[keep], seen[keep]
     if float(a @ b) < _SURE * float(np.linalg.norm(a) * np.linalg.norm(b)):
@@ -226,7 +226,7 @@ def _effort(
 def _holds(chain: Chain, inertias: Inertias | None, q: Array, effort: Array) -> float:
     """Correlation of efforts (N, n) with what holds the bodies up against gravity; 0 where these are not known."""
     rows = np.isfinite(q).all(axis=1) & np.isfinite(effort).all(axis=1)
-    if inertias is None or not inertias.known or rows.sum() < _LEAST_MOVING:
+    if inertias is None or not inertias.known or rows.sum() < _MIN_MOVING:
         return 0.0
     turning = np.asarray(chain.revolute, bool)
     wrench = gravity_wrench(chain, inertias, q[rows])

@@ -15,11 +15,11 @@ from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VEL
 from modcal_msgs_py.tables.sniff import Sniffed
 from modcal_msgs_py.tables.table import number
 
-_LEAST_FILLED = 0.3  # share of the rows in which a column must have a number
+_MIN_FILLED = 0.3  # share of the rows in which a column must have a number
 _NUMBER = re.compile(r"\d{1,4}(?=\D*$)")  # the last one in a label
 _NINES = re.compile(r"-?9{3,}([.,][09]*)?")  # what exports write for "no reading"
 _FAR = 5.0  # times the largest other number of a column, that such a number is away
-_MOST_BODIES = 48  # places of columns that are tried without labels
+_MAX_BODIES = 48  # places of columns that are tried without labels
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Numbers:
         for k in range(self.values.shape[1]):
             column = self.values[:, k]
             column = column[np.isfinite(column)]
-            if len(column) >= max(3, _LEAST_FILLED * len(self.values)) and float(np.ptp(column)) > 1e-9:
+            if len(column) >= max(3, _MIN_FILLED * len(self.values)) and float(np.ptp(column)) > 1e-9:
                 out.append(k)
         return out
 
@@ -115,7 +115,7 @@ def bodies(numbers: Numbers, joints: set[int], time: set[int]) -> list[Body]:
     """Places of columns that may hold the readings, the likeliest first."""
     free = [k for k in numbers.usable() if k not in time]
     # constants may be part of a pose, too: a matrix's last row, an angle that never changed
-    filled = [k for k in range(numbers.values.shape[1]) if np.isfinite(numbers.values[:, k]).mean() >= _LEAST_FILLED]
+    filled = [k for k in range(numbers.values.shape[1]) if np.isfinite(numbers.values[:, k]).mean() >= _MIN_FILLED]
     labelled = {k: numbers.labels[k] for k in filled if k not in time and k not in joints}
     turning = {k: label for k, label in labelled.items() if label.role != OTHER}
     positions: dict[str, dict[str, int]] = {}
@@ -178,7 +178,7 @@ def _unnamed(
         out += [Body(p, t, False) for t in beside if _is_turned(numbers, t)]
     if not turns:
         out += [Body(p, None, False) for p in runs]
-    return out[:_MOST_BODIES]
+    return out[:_MAX_BODIES]
 
 
 def _windows(numbers: Numbers, filled: list[int]) -> list[tuple[int, ...]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from modcal_core.errors import BadTable
 
-_MOST_LINES, _MOST_KINDS = 20, 12  # that a message lists; more are counted
+_MAX_LINES, _MAX_KINDS = 20, 12  # that a message lists; more are counted
 
 
 @dataclass
@@ -42,9 +42,9 @@ class Faults:
                 remedy = "correct the cells, leave the rows out, or state missing: skip"
         if not told:
             return
-        more = f"; {len(told) - _MOST_KINDS} more reasons" if len(told) > _MOST_KINDS else ""
+        more = f"; {len(told) - _MAX_KINDS} more reasons" if len(told) > _MAX_KINDS else ""
         count = f"{len(rows)} faulty rows: " if len(rows) > 1 else ""
-        raise BadTable(self.file, f"{count}{'; '.join(told[:_MOST_KINDS])}{more}", remedy)
+        raise BadTable(self.file, f"{count}{'; '.join(told[:_MAX_KINDS])}{more}", remedy)
 
     def notes(self) -> list[str]:
         """A sentence for each reason why rows were left out."""
@@ -62,5 +62,5 @@ def _told(column: str, cells: list[tuple[int, str]]) -> str:
 
 
 def _lines(lines: list[int]) -> str:
-    more = f" and {len(lines) - _MOST_LINES} more" if len(lines) > _MOST_LINES else ""
-    return f"line{'s' if len(lines) > 1 else ''} {', '.join(map(str, lines[:_MOST_LINES]))}{more}"
+    more = f" and {len(lines) - _MAX_LINES} more" if len(lines) > _MAX_LINES else ""
+    return f"line{'s' if len(lines) > 1 else ''} {', '.join(map(str, lines[:_MAX_LINES]))}{more}"

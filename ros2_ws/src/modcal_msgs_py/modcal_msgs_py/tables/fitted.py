@@ -18,14 +18,14 @@ from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 
 
-MOST_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
+MAX_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
 
 
 def units(chain: Chain, q: Array) -> list[tuple[str, str]]:
     """Units that the joints may be in, of turning and of sliding ones."""
     turning = np.asarray(chain.revolute, bool)
     largest = float(np.abs(q[:, turning]).max(initial=0.0))
-    angles = ["deg"] if largest > MOST_RAD else ["rad", "deg"]
+    angles = ["deg"] if largest > MAX_RAD else ["rad", "deg"]
     lengths = ["m"] if turning.all() else list(LENGTHS)
     return list(product(angles if turning.any() else ["rad"], lengths))
 

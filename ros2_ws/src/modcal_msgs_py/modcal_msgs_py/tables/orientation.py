@@ -16,8 +16,8 @@ from modcal_msgs_py.tables.table import Table
 
 FORMS = ("euler", "quaternion", "rotvec", "matrix")
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-_MOST_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
-_LEAST_LENGTH = 1e-6  # of a quaternion
+_MAX_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
+_MIN_LENGTH = 1e-6  # of a quaternion
 _NOT_A_ROTATION = 0.02  # by which an element of RᵀR may be off; exports have three digits and more
 
 
@@ -34,7 +34,7 @@ def orientation(table: Table, reading: Mapping[str, Any], there: np.ndarray, whe
     if form == "quaternion":
         length = np.linalg.norm(values[rows], axis=1)
         said = "a quaternion of zeros is not an orientation"
-        rows = _without(table, rows, length > _LEAST_LENGTH, stated["columns"][0], said)
+        rows = _without(table, rows, length > _MIN_LENGTH, stated["columns"][0], said)
         return _of(len(table), rows, Rotation.from_quat(_signed(values[rows], stated)).as_matrix())
     if form == "matrix":
         R = values[rows].reshape(-1, 3, 3)
@@ -51,7 +51,7 @@ def orientation(table: Table, reading: Mapping[str, Any], there: np.ndarray, whe
         return _of(len(table), rows[proper], so3.nearest_rotation(R[proper]) if proper.any() else R[proper])
     scale = _ANGLES[stated["unit"]]
     angles = scale * values[rows]
-    if stated["unit"] == "rad" and (largest := float(np.abs(angles).max(initial=0.0))) > _MOST_RAD:
+    if stated["unit"] == "rad" and (largest := float(np.abs(angles).max(initial=0.0))) > _MAX_RAD:
         raise BadTable(where, f"angles reach {largest:.0f} rad: they look like degrees", "state unit: deg")
     if form == "rotvec":
         return _of(len(table), rows, Rotation.from_rotvec(angles).as_matrix())

@@ -16,13 +16,13 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.plausibility.joint_columns import likely_orders
-from modcal_core.plausibility.meanings import LEAST_ROWS, Postures, judge, rivals, same_poses
+from modcal_core.plausibility.meanings import MIN_ROWS, Postures, judge, rivals, same_poses
 from modcal_core.plausibility.turning import MATRIX, Turning
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_msgs_py.tables.beside import OtherColumns, find_beside
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool
-from modcal_msgs_py.tables.fitted import MOST_RAD, ColumnChoice, Fitted, differences, missed, scales, units, worse
+from modcal_msgs_py.tables.fitted import MAX_RAD, ColumnChoice, Fitted, differences, missed, scales, units, worse
 from modcal_msgs_py.tables.labels import MEASURED, turn_labels
 from modcal_msgs_py.tables.moments import RowTimes, find_time
 from modcal_msgs_py.tables.reached import decided, deviation_columns, with_deviations
@@ -33,7 +33,7 @@ from modcal_msgs_py.tables.together import Together, together
 
 NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm
 _ORDERS = 6  # of columns without labels that are judged in full
-_MOST_BODIES = 10  # that are judged where labels do not tell
+_MAX_BODIES = 10  # that are judged where labels do not tell
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ def find(
     watch(f"reading {path.name}")
     joined = together(paths)
     numbers = Numbers.of(joined.sniffed)
-    if len(numbers.values) < LEAST_ROWS:
-        said = f"has {len(numbers.values)} rows, {LEAST_ROWS} are needed to tell what its columns are"
+    if len(numbers.values) < MIN_ROWS:
+        said = f"has {len(numbers.values)} rows, {MIN_ROWS} are needed to tell what its columns are"
         raise BadTable(path.name, said, "write a mapping, see docs/import.md")
     sure = orthonormal(numbers)
     labelled = [
@@ -157,7 +157,7 @@ def _every_fit(
 def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
     """These places with their meanings; of columns that are explained already no other place is looked for."""
     out: list[Fitted] = []
-    for body in places[:_MOST_BODIES]:
+    for body in places[:_MAX_BODIES]:
         if any(_covers(f.body, body) and f.best.explained(chain) for f in out):
             continue
         if (fitted := _fitted(numbers, chain, body, choices)) is not None:
@@ -180,7 +180,7 @@ def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[
     used = [*columns_of(body), *(k for j in joint_columns for k in j.columns)]
     rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
     rows = rows[~(numbers.values[np.ix_(rows, zeros_of(body))] == 0.0).all(axis=1)]
-    if len(rows) < LEAST_ROWS:
+    if len(rows) < MIN_ROWS:
         return None
     values = numbers.values[rows]
     choices: list[ColumnChoice] = []
@@ -216,7 +216,7 @@ def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[
     values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
     largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
     found = []
-    for scale in (np.pi / 180.0,) if largest > MOST_RAD else (1.0, np.pi / 180.0):
+    for scale in (np.pi / 180.0,) if largest > MAX_RAD else (1.0, np.pi / 180.0):
         found += likely_orders(chain, values, scale, columns, triples, _ORDERS)
     found.sort(key=lambda order: order.left)
     out: list[Fitted] = []

@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import BEARING, RANGE, TOUCH
 from modcal_core.plausibility.conventions import BEYOND_DOUBT
-from modcal_core.plausibility.meanings import LEAST_ROWS, LENGTHS
+from modcal_core.plausibility.meanings import LENGTHS, MIN_ROWS
 from modcal_core.plausibility.sights import Sighting, SightMatch, sights_match
 from modcal_core.robots.chain import Chain
 from modcal_msgs_py.tables.candidates import JointColumns, Numbers
@@ -25,7 +25,7 @@ _HEIGHT = {"height", "plane", "dial", "indicator", "gap", "clearance", "gauge", 
 _AZIMUTH = {"azimuth", "az", "hz", "horizontal", "ha", "azim", "hza"}
 _SECOND = {"elevation", "el", "elev", "altitude", "vertical", "vert", "zenith", "zen", "v", "za", "va"}
 _ANGLES = ("deg", "rad", "gon")
-_MOST_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
+_MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
 _VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
 _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane"}
 
@@ -141,7 +141,7 @@ def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
             continue
         values = numbers.values[:, list(triple)]
         length = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
-        if len(length) >= LEAST_ROWS and (np.abs(length - 1.0) < _VECTOR).mean() > 0.9:
+        if len(length) >= MIN_ROWS and (np.abs(length - 1.0) < _VECTOR).mean() > 0.9:
             out.append(SightColumns(_vector_name(numbers, first), BEARING, triple))
             used |= set(triple)
     stations = {one.frame for one in out}
@@ -200,7 +200,7 @@ def find_sights(
     used = [k for one in instruments for k in one.columns] + [k for j in joint_columns for k in j.columns]
     whole = np.isfinite(numbers.values[:, used]).all(axis=1)
     rows = np.flatnonzero(whole)
-    if len(rows) < LEAST_ROWS:
+    if len(rows) < MIN_ROWS:
         return None
     values = numbers.values[rows]
     choices, postures = [], []
@@ -251,7 +251,7 @@ def _ways(values: Array, instruments: Sequence[SightColumns]) -> Iterator[_Way]:
         yield ("", False, False)
         return
     largest = max(float(np.abs(values[:, list(one.columns)]).max()) for one in angles)
-    some = [unit for unit in _ANGLES if unit != "rad" or largest < _MOST_RAD]
+    some = [unit for unit in _ANGLES if unit != "rad" or largest < _MAX_RAD]
     yield from product(some, (False, True), (False, True))
 
 

@@ -15,7 +15,7 @@ from modcal_msgs_py.tables.table import MISSING
 
 _SEPARATORS = (";", "\t", ",", "|", BLANKS)  # where two read as much, the first: blanks also stand inside cells
 _LINES = 300  # that are looked at to find out how a file is written
-_LEAST_COLUMNS = 3
+_MIN_COLUMNS = 3
 _NUMBERS = 0.5  # share of the cells of a row of numbers
 _MAX_BYTES = 1 << 29
 _PATTERN = {
@@ -51,7 +51,7 @@ class Sniffed:
         return max(len(row) for row in self.rows)
 
 
-def sniff(path: Path, least: int = _LEAST_COLUMNS) -> Sniffed:
+def sniff(path: Path, least: int = _MIN_COLUMNS) -> Sniffed:
     """How a file is written. least: columns with numbers. Raises BadTable where no block of such rows is found."""
     text, encoding, sure = _text(path)
     lines = text.split("\n")

@@ -15,14 +15,14 @@ from modcal_msgs_py.tables.rigid import rigid_poses
 _MOVES = 0.05  # of what the liveliest point moves; less is a target that stands
 _RIGID = 2e-3  # of what the points move, by which their distance may scatter
 _APART = 20.0  # times that scatter, that points and the line through them must be apart
-_LEAST = 3  # targets that make a pose
+_MIN = 3  # targets that make a pose
 _MAD = 1.4826  # standard deviation of a Gaussian whose median absolute deviation is one
 
 
 def rigid_bodies(numbers: Numbers, places: Sequence[Body]) -> list[Body]:
     """Bodies of three targets or more among labelled points, the largest first; none where no three are rigid."""
     triples = list(dict.fromkeys(body.position for body in places if body.named))
-    if len(triples) < _LEAST:
+    if len(triples) < _MIN:
         return []
     points = {triple: numbers.values[:, list(triple)] for triple in triples}
     moves = {triple: _motion(p) for triple, p in points.items()}
@@ -41,10 +41,10 @@ def rigid_bodies(numbers: Numbers, places: Sequence[Body]) -> list[Body]:
         for other in alive[i + 1 :]:
             if all(rigid(known, other) for known in group):
                 group.append(other)
-        if len(group) < _LEAST or any(set(group) <= {t for _, t in body.points} for body in found):
+        if len(group) < _MIN or any(set(group) <= {t for _, t in body.points} for body in found):
             continue
         rows = np.isfinite(np.concatenate([points[t] for t in group], axis=1)).all(axis=1)
-        if rows.sum() < _LEAST:
+        if rows.sum() < _MIN:
             continue
         shape = rigid_poses(np.stack([points[t][rows] for t in group], axis=1))[1]
         if np.linalg.svd(shape, compute_uv=False)[1] < _APART * max(
@@ -65,7 +65,7 @@ def _scatter(a: Array, b: Array) -> tuple[float, float]:
     """(distance, its scatter) of two points, medians."""
     d = np.linalg.norm(a - b, axis=1)
     d = d[np.isfinite(d)]
-    if len(d) < _LEAST:
+    if len(d) < _MIN:
         return 0.0, np.inf
     middle = float(np.median(d))
     return middle, _MAD * float(np.median(np.abs(d - middle)))

@@ -18,7 +18,7 @@ from modcal_msgs_py.tables.sheet import Form, Sheet
 from modcal_msgs_py.tables.sniff import Sniffed, sniff
 from modcal_msgs_py.tables.table import Table
 
-_LEAST_COLUMNS = 2  # of a further file: the shared one, and one more
+_MIN_COLUMNS = 2  # of a further file: the shared one, and one more
 _SHARED = 0.5  # of the rows must have a partner
 _KEYS = {
     "station",
@@ -58,7 +58,7 @@ def together(paths: Sequence[Path]) -> Together:
 
 
 def _joined(known: Together, path: Path) -> Together:
-    ours, theirs = Numbers.of(known.sniffed), Numbers.of(sniff(path, _LEAST_COLUMNS))
+    ours, theirs = Numbers.of(known.sniffed), Numbers.of(sniff(path, _MIN_COLUMNS))
     found = _keys(ours, theirs)
     if found is None:
         said = f"shares no column of station numbers or times with {known.sniffed.path.name}"

@@ -113,7 +113,7 @@ def _labelled(path: Path, line: int) -> TextTrack:
     values = _METRES[unit] * numbers.values[:, list(named[0])]
     if turns:
         values = np.hstack([values, numbers.values[:, list(turns[0])]])
-    kept: np.ndarray = np.isfinite(values).all(axis=1)
+    kept: np.ndarray = np.asarray(np.isfinite(values).all(axis=1))
     stamps = None
     if "seconds" in time.stated:
         stamps = SECONDS[time.stated.get("unit", "s")] * numbers.values[:, time.columns[0]]

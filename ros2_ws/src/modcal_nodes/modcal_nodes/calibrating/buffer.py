@@ -19,7 +19,7 @@ _JUMP = 1.0  # s
 _OVERTAKEN = 500  # messages by which one topic may be ahead of another
 
 
-class _Piece:
+class _MessageBlock:
     """Messages of one stretch of time. joints_from, joints_to: stamps of joint states [s]. last: of every source."""
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class _Piece:
             self._builder.lose(message[0], why_left_out(error))
             raise
 
-    def awaits(self, source: tuple[str, str], stamp: float, newer: _Piece) -> bool:
+    def awaits(self, source: tuple[str, str], stamp: float, newer: _MessageBlock) -> bool:
         """Whether a reading that comes when a newer piece has begun is of this piece's time."""
         if newer.joints_from > self.joints_from:
             return self.joints_from <= stamp < newer.joints_from
@@ -67,8 +67,8 @@ class Buffer:
         """Forget everything."""
         self.forgotten += 1
         self._pieces: list[Recording] = []
-        self._before: _Piece | None = None
-        self._now = _Piece()
+        self._before: _MessageBlock | None = None
+        self._now = _MessageBlock()
         self._early: list[tuple[tuple[str, str], float, tuple[str, str, Any, float]]] = []
         self.samples = None
         self.dropped: Dropped = ()  # of what is remembered as samples only
@@ -117,7 +117,7 @@ class Buffer:
                 self._finish(self._before)
             # Each topic is taken in one go: its messages come up to a hundred before, or after, those of another. So
             # readings of the piece that ends may come yet; where the clock was set back, some since may have come.
-            self._before, self._now = self._now, _Piece()
+            self._before, self._now = self._now, _MessageBlock()
             if set_back:
                 self._take_early()
         self._now.joints_from = stamp if math.isnan(self._now.joints_from) else self._now.joints_from
@@ -128,7 +128,7 @@ class Buffer:
             self._now.add(*early)
         self._early.clear()
 
-    def _finish(self, piece: _Piece) -> None:
+    def _finish(self, piece: _MessageBlock) -> None:
         self._pieces.append(piece.recording())
 
     @property

@@ -14,13 +14,13 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.online.supervisor import BETTER
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
-from modcal_nodes.calibrating.corners import LEAST, CameraSolved, CornerIntake, solve_corners
+from modcal_nodes.calibrating.corners import MIN, CameraSolved, CornerIntake, solve_corners
 from modcal_nodes.calibrating.kept_images import forget_images, read_images, write_images
 from modcal_nodes.calibrating.publishers import Publishers
 from modcal_nodes.calibrating.worker import SolveWorker
 
 
-class _Log(Protocol):
+class _InfoLog(Protocol):
     def info(self, message: str) -> Any: ...
 
     def warning(self, message: str) -> Any: ...
@@ -34,7 +34,7 @@ class ByCamera:
         intake: CornerIntake,
         chosen: dict[str, Any],
         outputs: Publishers,
-        log: _Log,
+        log: _InfoLog,
         trusted: Callable[[dict[str, str]], None],
     ) -> None:
         """chosen: the node's parameters."""
@@ -80,8 +80,8 @@ class ByCamera:
     ) -> str:
         """Have the corners solved by the worker, under this name; returns why not, or nothing."""
         count = len(self.intake.images)
-        if count < LEAST:
-            return f"{count} images of the target at different postures, at least {LEAST} are needed"
+        if count < MIN:
+            return f"{count} images of the target at different postures, at least {MIN} are needed"
         chosen = self._chosen
         self._given = [list(one.images) for one in self.intake.every]
         job = self.intake.job(

@@ -33,12 +33,12 @@ from modcal_core.robot import Robot
 from modcal_msgs_py.corners import read_corners
 from modcal_nodes.ros.health import OK, WARN, Status
 
-LEAST = 8  # images, from which a solve is tried
+MIN = 8  # images, from which a solve is tried
 _JOINTS_S = 10.0  # s of joint states that are remembered
 _STILL = 1e-3  # rad or m that a joint of an arm that stands moves around an image
 _AROUND_S = 0.1  # s on either side of an image
 _OTHER = 0.02  # rad or m by which a joint differs between two postures
-_MOST = 400  # images; older ones go
+_MAX = 400  # images; older ones go
 _BEFORE = 5  # images of the calibration that those behind it are compared with
 _WAITING = 50  # images whose joint states have not come yet
 
@@ -198,7 +198,7 @@ class CornerIntake:
         if self.images and np.abs(self.images[-1][1] - q).max() < _OTHER:
             return
         self.images.append((view, q))
-        del self.images[:-_MOST]
+        del self.images[:-_MAX]
         if self._watching.watch is not None:
             self._watching.moved = self._watching.watch.image(view, q, self.name)
 
@@ -224,7 +224,7 @@ class CornerIntake:
     def job(self, **rest: Any) -> CornerJob:
         """What a solve needs, of those cameras that have seen enough. rest: fields that the arm and the node know."""
         assert self.size is not None
-        further = tuple(one._seen() for one in self.further if len(one.images) >= LEAST)
+        further = tuple(one._seen() for one in self.further if len(one.images) >= MIN)
         first = self._seen()
         return CornerJob(tuple(first.views), first.q, self.size, self.target, further=further, **rest)
 
@@ -253,7 +253,7 @@ class CornerIntake:
             facts["last result"] = self.verdict
         if self.moved is not None:
             return Status("camera", WARN, f"{self.moved.sentence}: solve again from images since", facts)
-        if len(self.images) < LEAST:
-            said = f"{len(self.images)} of {LEAST} images at different postures, 25 to 30 are better"
+        if len(self.images) < MIN:
+            said = f"{len(self.images)} of {MIN} images at different postures, 25 to 30 are better"
             return Status("camera", WARN if not self.verdict else OK, said, facts)
         return Status("camera", OK, self.verdict or f"{len(self.images)} images: call ~/solve", facts)

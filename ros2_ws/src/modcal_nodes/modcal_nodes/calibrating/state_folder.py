@@ -11,7 +11,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_nodes.calibrating.state import State, StateLock, read_state, write_state
 
 
-class _Log(Protocol):
+class _WarningLog(Protocol):
     def warning(self, message: str) -> Any: ...
 
     def error(self, message: str) -> Any: ...
@@ -20,7 +20,7 @@ class _Log(Protocol):
 class StateFolder:
     """path: of the folder, None where nothing is kept."""
 
-    def __init__(self, folder: str, log: _Log) -> None:
+    def __init__(self, folder: str, log: _WarningLog) -> None:
         """Lock the folder. Raises BadTable where another calibrator uses it."""
         self.path = Path(folder) if folder else None
         self._log = log

@@ -32,7 +32,7 @@ from modcal_nodes.io.articulated import write_articulation
 from modcal_nodes.io.inputs import read_calibration
 
 _EXISTING = click.Path(exists=True, path_type=Path)
-_MOST = 2000  # samples; of more, evenly chosen ones say the same
+_MAX = 2000  # samples; of more, evenly chosen ones say the same
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def articulate_command(
         handle = next((name for name in topic if "=" not in name), None)
         topics = Topics.of([name for name in topic if "=" in name], ignore, tf)
         read = _of_bag(read_bag(bag, topics=_with_handle(bag, topics, handle)), handle, urdf, calibration, base, tip)
-    rows = np.unique(np.linspace(0, len(read.values) - 1, _MOST).round().astype(int))  # first and last pose too
+    rows = np.unique(np.linspace(0, len(read.values) - 1, _MAX).round().astype(int))  # first and last pose too
     values = read.values[rows]
     with about(str(bag)):
         track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])

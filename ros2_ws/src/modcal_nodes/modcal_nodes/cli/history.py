@@ -64,7 +64,7 @@ def read_history(folder: Path) -> tuple[History, ...]:
     if not parts:
         said = "holds no folder of modcal calibrate or modcal check"
         raise BadTable(str(folder), said, "keep a robot's calibrations and checks as folders in one folder")
-    shelves: dict[Path, list[_Kept]] = {}
+    shelves: dict[Path, list[_FolderContents]] = {}
     for part in parts:
         shelves.setdefault(part.parent, []).append(_kept(part, folder))
     histories = [h for shelf, kept in shelves.items() for h in _histories(shelf.relative_to(folder).as_posix(), kept)]
@@ -74,7 +74,7 @@ def read_history(folder: Path) -> tuple[History, ...]:
     return tuple(histories)
 
 
-def _histories(shelf: str, kept: list[_Kept]) -> Iterator[History]:
+def _histories(shelf: str, kept: list[_FolderContents]) -> Iterator[History]:
     """Of the robots of one folder: one, unless descriptions differ."""
     robots = sorted({k.robot for k in kept if k.robot})
     for robot in robots:
@@ -93,7 +93,7 @@ def _histories(shelf: str, kept: list[_Kept]) -> Iterator[History]:
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _FolderContents:
     """What a folder keeps. robot: fingerprint, empty where it keeps no model. name: of the robot. values: by name."""
 
     robot: str
@@ -102,7 +102,7 @@ class _Kept:
     values: Values
 
 
-def _kept(part: Path, folder: Path) -> _Kept:
+def _kept(part: Path, folder: Path) -> _FolderContents:
     check, report = _json(part / "check.json"), _json(part / "report.json")
     calibration = Calibration.load(part) if (part / "calibration.yaml").is_file() else None
     trace = (report or {}).get("trace") or {}
@@ -113,7 +113,7 @@ def _kept(part: Path, folder: Path) -> _Kept:
     name = part.relative_to(folder).as_posix()
     entry = HistoryEntry(name, "check" if check else "calibration", date, _seconds(date, part), said)
     if calibration is None:
-        return _Kept("", "", entry, {})
+        return _FolderContents("", "", entry, {})
     robot = fingerprint(calibration.nominal.chain)
     values = values_of(calibration)
     offsets = offsets_of(calibration)
@@ -121,7 +121,7 @@ def _kept(part: Path, folder: Path) -> _Kept:
         if offset.std is not None:
             unit = "mrad" if offset.turning else "mm"
             values[f"zero of {offset.joint}"] = (unit, 1e3 * offset.value, 1e3 * offset.std, False)
-    return _Kept(robot, str(trace.get("robot") or robot), entry, values)
+    return _FolderContents(robot, str(trace.get("robot") or robot), entry, values)
 
 
 def _seconds(date: str | None, part: Path) -> float | None:

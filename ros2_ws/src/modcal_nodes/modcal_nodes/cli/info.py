@@ -22,7 +22,7 @@ from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.robot import chain_line, described
 from modcal_nodes.cli.topics import topic_options
 
-_LEAST_IMAGES = 4  # with the target, that a calibration can be made from
+_MIN_IMAGES = 4  # with the target, that a calibration can be made from
 _EXISTING = click.Path(exists=True, path_type=Path)
 
 
@@ -93,7 +93,7 @@ def _images(
     from modcal_nodes.vision.worth import images_worth, worth_line
 
     worth = images_worth(bag, recording, read_target(target), topic, names)
-    use = [f"a calibration by camera: {worth_line(worth)}"] if worth.found >= _LEAST_IMAGES else []
+    use = [f"a calibration by camera: {worth_line(worth)}"] if worth.found >= _MIN_IMAGES else []
     return {**worth.data, "line": worth_line(worth)}, use
 
 

@@ -33,7 +33,7 @@ from modcal_nodes.cli.robot import arm_line, described, file_line
 from modcal_nodes.cli.topics import topic_options
 
 _EXISTING = click.Path(exists=True, path_type=Path)
-_MOST = 2000  # postures of a bag; of more, evenly chosen ones say the same
+_MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough
 _BY_JOINT = {
     "torque": "Largest torque of a drive [N m; N], instead of the URDF's effort.",
@@ -136,7 +136,7 @@ def limits_command(
         said = file_line(source, arm.chain, tip)
     arm = arm.carrying(Payload.checked(payload, centre, inertia)).using(share, gravity)
     arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
-    q, v, notes = _motion(arm, recording, at, velocity, workspace, seed, _THOROUGH if thorough else _MOST)
+    q, v, notes = _motion(arm, recording, at, velocity, workspace, seed, _THOROUGH if thorough else _MAX)
     found = LimitsFound(arm, q, v, source.name)
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")

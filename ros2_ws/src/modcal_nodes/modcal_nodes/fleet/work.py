@@ -21,8 +21,8 @@ from modcal_nodes.fleet.task import DONE, FAILED, REFUSED, Outcome, Task
 from modcal_nodes.io.recorded import calibrate_bag
 
 SAMPLES = "samples.npz"
-_MOST_KEPT = 5000  # samples, evenly chosen: a change of the arm is known far better than it matters
-_MOST_NUMBERS = 2_000_000  # of signals beside them
+_MAX_KEPT = 5000  # samples, evenly chosen: a change of the arm is known far better than it matters
+_MAX_NUMBERS = 2_000_000  # of signals beside them
 
 
 def do(task: Task) -> Outcome:
@@ -85,9 +85,9 @@ def _effect_values(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _kept(samples: Samples) -> bytes:
     """The samples as the bytes of an .npz, thinned; signals only where they are few enough."""
-    if len(samples) > _MOST_KEPT:
-        samples = samples.select(spread_rows(len(samples), _MOST_KEPT))
-    signals = samples.signals if sum(s.values.size for s in samples.signals) <= _MOST_NUMBERS else ()
+    if len(samples) > _MAX_KEPT:
+        samples = samples.select(spread_rows(len(samples), _MAX_KEPT))
+    signals = samples.signals if sum(s.values.size for s in samples.signals) <= _MAX_NUMBERS else ()
     arrays: dict[str, Any] = {f"of_{name}": getattr(samples, name) for name in _ARRAYS}
     arrays |= {"names": np.array(samples.names), "frames": np.array(samples.frames)}
     arrays["signals"] = np.array([[s.name, s.topic] for s in signals]).reshape(-1, 2)

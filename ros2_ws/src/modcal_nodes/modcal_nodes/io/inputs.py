@@ -38,9 +38,9 @@ STATEMENTS = {
     "instrument_mm": "instrument_mm",
     "instrument_deg": "instrument_deg",
 }
-_LEAST_STD = 1e-7  # m, deg; what is stated better is stated as fixed
-_MOST_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
-_MOST_TEXT = 5_000_000  # characters of a calibration that is published
+_MIN_STD = 1e-7  # m, deg; what is stated better is stated as fixed
+_MAX_KG, _FARTHEST_M = 5000.0, 10.0  # the heaviest arms carry less than they weigh, which is three tonnes
+_MAX_TEXT = 5_000_000  # characters of a calibration that is published
 _REMEDY = "see docs/calibration.md and docs/instruments.md"
 _OF_CELL = re.compile("cell file|known distance|frame '.*', known in")  # what a cell file alone can state
 _AS_DISTANCE = "{between: [a, b], distance_m: 0.05}, or {stamps: [t1, t2], distance_m: 0.05}"
@@ -59,8 +59,8 @@ def read_calibration(path: Path) -> Calibration:
 
 def parse_calibration(text: str, source: str) -> Calibration:
     """The calibration in a text as calibration.yaml holds it; raises BadTable, naming the source."""
-    if len(text) > _MOST_TEXT:  # it is read in a callback
-        raise BadTable(source, f"has {len(text)} characters, {_MOST_TEXT} is the limit", "publish a calibration.yaml")
+    if len(text) > _MAX_TEXT:  # it is read in a callback
+        raise BadTable(source, f"has {len(text)} characters, {_MAX_TEXT} is the limit", "publish a calibration.yaml")
     return from_data(parse_yaml(text, source), source)
 
 
@@ -184,8 +184,8 @@ def _gravity(data: Any) -> tuple[float, float, float]:
 def _payload(data: Mapping[str, Any]) -> StatedPayload:
     x, y, z = (float(v) for v in data.get("centre_m", (0.0, 0.0, 0.0)))
     mass = float(data["mass_kg"])
-    if not (0.0 <= mass <= _MOST_KG and np.abs([x, y, z]).max() <= _FARTHEST_M):
-        raise ValueError(f"0 to {_MOST_KG:g} kg within {_FARTHEST_M:g} m of the tip are allowed")
+    if not (0.0 <= mass <= _MAX_KG and np.abs([x, y, z]).max() <= _FARTHEST_M):
+        raise ValueError(f"0 to {_MAX_KG:g} kg within {_FARTHEST_M:g} m of the tip are allowed")
     return StatedPayload(mass, (x, y, z))
 
 
@@ -200,8 +200,8 @@ def _tool(data: Mapping[str, Any]) -> StatedTool:
 def _deviations(data: Mapping[str, Any]) -> tuple[float, float]:
     """Deviations [m, rad] that are stated as std_m and std_deg."""
     std_m, std_deg = float(data["std_m"]), float(data["std_deg"])
-    if not (_LEAST_STD <= std_m < 1.0 and std_deg >= _LEAST_STD):
-        raise ValueError(f"std_m from {_LEAST_STD:g} to 1 m and std_deg from {_LEAST_STD:g} are allowed")
+    if not (_MIN_STD <= std_m < 1.0 and std_deg >= _MIN_STD):
+        raise ValueError(f"std_m from {_MIN_STD:g} to 1 m and std_deg from {_MIN_STD:g} are allowed")
     return std_m, float(np.radians(std_deg))
 
 

@@ -26,8 +26,8 @@ from modcal_nodes.simulation.rates import Rates
 from modcal_nodes.simulation.spoken import Poses, States, stamp
 from modcal_nodes.simulation.switches import SWITCHES
 
-_LEAST_PERIOD = 1e-3  # s between beats; what falls due in between is sent together
-_MOST_AT_ONCE = 0.2  # s of wall time that one beat makes up for, so that services are answered in between
+_MIN_PERIOD = 1e-3  # s between beats; what falls due in between is sent together
+_MAX_AT_ONCE = 0.2  # s of wall time that one beat makes up for, so that services are answered in between
 _LOST = 10.0  # s that are not made up for: the node's clock was set
 _DEPTH = 2000  # messages a publisher keeps for a subscriber that is behind
 
@@ -84,7 +84,7 @@ class SimulatedCell(GuardedNode):
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, 10)
         self.create_service(Trigger, "~/restart", self._restart)
         Health(self, lambda: [self._rates.status()])
-        period = max(_LEAST_PERIOD, 1.0 / (max(fast, slow) * factor))
+        period = max(_MIN_PERIOD, 1.0 / (max(fast, slow) * factor))
         self._beat = Beat(period, self.guarded("beat", self._send_due), self.context.ok)
 
     # time
@@ -101,7 +101,7 @@ class SimulatedCell(GuardedNode):
             self.get_logger().warning(f"the clock jumped by {behind:.3f} s: continuing from there")
             self._jump(now)
         self._rates.note(now - self._done)
-        until = min(now, self._done + _MOST_AT_ONCE * self._factor)
+        until = min(now, self._done + _MAX_AT_ONCE * self._factor)
         if self._time_topic is not None:
             for t in self._clock_grid.take(until):
                 message = ClockMessage()

@@ -30,7 +30,7 @@ from modcal_nodes.simulation.pulling import Pulling, effort_limits
 from modcal_nodes.simulation.rates import Rates
 from modcal_nodes.simulation.spoken import States, stamp
 
-_MOST_AT_ONCE = 0.1  # s of physics between two looks at what came in
+_MAX_AT_ONCE = 0.1  # s of physics between two looks at what came in
 _LOST = 5.0  # s that are not made up for: the node's clock was set
 _LONGEST = 0.02  # s of wall time in one step of a simulated time, which waits where the machine does not keep up
 _DEPTH = 100
@@ -127,7 +127,7 @@ class SimulatedFurniture(GuardedNode):
             for grid, _ in self._speakers:
                 grid.start(now)
         self._rates.note(now - self._done)
-        until = min(now, self._done + _MOST_AT_ONCE)
+        until = min(now, self._done + _MAX_AT_ONCE)
         due = [(t, speak) for grid, speak in self._speakers for t in grid.take(until)]
         for t, speak in sorted(due, key=lambda one: one[0]):
             self._world.advance(max(t - self._offset - self._world.time, 0.0))

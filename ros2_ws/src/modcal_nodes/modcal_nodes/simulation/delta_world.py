@@ -21,7 +21,7 @@ from modcal_nodes.simulation.mjcf import PAYLOAD
 _LONGEST = 0.4  # rad, of a step towards another posture
 _SHORTEST = 1e-3  # of that, below which a platform that does not follow is stuck
 _CLOSED = 1e-12  # m, the largest gap of a closed chain
-_MOST_STEPS = 30
+_MAX_STEPS = 30
 _RIDGE = 1e-12  # m², against a platform that is loose
 
 
@@ -98,7 +98,7 @@ class DeltaWorld(Machine):
         """Move rods and platform, the arms held, until every rod meets the platform; the gap that is left [m]."""
         model, data = self.model, self.data
         step = np.zeros(model.nv)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             mujoco.mj_fwdPosition(model, data)
             gap = data.efc_pos
             if np.abs(gap).max() < _CLOSED:

@@ -29,7 +29,7 @@ FREE = -1.0  # as stop: none but its own end
 _STEPS = 14  # postures along the way that must be found
 _BEYOND = 1.05  # of the goal, the way must be open to
 _LIMIT_MARGIN = 0.08  # rad to every joint limit
-_LEAST_SINGULAR = 0.04  # of the body Jacobian along the way
+_MIN_SINGULAR = 0.04  # of the body Jacobian along the way
 _LONGEST_STEP = 0.6  # rad of one joint between two of the postures
 _HANDLE = 0.05  # m that a handle stands out from its panel
 FOLDS_AT = np.radians(20.0)  # rad, where the first hinge of a folding door ends and the second begins
@@ -201,6 +201,6 @@ def _posture(chain: Chain, scene: Furniture, rng: np.random.Generator) -> Array 
         way = np.array(path[1:])
         margin = min((way - chain.lower).min(), (chain.upper - way).min())
         weakest = np.linalg.svd(body_jacobian(chain, way), compute_uv=False)[:, -1].min()
-        if margin > _LIMIT_MARGIN and weakest > _LEAST_SINGULAR and np.abs(np.diff(way, axis=0)).max() < _LONGEST_STEP:
+        if margin > _LIMIT_MARGIN and weakest > _MIN_SINGULAR and np.abs(np.diff(way, axis=0)).max() < _LONGEST_STEP:
             return way[0]
     return None

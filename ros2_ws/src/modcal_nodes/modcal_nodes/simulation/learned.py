@@ -19,7 +19,7 @@ from modcal_nodes.io.articulated import write_articulation
 
 _PERIOD = 0.04  # s between two poses of the hand that are kept: some millimetres of the way
 _STILL = 2e-4  # rad or m by which some joint must have gone since the last one: waiting says nothing of the way
-_MOST = 2000  # of them; a minute has 1500
+_MAX = 2000  # of them; a minute has 1500
 
 
 class PullRecord:
@@ -42,7 +42,7 @@ class PullRecord:
 
     def take(self, names: list[str], positions: list[float], stamp: float) -> None:
         """One joint state [rad, m]. Other joints are left out, and what is too near the last one, in time or in way."""
-        if self._chain is None or len(self._stamps) >= _MOST or not set(self._chain.names) <= set(names):
+        if self._chain is None or len(self._stamps) >= _MAX or not set(self._chain.names) <= set(names):
             return
         if self._stamps and stamp - self._stamps[-1] < _PERIOD:
             return

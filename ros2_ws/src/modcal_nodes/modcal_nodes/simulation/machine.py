@@ -14,7 +14,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_nodes.simulation.mjcf import NO_MASS, PAYLOAD
 
 _SETTLED = 1e-12  # rad or m, the last step of a spring that has found its balance
-_MOST_STEPS = 60
+_MAX_STEPS = 60
 
 
 def tracker_and_tool(rng: np.random.Generator) -> tuple[Array, Array]:
@@ -112,7 +112,7 @@ class Machine(ABC):
         if not self._elastic:
             return q
         reached = q
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             moved = q - self.compliance * self._held(reached)
             step = np.abs(moved - reached).max()
             reached = moved

@@ -14,7 +14,7 @@ from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.online.estimator import joined
 
-_LEAST_GAP = 0.2  # s between readings of an arm in motion that are kept
+_MIN_GAP = 0.2  # s between readings of an arm in motion that are kept
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Stations:
 
     def add(self, sample: Samples) -> bool:
         """Keep one sample (a row), if it is wanted; returns whether it was."""
-        since = float(sample.stamps[0] - self._kept[-1].stamps[0]) if self._kept else _LEAST_GAP
-        if sample.moving[0] and 0.0 <= since < _LEAST_GAP:
+        since = float(sample.stamps[0] - self._kept[-1].stamps[0]) if self._kept else _MIN_GAP
+        if sample.moving[0] and 0.0 <= since < _MIN_GAP:
             return False
         self._kept.append(sample)
         return True

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.clean import LEAST_CORNERS, enough_corners
+from modcal_core.camera.clean import MIN_CORNERS, enough_corners
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.moments import ImageMoments
 from modcal_core.camera.target import PrintedTarget
@@ -47,12 +47,12 @@ from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import ImageFolder, lens_from_data, look_for
 from modcal_nodes.vision.tags import require_tags, tag_view
 
-_MOST = 200  # images that are looked at
+_MAX = 200  # images that are looked at
 _STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre
 _SETTLED = 0.15  # s after a stop before images of it are used
 _BEFORE = 0.05  # s on either side of an image, over which speeds are taken
 _GAP = 0.2  # s between joint states around an image, beyond which they do not say where the arm was
-_LEAST_STOPS = 4  # below, the arm is taken for one that moves
+_MIN_STOPS = 4  # below, the arm is taken for one that moves
 TAGS_SAID = "Corners are those of a detector of AprilTags; the lens was found from them: its images may be rectified."
 _Look = Callable[[str], tuple[Detection, tuple[int, int], str]]  # by name: (what was found, size of the image, a note)
 
@@ -198,13 +198,13 @@ def chosen_stamps(stamps: Array, log: JointLog) -> tuple[Array, bool]:
     standing = (np.abs(velocity).max(axis=1) < _STANDING) & (np.abs(just_before).max(axis=1) < _STANDING)
     stops = np.split(np.arange(len(stamps)), np.flatnonzero(np.diff(standing.astype(int))) + 1)
     middle = [part[len(part) // 2] for part in stops if standing[part[0]]]
-    if len(middle) >= _LEAST_STOPS:
+    if len(middle) >= _MIN_STOPS:
         return stamps[_evenly(np.array(middle))], False
     return stamps[_evenly(np.arange(len(stamps)))], True
 
 
 def _evenly(rows: np.ndarray) -> np.ndarray:
-    return rows[spread_rows(len(rows), _MOST)]
+    return rows[spread_rows(len(rows), _MAX)]
 
 
 def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
@@ -237,7 +237,7 @@ def _corners(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> 
             said = f"has corner {int(view.ids.max())}, the target has {len(target.points)}"
             return Detection(None, said, "give the target.yaml that board_detector had"), (0, 0), ""
         if not enough_corners(target.points[view.ids]):
-            said = f"shows {len(view)} corners of the target, {LEAST_CORNERS} not on one line are needed"
+            said = f"shows {len(view)} corners of the target, {MIN_CORNERS} not on one line are needed"
             return Detection(None, said, "bring more of the target into view"), (0, 0), ""
         return Detection(replace(view, name=name)), size, ""
 

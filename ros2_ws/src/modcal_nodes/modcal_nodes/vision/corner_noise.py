@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 
-_LEAST_PX, _MOST_PX = 0.02, 2.0  # standard deviation of a corner: what interpolation alone leaves, and a useless one
+_MIN_PX, _MAX_PX = 0.02, 2.0  # standard deviation of a corner: what interpolation alone leaves, and a useless one
 _PRINT_PX = 0.02  # standard deviation of what printer, paper and the lens's finer form leave beside the noise
 _TO_SIGMA = 1.4826  # of a median absolute deviation
 _QUANTISED = 0.3  # grey levels, of rounding to whole ones
@@ -44,7 +44,7 @@ def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) 
         inverse = (vectors / np.maximum(values, 1e-6)) @ vectors.T
         out[i] = 0.5 * sigma**2 * inverse @ M @ inverse
     values, vectors = np.linalg.eigh(out)
-    values = np.clip(values, _LEAST_PX**2, _MOST_PX**2)
+    values = np.clip(values, _MIN_PX**2, _MAX_PX**2)
     return np.asarray((vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 

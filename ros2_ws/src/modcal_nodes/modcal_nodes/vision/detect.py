@@ -9,7 +9,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from modcal_core.camera.clean import LEAST_CORNERS, enough_corners
+from modcal_core.camera.clean import MIN_CORNERS, enough_corners
 from modcal_core.camera.homography import homography
 from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
 from modcal_core.camera.views import BoardView
@@ -19,8 +19,8 @@ from modcal_nodes.vision.corner_noise import corner_covariance, edge_width, grey
 from modcal_nodes.vision.saddle import fit_board
 
 BLURRED_PX = 6.0  # of an edge from black to white; beyond it a corner's place depends on the light
-_LEAST_SHARE = 0.3  # of the windows' half side a square may be: a corner needs its own four squares and no others
-_MOST_WINDOW, _LEAST_WINDOW = 11, 2  # px, half side of the windows in which corners are refined
+_MIN_SHARE = 0.3  # of the windows' half side a square may be: a corner needs its own four squares and no others
+_MAX_WINDOW, _MIN_WINDOW = 11, 2  # px, half side of the windows in which corners are refined
 _ROUGH_PX = 0.1  # by how much a corner is off that looks like no crossing of two edges: half covered, or too small
 _SMALLEST_GREY = 12.0  # grey levels between black and white
 _FITS_PX, _FITS_SHARE = 4.0, 0.02  # how far corners of one flat sheet are from a homography: lenses bend, by its size
@@ -46,7 +46,7 @@ def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
     if len(ids) == 0:
         return _why_not(grey, target)
     if not enough_corners(target.points[ids]):
-        said = f"shows {len(ids)} corners of the target, {LEAST_CORNERS} not on one line are needed"
+        said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
         return Detection(None, said, "bring more of the target into view")
     if target.kind == CHESSBOARD and (strange := _no_such_board(grey, target, ids, pixels)) is not None:
         return strange
@@ -83,11 +83,11 @@ def off_flat(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection
 
 def _found(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int]:
     """(ids (m,), pixels (m, 2), half side of the windows of refinement [px])."""
-    none = np.empty(0, int), np.empty((0, 2)), _LEAST_WINDOW
+    none = np.empty(0, int), np.empty((0, 2)), _MIN_WINDOW
     if target.kind == CHARUCO:
         for legacy in (False, True):
             corners, ids, _, _ = _charuco(target, legacy).detectBoard(grey)
-            if ids is not None and len(ids) >= LEAST_CORNERS:
+            if ids is not None and len(ids) >= MIN_CORNERS:
                 break
         if ids is None or len(ids) == 0:
             return none
@@ -122,7 +122,7 @@ def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array
 
 def window_of_side(side: float) -> int:
     """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
-    return int(np.clip(0.1 * side, _LEAST_WINDOW, _MOST_WINDOW))
+    return int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW))
 
 
 def in_order(
@@ -143,7 +143,7 @@ def in_order(
 
 def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> tuple[np.ndarray, Array, int]:
     """The saddles of a board's corners to a fraction of a pixel, those at the image's edge left out."""
-    half = _LEAST_WINDOW
+    half = _MIN_WINDOW
     if enough_corners(target.points[ids]):
         H = homography(target.points[ids, :2], pixels)
         h, w = grey.shape
@@ -153,7 +153,7 @@ def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: A
         square = min(float(np.linalg.norm(a - at[0])) for a in at[1:])
         margin = 0.5 * (target.square - target.marker) / target.square if target.kind == CHARUCO else 0.5
         if np.isfinite(square):  # else the board is seen edge on
-            half = int(np.clip(min(_LEAST_SHARE, margin) * square, _LEAST_WINDOW, _MOST_WINDOW))
+            half = int(np.clip(min(_MIN_SHARE, margin) * square, _MIN_WINDOW, _MAX_WINDOW))
     h, w = grey.shape
     inside = ((pixels >= half + 1) & (pixels <= np.array([w, h]) - half - 2)).all(axis=1)
     ids, pixels = ids[inside], pixels[inside]

@@ -26,10 +26,10 @@ from modcal_nodes.vision.detect import Detection, detect
 
 SCALED = "Images of 16 bits a channel were scaled to 8, each from its own black to its own white."
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
-_MOST_BYTES = 1 << 28  # of one image, before it is read
-_MOST_IMAGES = 5000
-_MOST_OF_INFO = 1 << 20  # characters of a camera_info file
-_MOST_TABLE = 1 << 28  # bytes of a table of joints
+_MAX_BYTES = 1 << 28  # of one image, before it is read
+_MAX_IMAGES = 5000
+_MAX_OF_INFO = 1 << 20  # characters of a camera_info file
+_MAX_TABLE = 1 << 28  # bytes of a table of joints
 _MOSAIC = 0.04  # relative difference between the four phases of a Bayer pattern; those of a grey image differ by noise
 _DEGREES = 4.0 * np.pi  # rad; no joint turns farther, and degrees do
 _UNITS = {"deg": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3}
@@ -75,8 +75,8 @@ def read_images(
     files = sorted((f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES), key=_order)
     if not files:
         raise BadRecording(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES[:3])} files")
-    if len(files) > _MOST_IMAGES:
-        raise BadRecording(str(folder), f"holds {len(files)} images, {_MOST_IMAGES} are read", "give fewer")
+    if len(files) > _MAX_IMAGES:
+        raise BadRecording(str(folder), f"holds {len(files)} images, {_MAX_IMAGES} are read", "give fewer")
     rows = joints_of_text(text_of(joints), names, str(joints))
     left_out: dict[str, str] = {}
     views: list[BoardView] = []
@@ -127,10 +127,10 @@ def look_for(grey: np.ndarray, target: PrintedTarget | MarkerBundle, name: str) 
 def read_camera_info(path: Path) -> Lens:
     """The lens in a YAML file as ROS's camera calibrators write it, or OpenCV. Raises BadTable."""
     try:
-        text = path.read_bytes()[: _MOST_OF_INFO + 1].decode("utf-8-sig")
+        text = path.read_bytes()[: _MAX_OF_INFO + 1].decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadTable(str(path), "is not UTF-8 text", "give a YAML file") from error
-    if len(text) > _MOST_OF_INFO:
+    if len(text) > _MAX_OF_INFO:
         raise BadTable(str(path), "is larger than a camera_info file", "give one camera's intrinsics")
     # OpenCV writes its matrices with a tag of its own, and older versions a first line that is no YAML
     text = re.sub(r"\A%YAML:.*$", "", text, flags=re.MULTILINE).replace("!!opencv-matrix", "")
@@ -171,8 +171,8 @@ def _order(file: Path) -> tuple[float, str]:
 
 def _read_grey(file: Path) -> tuple[np.ndarray | None, str]:
     """(grey image of 8 bits, what was done to it, or nothing) or (None, why not and what to do)."""
-    if file.stat().st_size > _MOST_BYTES:
-        return None, f"has more than {_MOST_BYTES >> 20} MiB: give a smaller image"
+    if file.stat().st_size > _MAX_BYTES:
+        return None, f"has more than {_MAX_BYTES >> 20} MiB: give a smaller image"
     try:
         image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:  # empty, or of more pixels than OpenCV reads
@@ -253,8 +253,8 @@ def _stamp(text: str) -> float | None:
 
 def text_of(path: Path) -> str:
     """The text of a table. Raises BadTable for one that is too large or is none."""
-    if path.stat().st_size > _MOST_TABLE:
-        raise BadTable(str(path), f"has more than {_MOST_TABLE >> 20} MiB", "give a table of joints")
+    if path.stat().st_size > _MAX_TABLE:
+        raise BadTable(str(path), f"has more than {_MAX_TABLE >> 20} MiB", "give a table of joints")
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -24,11 +24,11 @@ from modcal_core.geometry.so3 import Array
 _PERSPECTIVE = 6  # corners, of which two are left to say that a perspective through four of them is none
 _NEARLY_FLAT = 0.2  # nearest over farthest corner of a board: one that fills the image and is tilted by 60° has 0.3
 _REACH = 0.4  # of a square, along its edges: farther the next corner begins
-_MOST_PX = 8  # half side of the windows; over more, a lens bends the edges by a hundredth of a pixel and more
+_MAX_PX = 8  # half side of the windows; over more, a lens bends the edges by a hundredth of a pixel and more
 _BLUR_PX = 1.0  # to begin with
 _NARROW, _WIDE = 0.3, 5.0  # px, of blur: that of a pixel itself, and more than an image that is used has
 _CLEAR = 2.0  # widths of blur, that a marker beside a corner stays away from pixels that are used
-_LEAST_MARGIN = 1.0  # px, of either edge, that is used in any case
+_MIN_MARGIN = 1.0  # px, of either edge, that is used in any case
 _STEPS = 6
 _MET_PX = 1e-3  # of a step: a tenth of what the noise leaves
 _SHAPE = 6  # unknowns of the edges: q, two angles, two widths of blur
@@ -74,7 +74,7 @@ def fit_saddles(grey: np.ndarray, pixels: Array, axes: Array, margin: float) -> 
     axes: one square along the board's x and y in the image [px], in the columns of (m, 2, 2). margin: as a share of a
     square, how far from the edges whatever else is printed in a square begins.
     """
-    window = _Window(grey, pixels, axes, margin)
+    window = _CornerWindow(grey, pixels, axes, margin)
     angles = np.arctan2(axes[:, 1], axes[:, 0]) + 0.5 * np.pi  # of the normals of the edges along x and y
     x = np.c_[pixels - window.origin, angles, np.full((len(pixels), 2), _BLUR_PX)]
     used = window.used(x[:, 4:].max(axis=1))
@@ -104,12 +104,12 @@ def fit_saddles(grey: np.ndarray, pixels: Array, axes: Array, margin: float) -> 
     return SaddleFit(window.origin + x[:, :2], cov, sigma, good)
 
 
-class _Window:
+class _CornerWindow:
     """The pixels about m corners, K each, and what is predicted of them."""
 
     def __init__(self, grey: np.ndarray, pixels: Array, axes: Array, margin: float) -> None:
         side = np.linalg.norm(axes, axis=1).min(axis=1)  # px, of the squares
-        self.half = int(np.clip(np.ceil(_REACH * float(np.median(side))), 2, _MOST_PX))
+        self.half = int(np.clip(np.ceil(_REACH * float(np.median(side))), 2, _MAX_PX))
         self.origin = np.rint(pixels)
         steps = np.arange(-self.half, self.half + 1)
         self.offsets = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps)], axis=1).astype(float)
@@ -124,7 +124,7 @@ class _Window:
 
     def used(self, blur: Array) -> np.ndarray:
         """Which pixels (m, K) no print beside the edges reaches, for a blur (m,) [px]."""
-        margin = np.maximum(self._margin - _CLEAR * blur, _LEAST_MARGIN)
+        margin = np.maximum(self._margin - _CLEAR * blur, _MIN_MARGIN)
         return self._inside & (self._from_edges < margin[:, None])
 
     def at(self, x: Array, used: np.ndarray) -> _State:

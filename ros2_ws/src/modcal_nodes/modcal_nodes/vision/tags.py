@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.clean import LEAST_CORNERS, enough_corners
+from modcal_core.camera.clean import MIN_CORNERS, enough_corners
 from modcal_core.camera.target import APRIL_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
@@ -20,7 +20,7 @@ from modcal_nodes.vision.body import body_corners, require_body_markers
 from modcal_nodes.vision.detect import Detection, in_order, off_flat
 
 _SIGMA_PX = 0.2  # of a corner at which two lines meet that were fitted to a tag's edges
-_MOST_TAGS = 10_000  # of one image
+_MAX_TAGS = 10_000  # of one image
 _MENDED = 1  # bits of a tag that were read wrong: more, and it may be another
 
 
@@ -44,7 +44,7 @@ def tag_view(message: Any, target: PrintedTarget | MarkerBundle, name: str) -> D
 
 
 def _body_view(message: Any, body: MarkerBundle, name: str) -> Detection:
-    seen = [one for one in list(message.detections)[:_MOST_TAGS] if int(one.hamming) <= _MENDED]
+    seen = [one for one in list(message.detections)[:_MAX_TAGS] if int(one.hamming) <= _MENDED]
     quads = [np.array([[float(p.x), float(p.y)] for p in one.corners]).reshape(4, 2) for one in seen]
     found = body_corners(body, [int(one.id) for one in seen], quads)
     if isinstance(found, Detection):
@@ -60,7 +60,7 @@ def _covariance(count: int) -> Array:
 def _tag_view(message: Any, target: PrintedTarget, name: str) -> Detection:
     family = target.dictionary.rpartition("_")[2].lower()
     found, strange = {}, set()
-    for one in list(message.detections)[:_MOST_TAGS]:
+    for one in list(message.detections)[:_MAX_TAGS]:
         own = str(one.family).lower().removeprefix("tag")
         if own and family and own != family:
             strange.add(own)
@@ -83,7 +83,7 @@ def _tag_view(message: Any, target: PrintedTarget, name: str) -> Detection:
     # from a tag's lower left corner counter-clockwise, as its detector has it; all but an AprilGrid go the other way
     ids, pixels = in_order(target, numbers, quads if target.kind == APRIL_GRID else quads[:, ::-1], either_way=True)
     if not enough_corners(target.points[ids]):
-        said = f"shows {len(ids)} corners of the target, {LEAST_CORNERS} not on one line are needed"
+        said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
         return Detection(None, said, "bring more of the target into view")
     if (bent := off_flat(target, ids, pixels)) is not None:
         return bent

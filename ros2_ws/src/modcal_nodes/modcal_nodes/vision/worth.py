@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.camera.corners import SHAPE, CornerTable
 from modcal_core.camera.intrinsics import first_lens, fit_lens
-from modcal_core.camera.mounting import LEAST_VIEWS
+from modcal_core.camera.mounting import MIN_VIEWS
 from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.target import PrintedTarget
 from modcal_core.camera.views import BoardView
@@ -112,7 +112,7 @@ def _worth(
         edges = float(np.median([v.sharpness for v in views]))
         if edges > _SOFT:
             findings.append(f"Edges are {edges:.1f} px wide: focus, stand still, or add light.")
-    if len(views) >= LEAST_VIEWS and size is not None:
+    if len(views) >= MIN_VIEWS and size is not None:
         table = CornerTable.of(views, target)
         share = covered(table, size)
         if share < _COVERED:

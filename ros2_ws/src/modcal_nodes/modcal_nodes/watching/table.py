@@ -19,7 +19,7 @@ _FACTS = (
     "messages", "bytes waiting", "free", "minutes until", "lost", "stations", "residual", "published", "effects",
 )  # fmt: skip
 _NOT = ("messages of", "messages refused", "publishers of", "bytes of", "rate of", "lost of")
-_MOST = 8  # facts of one part
+_MAX = 8  # facts of one part
 
 
 def table(snapshot: dict[str, Any]) -> RenderableType:
@@ -47,7 +47,7 @@ def table(snapshot: dict[str, Any]) -> RenderableType:
 
 def _facts(facts: dict[str, str]) -> list[str]:
     wanted = [f"{k} {v}" for k, v in facts.items() if k.startswith(_FACTS) and not k.startswith(_NOT)]
-    return wanted[:_MOST]
+    return wanted[:_MAX]
 
 
 def _beside(node: dict[str, Any]) -> Iterator[str]:

@@ -27,7 +27,7 @@ GROUP = "modcal.articulation"
 AXES: Mapping[Kind, AxisModel] = {m.name: m for m in (rigid.MODEL, prismatic.MODEL, revolute.MODEL, screw.MODEL)}
 BUILT_IN: tuple[ArticulationModel, ...] = tuple(AXES.values())
 STILL: ArticulationModel = next(m for m in BUILT_IN if not m.moves)
-_MOST_SHARE = 0.5  # of all that moves, for all that packages add together
+_MAX_SHARE = 0.5  # of all that moves, for all that packages add together
 
 
 @cache
@@ -45,7 +45,7 @@ def all_models() -> tuple[ArticulationModel, ...]:
             raise BadTable(offender, f"kind {model.name} is already used", "choose another name")
         known.append(model)
     more = known[len(BUILT_IN) :]
-    if (together := sum(model.share for model in more)) >= _MOST_SHARE:
+    if (together := sum(model.share for model in more)) >= _MAX_SHARE:
         names = ", ".join(model.name for model in more)
         raise BadTable(f"articulation models {names}", f"their shares add up to {together:g}", "state smaller shares")
     return tuple(known)
@@ -82,4 +82,4 @@ def _fault(model: ArticulationModel) -> str:
         return f"does not state its share ({error})"
     if isinstance(model, PathShape) and (fault := model.fault()):
         return fault
-    return "" if 0.0 < share < _MOST_SHARE else f"its share is {share:g}, not between 0 and {_MOST_SHARE:g}"
+    return "" if 0.0 < share < _MAX_SHARE else f"its share is {share:g}, not between 0 and {_MAX_SHARE:g}"

@@ -19,7 +19,7 @@ from modcal_core.effects.shapes import WHOLE_CYCLES, Shape
 from modcal_core.geometry.so3 import Array
 
 NAME = "gear_harmonic"
-MOST_CYCLES = 400.0  # a turn: twice a ratio of 200
+MAX_CYCLES = 400.0  # a turn: twice a ratio of 200
 FINE_STEP = 0.05  # rad between the functions of a curve, which needs a dense recording
 STATIONS_PER_FUNCTION = 6  # of a curve so fine; with fewer it follows the noise of single stations
 # Cycles between neighbours in the search: with 0.3 periods over the joint's range a wave halfway between two loses 7 %
@@ -34,7 +34,7 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
             yield from whole(name, WHOLE_CYCLES)
             for cycles in cycle_grid(float(np.ptp(drivers.samples.q[:, j]))):
                 yield _wave(name, "sine", float(cycles))
-                if cycles <= 0.5 * MOST_CYCLES:  # strain wave gears err twice in each turn of their wave as well
+                if cycles <= 0.5 * MAX_CYCLES:  # strain wave gears err twice in each turn of their wave as well
                     yield _wave(name, "double", float(cycles))
     for j, name in moving_joints(drivers):
         low, high = float(drivers.samples.q[:, j].min()), float(drivers.samples.q[:, j].max())
@@ -61,7 +61,7 @@ def cycle_grid(joint_range: float) -> Array:
     step = float(np.clip(_OF_A_PERIOD * 2.0 * np.pi / joint_range, _FINEST, _COARSEST))
     first = WHOLE_CYCLES + 1.0
     step = first / np.ceil(first / step)  # so that all are multiples of it: a scan sums them by one FFT
-    return np.arange(round(first / step), int(np.ceil(MOST_CYCLES / step)) + 1) * step
+    return np.arange(round(first / step), int(np.ceil(MAX_CYCLES / step)) + 1) * step
 
 
 def complexity(effect: Effect) -> int:

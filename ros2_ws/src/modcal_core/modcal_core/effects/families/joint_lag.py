@@ -21,7 +21,7 @@ NAME = "joint_lag"
 _BY_COMMAND = "following:"
 # A joint is between what was logged and what was commanded, or a little beyond where it overshoots. A spring that
 # deflects under the torque of a following error has the other sign: the joint is farther from its command than it says.
-_MOST_SHARE = 1.5
+_MAX_SHARE = 1.5
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
@@ -35,7 +35,7 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
 
 def plausible(effect: Effect) -> bool:
     """Whether the joint is between what it reports and its command."""
-    return not effect.driver.startswith(_BY_COMMAND) or 0.0 < float(effect.amplitudes[0]) <= _MOST_SHARE
+    return not effect.driver.startswith(_BY_COMMAND) or 0.0 < float(effect.amplitudes[0]) <= _MAX_SHARE
 
 
 def sizes(effect: Effect, _: Mechanism) -> Sizes:

@@ -23,7 +23,7 @@ from modcal_core.robots.mechanism import Mechanism
 
 NAME = "payload"
 BREAKS_NEARBY = 12  # times between stations that are tried, where it is known about when the mass came
-_MOST_KG = 100.0  # above what all but the largest arms carry; a larger one is another effect that imitates a mass
+_MAX_KG = 100.0  # above what all but the largest arms carry; a larger one is another effect that imitates a mass
 _SURE = 5.0  # standard deviations from which a mass is accepted
 
 
@@ -47,7 +47,7 @@ def since(drivers: Drivers, time: float) -> Iterator[Effect]:
 
 def is_weight(amplitudes: Array) -> bool:
     """Whether the compliances to load and payload stand for a mass that an arm can carry."""
-    return 0.0 < float(amplitudes[1] / amplitudes[0]) < _MOST_KG if amplitudes[0] else False
+    return 0.0 < float(amplitudes[1] / amplitudes[0]) < _MAX_KG if amplitudes[0] else False
 
 
 def plausible(effect: Effect) -> bool:

@@ -18,7 +18,7 @@ from modcal_core.measurements.kinds.kind import ORIGIN, Constant, Kind, Scene, S
 from modcal_core.measurements.recording import RANGE, ReadingTrack
 
 _CHANGE = 4.0  # times the reach, by which ranges may change: the arm's diameter, and a tool as long as the arm
-_MOST_OF = (1.0, 99.0)  # %; single readings are left out, not complained of
+_MAX_OF = (1.0, 99.0)  # %; single readings are left out, not complained of
 
 
 class DistanceKind(Kind):
@@ -92,5 +92,5 @@ class DistanceKind(Kind):
             said = f"{len(bad)} of {len(d)} ranges are zero or negative, first at stamp {track.stamps[bad[0]]:.3f} s"
             return said, "leave out readings without a target"
         # the tool may stick out as far as the arm reaches
-        changing = millimetres("ranges change by", float(np.ptp(np.percentile(d, _MOST_OF))), _CHANGE * reach)
+        changing = millimetres("ranges change by", float(np.ptp(np.percentile(d, _MAX_OF))), _CHANGE * reach)
         return changing or millimetres("ranges reach", float(d.max()), farthest(reach))
