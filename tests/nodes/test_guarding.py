@@ -145,8 +145,8 @@ def test_a_latched_message_is_tried_once_more(outer: bool) -> None:
     with spun(Viewer) as pair:
         node = pair.node
         subscription = next(s for s in node.subscriptions if s.topic_name == "/robot_description")
-        subscription = next(one for one in node._inputs if one.topic == "/robot_description")
-        (guard_of(subscription) if outer else subscription._callback).callback = boom
+        monitored = next(one for one in node._inputs if one.topic == "/robot_description")
+        (guard_of(subscription) if outer else monitored._callback).callback = boom
         talk = pair.partner.create_publisher(String, "robot_description", LATCHED)
         talk.publish(String(data=URDF.read_text()))
         pair.wait(lambda: node.faults.counts["robot_description"] == 1, 10.0)
