@@ -418,5 +418,5 @@ def test_a_covariance_with_a_direction_below_nothing_becomes_the_nearest_that_ha
     bad = good - 1.2 * np.outer(root[:, 0], root[:, 0]) / (root[:, 0] @ np.linalg.solve(good, root[:, 0]))
     scale = np.sqrt(np.diag(good))
     assert np.linalg.eigvalsh(bad / np.outer(scale, scale))[0] < 0.0
-    mended = nearest_covariance(bad) / np.outer(scale, scale)
-    assert np.linalg.eigvalsh(mended)[0] > -1e-9
+    restored = nearest_covariance(bad) / np.outer(scale, scale)
+    assert np.linalg.eigvalsh(restored)[0] > -1e-9
