@@ -93,6 +93,14 @@ def test_a_table_of_a_handle_is_read_by_its_labels(head: str, form: str, tmp_pat
     np.testing.assert_allclose(np.diff(track.stamps), 0.05, atol=1e-6)
 
 
+def test_columns_of_angles_are_said_not_to_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [",".join(f"{v:.9f}" for v in pose[:3]) + f",0,0,{n}" for n, pose in enumerate(poses(door()))]
+    (tmp_path / "track.csv").write_text("x,y,z,roll,pitch,yaw\n" + "\n".join(rows) + "\n")
+    assert run(["articulate", str(tmp_path / "track.csv"), "--out", str(tmp_path / "out")]) == 0
+    assert "Columns roll, pitch, yaw are not read" in capsys.readouterr().out
+    assert told(tmp_path / "out")["measurement"] == "point"
+
+
 def test_rows_in_which_a_tracker_saw_nothing_are_left_out_and_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,6 +178,7 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
         ("0 0 0 10 0 5\n" * 9, "line 1: has 6 numbers"),
         ("".join(f"{-x} 0 0 1\n" for x in range(30)), "line 2: has 4 numbers, and the first is no time: it goes back"),
         ("time,u,v\n" + "1,2,3\n" * 9, "no columns x, y and z by its labels"),
+        ("x,y,z,x,y,z\n" + "1,2,3,4,5,6\n" * 9, "has two columns labelled x"),
         ("a x,a y,a z,b x,b y,b z\n" + "1,2,3,4,5,6\n" * 9, "has 2 positions by its labels (a x, b x)"),
         ("n,x,y,z\n" + "1,1,2,3\n" * 6 + "0,,,\n" * 9, "9 of 15 rows without all numbers"),
         ("a b c\n", "line 1: is not numbers"),

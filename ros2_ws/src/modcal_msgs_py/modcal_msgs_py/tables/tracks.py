@@ -10,7 +10,7 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_msgs_py.tables.candidates import Numbers
-from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, quaternions
+from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, angle_triples, quaternions
 from modcal_msgs_py.tables.moments import find_time
 from modcal_msgs_py.tables.sniff import sniff
 from modcal_msgs_py.tables.stamps import SECONDS
@@ -23,11 +23,15 @@ _MISSING = 0.5  # share of the rows that may lack a number
 
 @dataclass(frozen=True)
 class TextTrack:
-    """Positions (m, 3) [m], or poses x y z qx qy qz qw (m, 7); stamps (m,) [s] or None; how many rows were left out."""
+    """Positions (m, 3) [m], or poses x y z qx qy qz qw (m, 7); stamps (m,) [s] or None; how many rows were left out.
+
+    unread: columns of angles, whose convention no track tells.
+    """
 
     values: Array
     stamps: Array | None = None
     left_out: int = 0
+    unread: str = ""
 
 
 def read_track(path: Path) -> TextTrack:
@@ -95,7 +99,12 @@ def _labelled(path: Path, line: int) -> TextTrack:
     places: dict[str, dict[str, int]] = {}
     for k, label in free.items():
         if label.axis is not None and label.role in (MEASURED, COMMANDED) and not label.computed:
-            places.setdefault(label.axis[1], {}).setdefault(label.axis[0], k)
+            axis, rest = label.axis
+            if axis in places.setdefault(rest, {}):
+                raise BadTable(
+                    str(path), f"has two columns labelled {numbers.shown(k)}", "give each a label of its own"
+                )
+            places[rest][axis] = k
     named = [(found["x"], found["y"], found["z"]) for found in places.values() if len(found) == 3]
     if len(named) != 1:
         shown = ", ".join(numbers.shown(place[0]) for place in named)
@@ -122,4 +131,6 @@ def _labelled(path: Path, line: int) -> TextTrack:
     if kept.mean() < _MISSING:
         said = f"has {int((~kept).sum())} of {len(kept)} rows without all numbers of the handle, half is allowed"
         raise BadTable(str(path), said, "record while the handle is seen")
-    return TextTrack(values[kept], stamps, int((~kept).sum()))
+    angles = [] if turns else angle_triples(free)
+    unread = ", ".join(numbers.shown(k) for k in angles[0]) if angles else ""
+    return TextTrack(values[kept], stamps, int((~kept).sum()), unread)

@@ -39,7 +39,7 @@ _MAX = 2000  # samples; of more, evenly chosen ones say the same
 class _Read:
     """Positions or poses (m, 3) or (m, 7), stamps (m,) or None, the frame they are in, and the arm that held it.
 
-    left_out: rows of a table that hold no reading.
+    left_out: rows of a table that hold no reading. unread: its columns of angles.
     """
 
     values: Array
@@ -47,6 +47,7 @@ class _Read:
     frame: str
     arm: str = ""
     left_out: int = 0
+    unread: str = ""
 
 
 @click.command("articulate")
@@ -97,7 +98,7 @@ def articulate_command(
     """
     if bag.is_file() and not bag.name.endswith(SUFFIXES):
         text = read_track(bag)
-        read = _Read(text.values, text.stamps, "", left_out=text.left_out)
+        read = _Read(text.values, text.stamps, "", left_out=text.left_out, unread=text.unread)
     else:
         handle = next((name for name in topic if "=" not in name), None)
         topics = Topics.of([name for name in topic if "=" in name], ignore, tf)
@@ -115,6 +116,8 @@ def articulate_command(
     found = Articulation(bag.name, read.frame, track, choice)
     out = out or Path(f"{bag.resolve().stem}_articulation")
     data, files, said = write_articulation(found, out)
+    if read.unread:
+        said.insert(0, f"Columns {read.unread} are not read, only positions: give quaternions for rotations.")
     if read.left_out:
         said.insert(0, f"{read.left_out} of {len(read.values) + read.left_out} rows hold no reading and are left out.")
     said = [read.arm] * bool(read.arm) + said
