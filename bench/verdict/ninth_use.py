@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import yaml
 from case import Case
-from ninth import ANY, BASE, COMPUTED, POINTS, POSES, TOOL, UNIT, Array, any_of, named, ninth, way
+from ninth import ANY, BASE, COMPUTED, POINTS, POSES, TOOL, UNIT, Array, after, any_of, named, ninth, way
 from ninth_data import DATA, ROOT, Table, calibration, evaluation, recording
 from workcell import Works
 
@@ -68,7 +68,7 @@ def ninth_joint_warms_up(w: Works, rng: np.random.Generator) -> Case:
     n = len(table)
     drift = 2e-3 * (1.0 - np.exp(-3.0 * np.arange(n) / n))
     words = (*named(table, j), "drift", "warm", "time", "order")
-    return calibration(table.joint(j, drift), words, aside.joint(j, float(drift[-1])))
+    return calibration(table.joint(j, drift), words, after(table, aside).joint(j, float(drift[-1])))
 
 
 @ninth
@@ -83,7 +83,7 @@ def ninth_slips_once(w: Works, rng: np.random.Generator) -> Case:
     table, aside = any_of(rng, *ANY)
     j = int(rng.integers(1, 5))
     rows = np.arange(len(table)) >= 2 * len(table) // 3
-    return calibration(table.joint(j, 1e-2 * rows), named(table, j), aside.joint(j, 1e-2))
+    return calibration(table.joint(j, 1e-2 * rows), named(table, j), after(table, aside).joint(j, 1e-2))
 
 
 @ninth

@@ -42,7 +42,7 @@ from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.placements import several_placements
 from modcal_core.plausibility.screening import most_likely
 from modcal_core.plausibility.stated_distances import wrong_distances
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
 _AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not explained by it
@@ -165,7 +165,14 @@ def _weighed(
         miss = usual_miss(fit_cell(chain, undone, Cell()).model, undone)
     except ModcalError:
         return best
+    if samples.sockets and mistake.touches == "joints":
+        miss *= max(1.0, _extent(chain, samples) / max(_extent(chain, undone), 1e-12))
     return (miss, mistake.offender, mistake.remedy) if miss < best[0] else best
+
+
+def _extent(chain: Mechanism, samples: Samples) -> float:
+    """How far apart the flange is between postures, RMS [m]: an arm that hardly moved returns to any socket."""
+    return float(np.sqrt(forward(chain, samples.q)[:, :3, 3].var(axis=0).sum()))
 
 
 def _mistakes(names: tuple[str, ...], poses: bool) -> Iterator[Mistake]:

@@ -1,4 +1,7 @@
-"""When even the fitted model misses by far, the input is wrong, and is refused (:mod:`refusal`)."""
+"""When even the fitted model misses by far, the input is wrong, and is refused (:mod:`refusal`).
+
+So are sockets that moved (:mod:`socket_places`), which a fit would half follow and half reject.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.score import usual_miss
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.socket_places import require_one_place
 
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors
 
@@ -25,9 +29,11 @@ def require_plausible(
     samples: that were fitted. whole: of the recording, in which rows stand beside their neighbours; None for these.
     distances: that were stated and fitted beside the readings. placed: whether places of frames were stated as well.
     """
+    whole = samples if whole is None else whole
+    require_one_place(whole, nominal.model.chain)
     limit = LIMIT_OF_REACH * nominal.model.chain.reach()
     missed = usual_miss(fitted.model, samples)
     if missed > limit:
         from modcal_core.plausibility.refusal import refuse  # two dozen files, which most recordings do not need
 
-        refuse(nominal, samples, samples if whole is None else whole, distances, placed, missed, limit)
+        refuse(nominal, samples, whole, distances, placed, missed, limit)
