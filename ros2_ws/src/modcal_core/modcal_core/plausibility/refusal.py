@@ -25,6 +25,7 @@ from modcal_core.plausibility.channels import disagreeing_channel, wrong_descrip
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
 from modcal_core.plausibility.descriptions import other_order, other_type
+from modcal_core.plausibility.filtered import filtered_readings
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.mistakes import (
@@ -94,7 +95,8 @@ def refuse(
         best = several if several[1] else best
     if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
         apart = (
-            disagreeing_channel(whole, chain)
+            filtered_readings(whole, chain)
+            or disagreeing_channel(whole, chain)
             or written_otherwise(whole, chain)
             or mispaired(whole, chain)
             or other_order(whole, chain)

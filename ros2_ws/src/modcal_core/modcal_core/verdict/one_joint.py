@@ -27,7 +27,11 @@ _MAX = 300  # samples, for time; more are thinned evenly
 _MIN = 30  # samples; a variance is known to a quarter by these
 _MIN_JOINTS = 3  # of one kind, that a joint is compared with
 _MOSTLY = 0.5  # share of the squares: most of what is left
+LARGELY = 0.3  # the same beside what is predictable, where the verdict is open by that already
 _TIMES = 3.0  # the scatter of the usual joint; sizes of gears and encoders in one arm differ by about two
+_TOLD = 0.1  # of its scatter: the least bound that is stated for the others, where draws say none
+_FAINT = 0.1  # of the squares that the same scatter of the named joint makes: what a joint makes that hardly shows
+_TRADE = 0.5  # of what one varies by from draw to draw, that both together vary by, who take what the other leaves
 _DRAWS = 200  # of stations; the lowest hundredth is two of them
 _FARTHEST = 5.0  # times the median size; no sample may rule alone
 # six axes through the corners of an icosahedron, whose outer products span all covariances of three components
@@ -38,7 +42,8 @@ _AXES = np.array([[0, 1, 1.618034], [0, 1, -1.618034], [1, 1.618034, 0], [1, -1.
 @dataclass(frozen=True)
 class OneJoint:
     """names: of the joint, or of two. scatter: RMS of the lesser of them, and others: what that of each other joint is
-    surely below [rad or m]. turns: whether it is revolute. share: of the squared error that they make.
+    surely below [rad or m]. turns: whether it is revolute. share: of the squared error that they make. either: whether
+    it is one of the two, which stations do not tell apart. unseen: others that move the target too little to say.
     """
 
     names: tuple[str, ...]
@@ -46,23 +51,33 @@ class OneJoint:
     others: float
     turns: bool
     share: float
+    either: bool = False
+    unseen: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """For a person."""
         unit = "mrad" if self.turns else "mm"
-        one = len(self.names) == 1
-        who = f"Joint {self.names[0]} scatters by" if one else f"Joints {' and '.join(self.names)} scatter by at least"
+        one = len(self.names) == 1 or self.either
+        who = f"Joints {' and '.join(self.names)} scatter by at least"
+        if one:
+            rival = f", or {self.names[1]}, which these stations do not tell apart," if self.either else ""
+            who = f"Joint {self.names[0]}{rival} scatters by"
+        unseen = f" (of {' and '.join(self.unseen)} these readings say too little)" if self.unseen else ""
+        see = (
+            "See its encoder, coupling and brake, and whether it stands"
+            if one
+            else ("See their encoder, coupling and brake, and whether they stand")
+        )
         return (
             f"{who} {1e3 * self.scatter:.2g} {unit} RMS and each of the others by less than "
-            f"{1e3 * self.others:.2g} {unit} ({self.share:.0%} of the squared error). See {'its' if one else 'their'} "
-            f"encoder, coupling and brake, and whether {'it stands' if one else 'they stand'} still when readings are "
-            "taken; if the arm is like that, state its repeatability."
+            f"{1e3 * self.others:.2g} {unit}{unseen} ({self.share:.0%} of the squared error). {see} still when "
+            "readings are taken; if the arm is like that, state its repeatability."
         )
 
 
-def one_joint(case: Case) -> OneJoint | None:
-    """The joint, or the two, that most of what a case leaves is the scatter of, None where there is none."""
+def one_joint(case: Case, least: float = _MOSTLY) -> OneJoint | None:
+    """The joint, or the two, that a share of what a case leaves is the scatter of, None where there is none."""
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     rows = rows[~case.samples.moving[rows]]
     rows = rows[spread_rows(len(rows), _MAX)]
@@ -72,19 +87,20 @@ def one_joint(case: Case) -> OneJoint | None:
     residual, motions, more = _parts(case, chain, rows)
     whole = max(float(np.sum(residual**2)), 1e-300)
     along = np.sum(motions * residual, axis=1) ** 2 / np.maximum(np.sum(motions**2, axis=1), 1e-300)
-    if along.sum(axis=1).max() < 0.5 * _MOSTLY * whole:  # no more than that can be any joint's; two may share it
+    if along.sum(axis=1).max() < 0.5 * least * whole:  # no more than that can be any joint's; two may share it
         return None
     directions = np.concatenate([motions, more])
     products = np.einsum("jcn,kcn->njk", directions, directions) ** 2
     seen = np.einsum("jcn,cn->nj", directions, residual) ** 2
     variance = _variances(products.sum(axis=0), seen.sum(axis=0))[: chain.n]
-    share = variance * np.sum(motions**2, axis=(1, 2)) / whole
+    power = np.sum(motions**2, axis=(1, 2)) / whole
+    share = variance * power
     first, second = (int(j) for j in np.argsort(-share)[:2])
     rng = np.random.default_rng(0)
     drawn: list[Array] = []
     for loose in ([first], [first, second]):
         alike = [k for k in range(chain.n) if k not in loose and chain.revolute[k] == chain.revolute[first]]
-        if share[loose].sum() < _MOSTLY or len(alike) < _MIN_JOINTS:
+        if share[loose].sum() < least or len(alike) < _MIN_JOINTS:
             continue
         if chain.revolute[second] != chain.revolute[first] and len(loose) > 1:
             continue
@@ -93,14 +109,53 @@ def one_joint(case: Case) -> OneJoint | None:
         for _ in range(_DRAWS - len(drawn)):
             some = rng.integers(len(rows), size=len(rows))
             drawn.append(_variances(products[some].sum(axis=0), seen[some].sum(axis=0)))
-        others = float(np.percentile(np.array(drawn)[:, alike], 97.5, axis=0).max())
-        if np.percentile(np.array(drawn)[:, loose], 1.0, axis=0).min() <= others:
+        at = _apart(np.array(drawn)[:, : chain.n], power, loose, alike)
+        if at is None:
             continue
-        names = tuple(chain.names[k] for k in sorted(loose))
-        sizes = np.sqrt([variance[loose].min(), others])
+        size = float(variance[at.loose].max() if at.either else variance[at.loose].min())
+        sizes = np.sqrt([size, max(at.others, _TOLD**2 * size)])
+        names, unseen = (tuple(chain.names[k] for k in some) for some in (at.loose, at.unseen))
         turns = bool(chain.revolute[first])
-        return OneJoint(names, float(sizes[0]), float(sizes[1]), turns, float(share[loose].sum()))
+        made = float(share[at.loose].sum())
+        return OneJoint(names, float(sizes[0]), float(sizes[1]), turns, made, at.either, unseen)
     return None
+
+
+@dataclass(frozen=True)
+class _Apart:
+    """loose: joints that scatter by surely more than others: by a variance that each of those is below. either: one of
+    them does. unseen: those that move the target so little that they might scatter as much.
+    """
+
+    loose: list[int]
+    others: float
+    either: bool
+    unseen: list[int]
+
+
+def _apart(drawn: Array, power: Array, loose: list[int], alike: list[int]) -> _Apart | None:
+    """Whether joints scatter more than those like them in nearly all draws (K, n) of stations.
+
+    power: what of the squares a variance of each makes, (n,). Of two parallel axes one may take what the other leaves,
+    so that only both together are known: then it is one of the two.
+    """
+    high = np.percentile(drawn, 97.5, axis=0)
+    least = float(np.percentile(drawn[:, loose], 1.0, axis=0).min())
+    above = [k for k in alike if high[k] >= least]
+    unseen = [k for k in above if power[k] < _FAINT * power[loose].min()]
+    rivals = [k for k in above if k not in unseen]
+    seen = [k for k in alike if k not in above]
+    if len(seen) < _MIN_JOINTS or (rivals and len(rivals) + len(loose) > 2):
+        return None
+    others = float(high[seen].max())
+    if not rivals:
+        return _Apart(sorted(loose), others, False, unseen)
+    either = [*loose, *rivals]
+    makes = drawn[:, either] * power[either]
+    together = makes.sum(axis=1)
+    trade = together.std() < _TRADE * makes[:, 0].std()
+    least = float(np.percentile(together, 1.0) / power[either].max())
+    return _Apart(either, others, True, unseen) if trade and _TIMES**2 * others < least else None
 
 
 def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Array]:

@@ -16,7 +16,7 @@ from modcal_core.verdict.contributions import Contribution, contributions, mean_
 from modcal_core.verdict.estimation import estimation
 from modcal_core.verdict.floor import Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
-from modcal_core.verdict.one_joint import one_joint
+from modcal_core.verdict.one_joint import LARGELY, one_joint
 from modcal_core.verdict.one_place import one_place
 from modcal_core.verdict.one_topic import one_topic
 from modcal_core.verdict.outside import worse_outside
@@ -73,6 +73,8 @@ def judge(
     # what is predictable, or falls into groups, is no scatter; it stands in the way of no tolerance
     if not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor") or r in loose for r in reasons):
         reasons = (*reasons, *_reasons("predictable", (*_uneven(case), *_scatter(case, stated))))
+    elif not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor", "predictable") for r in reasons):
+        reasons = (*reasons, *_reasons("predictable", _mostly_scatter(case, stated, seen)))
     told = known.position is not None and (known.rotation is not None or not angles)
     vague = "" if not told else _vague(known.position, own[0], " mm") or _vague(known.rotation, own[1], "°")
     unproven = "" if _scattered(known) else " ".join(grounds.unproven)
@@ -190,6 +192,13 @@ def _scatter(case: Case, stated: Stated | None) -> Iterator[str]:
     """A joint, base or tool that scatters by far more than the rest, unless it was stated what does not repeat."""
     found = None if stated is not None and stated.rms_mm is not None else one_joint(case) or one_place(case)
     if found is not None:
+        yield found.sentence
+
+
+def _mostly_scatter(case: Case, stated: Stated | None, seen: Predictable) -> Iterator[str]:
+    """A joint that scatters by much of what is left even where all that is predictable is its own."""
+    found = None if stated is not None and stated.rms_mm is not None else one_joint(case, LARGELY)
+    if found is not None and seen.both is not None and found.share - seen.both.share >= LARGELY:
         yield found.sentence
 
 
