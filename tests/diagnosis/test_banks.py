@@ -11,6 +11,7 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.banks import StepBank, WaveBank
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS
 from modcal_core.diagnosis.evidence import Scanner
+from modcal_core.diagnosis.explained import inverses
 from modcal_core.diagnosis.known_sums import KnownSums
 from modcal_core.diagnosis.number_banks import GatheredBank
 from modcal_core.diagnosis.spectra import Spectrum
@@ -39,6 +40,37 @@ def test_a_spectrum_is_the_sum_over_the_samples(rng: np.random.Generator, turns:
     assert (np.abs(sums[:, 1] - np.cos(phase) @ columns) < size).all()
 
 
+def test_sums_in_single_precision(rng: np.random.Generator) -> None:
+    """On a grid that is coarser to a millionth, sums and their squares."""
+    angle = rng.uniform(-4.0, 4.0, 900)
+    columns = rng.normal(size=(900, 70))
+    spectrum = Spectrum(angle, 0.3, 700)
+    sums, lean = spectrum.sums(columns), spectrum.sums(columns.astype(np.float32))
+    assert (np.abs(lean - sums) < 1e-6 * np.abs(columns).sum(axis=0)).all()
+    whole, part = spectrum.squares(columns), spectrum.squares(columns.astype(np.float32))
+    np.testing.assert_allclose(part.sine[1:], whole.sine[1:], rtol=5e-6)
+    np.testing.assert_allclose(part.cosine, whole.cosine, rtol=5e-6)
+    np.testing.assert_allclose(part.doubled, whole.doubled, atol=1e-5 * float(whole.cosine.max()))
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 6, 9])
+def test_inverses_are_those_of_new_directions(rng: np.random.Generator, m: int) -> None:
+    """Of candidates of any width the inverse of what is new, by singular values; also where some or all is not."""
+    columns = rng.normal(size=(40, m, 30))
+    columns[::3, -1] = columns[::3, 0] + 1e-9 * columns[::3, -1]  # of one column alone: all of it, scaled down below
+    own = np.einsum("cik,cik->ci", columns, columns)
+    if m == 1:
+        columns[::3] *= 1e-3
+    found, sizes = inverses(columns @ columns.transpose(0, 2, 1), own)
+    for one, size, square, inverse in zip(columns, sizes, own, found, strict=True):
+        scale = np.sqrt(square)
+        vector, value, _ = np.linalg.svd(one / scale[:, None])
+        new = value[:m] ** 2 > 0.0025
+        expected = (vector[:, new] / value[:m][new] ** 2) @ vector[:, new].T / np.outer(scale, scale)
+        assert size == new.sum()
+        np.testing.assert_allclose(inverse, expected, rtol=1e-7, atol=1e-9 * float(np.abs(expected).max()))
+
+
 def test_each_bank_sums_as_its_numbers_do(fitted: tuple[Fit, Drivers], rng: np.random.Generator) -> None:
     """Every kind of bank of a real scan, beside the numbers of its candidates one by one."""
     _, drivers = fitted
@@ -47,7 +79,7 @@ def test_each_bank_sums_as_its_numbers_do(fitted: tuple[Fit, Drivers], rng: np.r
     assert len(scanner.effects) == len(list(candidates(drivers)))
     for bank in scanner.banks:
         unit = {key: rng.normal(size=(6, len(drivers))) for key in bank.keys}
-        asked = {key: rng.normal(size=(len(drivers), 3)) for key in bank.keys}
+        asked = {key: rng.normal(size=(len(drivers), 3)) for key in scanner._keys}  # numbers of all keys are one pool
         sums = bank.sums(asked, KnownSums())
         squares = bank.gram_of_sums(asked, KnownSums())
         gram = bank.gram(unit)

@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.diagnosis.space import ROUNDING, Directions, Space, by_component, by_sample, drawn_in
+from modcal_core.diagnosis.space import ROUNDING, DirectionFactor, Directions, Space, by_component, by_sample, drawn_in
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, all_columns, is_turned
 from modcal_core.geometry.so3 import Array
@@ -48,13 +48,13 @@ class _Step:
 
 @dataclass(frozen=True)
 class Anchor:
-    """A fit, its rows, and what they were made by. L: see :meth:`Space.with_factor`, (P, P). steps: from it to the last
-    fit beside it, each with the columns that go or the effects that come.
+    """A fit, its rows, and what they were made by. steps: from it to the last fit beside it, each with the columns that
+    go or the effects that come.
     """
 
     fit: Fit
     space: Space
-    L: Array
+    factor: DirectionFactor
     steps: list[_Step] = field(default_factory=list)
 
     @classmethod
@@ -77,7 +77,7 @@ class Anchor:
                 del others[same]
             at += len(effect.values)
         count = len(gone) + sum(len(e.values) for e in others)
-        if count > _MAX_NEW * len(self.L):
+        if count > _MAX_NEW * self.factor.columns:
             return None
         space = self.space
         rows = space.rows
@@ -114,9 +114,7 @@ class Anchor:
 
     def _of_gone(self, gone: tuple[int, ...]) -> Directions:
         """The directions that go with these columns."""
-        unit = np.eye(len(self.L))[:, list(gone)]
-        F = np.linalg.qr(solve_triangular(self.L, unit, lower=True, check_finite=False))[0]
-        return Directions(self.space.Q[: self.space.rows] @ F, -1.0)
+        return Directions(self.space.Q[: self.space.rows] @ self.factor.along(gone), -1.0)
 
     def _is_near(self, fit: Fit) -> bool:
         """Whether the columns of geometry, and how rows are weighed, are nearly the anchor's."""

@@ -29,10 +29,11 @@ from modcal_core.diagnosis.banks import Bank, SpectraOfDrivers, StepBank, WaveBa
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS, against_noise, is_clear, score_table
 from modcal_core.diagnosis.explained import explained, inverses
 from modcal_core.diagnosis.known_sums import Key
-from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, gathered
+from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, NumberPool, gathered
 from modcal_core.diagnosis.space import Directions, SignTrials, Space
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index
+from modcal_core.effects.family import USUAL
 from modcal_core.effects.registry import complexity
 from modcal_core.effects.shapes import PERIODIC, periodic
 from modcal_core.geometry.so3 import Array
@@ -155,15 +156,16 @@ class Scanner:
         weighed = [self._weighed(tuple(alike), space) for _, alike in groupby(asked, lambda bank: bank.width)]
         size = np.concatenate([part.sizes for part in weighed])
         tables = {int(m): score_table(int(m), space.freedom) for m in np.unique(size)}
-        trials = space.trials(signs[: 1 + FIRST_FLIPS][:, self.unit])
-        squares, best = self._explained(weighed, space, trials, tables)
-        if len(signs) > len(best) and not is_clear(best):
-            more = space.trials(signs[len(best) :][:, self.unit]).lean()
-            best = np.concatenate([best, self._explained(weighed, space, more, tables)[1]])
+        whole = space.trials(signs[:1][:, self.unit])
+        squares, best = self._explained(weighed, space, whole, tables)
+        for some in (signs[1 : 1 + FIRST_FLIPS], signs[1 + FIRST_FLIPS :]):
+            if len(some) and (len(best) == 1 or not is_clear(best)):
+                trials = space.trials(some[:, self.unit]).lean()
+                best = np.concatenate([best, self._explained(weighed, space, trials, tables)[1]])
         if most is not None:
             taken = np.concatenate([np.full(len(b.effects), self._plainest(b) <= most) for b in self.banks])
             size, squares = _spread(size, taken), _spread(squares, taken)
-        share = squares / trials.total[0]
+        share = squares / whole.total[0]
         score = np.zeros(len(share))
         for m, table in tables.items():
             if table is not None:
@@ -297,16 +299,22 @@ class Scanner:
         """Keys whose contraction is to be computed for this bank, and those of all others with it: what there is to
         read is then read once.
         """
-        if all(key in known for key in bank.keys):
-            return []
         return [key for key in (self._keys if self._is_own(bank) else bank.keys) if key not in known]
 
 
 def _gathered(banks: Iterable[tuple[Bank, int]]) -> Iterator[tuple[Bank, int]]:
-    """Banks in their order; neighbours of any numbers, alike in width and in the number beside them, made one."""
+    """Banks in their order; neighbours of any numbers, alike in width and in the number beside them, made one.
+
+    Those of plain candidates have one pool of numbers, and all others another, which is not asked where they take no
+    part.
+    """
+    banks = list(banks)
+    of_numbers = [(bank, least <= USUAL) for bank, least in banks if isinstance(bank, NumberBank)]
+    pools = {plain: NumberPool(bank for bank, p in of_numbers if p == plain) for plain in (True, False)}
     for (_, least, numbers), some in groupby(banks, lambda b: (b[0].width, b[1], isinstance(b[0], NumberBank))):
         if numbers:
-            yield GatheredBank(tuple(bank for bank, _ in some if isinstance(bank, NumberBank))), least
+            parts = tuple(bank for bank, _ in some if isinstance(bank, NumberBank))
+            yield GatheredBank(parts, pools[least <= USUAL]), least
         else:
             yield from some
 

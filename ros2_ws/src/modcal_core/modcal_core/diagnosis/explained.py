@@ -10,6 +10,10 @@ import numpy as np
 from modcal_core.geometry.so3 import Array
 
 _ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
+# A column is nothing whose square is less of the largest, as where a sample touches the end of a curve's function by
+# rounding; and where all are less than that, whose inverse single precision has no number for
+_ROUNDING, _NO_SQUARE = 1e-24, 1e-30
+_WIDE = 6  # columns; of more, some direction is hardly ever new, and what there is to know is taken apart at once
 _MIN_NEW = 0.0025  # share of a candidate's square (5 % of its size) that the fit cannot make by itself
 
 
@@ -18,15 +22,25 @@ def inverses(gram: Array, own: Array) -> tuple[Array, np.ndarray]:
 
     own: squares of the columns (C, m). Directions that the fit can nearly make by itself are left out.
     """
-    scale = 1.0 / np.sqrt(np.maximum(own, 1e-300))
+    least = np.maximum(_ROUNDING * own.max(axis=1, keepdims=True), _NO_SQUARE)
+    scale = np.where(own > least, 1.0 / np.sqrt(np.maximum(own, least)), 0.0)
     scaled = gram * scale[:, :, None] * scale[:, None, :]
     # Where all directions are new, which is most often, there is nothing to take apart: the least eigenvalue is no less
     # than one over the size of the inverse.
-    m = scaled.shape[1]
-    if m == 2:
+    C, m, _ = scaled.shape
+    if m == 1:
+        out = 1.0 / np.maximum(scaled, 1e-300)
+        rest = np.flatnonzero(scaled[:, 0, 0] <= _MIN_NEW)
+    elif m == 2:
         a, b, d = scaled[:, 0, 0], scaled[:, 0, 1], scaled[:, 1, 1]
         out = np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) / np.maximum(a * d - b * b, 1e-300)[:, None, None]
         rest = np.flatnonzero(0.5 * (a + d) - np.hypot(0.5 * (a - d), b) <= _MIN_NEW)
+    elif m == 4:
+        with np.errstate(over="ignore", invalid="ignore"):  # of those that are singular
+            out = _inverses_of_four(scaled)
+            rest = np.flatnonzero(~(np.einsum("cij,cij->c", out, out) < _MIN_NEW**-2))
+    elif m > _WIDE:
+        out, rest = np.empty_like(scaled), np.arange(C)
     else:
         out = np.asarray(np.linalg.inv(scaled + _ONLY_ROUNDING * np.eye(m)), dtype=float)
         rest = np.flatnonzero(~(np.einsum("cij,cij->c", out, out) < _MIN_NEW**-2))
@@ -36,6 +50,32 @@ def inverses(gram: Array, own: Array) -> tuple[Array, np.ndarray]:
     part = np.where(keep, 1.0 / np.maximum(value, _MIN_NEW), 0.0)[:, None]
     out[rest], sizes[rest] = (vector * part) @ vector.transpose(0, 2, 1), keep.sum(axis=1)
     return out * scale[:, :, None] * scale[:, None, :], sizes
+
+
+def _inverses_of_four(scaled: Array) -> Array:
+    """Inverses of symmetric matrices (C, 4, 4), block by block; without meaning where they are singular."""
+    a, b, d = scaled[:, :2, :2], scaled[:, :2, 2:], scaled[:, 2:, 2:]
+    of_a = _inverses_of_two(a)
+    ab = _times(of_a, b)
+    of_rest = _inverses_of_two(d - _times(b.transpose(0, 2, 1), ab))
+    across = -_times(ab, of_rest)
+    out = np.empty_like(scaled)
+    out[:, :2, :2] = of_a - _times(across, ab.transpose(0, 2, 1))
+    out[:, :2, 2:], out[:, 2:, :2], out[:, 2:, 2:] = across, across.transpose(0, 2, 1), of_rest
+    return out
+
+
+def _inverses_of_two(x: Array) -> Array:
+    """Inverses of symmetric matrices (C, 2, 2), with _ONLY_ROUNDING added."""
+    a, b, d = x[:, 0, 0] + _ONLY_ROUNDING, x[:, 0, 1], x[:, 1, 1] + _ONLY_ROUNDING
+    return np.asarray(
+        np.array([[d, -b], [-b, a]]).transpose(2, 0, 1) / np.maximum(a * d - b * b, 1e-300)[:, None, None]
+    )
+
+
+def _times(x: Array, y: Array) -> Array:
+    """Products of matrices (C, 2, 2): without a call for each of them."""
+    return np.asarray(x[:, :, :1] * y[:, :1] + x[:, :, 1:] * y[:, 1:])
 
 
 def explained(inverse: Array, n: Array) -> Array:

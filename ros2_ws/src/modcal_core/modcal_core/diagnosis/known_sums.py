@@ -55,12 +55,12 @@ class KnownSums:
             self._kept.append(matrix)
         return self._running[key]
 
-    def numbers(self, bank: NumbersOfKeys, of: Mapping[Key, Array]) -> Array:
-        """All numbers of a bank times the matrices (N, k) of their keys, (R, k)."""
-        if id(bank) not in self._numbers:
-            self._numbers[id(bank)] = bank.times(of)
-            self._kept.append(bank)
-        return self._numbers[id(bank)]
+    def numbers(self, pool: NumbersOfKeys, of: Mapping[Key, Array]) -> Array:
+        """All numbers of a pool times the matrices (N, k) of their keys, (R, k)."""
+        if id(pool) not in self._numbers:
+            self._numbers[id(pool)] = pool.times(of)
+            self._kept.append(pool)
+        return self._numbers[id(pool)]
 
 
 def running_sums(order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:

@@ -69,11 +69,59 @@ class NumberBank:
         return out
 
 
+class NumberPool:
+    """The numbers of many candidates, each once for a key: for each key what they ask for is one product."""
+
+    def __init__(self, banks: Iterable[NumberBank]) -> None:
+        found: dict[Key, list[tuple[int, int, Array]]] = {}
+        self._rows: dict[int, np.ndarray] = {}
+        for bank in banks:
+            self._rows[id(bank)] = np.empty(bank.numbers.shape[:2], np.int64)
+            for key, some in bank.groups().items():
+                found.setdefault(key, []).extend((id(bank), a, bank.numbers[:, a]) for a in some)
+        self._numbers: dict[Key, np.ndarray] = {}
+        first = 0
+        for key, several in found.items():
+            once, which = _each_once(np.concatenate([numbers for _, _, numbers in several]))
+            for bank_id, a, numbers in several:
+                self._rows[bank_id][:, a], which = first + which[: len(numbers)], which[len(numbers) :]
+            self._numbers[key] = once
+            first += len(once)
+        self._count = first
+
+    def rows(self, bank: NumberBank) -> np.ndarray:
+        """Which of all numbers, key after key, the columns of each candidate of a bank have, (C, m)."""
+        return self._rows[id(bank)]
+
+    def times(self, of: Mapping[Key, Array]) -> Array:
+        """All numbers times the matrices (N, k) of their keys, (R, k)."""
+        some = of[next(iter(self._numbers))]
+        out = np.empty((self._count, some.shape[1]), some.dtype)
+        first = 0
+        for key, numbers in (self._lean if some.dtype == np.float32 else self._numbers).items():
+            np.matmul(numbers, of[key], out=out[first : first + len(numbers)])
+            first += len(numbers)
+        return out
+
+    @cached_property
+    def _lean(self) -> dict[Key, np.ndarray]:
+        return {key: numbers.astype(np.float32) for key, numbers in self._numbers.items()}
+
+
+def _each_once(numbers: Array) -> tuple[Array, np.ndarray]:
+    """Rows (R, N) of which no two are the same, and which of them each of these is."""
+    seen: dict[bytes, int] = {}
+    which = np.array([seen.setdefault(row.tobytes(), len(seen)) for row in numbers], np.int64)
+    first = np.unique(which, return_index=True)[1]
+    return numbers[first], which
+
+
 @dataclass(frozen=True)
 class GatheredBank:
-    """Banks of any numbers, of as many columns each, as one: for each key what they ask for is one product."""
+    """Banks of any numbers, of as many columns each, as one. pool: what has their numbers."""
 
     parts: tuple[NumberBank, ...]
+    pool: NumberPool
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -92,7 +140,7 @@ class GatheredBank:
 
     def sums(self, of: Mapping[Key, Array], known: KnownSums, rows: slice = ALL) -> Array:
         """See :class:`Bank`."""
-        return np.asarray(known.numbers(self, of)[self._rows[rows]])
+        return np.asarray(known.numbers(self.pool, of)[self._rows[rows]])
 
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
@@ -102,43 +150,10 @@ class GatheredBank:
         """See :class:`Bank`."""
         return squared(self.sums(of, known))
 
-    def times(self, of: Mapping[Key, Array]) -> Array:
-        """All numbers times the matrices (N, k) of their keys, (R, k)."""
-        some = of[self.keys[0]]
-        lean = some.dtype == np.float32
-        out = np.empty((self._rows.size, some.shape[1]), some.dtype)
-        first = 0
-        for key in self.keys:
-            numbers = (self._lean if lean else self._numbers)[key]
-            np.matmul(numbers, of[key], out=out[first : first + len(numbers)])
-            first += len(numbers)
-        return out
-
-    @cached_property
-    def _numbers(self) -> dict[Key, np.ndarray]:
-        """Numbers of all columns of each key, (R_key, N)."""
-        out: dict[Key, list[np.ndarray]] = {key: [] for key in self.keys}
-        for part in self.parts:
-            for key, some in part.groups().items():
-                out[key].append(part.numbers[:, some].reshape(-1, part.numbers.shape[2]))
-        return {key: np.concatenate(numbers) for key, numbers in out.items()}
-
-    @cached_property
-    def _lean(self) -> dict[Key, np.ndarray]:
-        return {key: numbers.astype(np.float32) for key, numbers in self._numbers.items()}
-
     @cached_property
     def _rows(self) -> np.ndarray:
-        """Which of all numbers, key after key, each candidate's columns have, (C, m)."""
-        next_of = dict(zip(self.keys, np.cumsum([0, *(len(self._numbers[key]) for key in self.keys)]), strict=False))
-        out = []
-        for part in self.parts:
-            rows = np.empty((len(part.effects), self.width), np.int64)
-            for key, some in part.groups().items():
-                rows[:, some] = next_of[key] + np.arange(rows[:, some].size).reshape(-1, len(some))
-                next_of[key] += rows[:, some].size
-            out.append(rows)
-        return np.concatenate(out)
+        """Which of the pool's numbers each candidate's columns have, (C, m)."""
+        return np.concatenate([self.pool.rows(part) for part in self.parts])
 
 
 def gathered(banks: Iterable[NumberBank]) -> list[NumberBank]:

@@ -5,7 +5,7 @@ Each sample has six rows, weighted; what is fitted is projected out of the resid
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -21,6 +21,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 ROUNDING = 1e-12  # of the square of a column, added to what is inverted
+_NOTHING = 1e-8  # square of a direction that the samples show nothing of: single precision loses more of a column
 _MANY = 200_000  # numbers of directions; of fewer, double precision costs nothing worth saving
 _FARTHEST = 8.0  # times the median size: noise of any usual tail stays inside, and no sample may rule alone
 
@@ -81,10 +82,30 @@ class Directions:
 
 
 @dataclass(frozen=True)
+class DirectionFactor:
+    """How the directions of a space come from P columns at unit size: ``Q = (L⁻¹ J[seen])[kept]``.
+
+    seen: columns of which there is something, (S,): a curve's that reach to no sample are nothing. L: triangle (S, S).
+    kept: of the directions those that are more than rounding, (D,).
+    """
+
+    columns: int
+    seen: np.ndarray
+    L: Array
+    kept: np.ndarray
+
+    def along(self, columns: Sequence[int]) -> Array:
+        """Which orthonormal sums of the directions, (D, a), go with some of the columns."""
+        unit = np.eye(len(self.L))[:, np.isin(self.seen, columns)]
+        F = np.linalg.qr(scipy.linalg.solve_triangular(self.L, unit, lower=True, check_finite=False))[0]
+        return np.asarray(F[self.kept])
+
+
+@dataclass(frozen=True)
 class Space:
     """Weighted residual and columns, sample by sample: (6, N), rows 3 … 5 zero where there is no orientation.
 
-    Q: orthonormal columns of all that is fitted, (6, N, P). Parameters are held by their priors, as extra rows that ask
+    Q: orthonormal columns of all that is fitted, (6, N, D). Parameters are held by their priors, as extra rows that ask
     each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
     rows: those that may not be zero. squares: of banks, by their number, the products of their columns with each other.
     whole, changes: of a space beside another the directions of Q, and those that come on top or go (:mod:`anchor`).
@@ -107,8 +128,8 @@ class Space:
         return cls.with_factor(fit, drivers)[0]
 
     @classmethod
-    def with_factor(cls, fit: Fit, drivers: Drivers) -> tuple[Space, Array]:
-        """The same, and the triangle L (P, P) by which ``Q = L⁻¹ J``, the columns J at unit size."""
+    def with_factor(cls, fit: Fit, drivers: Drivers) -> tuple[Space, DirectionFactor]:
+        """The same, and how its directions come from the columns."""
         samples = drivers.samples
         weight = sample_weights(fit, samples)
         values = np.concatenate([np.zeros(len(fit.parameters)), *(e.values for e in fit.model.effects)])
@@ -116,19 +137,19 @@ class Space:
         view = RowView.of(fit.model, samples, drivers)
         held = np.zeros(len(now.J))  # of a frozen model without effects nothing is fitted
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
-        N, P, rows = len(samples), len(now.J), _rows(view)
+        N, rows = len(samples), _rows(view)
         J = by_component(now.J, view)
         J *= weight[:rows]
-        flat = J.reshape(P, rows * N)
-        L = _make_orthonormal(flat, held)
-        Q = np.empty((6, N, P)) if rows == 6 else np.zeros((6, N, P))
-        Q[:rows] = J.transpose(1, 2, 0)
+        flat, factor = _orthonormal(J.reshape(len(J), rows * N), held)
+        D = len(flat)
+        Q = np.empty((6, N, D)) if rows == 6 else np.zeros((6, N, D))
+        Q[:rows] = flat.reshape(D, rows, N).transpose(1, 2, 0)
         residual = drawn_in(by_sample(now.residual, view) * weight)
         # What the training set got wrong of the fitted lies in its own columns: it must not be given signs, or it would
         # join the noise and hide how uneven that is.
         residual[:rows] -= ((flat @ residual[:rows].ravel()) @ flat).reshape(rows, N)
         free = equations(fit, samples) - round(float(np.vdot(flat, flat)))
-        return cls(view, weight, residual, Q, free, rows), L
+        return cls(view, weight, residual, Q, free, rows), factor
 
     @cached_property
     def parts(self) -> tuple[Directions, ...]:
@@ -163,19 +184,22 @@ def equations(fit: Fit, samples: Samples) -> int:
     return round(Groups.of(samples, bool(fit.model.instruments)).rows)
 
 
-def _make_orthonormal(J: Array, held: Array) -> Array:
-    """Make columns, which are the rows of J (P, m), each with what is held of it behind, orthonormal, in their place.
+def _orthonormal(J: Array, held: Array) -> tuple[Array, DirectionFactor]:
+    """Columns, which are the rows of J (P, m), each with what is held of it behind, made orthonormal, (D, m).
 
-    What is held is left out. Returns the triangle L (P, P) whose inverse makes them of the columns at unit size.
+    What is held is left out. J is overwritten.
     """
-    size = np.maximum(np.sqrt(np.einsum("ij,ij->i", J, J) + held**2), 1e-300)
+    columns, square = len(J), np.einsum("ij,ij->i", J, J)
+    seen = np.flatnonzero(square)
+    if len(seen) < len(J):
+        J, square, held = J[seen], square[seen], held[seen]
+    size = np.sqrt(square + held**2)
     J /= size[:, None]
     L = np.asarray(np.linalg.cholesky(J @ J.T + np.diag((held / size) ** 2 + ROUNDING)), dtype=float)
     if J.size:  # from the right, which takes three quarters of the time that it takes from the left
-        out = scipy.linalg.blas.dtrsm(1.0, np.asfortranarray(L), J.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-        if not np.may_share_memory(out, J):
-            J[:] = out
-    return L
+        J = scipy.linalg.blas.dtrsm(1.0, np.asfortranarray(L), J.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+    kept = np.einsum("ij,ij->i", J, J) > _NOTHING
+    return (J if kept.all() else J[kept]), DirectionFactor(columns, seen, L, np.flatnonzero(kept))
 
 
 def drawn_in(residual: Array) -> Array:
