@@ -156,6 +156,11 @@ class Space:
         """What is projected out: the directions of Q, and changes to them."""
         return (self.whole or Directions(self.Q[: self.rows]), *self.changes)
 
+    @cached_property
+    def _along(self) -> list[Array]:
+        """Of each sample's residual what lies along the directions of each part, (N, p)."""
+        return [np.einsum("cNp,cN->Np", part.Q, self.residual[: self.rows]) for part in self.parts]
+
     def column(self, place: int, direction: int) -> Array:
         """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
         return by_sample(self.view.unit_column(place, direction), self.view) * self.weight
@@ -165,8 +170,8 @@ class Space:
         residual = self.residual[: self.rows]
         left = residual[:, :, None] * signs.T
         total = np.full(len(signs), np.sum(residual**2))
-        for part in self.parts:
-            seen = signs @ np.einsum("cNp,cN->Np", part.Q, residual)
+        for part, of_samples in zip(self.parts, self._along, strict=True):
+            seen = signs @ of_samples
             left -= part.Q @ (part.sign * seen.T)
             total -= part.sign * np.sum(seen**2, axis=1)
         return SignTrials(left, total)
@@ -196,8 +201,9 @@ def _orthonormal(J: Array, held: Array) -> tuple[Array, DirectionFactor]:
     size = np.sqrt(square + held**2)
     J /= size[:, None]
     L = np.asarray(np.linalg.cholesky(J @ J.T + np.diag((held / size) ** 2 + ROUNDING)), dtype=float)
-    if J.size:  # from the right, which takes three quarters of the time that it takes from the left
-        J = scipy.linalg.blas.dtrsm(1.0, np.asfortranarray(L), J.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+    if J.size:  # by the triangle's inverse, from the right: half of the time of a solution, and of its digits
+        inverse = scipy.linalg.lapack.dtrtri(np.asfortranarray(L), lower=1)[0]
+        J = scipy.linalg.blas.dtrmm(1.0, inverse, J.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
     kept = np.einsum("ij,ij->i", J, J) > _NOTHING
     return (J if kept.all() else J[kept]), DirectionFactor(columns, seen, L, np.flatnonzero(kept))
 
