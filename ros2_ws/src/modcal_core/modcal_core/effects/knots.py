@@ -18,37 +18,39 @@ _MAX_EACH = 8  # functions that are not zero at one sample; of more, blocks are 
 class Knots:
     """Functions (b, N) of which few are not zero at a sample. at: numbers of these few, (N, k). value: theirs, (N, k).
 
-    whole: all of them as a sparse array, (b, N).
+    whole, by_sample: all of them as a sparse array, (b, N), and the other way round, (N, b). functions: b.
     """
 
     at: np.ndarray
     value: Array
     whole: scipy.sparse.csr_array
+    by_sample: scipy.sparse.csr_array
+    functions: int
 
     @classmethod
     def of(cls, numbers: Array) -> Knots | None:
         """Those of a shape (b, N), None where many are not zero at some sample."""
-        most = int(np.count_nonzero(numbers, axis=0).max(initial=0))
+        b, N = numbers.shape
+        flat = np.flatnonzero(numbers != 0.0)
+        begins = np.searchsorted(flat, N * np.arange(b + 1))
+        whole = scipy.sparse.csr_array((numbers.ravel()[flat], flat % N, begins), shape=(b, N))
+        by_sample = whole.T.tocsr()
+        count = np.diff(by_sample.indptr)
+        most = int(count.max(initial=0))
         if not 0 < most <= _MAX_EACH:
             return None
-        whole = scipy.sparse.csr_array(numbers)
-        by_sample = whole.tocsc()
-        count = np.diff(by_sample.indptr)
-        column = np.repeat(np.arange(len(count)), count)
-        place = np.arange(len(column)) - np.repeat(by_sample.indptr[:-1], count)
-        at, value = np.zeros((len(count), most), np.int32), np.zeros((len(count), most))
-        at[column, place], value[column, place] = by_sample.indices, by_sample.data
-        return cls(at, value, whole)
+        sample = np.repeat(np.arange(N), count)
+        place = np.arange(len(sample)) - by_sample.indptr[sample]
+        at, value = np.zeros((N, most), np.int32), np.zeros((N, most))
+        at[sample, place], value[sample, place] = by_sample.indices, by_sample.data
+        return cls(at, value, whole, by_sample, b)
 
     def curves(self, amplitudes: Array) -> Array:
         """Sums of the functions times amplitudes (d, b), (d, N)."""
-        out = self.value[:, 0] * amplitudes[:, self.at[:, 0]]
-        for k in range(1, self.value.shape[1]):
-            out += self.value[:, k] * amplitudes[:, self.at[:, k]]
-        return out
+        return np.asarray((self.by_sample @ amplitudes.T).T)
 
     def __len__(self) -> int:
-        return int(self.whole.shape[0])
+        return self.functions
 
 
 def knots_of(functions: Array, at: Drivers) -> Knots | None:

@@ -70,6 +70,21 @@ def exp(w: ArrayLike) -> Array:
     return _EYE + a[..., None, None] * W + b[..., None, None] * (W @ W)
 
 
+def exp_rows(w: Array) -> tuple[tuple[Array, Array, Array], ...]:
+    """Columns of :func:`exp` of rotation vectors (3, N) [rad], three rows (N,) each: component-major, without copies."""
+    x, y, z = w
+    xx, yy, zz = x * x, y * y, z * z
+    a, b, _ = rodrigues_coefficients(np.sqrt(xx + yy + zz))
+    ax, ay, az = a * x, a * y, a * z
+    bx, by = b * x, b * y
+    xy, xz, yz = bx * y, bx * z, by * z
+    return (
+        (1.0 - b * (yy + zz), xy + az, xz - ay),
+        (xy - az, 1.0 - b * (xx + zz), yz + ax),
+        (xz + ay, yz - ax, 1.0 - b * (xx + yy)),
+    )
+
+
 def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
     """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], for less than both apart."""
     w = np.asarray(w, dtype=float)

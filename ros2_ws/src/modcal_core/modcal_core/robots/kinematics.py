@@ -167,12 +167,11 @@ def moved_frame(axes: Array, p: Array, twist: Array) -> None:
         axes[0] = c * x + s * y
         axes[1] = c * y - s * x
     elif twist[3:].any():
-        R = np.ascontiguousarray(so3.exp(twist[3:].T).transpose(1, 2, 0))  # (3, 3, N)
         x, y, z = axes.copy()
-        for k, turned in enumerate(axes):
-            np.multiply(x, R[0, k], out=turned)
-            turned += y * R[1, k]
-            turned += z * R[2, k]
+        for turned, (a, b, c) in zip(axes, so3.exp_rows(twist[3:]), strict=True):
+            np.multiply(x, a, out=turned)
+            turned += y * b
+            turned += z * c
 
 
 def forward(chain: Chain, q: ArrayLike) -> Array:
