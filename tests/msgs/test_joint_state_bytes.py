@@ -89,3 +89,20 @@ def test_what_it_cannot_read_is_left_to_another() -> None:
     for k in range(20):
         read(serialize_message(JointState(name=[f"joint{k:02}"], position=[float(k)])))
     assert len(asked) == len(spoiled) + 5
+
+
+def test_what_a_later_message_of_the_same_joints_replaces() -> None:
+    """The newest of each set of joints is read, and whatever is not said to be replaced, in the order in which it came."""
+    read = JointStateBytes(slow)
+
+    def told(names: list[str], stamp: float) -> bytes:
+        message = JointState(name=names, position=[stamp] * len(names))
+        message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1.0 * 1e9)
+        return bytes(serialize_message(message))
+
+    arm, hand, broken = ["ab", "cd"], ["ab", "ce"], told(["ab"], 9.0)[:-12]
+    came = [told(arm, 1.0), told(hand, 1.25), told(arm, 1.5), broken, told(hand, 1.75), broken, told(arm, 2.0)]
+    assert read.needed(came, lambda _: True) == [broken, came[4], broken, came[6]]
+    assert read.needed(came, lambda stamp: stamp > 1.25) == [*came[:2], broken, came[4], broken, came[6]]
+    assert read.needed(came, lambda _: False) == came
+    assert read.needed([], lambda _: True) == []

@@ -20,7 +20,7 @@ from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.resting import RestingExecutor
 from modcal_nodes.ros.running import FRESH, SENSOR
-from modcal_nodes.ros.subscriptions import MonitoredSubscription
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, always
 
 pytestmark = pytest.mark.dds
 REST, PERIOD, COUNT = 0.01, 0.02, 600
@@ -83,6 +83,44 @@ def test_hears_everything_while_it_ticks_and_answers() -> None:
     assert answer.result().success
     # as many ticks as there were periods, but for those that a busy machine held up: one may be lost to each
     assert len([t for t in node.ticks if begun <= t <= begun + took]) >= 0.5 * took / PERIOD - 2
+
+
+class Newest(GuardedNode):
+    """Wants of joint states the newest."""
+
+    def __init__(self) -> None:
+        super().__init__("newest")
+        self.heard: list[float] = []
+        self.joints = MonitoredSubscription(
+            self, JointState, "joint_states", lambda m: self.heard.append(m.position[0]), SENSOR, replaced=always
+        )
+
+
+def test_of_what_waited_together_the_newest_is_handed_on_and_all_are_counted() -> None:
+    rclpy.init(domain_id=fresh_domain())
+    node, partner = Newest(), rclpy.create_node("partner")
+    executor = RestingExecutor(node, REST)
+    executor.add_node(node)
+    try:
+        publisher = partner.create_publisher(JointState, "joint_states", SENSOR)
+        end = time.monotonic() + 30.0
+        while not (publisher.get_subscription_count() and node.joints.publishers):
+            assert time.monotonic() < end
+            executor.spin_once()
+        for k in range(COUNT):
+            publisher.publish(JointState(name=["a"], position=[float(k)]))
+        while node.joints.count < COUNT:
+            assert time.monotonic() < end
+            executor.spin_once()
+    finally:
+        executor.shutdown()
+        partner.destroy_node()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    assert node.joints.count == COUNT
+    assert node.heard[-1] == COUNT - 1
+    assert node.heard == sorted(set(node.heard))
+    assert len(node.heard) < COUNT // 2
 
 
 class Slow(GuardedNode):

@@ -21,7 +21,7 @@ from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.ros.parameters import ACCELERATION_LIMITS
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, always, subscription_status
 
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
 _REST = 0.004  # s
@@ -50,7 +50,9 @@ class AccelerationLimits(GuardedNode):
         self._lower = self.create_publisher(JointTrajectory, "~/lower", 10)
         heard = self._refusals.guarded("joint_states", self._take_joints)
         self._inputs = [
-            MonitoredSubscription(self, JointState, "joint_states", heard, FRESH, needed=True, single=True),
+            MonitoredSubscription(
+                self, JointState, "joint_states", heard, FRESH, needed=True, single=True, replaced=always
+            ),
             MonitoredSubscription(
                 self, String, "robot_description", self._take_description, LATCHED, needed=not self._urdf
             ),

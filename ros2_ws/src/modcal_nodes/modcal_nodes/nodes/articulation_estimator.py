@@ -44,7 +44,7 @@ _POSES: dict[str, type] = {
 }
 _JOINTS = "joint_states"
 _HANDLE = "object_handle"
-_REST = 0.002  # s
+_REST = 0.004  # s
 _SILENT = 1.0  # s without a pose, after which the estimate is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
@@ -86,7 +86,14 @@ class ArticulationEstimator(GuardedNode):
         take = self._refusals.guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
         self._inputs = [
             MonitoredSubscription(
-                self, JointState if topic == _JOINTS else _POSES[topic], topic, take, FRESH, needed=True, single=True
+                self,
+                JointState if topic == _JOINTS else _POSES[topic],
+                topic,
+                take,
+                FRESH,
+                needed=True,
+                single=True,
+                replaced=self._soon,
             ),
             MonitoredSubscription(
                 self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), FRESH
@@ -196,7 +203,11 @@ class ArticulationEstimator(GuardedNode):
             self._forget()
             self._order.judge(stamp, time.monotonic())
         self._heard = time.monotonic()
-        return order != "late" and stamp - self._last >= 0.999 / self._chosen["rate_hz"]
+        return order != "late" and not self._soon(stamp)
+
+    def _soon(self, stamp: float) -> bool:
+        """Whether a pose of this time follows the last that was taken too soon."""
+        return 0.0 <= stamp - self._last < 0.999 / self._chosen["rate_hz"]
 
     def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
         """Take one pose, and publish the estimate after it."""

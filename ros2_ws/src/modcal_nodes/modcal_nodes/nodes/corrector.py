@@ -35,7 +35,7 @@ from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.ros.parameters import CORRECTOR
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, always, subscription_status
 from modcal_nodes.ros.tf_broadcaster import Broadcaster
 from modcal_nodes.ros.tf_frames import corrected_frame
 
@@ -75,7 +75,13 @@ class Corrector(GuardedNode):
         guarded = self._refusals.guarded
         self._inputs = [
             MonitoredSubscription(
-                self, JointState, "joint_states", guarded("joint_states", self._take_joints), FRESH, needed=True
+                self,
+                JointState,
+                "joint_states",
+                guarded("joint_states", self._take_joints),
+                FRESH,
+                needed=True,
+                replaced=always,
             ),
             MonitoredSubscription(
                 self, Temperature, "temperature", guarded("temperature", self._take_temperature), FRESH

@@ -31,7 +31,7 @@ from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
 from modcal_nodes.ros.refusals import Refusals
 from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_nodes.ros.subscriptions import MonitoredSubscription, always, subscription_status
 from modcal_nodes.ros.transitions import noted
 from modcal_nodes.setpoint.arm import limits, task
 from modcal_nodes.setpoint.arm_inputs import ArmInputs
@@ -145,7 +145,14 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         ]
         self._inputs = [
             MonitoredSubscription(
-                self, kind, topic, self._refusals.guarded(topic, callback), qos, needed=needed, single=needed
+                self,
+                kind,
+                topic,
+                self._refusals.guarded(topic, callback),
+                qos,
+                needed=needed,
+                single=needed,
+                replaced=always,
             )
             for kind, topic, callback, qos, needed in heard
         ]

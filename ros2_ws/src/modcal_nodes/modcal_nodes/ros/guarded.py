@@ -166,9 +166,10 @@ class GuardedNode(Node):
 
         Simulated time comes first, and again before each topic: one whose messages take long would look ahead of it.
         """
-        most = 0
+        most, simulated = 0, self.get_clock().ros_time_is_active
         for poll in self.pollers:
-            self.take_time()
+            if simulated:
+                self.take_time()
             most = max(most, poll())
         return most
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -41,8 +42,12 @@ class MonitoredSubscription:
         needed: bool = False,
         patience: float = 5.0,
         single: bool = False,
+        replaced: Callable[[float], bool] | None = None,
     ) -> None:
-        """Subscribe. patience: seconds of silence that are accepted. single: two publishers at once are a fault."""
+        """Subscribe. patience: seconds of silence that are accepted. single: two publishers at once are a fault.
+        replaced: of joint states, whether one of this stamp [s] is not needed where a later one of the same joints has
+        come; None: each is handed on.
+        """
         # each message of a burst is guarded by itself
         guard = node.guarded_once_more if is_latched(qos) else node.guarded
         self._node, self._callback = node, guard(topic, callback)
@@ -53,6 +58,7 @@ class MonitoredSubscription:
         self._last = time.monotonic()
         self._kind, self._qos = kind, qos
         self._read = _READ[kind](partial(deserialize_message, message_type=kind)) if kind in _READ else None
+        self._replaced = replaced
         self._subscriptions = [self._subscribe(topic, qos)]
         node.pollers.append(self.poll)
         self.topic = self._subscriptions[0].topic_name
@@ -61,9 +67,7 @@ class MonitoredSubscription:
         raw = self._read is not None
 
         def hear(message: Any) -> None:
-            self._take(message)
-            for behind, _ in waiting(subscription, most, raw):
-                self._take(behind)
+            self._take_all(itertools.chain([message], (behind for behind, _ in waiting(subscription, most, raw))))
 
         most = self._at_once
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
@@ -79,9 +83,17 @@ class MonitoredSubscription:
         """Take what has arrived, without an executor; how many messages that were."""
         before = self.count
         for subscription in list(self._subscriptions):
-            for message, _ in waiting(subscription, self._at_once, self._read is not None):
-                self._take(message)
+            self._take_all(message for message, _ in waiting(subscription, self._at_once, self._read is not None))
         return self.count - before
+
+    def _take_all(self, messages: Iterable[Any]) -> None:
+        """Hand on what is needed of messages that came together."""
+        if self._read is not None and self._replaced is not None:
+            told = list(messages)
+            messages = self._read.needed(told, self._replaced) if len(told) > 1 else told
+            self.count += len(told) - len(messages)
+        for message in messages:
+            self._take(message)
 
     def _take(self, message: Any) -> None:
         self.count += 1
@@ -141,6 +153,11 @@ class MonitoredSubscription:
                 return level, f"{self.topic}: no node publishes it: start the driver, or remap the topic"
             return level, f"{self.topic}: silent for {self.silence:.0f} s: check that its publisher is alive"
         return None
+
+
+def always(_: float) -> bool:
+    """Whether a message is replaced by a later one, where the newest is all that counts."""
+    return True
 
 
 def subscription_status(inputs: Iterable[MonitoredSubscription]) -> Status:
