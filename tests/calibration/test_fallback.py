@@ -10,11 +10,14 @@ import pytest
 from cells import samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
+from modcal_core.calibration.doubt import Doubt
 from modcal_core.calibration.fallback import BLEND
 from modcal_core.calibration.finalise import finalise
 from modcal_core.calibration.identify import identify
+from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.uncertainty import Uncertainty
 from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.correction import Correction
 from modcal_core.effects.effect import AXIS, Effect
@@ -22,6 +25,8 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.kind import KIND_NAMES
+from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import forward
 
@@ -170,3 +175,21 @@ def test_what_is_better_outside_is_kept_with_the_calibration(made: Calibration) 
 def test_models_without_curves_go_on(made: Calibration) -> None:
     plain = replace(made, calibrated=made.calibrated.with_effects(()))
     assert plain.fallback(plain.calibrated, plain.geometric) is None
+
+
+def test_what_a_doubt_goes_by_is_what_a_fit_goes_by(made: Calibration) -> None:
+    """The rows that are made all at once, in two frames of which either has its own base, are those of a linearisation."""
+    known, base = made.uncertainty, made.calibrated.T_frame_base[0]
+    assert known is not None
+    there = tuple(replace(p, name=p.name.replace("tracker", "other"), frame=1) for p in known.parameters if not p.place)
+    assert there
+    parameters = (*there, *known.parameters)
+    both = np.eye(len(there) + len(known.covariance))
+    model = replace(made.calibrated, frames=("tracker", "other"), T_frame_base=np.array([base, base @ base]))
+    doubt = Doubt(model, Uncertainty(parameters, both), 1e-8)
+    samples = readings(np.random.default_rng(5), LOW, HIGH, 7, ripple)
+    samples = replace(samples, frames=model.frames, frame=np.arange(7) % 2, kind=np.full(7, POINT, dtype=KIND_NAMES))
+    values = np.concatenate([np.zeros(len(parameters)), *(e.values for e in model.effects)])
+    expected = linearise(replace(model, fallback=None), parameters, values, samples).J[:, :21]
+    assert np.abs(expected[: len(there)]).max() > 0.1
+    np.testing.assert_allclose(doubt._rows(samples), expected, rtol=0.0, atol=1e-12)

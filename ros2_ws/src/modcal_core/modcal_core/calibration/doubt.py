@@ -9,15 +9,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearise import RowView, effect_rows, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.typical import outside_drivers
 from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.effects.effect import all_columns
+from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import is_serial_arm
 
 # Of the squares that geometry alone leaves: what a covariance says of a model is too little by several times where
 # the model is not quite right, so that at a fifth in RMS the better of the two is no longer known.
@@ -43,7 +46,8 @@ class Doubt:
             samples, frames=self.model.frames, frame=of[samples.frame], sockets=(),
             kind=np.full(N, POINT, dtype=KIND_NAMES), reading=np.zeros((N, 3)),
         )  # fmt: skip
-        parts = [self._variance(seen.select(np.arange(k, min(k + _CHUNK, N)))) for k in range(0, N, _CHUNK)]
+        rows = [slice(k, min(k + _CHUNK, N)) for k in range(0, N, _CHUNK)]
+        parts = [self._variance(seen if len(rows) == 1 else seen.select(chunk)) for chunk in rows]
         doubted = np.concatenate([np.zeros(0), *parts]) / (UNSURE * self.alone)
         u = np.clip(doubted, 0.0, 1.0)
         return np.asarray(u * u * (3.0 - 2.0 * u))
@@ -53,9 +57,25 @@ class Doubt:
 
         What a free curve itself is not known there counts nothing, for geometry alone lacks it as well.
         """
-        of = self._told
-        J = linearise(of.model, of.parameters, of.values, samples).J[:, : 3 * len(samples)]
+        of, J = self._told, self._rows(samples)
         return np.minimum(_spread(J, of.covariance), _spread(J[of.stated], of.covariance_stated))
+
+    def _rows(self, samples: Samples) -> Array:
+        """d(position)/d(value), (K, 3 N): those of ``linearise`` at the model's own values."""
+        of, N = self._told, len(samples)
+        if of.places is None:
+            return linearise(of.model, of.parameters, of.values, samples).J[:, : 3 * N]
+        # one posture a hundred times a second: all directions at once, of a model that need not be made anew
+        at = of.model.drivers(samples)
+        view = RowView.of(of.model, samples, at)
+        axis = view.f.axes[of.places, of.directions % 3].transpose(1, 0, 2)  # (3, parameters, N)
+        arm = (view.f.p[-1] - view.f.p[of.places]).transpose(1, 0, 2)
+        moved = np.where(of.directions[:, None] < 3, axis, so3.cross(axis, arm)) * of.frames[:, samples.frame]
+        J, P = np.empty((len(of.values), 3 * N)), len(of.places)
+        J[:P] = moved.transpose(1, 0, 2).reshape(P, 3 * N)
+        if len(J) > P:
+            effect_rows(view, all_columns(of.model.effects, at), out=J[P:])
+        return J
 
     @functools.cached_property
     def _told(self) -> _Told:
@@ -70,11 +90,17 @@ class Doubt:
                 rows += range(first, first + len(effect.values))
             first += len(effect.values)
         C = self.known.covariance[np.ix_(rows, rows)]
+        F, led = len(self.model.frames), self.model.frames_led_by
         free = np.concatenate([np.zeros(len(kept), bool), *(np.full(len(e.values), e.shape.is_free) for e in told)])
         stated = np.flatnonzero(~free)
+        own = [parameters[k] for k in kept]
+        simple = is_serial_arm(self.model.chain) and all(p.place >= 0 and p.direction < 6 for p in own)
         return _Told(
             model=replace(self.model.with_effects(tuple(told)), instruments=()),
-            parameters=[parameters[k] for k in kept],
+            parameters=own,
+            places=np.array([p.place for p in own], int) if simple else None,
+            directions=np.array([p.direction for p in own], int),
+            frames=np.array([[p.place > 0 or f in led(p.frame) for f in range(F)] for p in own]).reshape(-1, F),
             values=np.concatenate([np.zeros(len(kept)), *(e.values for e in told)]),
             covariance=C,
             stated=stated,
@@ -86,13 +112,17 @@ class Doubt:
 class _Told:
     """A model whose parameters and effects postures alone drive, and their covariance.
 
-    values: of parameters and effects, (K,). covariance: (K, K). stated: which of them belong to no free curve, and
-    covariance_stated: theirs.
+    values: of parameters and effects, (K,). places, directions: of the parameters; None: some move the tool otherwise
+    than as a twist at a place. frames: whether each matters in each of the model's frames. covariance: (K, K). stated:
+    which of them belong to no free curve, and covariance_stated: theirs.
     """
 
     model: Model
     parameters: list[ModelParameter]
     values: Array
+    places: np.ndarray | None
+    directions: np.ndarray
+    frames: np.ndarray
     covariance: Array
     stated: np.ndarray
     covariance_stated: Array

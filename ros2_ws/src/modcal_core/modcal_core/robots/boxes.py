@@ -56,26 +56,29 @@ def _largest(B: Array, w: Array) -> Array:
     z = np.full((N, k), 0.5) / B.sum(axis=-1).max(axis=-1)[:, None]
     s = 1.0 - (B @ z[..., None])[..., 0]
     y = np.full((N, m), 1.0 / m) / s
+    weights, sides = np.diag(w), np.empty((N, m, 2))
     for _ in range(_MAX_STEPS):
-        gap = np.sum(y * s, axis=-1, keepdims=True)
+        gap = (y * s).sum(axis=-1, keepdims=True)
+        aim = (_CENTRING / m) * gap / s  # where y would be, were all y s alike and smaller
         scaled = B * z[:, None, :]  # by which z changes relatively: well conditioned whatever the bounds' sizes
-        scaled_t = np.swapaxes(scaled, -1, -2)
-        missing = w - (scaled_t @ y[..., None])[..., 0]
-        open_ = (gap > _GAP) | (np.abs(missing).max(axis=-1, keepdims=True) > _GAP)
+        scaled_t = scaled.swapaxes(-1, -2)
+        sides[..., 0], sides[..., 1] = y, aim
+        missing = w[:, None] - scaled_t @ sides  # (N, k, 2): with y as it is, and there
+        open_ = (gap > _GAP) | (np.abs(missing[..., 0]).max(axis=-1, keepdims=True) > _GAP)
         if not open_.any():
             break
-        pull = _CENTRING * gap / m / s - y
-        H = np.diag(w) + scaled_t @ (scaled * (y / s)[..., None])
-        d = np.linalg.solve(H, (missing - (scaled_t @ pull[..., None])[..., 0])[..., None])[..., 0]
-        ds = -(scaled @ d[..., None])[..., 0]
-        dy = pull - y / s * ds
-        step = np.where(open_, np.minimum(_reach(1.0, d), _reach(s, ds)), 0.0)
+        slope = y / s
+        d = np.linalg.solve(weights + scaled_t @ (scaled * slope[..., None]), missing[..., 1:])
+        ds = -(scaled @ d)[..., 0]
+        dy = aim - y - slope * ds
+        d = d[..., 0]
+        step = np.where(open_, np.minimum(_reach(d), _reach(ds / s)), 0.0)
         z, s = z * (1.0 + step * d), s + step * ds
-        y = y + np.where(open_, _reach(y, dy), 0.0) * dy
+        y = y + np.where(open_, _reach(dy / y), 0.0) * dy
     return z
 
 
-def _reach(values: Array | float, change: Array) -> Array:
-    """How much of a change (N, k) leaves positive values positive, (N, 1), at most 1."""
-    worst = np.max(-change / values, axis=-1, keepdims=True)
+def _reach(change: Array) -> Array:
+    """How much of a relative change (N, k) leaves positive values positive, (N, 1), at most 1."""
+    worst = -change.min(axis=-1, keepdims=True)
     return np.minimum(1.0, _TO_THE_WALL / np.maximum(worst, 1e-300))

@@ -124,8 +124,9 @@ class Bodies:
         """Joint-space inertia matrices M, (N, n, n) [kg m², kg m, kg]; symmetric."""
         S = self.twists
         momentum = beyond(self.spatial) @ np.swapaxes(S, 1, 2)[..., None]  # (N, n, 6, 1)
-        upper = np.triu(np.swapaxes(S, 1, 2) @ np.swapaxes(momentum[..., 0], 1, 2))
-        return upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+        upper = np.swapaxes(S, 1, 2) @ np.swapaxes(momentum[..., 0], 1, 2)  # what is below its diagonal is no matter
+        n = upper.shape[-1]
+        return np.where(np.arange(n)[:, None] <= np.arange(n), upper, np.swapaxes(upper, 1, 2))
 
 
 def beyond(values: Array) -> Array:

@@ -186,11 +186,11 @@ def spatial_jacobian(chain: Chain, q: ArrayLike, f: Frames | None = None) -> Arr
     f: the frames at these positions, where they are known already.
     """
     f = frames(chain, q) if f is None else f
-    axis = f.axes[:-1, 2].transpose(2, 1, 0)  # (N, 3, n)
-    at = f.p[:-1].transpose(2, 1, 0)
-    turn = np.concatenate([np.cross(at, axis, axis=1), axis], axis=1)
-    slide = np.concatenate([axis, np.zeros_like(axis)], axis=1)
-    return np.where(chain.revolute, turn, slide)
+    axis, at = f.axes[:-1, 2].transpose(1, 2, 0), f.p[:-1].transpose(1, 2, 0)  # (3, N, n)
+    out = np.concatenate([so3.cross(at, axis), axis])
+    if not chain.revolute.all():
+        out = np.where(chain.revolute, out, np.concatenate([axis, np.zeros_like(axis)]))
+    return out.transpose(1, 0, 2)
 
 
 def body_jacobian(chain: Chain, q: ArrayLike) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,8 +71,12 @@ class LoadedArm:
 
     def window(self, q: ArrayLike, velocity: ArrayLike | None = None) -> Window:
         """What the drives leave for accelerating at q, at a velocity, (N, n) each. Raises BadRobot."""
-        inertias = with_payload(self.inertias, self.chain, self.payload)
-        return window(self.chain, inertias, self.drives, q, velocity, self.share, self.gravity)
+        return window(self.chain, self._loaded, self.drives, q, velocity, self.share, self.gravity)
+
+    @cached_property
+    def _loaded(self) -> Inertias:
+        """The inertias with what is carried, which a node asks for at every posture."""
+        return with_payload(self.inertias, self.chain, self.payload)
 
     def bounds(self, q: ArrayLike, velocity: ArrayLike | None = None, method: str = COUPLED) -> tuple[Array, Array]:
         """Lower and upper bounds of acceleration (N, n) [rad/s², m/s²], lower < 0 < upper.
