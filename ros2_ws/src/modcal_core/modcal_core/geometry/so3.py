@@ -71,7 +71,7 @@ def exp(w: ArrayLike) -> Array:
 
 
 def exp_rows(w: Array) -> tuple[tuple[Array, Array, Array], ...]:
-    """Columns of :func:`exp` of rotation vectors (3, N) [rad], three rows (N,) each: component-major, without copies."""
+    """Columns of :func:`exp` of rotation vectors (3, N) [rad], three rows (N,) each: components first, uncopied."""
     x, y, z = w
     xx, yy, zz = x * x, y * y, z * z
     a, b, _ = rodrigues_coefficients(np.sqrt(xx + yy + zz))
