@@ -121,14 +121,14 @@ def one(task: Task) -> dict[str, Any]:
         return done | asdict(Outcome(FAILED, "raised", traceback.format_exc(limit=-3), known=known))
 
 
-def tasks_of(groups: list[str], only: list[str], seeds: int | None) -> list[Task]:
+def tasks_of(groups: list[str], only: list[str], seeds: int | None, first: int = 0) -> list[Task]:
     """The tasks of some groups, of the kinds whose names hold one of ``only``."""
     out = []
     for group in groups:
         for name in KINDS[group]:
             if only and not any(part in name for part in only):
                 continue
-            for seed in range(SEEDS.get(group, 1) if seeds is None else seeds):
+            for seed in range(first, first + (SEEDS.get(group, 1) if seeds is None else seeds)):
                 if group in GOOD:
                     out.append(Task(group, name, seed, "stated" if seed % 3 == 2 else "returns"))
                     out.append(Task(group, name, seed, "unknown"))
@@ -209,10 +209,11 @@ def main() -> int:
     parser.add_argument(
         "--seeds", type=int, default=None, help="of each kind; default: main and later 2, good 4, others 1"
     )
+    parser.add_argument("--first", type=int, default=0, help="seed of each kind; default: 0")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON a recording")
     given = parser.parse_args()
-    tasks = tasks_of(given.groups.split(","), [part for part in given.only.split(",") if part], given.seeds)
+    tasks = tasks_of(given.groups.split(","), [part for part in given.only.split(",") if part], given.seeds, given.first)
     results: list[dict[str, Any]] = []
     log = given.json.open("w", encoding="utf-8") if given.json else None
     with ProcessPoolExecutor(given.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
