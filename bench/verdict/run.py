@@ -213,7 +213,8 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON a recording")
     given = parser.parse_args()
-    tasks = tasks_of(given.groups.split(","), [part for part in given.only.split(",") if part], given.seeds, given.first)
+    only = [part for part in given.only.split(",") if part]
+    tasks = tasks_of(given.groups.split(","), only, given.seeds, given.first)
     results: list[dict[str, Any]] = []
     log = given.json.open("w", encoding="utf-8") if given.json else None
     with ProcessPoolExecutor(given.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
