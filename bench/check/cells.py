@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "undeclared"))
 
 from arm import TURN, Arm, Array
+from fault import Deviation, Draw, Fault, Stations
 from recordings import Cell
-from scenarios import Deviation, Draw, Fault, Stations, compliance, gear_harmonic
+from scenarios import compliance, gear_harmonic
 
 STATIONS = 160
 NOISE_MM, NOISE_MRAD, REPEATABILITY = 0.02, 0.02, 1e-5  # per axis; per joint [rad]

@@ -21,7 +21,7 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 from cells import TURN, Arm, Array, Fault, Workplace, workplace  # noqa: E402
-from scenarios import Deviation, Stations  # noqa: E402
+from fault import Deviation, Stations  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
 import modcal_core as modcal  # noqa: E402

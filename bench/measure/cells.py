@@ -14,8 +14,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "undeclared"))
 
+from fault import Fault, Stations
 from recordings import BEGIN, NOISE_MM, NOISE_MRAD, Cell, plant
-from scenarios import SCENARIOS, Fault, Stations
+from scenarios import SCENARIOS
 from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.score import errors

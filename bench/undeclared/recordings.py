@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from arm import Arm, Array
-from scenarios import MOVING, SCENARIOS, Deviation, Draw, Fault, Maker, Stations
+from fault import Deviation, Draw, Fault, Stations
+from scenarios import MOVING, SCENARIOS, Maker
 from scipy.spatial.transform import Rotation
 
 from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack

@@ -14,6 +14,7 @@ import numpy as np
 from arm import TURN, Arm
 from case import Case, calibrated, frozen, kind
 from conventions import UNIT
+from fault import Deviation, Stations
 from fresh_fifth import ROWS, UNRELATED
 from fresh_fourth import READINGS, _joints
 from fresh_sixth import ORIENTED, TIMING
@@ -22,7 +23,6 @@ from fresh_sixth_cells import _moving
 from physics import LOAD, _mixed, centres, tilted
 from recordings import Plan
 from regimes import BASE, TOOL
-from scenarios import Deviation, Stations
 from scipy.spatial.transform import Rotation
 from workcell import BEGIN, PERIOD, Array, Bend, Session, SignalTrack, Works, joined
 

@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 from case import Case, calibrated, kind
 from conventions import ORIENTATION, QUATERNION
+from fault import Stations
 from fresh_fourth import _joints
 from fresh_third import _joint_block
 from physics import tilted
 from regimes import BASE, TOOL
-from scenarios import Stations
 from scipy.spatial.transform import Rotation
 from workcell import NOISE_MRAD, Array, Session, Works, from_
 

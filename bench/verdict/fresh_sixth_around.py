@@ -9,13 +9,13 @@ import numpy as np
 from arm import GROW, TURN, Arm
 from case import Case, calibrated, frozen
 from conventions import QUATERNION
+from fault import Stations
 from fresh_fifth import ROWS, UNRELATED
 from fresh_fifth_arm import CARRIED
 from fresh_fourth import READINGS, _joints
 from fresh_sixth import _axes, sixth
 from physics import LOAD
 from regimes import BASE, TOOL
-from scenarios import Stations
 from scipy.spatial.transform import Rotation
 from workcell import BEGIN, PERIOD, Array, Bend, Works
 

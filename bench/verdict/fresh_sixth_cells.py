@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from case import Case, calibrated
+from fault import Fault
 from fresh_sixth import TIMING, sixth
 from physics import tilted
 from recordings import Plan, course
 from regimes import BASE
-from scenarios import Fault
 from scipy.spatial.transform import Rotation
 from workcell import BEGIN, NOISE_MM, NOISE_MRAD, PERIOD, REPEAT, Array, Bend, Session, Works
 

@@ -32,6 +32,7 @@ from typing import Any  # noqa: E402
 import conventions  # noqa: E402, F401 (registers its kinds)
 import fresh  # noqa: E402, F401
 import fresh_again  # noqa: E402, F401
+import fresh_again_cell  # noqa: E402, F401
 import fresh_eighth  # noqa: E402, F401
 import fresh_eighth_arm  # noqa: E402, F401
 import fresh_eighth_streams  # noqa: E402, F401
@@ -47,6 +48,7 @@ import fresh_third_arm  # noqa: E402, F401
 import good  # noqa: E402, F401
 import later  # noqa: E402, F401
 import nearby  # noqa: E402, F401
+import nearby_about  # noqa: E402, F401
 import nearby_again  # noqa: E402, F401
 import ninth  # noqa: E402, F401
 import ninth_use  # noqa: E402, F401

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "undeclared"))
+from fault import Deviation, Fault, Stations
 from recordings import Cell
-from scenarios import Deviation, Fault, Stations
 
 from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
 from modcal_msgs_py.recording_write import write_recording

@@ -18,7 +18,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "bench" / "undeclared"
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
     monkeypatch.syspath_prepend(str(FOLDER))
-    modules = {name: importlib.import_module(name) for name in ("arm", "scenarios", "recordings", "score")}
+    modules = {name: importlib.import_module(name) for name in ("arm", "fault", "scenarios", "recordings", "score")}
     yield modules
     for name in modules:
         sys.modules.pop(name, None)
