@@ -25,13 +25,24 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from fuzz_targets import Target, targets
+from bag_targets import mcap_target, metadata_target, sqlite_target
+from other_targets import images_target, other_files_target
+from target import Target
+from text_targets import calibration_target, cell_target, mapping_target, report_target, urdf_target, yaml_target
 
 from modcal_core.errors import ModcalError, plain
 
 SLOW = 2.0  # s of processor
 LARGEST = 1 << 20  # kB
 SHARES = {"mcap": 0.4}  # of the time; the others share the rest
+
+
+def targets(folder: Path) -> list[Target]:
+    """All targets; folder: for files that cases are written to."""
+    return [
+        mcap_target(folder), sqlite_target(folder), metadata_target(folder), urdf_target(), mapping_target(folder), cell_target(folder), calibration_target(),
+        report_target(), yaml_target(), other_files_target(), images_target(),
+    ]  # fmt: skip
 
 
 @dataclass
