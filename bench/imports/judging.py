@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from columns import Written
 from run import same_rigid
 from scipy.spatial.transform import Rotation
+from sheet import Written
 
 from modcal_msgs_py.tables import read_tables
 
