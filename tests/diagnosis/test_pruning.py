@@ -33,17 +33,20 @@ def test_effects_that_are_nothing_or_stand_twice_are_taken_out() -> None:
     choice = choose_parameters(cell.model, views_of(samples))
     started = tuple(e.started(np.full(n, 1e-4)) for e, n in ((TRUE, 2), (NOTHING, 1), (TWIN, 2)))
     fit = identify(cell.model.with_effects(started), train, choice.parameters)
-    pruned, gone = needless(fit, train, explain, fit.noise)
+    pruned, gone, known = needless(fit, train, explain, fit.noise)
     assert 1 in gone
     assert len(gone) == 2
     (left,) = pruned.model.effects
     assert left.key == TRUE.key
     assert abs(np.hypot(*left.amplitudes) - 4e-4) < 5e-5
-    known = uncertainty(pruned.model, train, pruned.parameters, pruned)
+    assert known is not None
+    np.testing.assert_array_equal(
+        known.covariance, uncertainty(pruned.model, train, pruned.parameters, pruned).covariance
+    )
     removed = errors(without(pruned.model, known, [0]), explain).position_norm
     refitted = errors(identify(cell.model, train, choice.parameters).model, explain).position_norm
     assert abs(np.mean(removed**2) / np.mean(refitted**2) - 1.0) < 0.15
-    assert needless(fit, train, explain, fit.noise, keep=3)[1] == ()
+    assert needless(fit, train, explain, fit.noise, keep=3)[1:] == ((), None)
 
 
 def test_amplitudes_that_trade_with_geometry_are_judged_together() -> None:

@@ -9,7 +9,7 @@ only once: ``(u φ)ᵀ W (v ψ) = φᵀ diag(uᵀWv) ψ``, and of a curve with m
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 BLOCK = 4000  # samples
+MAX_KEPT = 20_000  # samples whose blocks are kept from step to step, with the drivers of each; some 5 kB each
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class RowBlock:
     """
 
     part: Samples
-    rows: np.ndarray
+    rows: np.ndarray | slice
     at: Drivers | None = None
     view: RowView | None = None
 
@@ -48,6 +49,23 @@ def blocks(samples: Samples) -> Iterator[RowBlock]:
         part = samples if len(rows) == N else samples.select(rows)
         angles = 3 * N + turned[rows[pose[rows]]]
         yield RowBlock(part, np.concatenate([rows, N + rows, 2 * N + rows, angles, M + angles, 2 * M + angles]))
+
+
+def blocks_at(samples: Samples, around: Drivers) -> Iterable[RowBlock]:
+    """All samples, block by block, with their drivers where that takes little memory; made once.
+
+    around: the drivers at all of them.
+    """
+    if len(samples) > MAX_KEPT:
+        return blocks(samples)
+    if len(samples) <= BLOCK:
+        return [RowBlock(samples, slice(None), around)]
+
+    def made() -> list[RowBlock]:
+        return [replace(block, at=Drivers(block.part, around.arm)) for block in blocks(samples)]
+
+    found: list[RowBlock] = around.made_as(("blocks", BLOCK), made)
+    return found
 
 
 def normal_equations(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -11,13 +11,11 @@ import numpy as np
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearise import Linearised, RowView, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.normal_equations import BLOCK, RowBlock, blocks, gradient, normal_equations
+from modcal_core.calibration.normal_equations import BLOCK, MAX_KEPT, blocks_at, gradient, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-
-MAX_KEPT = 20_000  # samples whose blocks are kept from step to step, with the drivers of each; some 5 kB each
 
 
 class System(Protocol):
@@ -47,7 +45,6 @@ class PlainSystem:
     def __init__(self, start: Model, parameters: Sequence[ModelParameter], samples: Samples, around: Drivers) -> None:
         """around: the drivers at the samples."""
         self._start, self._parameters, self._samples, self._around = start, parameters, samples, around
-        self._kept: list[RowBlock] | None = None
         self._last_view: tuple[Array, RowView] | None = None
         self.quick_gradient = len(samples) <= MAX_KEPT
 
@@ -67,24 +64,12 @@ class PlainSystem:
 
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
-        parts = self._blocks()
-        if isinstance(parts, list) and len(parts) == 1:
-            parts = [replace(parts[0], view=self._view(values))]
+        parts = blocks_at(self._samples, self._around)
+        if len(self._samples) <= BLOCK:
+            parts = [replace(part, view=self._view(values)) for part in parts]
         H, g = normal_equations(self._start, self._parameters, values, self._samples, row_weight, parts)
         self._last = H / float(row_weight.sum())
         return H, g
-
-    def _blocks(self) -> Iterable[RowBlock]:
-        """The samples in blocks, with their drivers where that takes little memory."""
-        if len(self._samples) > MAX_KEPT:
-            return blocks(self._samples)
-        if self._kept is None:
-            whole = len(self._samples) <= BLOCK
-            self._kept = [
-                replace(block, at=self._around if whole else Drivers(block.part, self._around.arm))
-                for block in blocks(self._samples)
-            ]
-        return self._kept
 
     def gradient(self, values: Array, row_weight: Array) -> Array:
         """JᵀWr alone, (P,)."""

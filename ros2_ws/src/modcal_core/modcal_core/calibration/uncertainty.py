@@ -17,7 +17,7 @@ import scipy
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.normal_equations import normal_equations
+from modcal_core.calibration.normal_equations import blocks_at, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import prior_stds
@@ -58,7 +58,8 @@ def uncertainty(
     values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
     around = model.drivers(samples)
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
-    H, _ = normal_equations(model, parameters, values, samples, row_weights(fit.weights, fit.noise, samples))
+    weight = row_weights(fit.weights, fit.noise, samples)
+    H, _ = normal_equations(model, parameters, values, samples, weight, blocks_at(samples, around))
     if distances:
         rows = distance_rows(model, parameters, values, distances)
         H += (rows.J / rows.std**2) @ rows.J.T

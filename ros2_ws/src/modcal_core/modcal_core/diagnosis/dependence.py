@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.calibration.linearise import RowView
 from modcal_core.calibration.model import Model
-from modcal_core.diagnosis.dependence_pairs import pairs
+from modcal_core.diagnosis.dependence_pairs import Pair, pairs
 from modcal_core.effects.effect import place_index
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -86,16 +86,22 @@ def dependence(
     r = r if out is None else r - out @ (out.T @ r)
     fold = np.tile(_folds(samples.station[rows]), 6)[take]
     found: list[tuple[float, int, str, str]] = []
+    asked: list[tuple[Pair, Array]] = []
     for pair in pairs(model, samples, view, rows, constant=fitted is None):
-        X = (pair.columns * weight[:, rows]).reshape(len(pair.columns), -1)[:, take].T
-        size = np.linalg.norm(X, axis=0)
-        X = X[:, size > _SMALL * max(size.max(initial=0.0), 1e-300)]
-        X = X if out is None else X - out @ (out.T @ X)
-        left = np.linalg.norm(X, axis=0)
-        X = X[:, left > _MIN_NEW * size[size > _SMALL * max(size.max(initial=0.0), 1e-300)]]
-        if X.shape[1]:
-            share = _predicted(X / np.linalg.norm(X, axis=0), r, fold) / max(whole, 1e-300)
-            found.append((share, X.shape[1], pair.place, pair.driver))
+        X = (pair.columns * weight[:, rows]).reshape(len(pair.columns), -1)[:, take]
+        size = np.linalg.norm(X, axis=1)
+        asked.append((pair, X[size > _SMALL * max(size.max(initial=0.0), 1e-300)]))
+    whole_of = np.concatenate([X for _, X in asked])
+    size = np.linalg.norm(whole_of, axis=1)
+    if out is not None:
+        whole_of = whole_of - (whole_of @ out) @ out.T
+    left = np.linalg.norm(whole_of, axis=1)
+    ends = np.cumsum([0, *(len(X) for _, X in asked)])
+    for (pair, _), first, last in zip(asked, ends, ends[1:], strict=False):
+        new = first + np.flatnonzero(left[first:last] > _MIN_NEW * size[first:last])
+        if len(new):
+            share = _predicted((whole_of[new] / left[new, None]).T, r, fold) / max(whole, 1e-300)
+            found.append((share, len(new), pair.place, pair.driver))
     named, moved = _named(found, least), _by_motion(model, view, residual, weight[:, rows], rows)
     if named is None or (moved is not None and named.share < _HALF * moved.share):
         return moved
@@ -169,7 +175,9 @@ def _drawn_in(residual: Array) -> Array:
 
 def _orthonormal(J: Array) -> Array:
     """Orthonormal columns (R, P) of the space that rows J (P, R) span."""
-    J = J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300)
+    size = np.linalg.norm(J, axis=1, keepdims=True)
+    seen = size[:, 0] > 0.0  # a curve's functions that reach to no sample are nothing
+    J = J[seen] / size[seen]
     value, vector = np.linalg.eigh(J @ J.T)
     keep = value > 1e-9 * value.max()
     return np.asarray(J.T @ vector[:, keep] / np.sqrt(value[keep]))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
+import scipy
 
 from modcal_core.diagnosis.spectra import Spectrum, SquaredSums
 from modcal_core.geometry.so3 import Array
@@ -65,8 +66,10 @@ class KnownSums:
 
 def running_sums(order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
     """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
+    parts = np.ones(len(order), matrix.dtype), order, np.append(edges, len(order))
+    between = scipy.sparse.csr_array(parts, shape=(len(edges), len(order)))  # each sample once, in the part it lies in
     running = np.zeros((len(edges) + 1, matrix.shape[1]))
-    np.cumsum(np.add.reduceat(matrix[order], edges, axis=0), axis=0, dtype=float, out=running[1:])
+    np.cumsum(between @ matrix, axis=0, dtype=float, out=running[1:])
     return running
 
 

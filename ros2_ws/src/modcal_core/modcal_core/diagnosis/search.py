@@ -331,9 +331,9 @@ class _EffectSearch:
     def prune(self, final: Fit, train: Samples) -> Fit:
         """The fit to all of *train* without effects that it does not need; their causes go with them."""
         stay = len(self.known)
-        pruned, gone = needless(final, train, self.explain, self._geometric.noise, self.distances, stay)
+        pruned, gone, known = needless(final, train, self.explain, self._geometric.noise, self.distances, stay)
         if gone:
-            known = uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
+            known = known or uncertainty(pruned.model, train, pruned.parameters, pruned, self.distances)
             kept = [cause for i, cause in enumerate(self.causes) if i not in gone]
             nested = (without(pruned.model, known, range(i + 1, len(kept))) for i in range(stay, len(kept)))
             later = [replace(c, fit=replace(pruned, model=m)) for c, m in zip(kept[stay:], nested, strict=True)]

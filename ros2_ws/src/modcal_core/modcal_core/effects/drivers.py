@@ -36,6 +36,7 @@ _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on
 _MAX_POINTS = 20_000  # of a signal; a faster one is thinned
 _MAX_KEPT = 96e6  # bytes of drivers and shapes that are kept for one set of samples
+_OFTEN = 2  # times that something is asked for, before what is made for its sake is worth making
 _LAST, _LONGEST = 3, 20_000  # sets of samples whose drivers are remembered, and samples of a set
 _SMOOTH = 30.0  # s; a signal's slope is taken over this long, so that its noise does not drown it
 
@@ -73,6 +74,7 @@ class Kept:
     def __init__(self) -> None:
         self._arrays: dict[Hashable, Array] = {}
         self._made: dict[Hashable, tuple[tuple[Any, ...], Any]] = {}
+        self._asked: dict[Hashable, int] = {}
         self._bytes = 0
 
     def of(self, key: Hashable, compute: Callable[[], Array]) -> Array:
@@ -84,6 +86,7 @@ class Kept:
             if self._bytes > _MAX_KEPT:
                 self._arrays.clear()
                 self._made.clear()
+                self._asked.clear()
                 self._bytes = found.nbytes
             self._arrays[key] = found
         return found
@@ -101,10 +104,12 @@ class Kept:
             self._made[name] = (), make()
         return self._made[name][1]
 
-    def already_made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
-        """The same where it was asked for before, else None."""
-        found = self._made.get((make, *map(id, parts)))
-        return None if found is None else found[1]
+    def made_of_if_often(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
+        """The same where it was made already, or from the third time that it is asked for; before, None."""
+        key = make, *map(id, parts)
+        asked = self._asked.get(key, 0) + 1
+        self._asked[key] = asked
+        return self.made_of(parts, make) if key in self._made or asked > _OFTEN else None
 
 
 @dataclass(frozen=True)
@@ -135,9 +140,9 @@ class Drivers:
         """What is made of these drivers under a name, computed once."""
         return self._kept.made_as(name, make)
 
-    def already_made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
-        """The same where it was asked for before, else None."""
-        return self._kept.already_made_of(parts, make)
+    def made_of_if_often(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
+        """The same where it was made already, or is asked for often; else None."""
+        return self._kept.made_of_if_often(parts, make)
 
     def _values(self, name: str, lag: float) -> Array:
         if "," in name:

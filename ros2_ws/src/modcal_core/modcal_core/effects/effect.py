@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modcal_core.effects.drivers import Drivers, public_driver
-from modcal_core.effects.knots import Knots
+from modcal_core.effects.knots import knots_if_often
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import DIRECTIONS, local_twists
@@ -216,7 +216,8 @@ def _moved(effect: Effect, drivers: Drivers) -> Iterator[Term]:
     basis = drivers.basis(effect.driver, effect.lag, effect.shape)
     towards = _directions(effect.direction, drivers.arm.chain, k)
     amplitudes = effect.amplitudes.reshape(len(towards), len(basis))
-    knots = drivers.already_made_of((basis,), Knots.of)  # of curves in a fit, which asks again and again
+    # of curves of many knots, in a fit or where models are weighed against each other at the same samples
+    knots = knots_if_often(basis, drivers)
     sizes = amplitudes @ basis if knots is None else knots.curves(amplitudes)
     for several, size in zip(towards, sizes, strict=True):
         yield from (Term(k, direction, share * size) for direction, share in several)

@@ -56,3 +56,8 @@ class Knots:
 def knots_of(functions: Array, at: Drivers) -> Knots | None:
     """Those of a shape's functions (b, N) at these drivers, computed once; None where whole matrices are quicker."""
     return at.made_of((functions,), Knots.of) if functions.size >= _MIN else None
+
+
+def knots_if_often(functions: Array, at: Drivers) -> Knots | None:
+    """The same, but None where they are not there yet and are not asked for often."""
+    return at.made_of_if_often((functions,), Knots.of) if functions.size >= _MIN else None

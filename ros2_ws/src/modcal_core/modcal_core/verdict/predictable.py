@@ -75,7 +75,7 @@ def predictable(case: Case) -> Predictable:
     layout = Layout.of(ends, weight > 0.0)
     r = layout.flat(_drawn_in(residual * weight))
     U = _parameters(J * weight, case)
-    free = U if case.fitted else U[:0]
+    free = U[U.any(axis=(1, 2))] if case.fitted else U[:0]  # a curve's functions that reach to no sample are nothing
     baseline, project = Baseline(layout.flat(free), layout), Projection(layout.flat(free))
     own = layout.flat(U[:0] if case.fitted else U)
     tests: list[Regressor] = []
