@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from modcal_core.geometry.so3 import Array
 
 _MAX_STEPS = 60
-_GAP = 1e-9  # of Σ w log z, to the best there is
+_GAP = 1e-7  # of Σ w log z, to the best there is: bounds within some 1e-5 of the best ones, and never outside
 _TO_THE_WALL = 0.99  # of the way to where something would turn negative
 _CENTRING = 0.1
 

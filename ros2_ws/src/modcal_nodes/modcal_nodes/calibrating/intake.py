@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -48,21 +47,21 @@ class Intake:
 
     def joint_state(self, message: Any) -> None:
         """Take a joint state."""
-        began = time.thread_time()
+        began = self.times.begin()
         if self.remember("joint_states", message):
             if self._arm.chain is None:
                 self._recognise()
             self._feed(partial(self._arm.joint_state, message))
             if self._camera is not None and (q := self._arm.position(message)) is not None:
                 self._camera.joint_state(seconds(message.header.stamp), q)
-        self.times.took.append(time.thread_time() - began)
+        self.times.end(began)
 
     def reading(self, topic: str, kind: str, message: Any) -> None:
         """Take a reading of this kind."""
-        began = time.thread_time()
+        began = self.times.begin()
         if self.remember(topic, message):
             self._feed(partial(self._arm.reading, kind, message))
-        self.times.took.append(time.thread_time() - began)
+        self.times.end(began)
         self.times.late.append(1e-9 * self._clock.now().nanoseconds - seconds(message.header.stamp))
 
     def command(self, type_name: str, message: Any) -> None:

@@ -41,7 +41,7 @@ from modcal_nodes.ros.tf_frames import corrected_frame
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
-_REST = 0.002  # s, little beside the tenth of a second that a setpoint looks ahead
+_REST = 0.004  # s, little beside the tenth of a second that a setpoint looks ahead
 _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish the topic calibration"
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
