@@ -15,6 +15,7 @@ from modcal_core.checking.accounted import require_accounted
 from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
 from modcal_core.checking.advice import advise, noticed, same_everywhere
 from modcal_core.checking.beyond import UNTRIED, BeyondRanges, beyond_ranges
+from modcal_core.checking.contradicting import require_one_setting
 from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
 from modcal_core.checking.looked_at import spread_out
 from modcal_core.checking.naming import named
@@ -139,6 +140,7 @@ def checkup(
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MAX))
     found = search(begin.model, part, begin.known, placed_anew(part, new))
+    require_one_setting(found, begin.model, _expected(found))
     if known.doubt is not None:
         require_accounted(found, known.doubt)
     fixed = None if found.more else repaired(calibration, found, begin.index)

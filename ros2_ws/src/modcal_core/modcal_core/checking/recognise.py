@@ -19,6 +19,7 @@ from modcal_core.calibration.score import errors
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.agreement import ANGLE
 from modcal_core.plausibility.conventions import match, points_match, rough_scores
 from modcal_core.plausibility.mistakes import (
     Mistake,
@@ -109,8 +110,9 @@ def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | BadRecording
         return None
     mistakes = [*of_units(), *of_axes(), *of_joints(part.names)]
     if poses:
-        mistakes = [inverse_pose(), *of_rotations(None), *mistakes]
-    if poses:
+        # orientations that fit mean what they should: to free them would only let positions have a base of their own
+        turned = of_rotations(None) if as_is.rotation > ANGLE else ()
+        mistakes = [inverse_pose(), *turned, *mistakes]
         rough = rough_scores(part, chain, mistakes)[1:]
         mistakes = [mistakes[i] for i in np.argsort(rough)[::-1][:_CANDIDATES]]
     found = [(_miss(model, mistake.undone(part), poses).size(reach), i) for i, mistake in enumerate(mistakes)]

@@ -1,0 +1,150 @@
+"""Stations of a check that contradict each other: base or tool moved between two of them, or rows were mixed up.
+
+No change since the calibration explains those, and what comes nearest would be named instead. Base and tool of each
+part are found in closed form about the frozen arm (orthogonal Procrustes); a reading that is another station's agrees
+with where the arm was then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration.model import Model
+from modcal_core.checking.search import FoundChanges
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.agreement import ANGLE, OF_REACH
+from modcal_core.robots.mechanism import is_serial_arm
+
+_MIN = 8  # stations, of which each part has at least
+_MIN_PART = 3  # three: a base has six numbers, of three points nine
+_BEYOND_DOUBT = 100.0  # twice 50 in log-likelihood, as where conventions are compared
+_NEAR = 2.0  # standard deviations RMS that two parts may leave: what is expected is itself known to some ten per cent
+_MIXED = 3  # readings that are another station's; two might be so by chance
+_EXPLAINED = 0.8  # share of those that miss by far which must be another's
+
+
+def require_one_setting(found: FoundChanges, model: Model, expected: tuple[float | None, float | None]) -> None:
+    """Raises BadRecording where the stations contradict each other and what was found does not explain them.
+
+    model: frozen. expected: RMS of position [mm] and orientation [deg] that it should show while nothing has changed.
+    """
+    samples = found.samples
+    if not found.changes or not is_serial_arm(model.chain) or not is_direct(samples.kinds) or len(samples) < _MIN:
+        return
+    if len(samples.frames) > 1 or samples.sockets or expected[0] is None:
+        return
+    order = np.argsort(samples.stamps, kind="stable")
+    readings = _Readings.of(model, samples.select(order), expected[0], expected[1])
+    _require_own_rows(readings, model.serial.reach())
+    _require_one_part(readings, _Readings.of(found.state.model, samples.select(order), expected[0], expected[1]))
+
+
+@dataclass(frozen=True)
+class _Readings:
+    """What is predicted and read, in order: T (N, 4, 4), p (N, 3) [m], R (N, 3, 3) or None of points; their standard
+    deviations per axis [m, rad]; numbers of the stations.
+    """
+
+    T: Array
+    p: Array
+    R: Array | None
+    sigma: tuple[float, float]
+    station: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model, samples: Samples, mm: float, deg: float | None) -> _Readings:
+        """deg: None of points."""
+        turned = samples.R if bool(samples.is_pose.all()) and deg is not None else None
+        sigma = 1e-3 * mm / np.sqrt(3.0), np.radians(deg or 0.0) / np.sqrt(3.0)
+        T = model.predict_samples(samples)
+        return cls(T, samples.reading, turned, (float(sigma[0]), float(sigma[1])), samples.station + 1)
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+    def left(self, rows: slice, Y: Array, y: Array, X: Array, x: Array) -> float:
+        """Squares, in variances, that readings of some rows leave of Y (T x) + y, and of Y R X."""
+        R = self.T[rows, :3, :3]
+        gap = self.p[rows] - ((self.T[rows, :3, 3] + R @ x) @ Y.T + y)
+        square = float(np.sum(gap**2)) / self.sigma[0] ** 2
+        if self.R is not None:
+            turn = so3.log(np.swapaxes(Y @ R @ X, -1, -2) @ self.R[rows])
+            square += float(np.sum(turn**2)) / self.sigma[1] ** 2
+        return square
+
+    def as_is(self, rows: slice) -> float:
+        """The same of what is predicted."""
+        none = np.zeros(3)
+        return self.left(rows, np.eye(3), none, np.eye(3), none)
+
+    def base(self, rows: slice) -> float:
+        """The same with the base where these rows have it."""
+        p, known = self.p[rows], self.T[rows, :3, 3]
+        middle, about = p.mean(axis=0), known.mean(axis=0)
+        M = (p - middle).T @ (known - about) / self.sigma[0] ** 2
+        if self.R is not None:
+            M = M + np.einsum("nij,nkj->ik", self.R[rows], self.T[rows, :3, :3]) / self.sigma[1] ** 2
+        Y = so3.nearest_rotation(M)
+        return self.left(rows, Y, middle - Y @ about, np.eye(3), np.zeros(3))
+
+    def tool(self, rows: slice) -> float:
+        """The same with the tool where these rows have it."""
+        R = np.swapaxes(self.T[rows, :3, :3], -1, -2)
+        x = (R @ (self.p[rows] - self.T[rows, :3, 3])[..., None])[..., 0].mean(axis=0)
+        X = np.eye(3) if self.R is None else so3.nearest_rotation((R @ self.R[rows]).sum(axis=0))
+        return self.left(rows, np.eye(3), np.zeros(3), X, x)
+
+
+def _require_one_part(frozen: _Readings, changed: _Readings) -> None:
+    """changed: with what was found put in."""
+    N = len(frozen)
+    moved: tuple[tuple[str, Callable[[slice], float]], ...] = (
+        ("the base (or the tracker)", frozen.base),
+        ("the tool (or the target on it)", frozen.tool),
+    )
+    found = min(
+        (of(slice(0, k)) + of(slice(k, N)), k, what) for what, of in moved for k in range(_MIN_PART, N - _MIN_PART + 1)
+    )
+    square, k, what = found
+    numbers = N * (3 if frozen.R is None else 6)
+    as_well = min(changed.as_is(slice(0, N)), *(of(slice(0, N)) for _, of in moved))
+    if square > _NEAR**2 * numbers or as_well - square < _BEYOND_DOUBT:
+        return
+    raise BadRecording(
+        f"{what} moved between stations {frozen.station[k - 1]} and {frozen.station[k]} of this recording",
+        f"the stations before and those after agree in themselves ({_rms(square, numbers):.1f} times the expected "
+        f"noise together), and no change since the calibration explains both ({_rms(as_well, numbers):.1f} times)",
+        "fix it, and check again with stations that were all taken afterwards",
+    )
+
+
+def _rms(square: float, numbers: int) -> float:
+    return float(np.sqrt(square / numbers))
+
+
+def _require_own_rows(readings: _Readings, reach: float) -> None:
+    """Raises BadRecording where most readings that miss by far are those of other stations."""
+    gap = np.linalg.norm(readings.p[:, None] - readings.T[None, :, :3, 3], axis=-1)
+    near = gap < OF_REACH * reach
+    if readings.R is not None:
+        turned = so3.log(np.swapaxes(readings.T[None, :, :3, :3], -1, -2) @ readings.R[:, None])
+        near &= np.linalg.norm(turned, axis=-1) < ANGLE
+    far = np.flatnonzero(~np.diag(near))
+    others = near[far].any(axis=1)
+    if others.sum() < _MIXED or others.mean() < _EXPLAINED:
+        return
+    rows = far[others]
+    belongs = readings.station[[int(np.argmin(np.where(near[i], gap[i], np.inf))) for i in rows]]
+    raise BadRecording(
+        f"readings at {len(rows)} of {len(readings)} stations",
+        f"are those of other stations (that at station {readings.station[rows[0]]} is where the arm was at station "
+        f"{belongs[0]})",
+        "pair each reading with its own posture, and check again",
+    )

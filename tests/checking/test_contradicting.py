@@ -1,0 +1,91 @@
+"""Stations of one check that contradict each other, by readings that MuJoCo makes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cells import NOISE_M, NOISE_RAD, Recorded, record, ur10
+
+from modcal_core.calibration.store import Calibration
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.samples import Samples
+from modcal_core.public import calibrate, check
+from modcal_core.robot import Robot
+
+pytestmark = pytest.mark.slow
+COUNT = 12
+
+
+@pytest.fixture(scope="module")
+def cell() -> tuple[Recorded, Calibration]:
+    """A world, and what was calibrated from eighty stations of it."""
+    recorded = record(3, 80)
+    return recorded, calibrate(Robot(ur10()), recorded.samples, geometry_only=True).calibration
+
+
+def postures(seed: int) -> Array:
+    return np.random.default_rng([seed, 12]).uniform(-2.5, 2.5, (COUNT, 6))
+
+
+def readings(q: Array, T: Array, seed: int, points: bool) -> Samples:
+    """Poses (N, 4, 4) with the instrument's noise, or their points."""
+    rng = np.random.default_rng([seed, 13])
+    T = T.copy()
+    T[:, :3, 3] += NOISE_M * rng.standard_normal((len(q), 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((len(q), 3)))
+    made = Samples.from_arrays(q, poses=T, names=ur10().names, stamps=1e6 + 5.0 * np.arange(len(q)))
+    return replace(made, kind=np.full(COUNT, "point")) if points else made
+
+
+@pytest.mark.parametrize("points", [False, True])
+@pytest.mark.parametrize("what", ["base", "tool"])
+@pytest.mark.parametrize("after", [4, 7])
+def test_what_moved_between_two_stations_is_refused(
+    cell: tuple[Recorded, Calibration], what: str, points: bool, after: int
+) -> None:
+    recorded, calibration = cell
+    move = se3.exp(np.array([4e-3, -3e-3, 2e-3, 1e-3, 2e-3, -1e-3]))
+    for seed in range(3):
+        q = postures(seed)
+        T = recorded.world.tool_in_tracker(q)
+        T[after:] = move @ T[after:] if what == "base" else T[after:] @ move
+        with pytest.raises(BadRecording) as told:
+            check(calibration, readings(q, T, seed, points))
+        said = str(told.value)
+        assert re.match(rf"the {what} .* moved between stations {after} and {after + 1} of this", said), said
+
+
+@pytest.mark.parametrize("points", [False, True])
+def test_readings_of_other_stations_are_refused(cell: tuple[Recorded, Calibration], points: bool) -> None:
+    recorded, calibration = cell
+    q = postures(5)
+    T = recorded.world.tool_in_tracker(q)
+    rows = np.arange(COUNT)
+    rows[3:8] = [4, 5, 6, 7, 3]
+    with pytest.raises(
+        BadRecording, match=r"readings at 5 of 12 stations: are those of other .* station 4 .*station 5"
+    ):
+        check(calibration, readings(q, T[rows], 5, points))
+
+
+@pytest.mark.parametrize("points", [False, True])
+def test_what_changed_before_all_stations_and_one_wrong_reading_are_no_contradiction(
+    cell: tuple[Recorded, Calibration], points: bool
+) -> None:
+    recorded, calibration = cell
+    move = se3.exp(np.array([4e-3, -3e-3, 2e-3, 1e-3, 2e-3, -1e-3]))
+    for seed in range(2):
+        q = postures(seed)
+        T = recorded.world.tool_in_tracker(q)
+        T = move @ T if seed else T @ move
+        T[5, :3, 3] += (0.0, 0.02, 0.0)
+        found = check(calibration, readings(q, T, seed, points))
+        assert found.status == "changed", found.sentence
+        assert {c.kind for c in found.changes} == {"base" if seed else "tool"}
+        T = recorded.world.tool_in_tracker(q + 3e-3 * np.eye(6)[2])
+        assert check(calibration, readings(q, move @ T, seed, points)).status != "unchanged"  # and is not refused
