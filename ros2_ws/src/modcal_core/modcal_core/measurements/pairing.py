@@ -228,6 +228,7 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
 
 
 _LOOK_BACK = 64  # joint states; doubled until every joint has moved
+_NEXT = 16  # messages that are looked at of all samples at once: most stations tell what each joint did last
 
 
 def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: Array, q: Array) -> Array:
@@ -237,19 +238,35 @@ def _approach(stamps: Array, at: Array, velocity: Array, moving: np.ndarray, t: 
     taken to have come straight from the one before.
     """
     out = np.sign(np.nan_to_num(velocity))
-    for i in np.flatnonzero(~moving):
-        end = int(np.searchsorted(t, stamps[i] + 1e-9))
+    still = np.flatnonzero(~moving)
+    end = np.searchsorted(t, stamps[still] + 1e-9)
+    still, end = still[end > 0], end[end > 0]
+    out[still], closed = _last_moved(at[still], q, end)
+    for i, last in zip(still[~closed], end[~closed].tolist(), strict=True):
         back = _LOOK_BACK
         while True:
-            apart = at[i] - q[max(0, end - back) : end]
+            apart = at[i] - q[max(0, last - back) : last]
             moved = np.abs(apart) > TRAVEL
-            if moved.any(axis=0).all() or back >= end:
+            if moved.any(axis=0).all() or back >= last:
                 break
             back *= 4
-        if len(apart):
-            last = len(apart) - 1 - np.argmax(moved[::-1], axis=0)
-            out[i] = np.where(moved.any(axis=0), np.sign(apart[last, np.arange(q.shape[1])]), 0.0)
+        at_last = len(apart) - 1 - np.argmax(moved[::-1], axis=0)
+        out[i] = np.where(moved.any(axis=0), np.sign(apart[at_last, np.arange(q.shape[1])]), 0.0)
     return out
+
+
+def _last_moved(at: Array, q: Array, end: np.ndarray) -> tuple[Array, np.ndarray]:
+    """The directions (N, n) from the last few messages before each end (N,), all samples at once, and where these told
+    of every joint, or there are no others, (N,).
+    """
+    out = np.zeros(at.shape)
+    closed = np.zeros(len(at), bool)
+    for k in range(1, _NEXT + 1):
+        some = np.flatnonzero(~closed)
+        apart = at[some] - q[end[some] - k]
+        told = np.where((out[some] == 0.0) & (np.abs(apart) > TRAVEL), np.sign(apart), out[some])
+        out[some], closed[some] = told, (told != 0.0).all(axis=1) | (end[some] == k)
+    return out, closed
 
 
 def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: StationRules) -> Array:
