@@ -160,7 +160,7 @@ class Scanner:
         squares, best = self._explained(weighed, space, whole, tables)
         for some in (signs[1 : 1 + FIRST_FLIPS], signs[1 + FIRST_FLIPS :]):
             if len(some) and (len(best) == 1 or not is_clear(best)):
-                trials = space.trials(some[:, self.unit]).lean()
+                trials = space.lean_trials(some[:, self.unit])
                 best = np.concatenate([best, self._explained(weighed, space, trials, tables)[1]])
         if most is not None:
             taken = np.concatenate([np.full(len(b.effects), self._plainest(b) <= most) for b in self.banks])

@@ -13,6 +13,7 @@ from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 
 ALL = slice(None)
+_MANY = 200_000  # numbers; with fewer, double precision costs nothing worth saving
 
 
 @dataclass(frozen=True)
@@ -56,17 +57,23 @@ class NumberBank:
         groups = list(self.groups().items())
         if m == 1:
             return np.asarray((self.numbers[:, 0] ** 2 @ np.sum(columns[groups[0][0]] ** 2, axis=0))[:, None, None])
+        numbers = self._lean
         if len(groups) == 1:
-            square = np.sum(columns[groups[0][0]] ** 2, axis=0)
-            return np.asarray((self.numbers * square) @ self.numbers.transpose(0, 2, 1))
+            square = np.sum(columns[groups[0][0]] ** 2, axis=0).astype(numbers.dtype, copy=False)
+            return np.asarray((numbers * square) @ numbers.transpose(0, 2, 1), dtype=float)
         out = np.empty((C, m, m))
         for i, (one, some) in enumerate(groups):
             for other, others in groups[i:]:
-                both = np.sum(columns[one] * columns[other], axis=0)
-                product = (self.numbers[:, some] * both) @ self.numbers[:, others].transpose(0, 2, 1)
+                both = np.sum(columns[one] * columns[other], axis=0).astype(numbers.dtype, copy=False)
+                product = (numbers[:, some] * both) @ numbers[:, others].transpose(0, 2, 1)
                 for k, a in enumerate(some):
                     out[:, a, others], out[:, others, a] = product[:, k], product[:, k]
         return out
+
+    @cached_property
+    def _lean(self) -> np.ndarray:
+        """The numbers, many of them in single precision: as what lies along many directions (:mod:`space`)."""
+        return self.numbers.astype(np.float32) if self.numbers.size > _MANY else self.numbers
 
 
 class NumberPool:

@@ -40,14 +40,10 @@ class SignTrials:
     total: squares left, (trials,). known: contractions with columns, (N, trials). sums: of those.
     """
 
-    left: Array
+    left: np.ndarray
     total: Array
     known: dict[Key, Array] = field(default_factory=dict)
     sums: KnownSums = field(default_factory=KnownSums)
-
-    def lean(self) -> SignTrials:
-        """These in single precision: of noise, whose best is known to a few per cent, that is more than enough."""
-        return SignTrials(self.left.astype(np.float32), self.total)
 
     def seen_by(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
         """Contractions, sample by sample, of columns (6, N) with the trials, (N, trials) each."""
@@ -74,10 +70,11 @@ class Directions:
         Of many they are in single precision: what lies along them is known to a millionth of a column's square, and
         of that less than 0.0025 is never asked for.
         """
-        return _contracted(columns, self.Q.transpose(1, 0, 2) if self.Q.size < _MANY else self._lean)
+        return _contracted(columns, self.Q.transpose(1, 0, 2) if self.Q.size < _MANY else self.lean)
 
     @cached_property
-    def _lean(self) -> np.ndarray:
+    def lean(self) -> np.ndarray:
+        """They in single precision, sample by sample, (N, rows, P)."""
         return np.ascontiguousarray(self.Q.transpose(1, 0, 2), dtype=np.float32)
 
 
@@ -175,6 +172,18 @@ class Space:
             left -= part.Q @ (part.sign * seen.T)
             total -= part.sign * np.sum(seen**2, axis=1)
         return SignTrials(left, total)
+
+    def lean_trials(self, signs: Array) -> SignTrials:
+        """The same in single precision: of noise, whose best is known to a few per cent, that is more than enough."""
+        residual = self.residual[: self.rows].astype(np.float32)
+        left = residual.T[:, :, None] * signs.T.astype(np.float32)[:, None]
+        total = np.full(len(signs), np.sum(self.residual**2))
+        for part, of_samples in zip(self.parts, self._along, strict=True):
+            seen = signs @ of_samples
+            along = part.lean.reshape(-1, part.lean.shape[2]) @ (part.sign * seen.T).astype(np.float32)
+            left -= along.reshape(left.shape)
+            total -= part.sign * np.sum(seen**2, axis=1)
+        return SignTrials(left.transpose(1, 0, 2), total)
 
 
 def sample_weights(fit: Fit, samples: Samples) -> Array:
