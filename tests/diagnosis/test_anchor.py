@@ -12,10 +12,11 @@ from cells import record, ur10
 from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.anchor import Anchor
 from modcal_core.diagnosis.evidence import Scanner
-from modcal_core.diagnosis.space import Directions
+from modcal_core.diagnosis.space import Directions, by_component
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, columns
 from modcal_core.effects.registry import candidates
+from modcal_core.effects.shapes import Shape
 
 CHAIN = ur10()
 SAMPLES = record(3, 60, "pose").samples
@@ -100,6 +101,36 @@ def test_of_the_next_fit_only_what_is_new_is_made(scene: tuple[Fit, Drivers, lis
             for space in (seen, anew)
         )
         np.testing.assert_allclose(one, two, atol=1e-8 * np.abs(v).max())
+
+
+def test_functions_that_reach_to_no_sample_are_left_out(scene: tuple[Fit, Drivers, list[Effect]]) -> None:
+    """Of a curve over far more than the joint's range; what it leaves is what least squares leave, also when it goes."""
+    fit, drivers, effects = scene
+    line, _, _ = with_some(fit, effects, [0, 2, 5]).model.effects
+    elbow = CHAIN.names[2]
+    shape = Shape("spline", {"count": 24, "low": -9.0, "high": 9.0})
+    curve = Effect("gear_curve", elbow, "axis", f"position:{elbow}", shape).started(np.zeros(24))
+    whole, bare = (replace(fit, model=fit.model.with_effects(some)) for some in ((line, curve), (line,)))
+    anchor = Anchor.of(whole, drivers)
+    basis = shape.basis(drivers.values(curve.driver))
+    nothing = int((basis == 0.0).all(axis=1).sum())
+    assert nothing > 5
+    assert anchor.factor.columns == len(fit.parameters) + 25
+    assert anchor.space.Q.shape[2] <= anchor.factor.columns - nothing
+    kept = [terms for terms, row in zip(columns(curve, drivers), basis, strict=True) if row.any()]
+    left = anchor.space.view.moved_by(kept[0])
+    along = by_component(left[None], anchor.space.view)[0] * anchor.space.weight[: anchor.space.rows]
+    Q = anchor.space.parts[0].Q
+    remains = along - Q @ np.einsum("cNp,cN->p", Q, along)
+    assert np.abs(remains).max() < 1e-3 * np.abs(along).max()
+    beside, anew = anchor.beside(bare, drivers), Anchor.of(bare, drivers).space
+    assert beside is not None
+    v = np.random.default_rng(2).normal(size=(beside.rows, len(drivers)))
+    one, two = (
+        sum(part.sign * (part.Q @ np.einsum("cNp,cN->p", part.Q, v)) for part in space.parts)
+        for space in (beside, anew)
+    )
+    np.testing.assert_allclose(one, two, atol=1e-6 * np.abs(v).max())
 
 
 def test_many_directions_are_contracted_in_single_precision(rng: np.random.Generator) -> None:

@@ -25,6 +25,7 @@ def test_rotations(angle: float, rng: np.random.Generator) -> None:
     theirs = Rotation.from_rotvec(w)
     R = so3.exp(w)
     assert np.abs(R - theirs.as_matrix()).max() < 1e-14
+    assert np.abs(np.array(so3.exp_rows(w.reshape(-1, 3).T)).transpose(2, 1, 0) - R.reshape(-1, 3, 3)).max() < 1e-14
     assert np.abs(so3.exp(so3.log(R)) - R).max() < 1e-14
     assert np.abs(so3.log(R) - w).max() < 1e-14
     q = so3.to_quaternion(R)
