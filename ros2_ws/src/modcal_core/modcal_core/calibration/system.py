@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.linearise import Linearised, RowView, model_at
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.normal_equations import BLOCK, MAX_KEPT, blocks_at, gradient, normal_equations
+from modcal_core.calibration.normal_equations import MAX_KEPT, blocks_at, gradient, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.geometry.so3 import Array
@@ -65,8 +65,8 @@ class PlainSystem:
     def normal_equations(self, values: Array, row_weight: Array) -> tuple[Array, Array]:
         """(JᵀWJ, JᵀWr) with these weights of the rows, (3 N + 3 M,)."""
         parts = blocks_at(self._samples, self._around)
-        if len(self._samples) <= BLOCK:
-            parts = [replace(part, view=self._view(values)) for part in parts]
+        if isinstance(parts, list) and len(parts) == 1:
+            parts = [replace(parts[0], view=self._view(values))]
         H, g = normal_equations(self._start, self._parameters, values, self._samples, row_weight, parts)
         self._last = H / float(row_weight.sum())
         return H, g
