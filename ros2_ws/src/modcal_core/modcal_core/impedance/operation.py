@@ -83,6 +83,11 @@ class Operation:
         """The wrench (6,) that is felt on the tool, in its axes."""
         return self._force.felt
 
+    @property
+    def servos(self) -> str:
+        """By how much the joints' servos yield to the felt force, for a person; empty while that is not known."""
+        return self._force.servos
+
     def stop(self, why: str) -> Stop:
         """End it now, whatever it does; what is let go says why it was."""
         why = self._why or why
@@ -230,7 +235,7 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self.task.exploration_speed, h, self._force.unknown_speed(pull.progress(T)))
+        ds = self._go(self.task.exploration_speed, h, self._force.exploring_speed(pull.progress(T)))
         sent = self.setpoint_filter.pose if self.task.mode == "admittance" else None
         self.expected = pull.advance(ds, T, h, sent)
         self.impedance.align(self.expected[:3, :3].T @ pull.moved)
@@ -274,7 +279,7 @@ class Operation:
             self._at = course.configuration(T)
         at = self._at
         left = course.left(at)
-        wanted = self.task.speed if state.trusted else self.task.exploration_speed
+        wanted = (self._force.following_speed if state.trusted else self._force.exploring_speed)(course.way - left)
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
         wanted *= min(1.0, max(0.0, 2.0 - self.setpoint_filter.lag(self._goal_now()) / 0.005))
@@ -367,16 +372,8 @@ class Operation:
             stiffness = np.repeat(np.array(task.stack), 3)
         else:
             stiffness = np.diag(self.impedance.gains.matrices()[2]).copy()
-        return ArmSetpoint(
-            self.chain.base,
-            self.chain.names,
-            follower.pose,
-            follower.q,
-            follower.velocity,
-            np.zeros(6),
-            stiffness,
-            self.phase,
-        )
+        q, velocity, none = follower.q, follower.velocity, np.zeros(6)
+        return ArmSetpoint(self.chain.base, self.chain.names, follower.pose, q, velocity, none, stiffness, self.phase)
 
     def _opened(self, T: Array | None = None) -> float:
         """How far it is open [rad or m]."""

@@ -83,6 +83,19 @@ class ServoModel:
         """What dry friction and the like leave of every row (m,) [rad or m]."""
         return self._x[:, 2]
 
+    def softness(self, levers: Array, least: Array) -> tuple[float, float] | None:
+        """By how much the first rows yield as a share of what they may at most, and its standard deviation.
+
+        levers (n,): by which such a row moves the tool [m/rad]. least (n,): its stiffness at least [N m/rad], NaN where
+        that is not known; None where none is. Rows count by how far the loads that were learned from moved the tool.
+        """
+        n = len(least)
+        moved = np.where(np.isfinite(least), levers * np.sqrt(self._sums[:n, 1, 1]), 0.0)
+        most = float(np.nansum(moved / least))
+        if not most > 0.0:
+            return None
+        return float(moved @ self._x[:n, 1]) / most, float(moved @ self.unsure_by[:n]) / most
+
     def left(self, mean: Array) -> Array:
         """What the model leaves (m,) of means (m, 4) of speed, load, one and lead."""
         return np.asarray((mean * self._against).sum(axis=1))

@@ -11,16 +11,14 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.joint_lead_check import JointLeadCheck
 from modcal_core.impedance.lead_check import LeadCheck, Stiffness
 from modcal_core.impedance.safety_monitor import Limits
+from modcal_core.impedance.sensor_evidence import SensorEvidence
 from modcal_core.impedance.setpoint_filter import SetpointFilter
 from modcal_core.impedance.speed_governor import ForcePrediction
 from modcal_core.impedance.task import ImpedanceTask, JointPositions
 from modcal_core.impedance.unfelt_force import UnfeltForce
 from modcal_core.impedance.wrench import WrenchSensor
 
-_CREEP, _FREE = 0.01, 8e-3  # m/s for the first m, which no hand goes without what it holds
-_UNTOLD = 0.5  # of the usual speed beyond that, until the force sensor has felt anything
 _TOGETHER = 0.02  # s by which a wrench may be older than joints that it is compared with: one of 50 Hz
-_TOLD = 2.0  # N that tell that it does: ten times the noise of a usual one
 
 
 class ToolForce:
@@ -40,7 +38,8 @@ class ToolForce:
         self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
         known = np.full(joints, np.nan) if least is None else least
         self._joints = JointLeadCheck(known, task.servo_lag, limits.period)
-        self._answered = False
+        judged = task.mode == "admittance" and bool(np.isfinite(known).any())
+        self._evidence, self._least = SensorEvidence(judged), known
 
     def restrict(self, task: ImpedanceTask, limits: Limits) -> None:
         """Keep to other limits, and to the stiffness that another task states."""
@@ -81,20 +80,27 @@ class ToolForce:
         if refused is None and self.task.mode == "admittance":
             stiffest = self.task.arm_stiffness
             refused = self._joints.refused(joints.q, joints.stamp, self.felt, sent.jacobian, most, stiffest)
-        return refused or self._unfelt.refused(self.felt, most)
+        return refused or self._evidence.refused() or self._unfelt.refused(self.felt, most)
 
-    def unknown_speed(self, progress: float) -> float:
-        """The speed [m/s] at which to go on into the unknown, with the tool so far [m] from where it began.
+    def exploring_speed(self, progress: float) -> float:
+        """The speed [m/s] at which to go on into the unknown, with the tool so far [m] from where it began."""
+        self._note(progress)
+        return self._evidence.exploring(progress, self.task.exploration_speed, self._leads.creep(self.limits.force))
 
-        A force sensor that has not told of anything may be stuck, and so may one that told of little: until the hand
-        has come some way, and until the sensor has told, little may come of that.
-        """
-        felt = math.sqrt(self.felt[:3] @ self.felt[:3])
-        self._answered = (self._answered or felt >= _TOLD) and not self._leads.repeats
-        speed, creep = self.task.exploration_speed, min(_CREEP, self._leads.creep(self.limits.force))
-        if progress < _FREE:
-            return min(speed, creep)
-        return speed if self._answered else min(speed, max(creep, _UNTOLD * speed * creep / _CREEP))
+    def following_speed(self, progress: float) -> float:
+        """The same along a path that is known."""
+        self._note(progress)
+        task = self.task
+        return self._evidence.following(task.speed, task.exploration_speed, self._leads.creep(self.limits.force))
+
+    @property
+    def servos(self) -> str:
+        """By how much the joints' servos yield to the felt force, for a person; empty while that is not known."""
+        return self._evidence.said
+
+    def _note(self, progress: float) -> None:
+        self._evidence.take(math.sqrt(self.felt[:3] @ self.felt[:3]), progress, self._leads.repeats)
+        self._evidence.learned(self._unfelt.softness(self._least))
 
 
 def _stiffness(task: ImpedanceTask) -> Stiffness:

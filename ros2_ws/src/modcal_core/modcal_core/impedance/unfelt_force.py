@@ -57,6 +57,7 @@ _MOVED_ON = 8e-3
 _SHARE = 1.0  # of a change of the felt force that is not believed to be hidden beside it: what is learned of a servo
 # that yields by half as much as it does would show that
 _MAX = 0.4  # of max_force_n may go unfelt, for as much again comes until the arm stands
+_RECALL = 3.0  # servo lags for which a force that has gone still explains a lead: a servo unwinds by its lag
 _SUSPECTED = 0.2  # of it: from there on nothing is learned
 _FORGETS = 0.98  # of what the models' errors were, with every moment
 _WORSE = 1.5  # times the error of the other model: then it is the other one
@@ -93,12 +94,15 @@ class UnfeltForce:
         self._noted: _Moment | None = None
         self._waiting: deque[_Moment] = deque()
         self._learned = False
+        self._felt: deque[tuple[float, Array]] = deque()  # of the last lags: stamp [s], force (3,) [N]
+        self._recalled = _RECALL * lag
         self._errors = np.zeros(2)  # m², of the joints' rows and of the tool's
         self._before = _MomentWindow(joints + 6)
         self._compared = (0, 0)  # how often there was a new one, of the leads before and of the model
         self._base = np.zeros((joints + 6, 4)), np.zeros(3), np.zeros(joints + 6)
         self._recent: deque[_Moment] = deque()  # too new to be compared with
         self._way = 0.0
+        self._softness: tuple[int, tuple[float, float] | None] = -1, None  # with how many moments it was found
         self._suspected = -math.inf
         self._likely: deque[float] = deque(maxlen=_AT_ONCE)
         self._sure_since, self._lasts = math.inf, False
@@ -113,6 +117,21 @@ class UnfeltForce:
             return None
         n, model = self._n, self.model
         return model.lag[:n], model.lag_unsure_by[:n], model.rest[:n]
+
+    def softness(self, least: Array) -> tuple[float, float] | None:
+        """By how much the joints' servos yield to the felt force, as a share of what they may at most, and its standard
+        deviation; None where nothing is learned or known, or where the tool is held in its own axes.
+
+        least (n,): stiffness of each servo at least [N m/rad], NaN where that is not known.
+        """
+        model, last = self.model, self._noted
+        if self._softness[0] == model.count:
+            return self._softness[1]
+        found = None
+        if model.count >= FEWEST and last is not None and not self._errors[0] > _WORSE**2 * self._errors[1] > 0.0:
+            found = model.softness(np.sqrt((last.J[:3] ** 2).sum(axis=0)), least)
+        self._softness = model.count, found
+        return found
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
@@ -187,6 +206,9 @@ class UnfeltForce:
 
     def _judge(self, at: _Moment, by: Array | None, most: float) -> None:
         """What is hidden, if the newest reference is in effect and if one is that leads by more (n,)."""
+        self._felt.append((at.stamp, at.felt))
+        while self._felt[0][0] < at.stamp - self._recalled:
+            self._felt.popleft()
         maybe, likely, self.sure = self._hidden(at, by)
         self._likely.append(likely)
         self.force = min(self._likely)
@@ -228,16 +250,16 @@ class UnfeltForce:
         left = alone[:, None]
         if by is not None:
             left = np.stack([alone, alone + np.concatenate([by, at.J @ by])], axis=1)
-        away, errors = at.felt - felt, np.sqrt(self._errors) + FLOOR
+        errors = np.sqrt(self._errors) + FLOOR
         maybe, likely, sure = 0.0, 0.0, math.inf
-        followed = _SHARE * math.sqrt(away @ away)
+        followed = _SHARE * max(math.dist(one, felt) for _, one in self._felt)
         for rows, L, error in ((slice(0, n), at.J, errors[0]), (slice(n, n + 6), np.eye(6), errors[1])):
             if error <= _WORSE * errors.min():
-                size, deviation = _force(left[rows], spread[rows], model.compliance[rows], model.unsure_by[rows], L)
-                sure = min(sure, float((size - _SURE * deviation).min()))
+                size, least = _force(left[rows], spread[rows], model.compliance[rows], model.unsure_by[rows], L)
+                sure = min(sure, float(least.min()))
                 if error == errors.min():
                     maybe = max(float(size[0]) - followed, 0.0)
-                    likely = maybe if size[0] > _SURE * deviation[0] else 0.0
+                    likely = maybe if least[0] > 0.0 else 0.0
         return maybe, likely, max(sure - followed, 0.0)
 
     def _differs(self, moment: _Moment, share: float = 1.0) -> bool:
@@ -315,7 +337,7 @@ class _MomentWindow:
 
 
 def _force(left: Array, spread: Array, compliance: Array, unsure: Array, L: Array) -> tuple[Array, Array]:
-    """The forces (k,) [N] that rows show by what is left of their leads (m, k), and their standard deviations.
+    """The forces (k,) [N] that rows show by what is left of their leads (m, k), and what they are at least.
 
     spread (m,): of what is left. compliance, unsure (m,): of the rows, and how uncertain that is. L (6, m): their
     levers.
@@ -323,11 +345,23 @@ def _force(left: Array, spread: Array, compliance: Array, unsure: Array, L: Arra
     load = left[:, 0] / np.maximum(compliance, unsure)  # at first what every row shows by itself
     for _ in range(_PASSES):
         s = np.sqrt(spread**2 + (unsure * load) ** 2)
-        A = -(compliance / s)[:, None] * L.T  # (m, 6)
-        shown = np.linalg.solve(A.T @ A + _PRIOR, A.T)  # (6, m): the smallest wrench that shows as these leads
-        wrench = shown @ (left / s[:, None])  # (6, k)
-        load = L.T @ wrench[:, 0]
+        size, deviation, wrench = _shown(left, s, s, compliance, L)
+        load = L.T @ wrench
+    # of a servo that yields, by how much is hardly known, a lead that stands out is a force all the same: as large as
+    # it takes on the softest that it may be
+    softest = np.where(compliance > 0.0, compliance + _SURE * unsure, 0.0)
+    soft, scatter, _ = _shown(left, s, spread, softest, L)
+    return size, np.maximum(size - _SURE * deviation, np.minimum(soft, size) - _SURE * scatter)
+
+
+def _shown(left: Array, s: Array, spread: Array, compliance: Array, L: Array) -> tuple[Array, Array, Array]:
+    """The forces (k,) [N] of the smallest wrenches that show as leads (m, k), their standard deviations where rows
+    scatter by spread (m,), and the first of these wrenches (6,). s (m,): what rows count by.
+    """
+    A = -(compliance / s)[:, None] * L.T  # (m, 6)
+    shown = np.linalg.solve(A.T @ A + _PRIOR, A.T)  # (6, m)
+    wrench = shown @ (left / s[:, None])  # (6, k)
     f = wrench[:3]
     size = np.sqrt((f * f).sum(axis=0))
-    along = f.T @ shown[:3]  # (k, m)
-    return size, np.sqrt((along**2).sum(axis=1)) / np.maximum(size, 1e-9)
+    along = (f.T @ shown[:3]) * (spread / s)  # (k, m)
+    return size, np.sqrt((along**2).sum(axis=1)) / np.maximum(size, 1e-9), wrench[:, 0]
