@@ -150,7 +150,10 @@ def test_a_force_is_at_least_what_it_takes_on_the_softest_servo_and_never_more_t
         ([0.0, 5e-4, -3e-4], 0.0, 0.0),  # drawn sideways, as the arm takes up a load
         ([-2e-4, 5e-4, -3e-4], 0.0, 2e-4 / 45e-6),
     ):
-        size, least = unfelt_force._force(np.array([[*left, 0.0, 0.0, 0.0]]).T, spread, compliance, unsure, np.eye(6))
+        leads = np.array([[*left, 0.0, 0.0, 0.0]]).T
+        size, least = unfelt_force._force(leads, spread, compliance, unsure, np.eye(6), moved=True)
+        _, taking_up = unfelt_force._force(leads, spread, compliance, unsure, np.eye(6), moved=False)
+        assert taking_up[0] <= least[0]
         assert size[0] <= high + 1e-6
         assert low <= max(least[0], 0.0) <= size[0] + 1e-6
         assert least[0] < 5.0 or low > 0.0

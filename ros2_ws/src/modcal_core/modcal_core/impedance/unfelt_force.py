@@ -255,7 +255,8 @@ class UnfeltForce:
         followed = _SHARE * max(math.dist(one, felt) for _, one in self._felt)
         for rows, L, error in ((slice(0, n), at.J, errors[0]), (slice(n, n + 6), np.eye(6), errors[1])):
             if error <= _WORSE * errors.min():
-                size, least = _force(left[rows], spread[rows], model.compliance[rows], model.unsure_by[rows], L)
+                known = model.compliance[rows], model.unsure_by[rows]
+                size, least = _force(left[rows], spread[rows], *known, L, self._way > _MOVED_ON)
                 sure = min(sure, float(least.min()))
                 if error == errors.min():
                     maybe = max(float(size[0]) - followed, 0.0)
@@ -336,17 +337,20 @@ class _MomentWindow:
         self._felt += sign * moment.felt
 
 
-def _force(left: Array, spread: Array, compliance: Array, unsure: Array, L: Array) -> tuple[Array, Array]:
+def _force(left: Array, spread: Array, compliance: Array, unsure: Array, L: Array, moved: bool) -> tuple[Array, Array]:
     """The forces (k,) [N] that rows show by what is left of their leads (m, k), and what they are at least.
 
     spread (m,): of what is left. compliance, unsure (m,): of the rows, and how uncertain that is. L (6, m): their
-    levers.
+    levers. moved: whether the tool has come some way: as a hand takes up a load it is drawn aside, and what a servo
+    yields is learned from little.
     """
     load = left[:, 0] / np.maximum(compliance, unsure)  # at first what every row shows by itself
     for _ in range(_PASSES):
         s = np.sqrt(spread**2 + (unsure * load) ** 2)
         size, deviation, wrench = _shown(left, s, s, compliance, L)
         load = L.T @ wrench
+    if not moved:
+        return size, size - _SURE * deviation
     # of a servo that yields, by how much is hardly known, a lead that stands out is a force all the same: as large as
     # it takes on the softest that it may be
     softest = np.where(compliance > 0.0, compliance + _SURE * unsure, 0.0)
