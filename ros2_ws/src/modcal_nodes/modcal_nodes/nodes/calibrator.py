@@ -48,7 +48,7 @@ from modcal_nodes.ros.tf_broadcaster import Broadcaster
 from modcal_nodes.ros.tf_frames import static_frames
 
 _POLL = 0.1  # s
-_REST = 0.01  # s
+_REST = 0.005  # s
 _SOLVE = "solve"
 _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
