@@ -53,25 +53,33 @@ def test_hears_everything_while_it_ticks_and_answers() -> None:
     executor, other = RestingExecutor(node, REST), SingleThreadedExecutor()
     executor.add_node(node)
     other.add_node(partner)
+    missed = list[float]()
+
+    def look() -> None:
+        """A look; a timer whose period has passed when it begins must have been run when it ends."""
+        begun, before = time.monotonic(), len(node.ticks)
+        executor.spin_once()
+        if before and begun > node.ticks[before - 1] + PERIOD and len(node.ticks) == before:
+            missed.append(begun - node.ticks[-1])
+
     try:
         publisher = partner.create_publisher(JointState, "joint_states", SENSOR)
         client = partner.create_client(Trigger, "ask")
         end = time.monotonic() + 30.0
         while not (client.service_is_ready() and publisher.get_subscription_count() and node.joints.publishers):
             assert time.monotonic() < end
-            executor.spin_once()
+            look()
             other.spin_once(0.001)
-        answer, begun = client.call_async(Trigger.Request()), time.monotonic()
+        answer = client.call_async(Trigger.Request())
         for k in range(COUNT):
             publisher.publish(JointState(name=["a", "b"], position=[float(k), -float(k)]))
             if k % 10 == 9:
-                executor.spin_once()
+                look()
                 other.spin_once(0.0)
         while len(node.heard) < COUNT - 1 or not answer.done():
             assert time.monotonic() < end
-            executor.spin_once()
+            look()
             other.spin_once(0.001)
-        took = time.monotonic() - begun
     finally:
         executor.shutdown()
         other.shutdown()
@@ -81,8 +89,8 @@ def test_hears_everything_while_it_ticks_and_answers() -> None:
     assert node.heard == [(float(k), -float(k)) for k in range(COUNT) if k != 13]
     assert node.faults.counts == {"joint_states": 1}, "one message that fails costs that message only"
     assert answer.result().success
-    # as many ticks as there were periods, but for those that a busy machine held up: one may be lost to each
-    assert len([t for t in node.ticks if begun <= t <= begun + took]) >= 0.5 * took / PERIOD - 2
+    assert not missed, "a tick that is due waits for no second look, however busy the machine is"
+    assert len(node.ticks) > 10
 
 
 class Newest(GuardedNode):
