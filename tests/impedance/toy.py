@@ -14,8 +14,7 @@ import numpy as np
 
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.registry import joint
-from modcal_core.geometry import se3
-from modcal_core.geometry.single import pose_error
+from modcal_core.geometry.single import along_screw, pose_error
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits
@@ -85,13 +84,15 @@ class Toy:
         self.handle = self.truth.pose(0.0)
         self._e, self._missing = np.zeros(6), np.zeros(6)
         self._twist = self.truth.twist()
+        self._frames = posture_frames(PANDA, self.q)
 
     def step(self) -> None:
         """One period."""
         h = PERIOD / _SUBSTEPS
         for _ in range(_SUBSTEPS):
             self.q = self.q + (self.command - self.q) * (h / (self.servo_lag + h))
-            S = posture_frames(PANDA, self.q)[1]
+            self._frames = posture_frames(PANDA, self.q)
+            S = self._frames[1]
             # from where the servo would have the tool to where it is, seen from the tool
             e = pose_error(S, self.handle)
             self._missing = e
@@ -112,13 +113,13 @@ class Toy:
             self.a += h * self.speed
             if not 0.0 <= self.a <= self.last:
                 self.a, self.speed = min(max(self.a, 0.0), self.last), 0.0
-            self.handle = se3.exp(self._twist * self.a) @ self.truth.start
+            self.handle = along_screw(self.truth.start, self._twist * self.a)
             self.contact = -wrench  # on the tool
             self.peak = max(self.peak, float(np.linalg.norm(wrench[:3])))
 
     def reading(self) -> tuple[Array, Array]:
         """(joint positions, raw wrench of the sensor) of now: encoders see where the weld holds the tool."""
-        J = np.concatenate(joint_motions(PANDA, *posture_frames(PANDA, self.q)), axis=1).T
+        J = np.concatenate(joint_motions(PANDA, *self._frames), axis=1).T
         q = self.q + J.T @ np.linalg.solve(J @ J.T, self._missing)
         w = self.contact + self.weight + self.noise * np.r_[np.ones(3), 0.02 * np.ones(3)] * self._rng.normal(size=6)
         return q, w
