@@ -6,8 +6,8 @@ A search takes an effect in or leaves it out, and fits what it takes in freely. 
 geometry every joint errs about its axis by a smooth curve of its position, the tool by a smooth drift, and each joint
 by the side from which it comes. How large and how smooth each of them is follows from the likelihood of the same
 stations (empirical Bayes); where stations say little of a curve it stays near zero. The answer is the mean of a
-Gaussian process (Rasmussen & Williams 2006, chapter 2 and section 5.4), linearised about the fitted geometry. An
-experiment: modcal's search works otherwise.
+Gaussian process (Rasmussen & Williams 2006, chapter 2 and section 5.4), linearised about the fitted geometry. What
+modcal does after its search is close to it, with splines (``diagnosis/residual_curves.py``); this is to compare it with.
 """
 
 from __future__ import annotations

@@ -30,6 +30,7 @@ from modcal_core.calibration.structure import choose_parameters, parameter_count
 from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
 from modcal_core.diagnosis.loads import Loads, weighed, with_arm
 from modcal_core.diagnosis.locate import located
+from modcal_core.diagnosis.residual_curves import with_residual_curves
 from modcal_core.diagnosis.search import diagnose
 from modcal_core.diagnosis.stated_loads import stated_arm, with_stated
 from modcal_core.effects.drivers import remembered
@@ -44,10 +45,12 @@ from modcal_core.report.joint_offsets import offsets_of
 from modcal_core.report.loads import load_findings, load_notes
 from modcal_core.report.notes import instrument_notes, readmitted_note
 from modcal_core.report.report import Report
+from modcal_core.report.residual import residual_notes
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.case import fitted_case
 from modcal_core.verdict.contradictions import contradictions
+from modcal_core.verdict.contributions import TOGETHER
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.readings import too_good
 from modcal_core.verdict.regimes import regimes_of
@@ -127,7 +130,10 @@ def calibrate(
         if loads is not None:
             geometric = with_arm(geometric, loads.arm)
     # when something moved is read from all stations: one next to it that was held out belongs to either side
-    final = replace(diagnosis.fit, model=sharpened(diagnosis.fit.model, samples))
+    held = diagnosis.fit
+    if look_for_effects:
+        held = with_residual_curves(held, train, explain, rng, cell.distances, block)
+    final = replace(held, model=sharpened(held.model, samples))
     require_plausible(nominal, final, train, samples, cell.distances, bool(cell.known))
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
@@ -148,9 +154,11 @@ def calibrate(
         "final": errors(final.model, scored),
     }
     added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
-    if added:
+    if added and held is diagnosis.fit:
         added[-1] = replace(added[-1], errors=left["final"])  # what the final model leaves, its moments sharpened
     steps = (Step("geometry", left["geometric"]), *added)
+    if held is not diagnosis.fit:
+        steps = (*steps, Step(TOGETHER, left["final"]))
 
     # the verdict
     grounds = Grounds(
@@ -182,7 +190,12 @@ def calibrate(
         parameters=shipped.parameters,
         offsets=offsets_of(shipped),
         left_out=choice.left_out,
-        notes=(*instrument_notes(final), *load_notes(loads), *readmitted_note(taken_in)),
+        notes=(
+            *instrument_notes(final),
+            *load_notes(loads),
+            *readmitted_note(taken_in),
+            *residual_notes(final.model, case.known, scored),
+        ),
         readmitted=taken_in,
         steps=steps,
         evidence=diagnosis.maps,

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from modcal_core.effects.effect import Effect
+from modcal_core.effects.registry import claimed
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -79,6 +80,7 @@ def between(T: Array, rows: np.ndarray, share: Array, other: Array) -> Array:
 
 
 def curved_joints(effects: tuple[Effect, ...], names: tuple[str, ...]) -> np.ndarray:
-    """Which joints curves depend on, (n,)."""
-    of = {part.partition(":")[2] for e in effects for part in e.driver.split(",") if part.startswith("position:")}
+    """Which joints curves depend on, (n,); not the small ones that no report names, which end by themselves."""
+    named = [e for e in effects if claimed(e)]
+    of = {part.partition(":")[2] for e in named for part in e.driver.split(",") if part.startswith("position:")}
     return np.array([name in of for name in names])

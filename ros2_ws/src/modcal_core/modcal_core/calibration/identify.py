@@ -198,11 +198,16 @@ def _minimum(
     moved, leading, same = 0.0, _LEADING, 0  # since the curvature was computed
     curvature: Curvature | None = None
     weighed = 1.0  # all rows, when it was factored
+    # numbers that the samples have to tell: of what is held, first none, then what the prior does not tell
+    held = np.concatenate(
+        [np.zeros(len(parameters), bool), *(np.full(len(e.values), e.held is not None) for e in fitted)]
+    )
+    told = float((~held).sum())
     barred: np.ndarray | None = None  # samples that stay rejected
     at = equations.residuals(values)
     most = int(MAX_ITERATIONS * (1.0 if fitted else _LONGER)) if most is None else most
     for iteration in range(1, most + 1):
-        weights, noise = weigh(at, pose, known_p, known_r, groups, len(values), limit, barred)
+        weights, noise = weigh(at, pose, known_p, known_r, groups, told, limit, barred)
         if iteration > _BARRING:
             barred = weights == 0.0
         row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
@@ -227,6 +232,8 @@ def _minimum(
         while True:
             if curvature is None:
                 curvature, weighed = Curvature.of(H, damping), float(row_weight.sum())
+                if held.any() and damping == 0.0:
+                    told = len(values) - float(np.sum(np.diag(curvature.inverse())[held] / prior[held] ** 2))
             step = share * weighed / float(row_weight.sum()) * curvature.solve(g)
             length = float(np.sqrt(max(float(step @ H @ step), 0.0))) / share if damping == 0.0 else np.inf
             shrinks = min(max(length / last, _SLOWLY if fitted else 0.0), 1.0) if last < np.inf else 1.0
@@ -278,7 +285,7 @@ def _minimum(
         near = near and damping == 0.0 and equations.quick_gradient
         damping = 0.0 if damping < 1e-3 else damping / 10.0
     if looked and not rough:  # else these are of the same residuals
-        weights, noise = weigh(at, pose, known_p, known_r, groups, len(values), limit, barred)
+        weights, noise = weigh(at, pose, known_p, known_r, groups, told, limit, barred)
     if fitted and tolerance <= FITTED and moved > _NEAR:  # while searching nobody asks for their covariance
         row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
         H_data = equations.normal_equations(values, row_weight)[0]

@@ -20,6 +20,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.runs import consecutive
 from modcal_core.calibration.score import outlying
+from modcal_core.effects.registry import claimed
 from modcal_core.measurements.samples import Samples
 
 _LOST = 0.5  # of a function's squares, less of which is left to samples that count: the others then decide it
@@ -105,7 +106,7 @@ def _alone(
     """Stretches of curves of which some samples (True, (N,)) say this share of all, or more: the joint, its positions,
     and True for these samples there, (N,) each.
     """
-    curves = [effect for effect in model.effects if effect.shape.kind == "spline"]
+    curves = [effect for effect in model.effects if effect.shape.kind == "spline" and claimed(effect)]
     if not some.any() or not curves:
         return
     drivers = model.drivers(samples)

@@ -29,7 +29,7 @@ def weigh(
     known_p: Array,
     known_r: Array,
     groups: Groups,
-    parameters: int,
+    parameters: float,
     limit: float | None,
     barred: np.ndarray | None = None,
 ) -> tuple[Array, NoiseModel]:

@@ -30,6 +30,7 @@ EXPECTED_RODS = 0.02  # of their spacing: 1 mm at 50 mm
 EXPECTED_ANGLE, EXPECTED_LENGTH = 2e-3, 2e-3  # rad, m: how large an effect may be before its prior minds
 EXPECTED_BEND = 5e-4  # rad or m: the same for each coefficient of a free shape
 EXPECTED_DELAY = 0.05  # s
+HELD = "held"  # setting of a shape: how large its amplitudes are likely to be, which is then their prior [rad or m]
 _NONE = np.empty(0)  # values of thousands of candidates
 _NONE.flags.writeable = False
 _TURNED = 3e-3  # rad or m; what a shorter turn changes in the derivatives hardly changes the steps of a fit
@@ -93,6 +94,18 @@ class Effect:
         return self.shape.refined
 
     @property
+    def held(self) -> float | None:
+        """How large its amplitudes are likely to be [rad or m], by the samples themselves; None where nobody asked."""
+        return self.shape.settings.get(HELD)
+
+    @property
+    def freedom(self) -> float:
+        """How many numbers the samples had to tell of it: of amplitudes that are held, those that the prior did not."""
+        if self.held is None:
+            return float(len(self.values))
+        return float(np.sum(1.0 - np.minimum(self.std[: len(self.amplitudes)] / self.held, 1.0) ** 2))
+
+    @property
     def amplitudes(self) -> Array:
         """The linear part of the values."""
         return self.values[: len(self.values) - len(self.refined)]
@@ -103,6 +116,10 @@ class Effect:
         settings = dict(zip(self.refined, values[len(values) - len(self.refined) :].tolist(), strict=True))
         std = np.zeros_like(values) if std is None else np.asarray(std, dtype=float)
         return replace(self, values=values, std=std, shape=self.shape.with_settings(settings))
+
+    def held_to(self, size: float) -> Effect:
+        """The same, its amplitudes expected to be of this size [rad or m]."""
+        return replace(self, shape=self.shape.with_settings({HELD: size}))
 
     def started(self, amplitudes: Array) -> Effect:
         """The effect with these amplitudes and its settings as they are."""
@@ -224,10 +241,14 @@ def _moved(effect: Effect, drivers: Drivers) -> Iterator[Term]:
 
 
 def prior_stds(effect: Effect, drivers: Drivers) -> Array:
-    """How large each value may be expected to be, (m,): wide, it only keeps what the data does not show at rest."""
+    """How large each value may be expected to be, (m,): wide, it only keeps what the data does not show at rest; of
+    amplitudes that are held, as large as they are likely.
+    """
     out = []
     for terms in columns(effect, drivers):
-        if effect.direction == JOINTS or effect.driver == "velocity":
+        if effect.held is not None:
+            out.append(effect.held)
+        elif effect.direction == JOINTS or effect.driver == "velocity":
             out.append(EXPECTED_DELAY)
         elif effect.direction == PAIRS:
             out.append(EXPECTED_RODS)

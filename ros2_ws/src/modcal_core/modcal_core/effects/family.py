@@ -76,7 +76,7 @@ class Family:
     What a report says. sizes(effect, chain): named quantities (value, standard deviation, unit). sentence(entry): what
     a technician should know, without a full stop. same_as(effect, samples): what else it may be, by name, that the
     scan cannot see. certain(effect, drivers): at which samples (N,) it is known how the effect acts; only these can be
-    outliers.
+    outliers. claimed: whether its effects are causes that a report names; of others it says together what they gain.
     """
 
     name: str
@@ -90,3 +90,4 @@ class Family:
     sentence: Callable[[ReportEntry], str] = unnamed
     same_as: Callable[[Effect, Samples], tuple[str, ...]] = nothing_else
     certain: Callable[[Effect, Drivers], np.ndarray] = everywhere
+    claimed: bool = True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 
 from modcal_core.effects import drivers as known_drivers
@@ -60,6 +60,26 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
 def complexity(effect: Effect) -> int:
     """How much it takes to believe an effect: 0 plain, 1 usual, 2 a free shape."""
     return family(effect.family).complexity(effect)
+
+
+def claimed(effect: Effect) -> bool:
+    """Whether a report names it as a cause; otherwise it only makes predictions better."""
+    return family(effect.family).claimed
+
+
+def with_companions(effects: Sequence[Effect], numbers: Sequence[int]) -> tuple[int, ...]:
+    """The numbers of some effects, and of those without a name that follow the same driver there: one curve together.
+
+    A wave whose cycles were fitted has none: small curves are too smooth to stand in for it.
+    """
+    keys = {effects[i].key[1:] for i in numbers if not effects[i].refined}
+    return *numbers, *(i for i, e in enumerate(effects) if not claimed(e) and e.key[1:] in keys)
+
+
+def companionless(effects: Sequence[Effect]) -> tuple[int, ...]:
+    """The numbers of the effects without a name that go with no other."""
+    named = tuple(i for i, effect in enumerate(effects) if claimed(effect))
+    return tuple(sorted({*range(len(effects))} - {*with_companions(effects, named)}))
 
 
 def require_known(effect: Effect) -> None:

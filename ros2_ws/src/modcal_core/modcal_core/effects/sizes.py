@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modcal_core.effects.curve import curve, rhythm
@@ -63,10 +65,12 @@ def component_names(effect: Effect) -> tuple[str, ...]:
     return {ALL: DIRECTIONS, SHIFT: DIRECTIONS[:3], ACROSS: ("rx", "ry")}.get(effect.direction, (effect.direction,))
 
 
-def curve_sizes(effect: Effect, unit: str = "rad") -> Sizes:
-    """RMS of a free shape, and how often a turn it repeats where one line stands out of its spectrum."""
+def curve_sizes(effect: Effect, unit: str = "rad", companions: Sequence[Effect] = ()) -> Sizes:
+    """RMS of a free shape, and how often a turn it repeats where one line stands out of its spectrum. companions: other
+    curves over the same driver, which it is one with.
+    """
     low, high = effect.shape.settings["low"], effect.shape.settings["high"]
-    x, y, std = curve((effect,), low, high, _POINTS)
+    x, y, std = curve((effect, *companions), low, high, _POINTS)
     y = y - y.mean()
     deviation = float(np.sqrt(np.mean(std**2)))
     out: Sizes = {"amplitude_rms": (float(np.sqrt(np.mean(y**2))), deviation, unit)}

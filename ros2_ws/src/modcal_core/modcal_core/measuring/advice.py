@@ -20,6 +20,7 @@ from modcal_core.calibration.model import place_model
 from modcal_core.calibration.parameters import View
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.structure import choose_parameters
+from modcal_core.effects.registry import claimed
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
@@ -208,7 +209,7 @@ class Advisor:
             expected=float(np.hypot(refitted.spread, view.error())),
             seen=float(np.sqrt(np.mean(left**2))) if len(left) else None,
             floor=None if floor is None else 1e-3 * floor.rms,
-            effects=tuple(effect.label for effect in calibration.calibrated.effects),
+            effects=tuple(effect.label for effect in calibration.calibrated.effects if claimed(effect)),
             ties=ties,
         )
 

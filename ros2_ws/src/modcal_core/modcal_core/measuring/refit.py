@@ -20,6 +20,7 @@ from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
+from modcal_core.diagnosis.residual_curves import with_residual_curves
 from modcal_core.diagnosis.search import diagnose
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import dimensions
@@ -104,7 +105,8 @@ def refit(
             known=causes_of_moves(geometric, samples),
             least_freedom=_MIN_FREEDOM,
         )
-        final = replace(found.fit, model=sharpened(found.fit.model, samples))
+        held = with_residual_curves(found.fit, train, explain, np.random.default_rng(seed), cell.distances)
+        final = replace(held, model=sharpened(held.model, samples))
         left = None if found.left is None else found.left.effect.label
         if found.again is not None:
             again[trained] = found.again
@@ -117,7 +119,7 @@ def refit(
     shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
     if searched:
         shipped = replace(shipped, rivals=tuple(cause.rivals for cause in found.causes))
-    values = P + sum(len(e.values) for e in shipped.calibrated.effects)
+    values = P + sum(e.freedom for e in shipped.calibrated.effects)
     freedom = max(_equations(samples.select(~wrong)) - values, 1.0)
     taken_in = readmitted(shipped.calibrated, samples, again & ~wrong, wrong)
     return Refit(shipped, final, samples, wrong, freedom, searched, left, taken_in)

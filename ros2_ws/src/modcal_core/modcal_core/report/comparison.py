@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from modcal_core.calibration.store import Calibration
+from modcal_core.effects.registry import claimed
 from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.report.tool_difference import ToolDifference, tool_difference
 
@@ -159,6 +160,7 @@ def _effects_of(side: Side) -> dict[str, dict[str, tuple[float, float | None, st
     return {
         f"{e.family.replace('_', ' ')}: {e.place} {e.direction} by {e.public_driver.replace(':', ' of ')}": {}
         for e in effects
+        if claimed(e)
     }
 
 

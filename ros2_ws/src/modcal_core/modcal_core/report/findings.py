@@ -22,7 +22,7 @@ from modcal_core.diagnosis.causes import Diagnosis
 from modcal_core.effects.effect import ALL, AXIS, Effect, is_large_move, is_move
 from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.families import outliers
-from modcal_core.effects.registry import family
+from modcal_core.effects.registry import claimed, family, with_companions
 from modcal_core.effects.sizes import Quantity
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -102,6 +102,8 @@ def findings(
     """
     groups: dict[tuple[object, ...], list[int]] = {}
     for i, effect in enumerate(shipped.effects):
+        if not claimed(effect):
+            continue
         # each move is an entry of its own
         key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
         groups.setdefault(key, []).append(i)
@@ -110,26 +112,28 @@ def findings(
     entries = []
     for numbers in groups.values():
         effects = tuple(shipped.effects[i] for i in numbers)
+        together = with_companions(shipped.effects, numbers)
+        companions = tuple(shipped.effects[i] for i in together[len(numbers) :])
         causes = [diagnosis.causes[i] for i in numbers]
         same = dict.fromkeys(
             name
             for e, c in zip(effects, causes, strict=True)
             for name in (*_link_name(e, shipped), *family(e.family).same_as(e, samples), *c.same_as)
         )
-        before, after, gain, interval = _worth(diagnosis.fit.model, known, numbers, scored, left)
+        before, after, gain, interval = _worth(diagnosis.fit.model, known, together, scored, left)
         first = effects[0]
         entries.append(
             Finding(
                 *(first.family, first.place, first.direction, first.public_driver),
-                parameters=parameters(effects, shipped.chain),
+                parameters=parameters(effects, shipped.chain, companions),
                 p_value=min(c.p_value for c in causes),
                 before=before,
                 after=after,
                 same_as=tuple(same),
-                effects=effects,
+                effects=(*effects, *companions),
                 gain_mm2=gain,
                 ci95=interval,
-                tool=at_tool(shipped, numbers, few),
+                tool=at_tool(shipped, together, few),
                 sampled=min(c.sampled for c in causes),
             )
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import Errors, errors
+from modcal_core.effects.effect import Effect
+from modcal_core.effects.registry import claimed, companionless, with_companions
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.case import Case
@@ -16,13 +19,15 @@ from modcal_core.verdict.verdict import Interval
 
 DRAWS = 400  # bootstrap samples; ends of a 95 % interval then move by an eighth of a deviation
 _MAX_COUNTED = 5000  # stations, of which 16 MB are kept; of more it is worked out each time
+TOGETHER = "small curves"  # what no effect of its own stands for
 _MAX = 600  # scored samples; the mean over more is the same
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """One effect, by its number in the model. mm2, deg2: what its removal costs on held-out, as mean square, with 95 %
-    intervals by drawing held-out stations again. deg2: None where nothing has an orientation.
+    """One effect, by its number in the model, or all that no report names together, by their first. mm2, deg2: what
+    its removal costs on held-out, as mean square, with 95 % intervals by drawing held-out stations again. deg2: None
+    where nothing has an orientation.
     """
 
     effect: int
@@ -39,7 +44,7 @@ class Contribution:
 
 
 def contributions(case: Case) -> tuple[Contribution, ...]:
-    """One for each effect of the final model, in its order.
+    """One for each effect of the final model that a report names, in its order, and one for all others together.
 
     The others are fitted again by one step (:mod:`modcal_core.calibration.removal`). The cost is then that of the model
     so changed, without linearising.
@@ -51,16 +56,24 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
     scored = case.samples.select(rows)
     with_all = errors(case.model, scored)
     out = []
-    for i, effect in enumerate(effects):
-        gone = errors(without(case.model, case.known, (i,)), scored)
+    for label, numbers in _entries(effects):
+        gone = errors(without(case.model, case.known, numbers), scored)
         mm2 = 1e6 * (gone.position_norm**2 - with_all.position_norm**2)
         cost, interval = resampled(mm2, scored.station)
         turned = (None, None)
         if scored.is_pose.any():
             deg2 = np.degrees(gone.rotation_norm) ** 2 - np.degrees(with_all.rotation_norm) ** 2
             turned = resampled(deg2, scored.station[scored.is_pose])  # type: ignore[assignment]
-        out.append(Contribution(i, effect.label, cost, interval, *turned))
+        out.append(Contribution(numbers[0], label, cost, interval, *turned))
     return tuple(out)
+
+
+def _entries(effects: Sequence[Effect]) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Labels and numbers of effects: of each that a report names and what goes with it, then of all others together."""
+    yield from ((e.label, with_companions(effects, (i,))) for i, e in enumerate(effects) if claimed(e))
+    others = companionless(effects)
+    if others:
+        yield TOGETHER, others
 
 
 def resampled(square: Array, station: np.ndarray) -> tuple[float, Interval]:
