@@ -54,6 +54,8 @@ _STEP = 3e-4  # m from one to the next: fifty, of which a mean and a scatter are
 _MIN = 10  # of them
 # m: a tool that went on by as much was not held, for fingers yield half of it to 60 N; then the model is wrong
 _MOVED_ON = 8e-3
+# m: by then the leads that are compared, of the last 15 mm, are of a hand that goes on and takes up no load any more
+_TRAVELLED = 0.03
 _SHARE = 1.0  # of a change of the felt force that is not believed to be hidden beside it: what is learned of a servo
 # that yields by half as much as it does would show that
 _MAX = 0.4  # of max_force_n may go unfelt, for as much again comes until the arm stands
@@ -256,7 +258,7 @@ class UnfeltForce:
         for rows, L, error in ((slice(0, n), at.J, errors[0]), (slice(n, n + 6), np.eye(6), errors[1])):
             if error <= _WORSE * errors.min():
                 known = model.compliance[rows], model.unsure_by[rows]
-                size, least = _force(left[rows], spread[rows], *known, L, self._way > _MOVED_ON)
+                size, least = _force(left[rows], spread[rows], *known, L, self._way > _TRAVELLED)
                 sure = min(sure, float(least.min()))
                 if error == errors.min():
                     maybe = max(float(size[0]) - followed, 0.0)
