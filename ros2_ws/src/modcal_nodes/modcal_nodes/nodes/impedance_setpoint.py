@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -143,17 +144,9 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             (DiagnosticArray, "object_status", self._take_status, FRESH, False),
             (PoseWithCovarianceStamped, "tool_pose", self._take_tool, FRESH, self._chosen["calibrated"]),
         ]
+        hear, guarded = partial(MonitoredSubscription, self, replaced=always), self._refusals.guarded
         self._inputs = [
-            MonitoredSubscription(
-                self,
-                kind,
-                topic,
-                self._refusals.guarded(topic, callback),
-                qos,
-                needed=needed,
-                single=needed,
-                replaced=always,
-            )
+            hear(kind, topic, guarded(topic, callback), qos, needed=needed, single=needed)
             for kind, topic, callback, qos, needed in heard
         ]
 
