@@ -7,7 +7,7 @@ geometry every joint errs about its axis by a smooth curve of its position, the 
 by the side from which it comes. How large and how smooth each of them is follows from the likelihood of the same
 stations (empirical Bayes); where stations say little of a curve it stays near zero. The answer is the mean of a
 Gaussian process (Rasmussen & Williams 2006, chapter 2 and section 5.4), linearised about the fitted geometry. What
-modcal does after its search is close to it, with splines (``diagnosis/residual_curves.py``); this is to compare it with.
+modcal does after its search is close to it, with splines (``diagnosis/residual_curves.py``); this is to compare with.
 """
 
 from __future__ import annotations
