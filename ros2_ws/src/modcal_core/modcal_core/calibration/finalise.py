@@ -72,7 +72,7 @@ def finalise(
         tidy = least_change(fit.model, chain)
         settled = fitted(tidy, tolerance=10.0 * FITTED, reject=not decided)
         tidy, last = least_change(settled.model, chain), settled
-        fits += [fit, settled]
+        fits.append(settled)  # which goes on from where the fit before it ended
     seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
     kind = str(samples.kind[0])
     few = samples.q[spread_rows(len(samples), _MAX_KEPT)]
