@@ -148,3 +148,11 @@ def test_sizes_are_those_that_make_the_data_most_likely() -> None:
     assert found.sizes[2] < 0.1
     assert found.noise == pytest.approx(2.0, rel=0.1)
     assert found.sizes[0] == pytest.approx(0.5, rel=0.4)
+
+
+def test_groups_that_explain_nothing_and_residuals_of_nothing_end_at_nothing() -> None:
+    groups = [np.arange(0, 3), np.arange(3, 6)]
+    H = np.diag([0.0, 0.0, 0.0, 4.0, 4.0, 4.0])
+    for g, square in ((np.zeros(6), 0.0), (np.zeros(6), 50.0), (np.full(6, np.nan), 0.0)):
+        found = likely_sizes(H, g, square, 40.0, np.ones(6), groups, [0.2, 0.2])
+        assert found.sizes == (0.0, 0.0)

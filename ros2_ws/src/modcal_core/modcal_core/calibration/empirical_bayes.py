@@ -52,10 +52,14 @@ def likely_sizes(
     noise, x = 1.0, np.zeros(len(std))
     for _ in range(_MAX_ROUNDS):
         used = np.flatnonzero(std > 0.0)
+        if not len(used):
+            break
         d = std[used]
         A = H[np.ix_(used, used)] * np.outer(d, d) / noise**2
         A.flat[:: len(A) + 1] += 1.0
-        lower = scipy.linalg.lapack.dpotrf(np.asfortranarray(A), lower=1)[0]
+        lower, failed = scipy.linalg.lapack.dpotrf(np.asfortranarray(A), lower=1)
+        if failed:  # the data leave no noise to weigh sizes against
+            return GroupSizes((0.0,) * len(groups), (0.0,) * len(groups), np.zeros(len(std)), noise)
         x = np.zeros(len(std))
         x[used] = d * scipy.linalg.lapack.dpotrs(lower, d * g[used] / noise**2, lower=1)[0]
         told_each = np.zeros(len(std))
@@ -69,10 +73,10 @@ def likely_sizes(
                 continue
             told[i] = float(told_each[own].sum())
             size = float(np.sqrt(x[own] @ x[own] / max(told[i], 1e-12)))
-            if told[i] < _NOTHING and size < sizes[i]:
+            if (told[i] < _NOTHING and size < sizes[i]) or not size > 0.0:
                 alive[i], size, told[i] = False, 0.0, 0.0
             else:
-                change = max(change, abs(np.log(max(size, 1e-300) / sizes[i])))
+                change = max(change, abs(np.log(size / sizes[i])))
             sizes[i] = size
             std[own] = size
         if change <= _SETTLED:

@@ -70,11 +70,13 @@ def judge(
     )
     if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
         reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
-    # what is predictable, or falls into groups, is no scatter; it stands in the way of no tolerance
+    # what scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out
+    tail: ReasonKind = "rejected" if case.wrong.any() else "predictable"
+    # what is predictable, or falls into groups, is no scatter
     if not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor") or r in loose for r in reasons):
-        reasons = (*reasons, *_reasons("predictable", (*_uneven(case), *_scatter(case, stated))))
+        reasons = (*reasons, *_reasons("predictable", _uneven(case)), *_reasons(tail, _scatter(case, stated)))
     elif not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor", "predictable") for r in reasons):
-        reasons = (*reasons, *_reasons("predictable", _mostly_scatter(case, stated, seen)))
+        reasons = (*reasons, *_reasons(tail, _mostly_scatter(case, stated, seen)))
     told = known.position is not None and (known.rotation is not None or not angles)
     vague = "" if not told else _vague(known.position, own[0], " mm") or _vague(known.rotation, own[1], "°")
     unproven = "" if _scattered(known) else " ".join(grounds.unproven)
