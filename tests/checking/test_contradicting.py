@@ -89,3 +89,16 @@ def test_what_changed_before_all_stations_and_one_wrong_reading_are_no_contradic
         assert {c.kind for c in found.changes} == {"base" if seed else "tool"}
         T = recorded.world.tool_in_tracker(q + 3e-3 * np.eye(6)[2])
         assert check(calibration, readings(q, move @ T, seed, points)).status != "unchanged"  # and is not refused
+
+
+def test_a_base_that_moved_by_the_distance_of_neighbours_mixed_no_rows_up(cell: tuple[Recorded, Calibration]) -> None:
+    """Readings of points then lie where the arm was at the station before; the move explains them all."""
+    recorded, calibration = cell
+    q = postures(2)[:1] + 0.02 * np.arange(COUNT)[:, None] * np.array([1.0, 0.3, -0.4, 0.5, 0.6, 0.2])
+    T = recorded.world.tool_in_tracker(q)
+    step = T[1, :3, 3] - T[0, :3, 3]
+    moved = T.copy()
+    moved[:, :3, 3] += step
+    nearest = np.linalg.norm(moved[:, None, :3, 3] - T[None, :, :3, 3], axis=-1)
+    assert (nearest.argmin(axis=1) != np.arange(COUNT)).sum() >= 8  # else nothing is shown
+    assert check(calibration, readings(q, moved, 2, True)).status != "unchanged"

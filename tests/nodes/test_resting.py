@@ -9,7 +9,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from nodes.processes import fresh_domain
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -47,6 +47,15 @@ class Resting(GuardedNode):
         return response
 
 
+def ended(executors: tuple[Executor, ...], *nodes: Node) -> None:
+    """Takes executors and nodes down, and ROS with them."""
+    for executor in executors:
+        executor.shutdown()
+    for node in nodes:
+        node.destroy_node()
+    rclpy.try_shutdown()
+
+
 def test_hears_everything_while_it_ticks_and_answers() -> None:
     rclpy.init(domain_id=fresh_domain())
     node, partner = Resting(), rclpy.create_node("partner")
@@ -81,11 +90,7 @@ def test_hears_everything_while_it_ticks_and_answers() -> None:
             look()
             other.spin_once(0.001)
     finally:
-        executor.shutdown()
-        other.shutdown()
-        partner.destroy_node()
-        node.destroy_node()
-        rclpy.try_shutdown()
+        ended((executor, other), partner, node)
     assert node.heard == [(float(k), -float(k)) for k in range(COUNT) if k != 13]
     assert node.faults.counts == {"joint_states": 1}, "one message that fails costs that message only"
     assert answer.result().success
@@ -121,10 +126,7 @@ def test_of_what_waited_together_the_newest_is_handed_on_and_all_are_counted() -
             assert time.monotonic() < end
             executor.spin_once()
     finally:
-        executor.shutdown()
-        partner.destroy_node()
-        node.destroy_node()
-        rclpy.try_shutdown()
+        ended((executor,), partner, node)
     assert node.joints.count == COUNT
     assert node.heard[-1] == COUNT - 1
     assert node.heard == sorted(set(node.heard))
@@ -178,10 +180,7 @@ def test_simulated_time_is_no_more_behind_than_messages_wait() -> None:
             assert time.monotonic() < end
             executor.spin_once()
     finally:
-        executor.shutdown()
-        partner.destroy_node()
-        node.destroy_node()
-        rclpy.try_shutdown()
+        ended((executor,), partner, node)
     assert 0 < node.most_behind <= 2 * FRESH.depth
 
 

@@ -77,6 +77,7 @@ def test_the_lower_end_fails_and_the_upper_end_passes() -> None:
         ("contradiction", "CANNOT TELL"),
         ("convention", "CANNOT TELL"),
         ("above_floor", "CANNOT TELL"),
+        ("cut_off", "CANNOT TELL"),
     ],
 )
 def test_only_a_predictable_share_does_not_stand_in_the_way(kind: ReasonKind, result: str) -> None:

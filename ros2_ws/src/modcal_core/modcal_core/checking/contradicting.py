@@ -41,9 +41,10 @@ def require_one_setting(found: FoundChanges, model: Model, expected: tuple[float
     if len(samples.frames) > 1 or samples.sockets or expected[0] is None:
         return
     order = np.argsort(samples.stamps, kind="stable")
-    readings = _Readings.of(model, samples.select(order), expected[0], expected[1])
-    _require_own_rows(readings, model.serial.reach())
-    _require_one_part(readings, _Readings.of(found.state.model, samples.select(order), expected[0], expected[1]))
+    samples = samples.select(order)
+    frozen, changed = (_Readings.of(m, samples, expected[0], expected[1]) for m in (model, found.state.model))
+    _require_own_rows(frozen, changed, model.serial.reach())
+    _require_one_part(frozen, changed)
 
 
 @dataclass(frozen=True)
@@ -129,22 +130,31 @@ def _rms(square: float, numbers: int) -> float:
     return float(np.sqrt(square / numbers))
 
 
-def _require_own_rows(readings: _Readings, reach: float) -> None:
-    """Raises BadRecording where most readings that miss by far are those of other stations."""
+def _require_own_rows(frozen: _Readings, changed: _Readings, reach: float) -> None:
+    """Raises BadRecording where most readings that miss by far are those of other stations.
+
+    changed: with what was found put in. What that brings to its own station is no other's, however near they stand.
+    """
+    near, gap = _near(frozen, reach)
+    far = np.flatnonzero(~np.diag(near) & ~np.diag(_near(changed, reach)[0]))
+    others = near[far].any(axis=1)
+    if others.sum() < _MIXED or others.mean() < _EXPLAINED:
+        return
+    rows = far[others]
+    belongs = frozen.station[[int(np.argmin(np.where(near[i], gap[i], np.inf))) for i in rows]]
+    raise BadRecording(
+        f"readings at {len(rows)} of {len(frozen)} stations",
+        f"are those of other stations (that at station {frozen.station[rows[0]]} is where the arm was at station "
+        f"{belongs[0]})",
+        "pair each reading with its own posture, and check again",
+    )
+
+
+def _near(readings: _Readings, reach: float) -> tuple[np.ndarray, Array]:
+    """Whether each reading is where the arm was at each station, as a nominal arm would be, and how far away [m]."""
     gap = np.linalg.norm(readings.p[:, None] - readings.T[None, :, :3, 3], axis=-1)
     near = gap < OF_REACH * reach
     if readings.R is not None:
         turned = so3.log(np.swapaxes(readings.T[None, :, :3, :3], -1, -2) @ readings.R[:, None])
         near &= np.linalg.norm(turned, axis=-1) < ANGLE
-    far = np.flatnonzero(~np.diag(near))
-    others = near[far].any(axis=1)
-    if others.sum() < _MIXED or others.mean() < _EXPLAINED:
-        return
-    rows = far[others]
-    belongs = readings.station[[int(np.argmin(np.where(near[i], gap[i], np.inf))) for i in rows]]
-    raise BadRecording(
-        f"readings at {len(rows)} of {len(readings)} stations",
-        f"are those of other stations (that at station {readings.station[rows[0]]} is where the arm was at station "
-        f"{belongs[0]})",
-        "pair each reading with its own posture, and check again",
-    )
+    return near, gap

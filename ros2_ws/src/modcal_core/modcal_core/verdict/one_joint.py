@@ -31,7 +31,6 @@ LARGELY = 0.3  # the same beside what is predictable, where the verdict is open 
 _TIMES = 3.0  # the scatter of the usual joint; sizes of gears and encoders in one arm differ by about two
 _TOLD = 0.1  # of its scatter: the least bound that is stated for the others, where draws say none
 _FAINT = 0.1  # of the squares that the same scatter of the named joint makes: what a joint makes that hardly shows
-_TRADE = 0.5  # of what one varies by from draw to draw, that both together vary by, who take what the other leaves
 _DRAWS = 200  # of stations; the lowest hundredth is two of them
 _FARTHEST = 5.0  # times the median size; no sample may rule alone
 # six axes through the corners of an icosahedron, whose outer products span all covariances of three components
@@ -42,8 +41,8 @@ _AXES = np.array([[0, 1, 1.618034], [0, 1, -1.618034], [1, 1.618034, 0], [1, -1.
 @dataclass(frozen=True)
 class OneJoint:
     """names: of the joint, or of two. scatter: RMS of the lesser of them, and others: what that of each other joint is
-    surely below [rad or m]. turns: whether it is revolute. share: of the squared error that they make. either: whether
-    it is one of the two, which stations do not tell apart. unseen: others that move the target too little to say.
+    surely below [rad or m]. turns: whether it is revolute. share: of the squared error that they make. unseen: others
+    that move the target too little to say.
     """
 
     names: tuple[str, ...]
@@ -51,18 +50,14 @@ class OneJoint:
     others: float
     turns: bool
     share: float
-    either: bool = False
     unseen: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """For a person."""
         unit = "mrad" if self.turns else "mm"
-        one = len(self.names) == 1 or self.either
-        who = f"Joints {' and '.join(self.names)} scatter by at least"
-        if one:
-            rival = f", or {self.names[1]}, which these stations do not tell apart," if self.either else ""
-            who = f"Joint {self.names[0]}{rival} scatters by"
+        one = len(self.names) == 1
+        who = f"Joint {self.names[0]} scatters by" if one else f"Joints {' and '.join(self.names)} scatter by at least"
         unseen = f" (of {' and '.join(self.unseen)} these readings say too little)" if self.unseen else ""
         see = (
             "See its encoder, coupling and brake, and whether it stands"
@@ -112,50 +107,28 @@ def one_joint(case: Case, least: float = _MOSTLY) -> OneJoint | None:
         at = _apart(np.array(drawn)[:, : chain.n], power, loose, alike)
         if at is None:
             continue
-        size = float(variance[at.loose].max() if at.either else variance[at.loose].min())
-        sizes = np.sqrt([size, max(at.others, _TOLD**2 * size)])
-        names, unseen = (tuple(chain.names[k] for k in some) for some in (at.loose, at.unseen))
+        others, hidden = at
+        size = float(variance[loose].min())
+        sizes = np.sqrt([size, max(others, _TOLD**2 * size)])
+        names, unseen = (tuple(chain.names[k] for k in sorted(some)) for some in (loose, hidden))
         turns = bool(chain.revolute[first])
-        made = float(share[at.loose].sum())
-        return OneJoint(names, float(sizes[0]), float(sizes[1]), turns, made, at.either, unseen)
+        return OneJoint(names, float(sizes[0]), float(sizes[1]), turns, float(share[loose].sum()), unseen)
     return None
 
 
-@dataclass(frozen=True)
-class _Apart:
-    """loose: joints that scatter by surely more than others: by a variance that each of those is below. either: one of
-    them does. unseen: those that move the target so little that they might scatter as much.
-    """
+def _apart(drawn: Array, power: Array, loose: list[int], alike: list[int]) -> tuple[float, list[int]] | None:
+    """What the variances of joints alike are surely below, and those of them that hardly show, where some scatter by
+    more than the others in nearly all draws (K, n) of stations; None where they do not.
 
-    loose: list[int]
-    others: float
-    either: bool
-    unseen: list[int]
-
-
-def _apart(drawn: Array, power: Array, loose: list[int], alike: list[int]) -> _Apart | None:
-    """Whether joints scatter more than those like them in nearly all draws (K, n) of stations.
-
-    power: what of the squares a variance of each makes, (n,). Of two parallel axes one may take what the other leaves,
-    so that only both together are known: then it is one of the two.
+    power: what of the squares a variance of each makes, (n,).
     """
     high = np.percentile(drawn, 97.5, axis=0)
     least = float(np.percentile(drawn[:, loose], 1.0, axis=0).min())
     above = [k for k in alike if high[k] >= least]
-    unseen = [k for k in above if power[k] < _FAINT * power[loose].min()]
-    rivals = [k for k in above if k not in unseen]
     seen = [k for k in alike if k not in above]
-    if len(seen) < _MIN_JOINTS or (rivals and len(rivals) + len(loose) > 2):
+    if len(seen) < _MIN_JOINTS or any(power[k] >= _FAINT * power[loose].min() for k in above):
         return None
-    others = float(high[seen].max())
-    if not rivals:
-        return _Apart(sorted(loose), others, False, unseen)
-    either = [*loose, *rivals]
-    makes = drawn[:, either] * power[either]
-    together = makes.sum(axis=1)
-    trade = together.std() < _TRADE * makes[:, 0].std()
-    least = float(np.percentile(together, 1.0) / power[either].max())
-    return _Apart(either, others, True, unseen) if trade and _TIMES**2 * others < least else None
+    return float(high[seen].max()), above
 
 
 def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Array]:

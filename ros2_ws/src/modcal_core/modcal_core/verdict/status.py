@@ -71,7 +71,7 @@ def judge(
     if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
         reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
     # what scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out
-    tail: ReasonKind = "rejected" if case.wrong.any() else "predictable"
+    tail: ReasonKind = "cut_off" if case.wrong.any() else "predictable"
     # what is predictable, or falls into groups, is no scatter
     if not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor") or r in loose for r in reasons):
         reasons = (*reasons, *_reasons("predictable", _uneven(case)), *_reasons(tail, _scatter(case, stated)))

@@ -7,7 +7,14 @@ from typing import Literal
 
 Status = Literal["at_floor", "open", "cannot_tell"]
 ReasonKind = Literal[
-    "not_converged", "rejected", "not_applied", "convention", "contradiction", "predictable", "above_floor"
+    "not_converged",
+    "rejected",
+    "not_applied",
+    "convention",
+    "contradiction",
+    "predictable",
+    "above_floor",
+    "cut_off",
 ]
 Interval = tuple[float, float]
 
@@ -19,6 +26,7 @@ class Reason:
     not_converged: a fit did not reach its minimum. rejected: too many stations were left out. not_applied: an effect
     lacks its driver. convention: another convention fits better. contradiction: the data contradict a statement, or
     each other. predictable: a regressor predicts the rest. above_floor: the error exceeds a known floor.
+    cut_off: something scatters, and the largest of it was rejected.
     """
 
     kind: ReasonKind
