@@ -102,3 +102,20 @@ def test_a_base_that_moved_by_the_distance_of_neighbours_mixed_no_rows_up(cell: 
     nearest = np.linalg.norm(moved[:, None, :3, 3] - T[None, :, :3, 3], axis=-1)
     assert (nearest.argmin(axis=1) != np.arange(COUNT)).sum() >= 8  # else nothing is shown
     assert check(calibration, readings(q, moved, 2, True)).status != "unchanged"
+
+
+@pytest.mark.parametrize("count", [5, 8])
+def test_readings_that_mean_nothing_are_refused_or_not_explained(
+    cell: tuple[Recorded, Calibration], count: int
+) -> None:
+    recorded, calibration = cell
+    for seed in range(3):
+        q, rng = postures(seed), np.random.default_rng([seed, 14])
+        T = recorded.world.tool_in_tracker(q)
+        some = rng.choice(COUNT, count, replace=False)
+        T[some] = se3.exp(np.c_[rng.uniform(-0.8, 0.8, (count, 3)), rng.uniform(-2.0, 2.0, (count, 3))])
+        try:
+            found = check(calibration, readings(q, T, seed, False))
+        except BadRecording:
+            continue
+        assert found.status == "unexplained", found.sentence

@@ -15,7 +15,7 @@ from modcal_core.checking.accounted import require_accounted
 from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
 from modcal_core.checking.advice import advise, noticed, same_everywhere
 from modcal_core.checking.beyond import UNTRIED, BeyondRanges, beyond_ranges
-from modcal_core.checking.contradicting import require_one_setting
+from modcal_core.checking.contradicting import require_one_setting, require_own_rows
 from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
 from modcal_core.checking.looked_at import spread_out
 from modcal_core.checking.naming import named
@@ -25,7 +25,7 @@ from modcal_core.checking.recognise import recognised
 from modcal_core.checking.repair import repaired
 from modcal_core.checking.search import FoundChanges, search
 from modcal_core.checking.state import CheckState
-from modcal_core.errors import NotEnoughData
+from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
@@ -139,7 +139,15 @@ def checkup(
     begin = frozen(calibration, applied.model, samples, pattern)
     inside = _where_curves_are_known(calibration, samples)
     part = calibration.with_scatter(spread_out(inside, MAX))
-    found = search(begin.model, part, begin.known, placed_anew(part, new))
+    require_own_rows(begin.model, part, calibration.noise)
+    try:
+        found = search(begin.model, part, begin.known, placed_anew(part, new))
+    except np.linalg.LinAlgError:  # so far apart that their likelihoods cannot be weighed
+        raise BadRecording(
+            "readings",
+            f"miss the calibrated arm by {_size(errors(begin.model, part))[0]:.3g} mm RMS, and contradict each other",
+            "check that each stands beside its own posture, and that robot and instrument are those of the calibration",
+        ) from None
     require_one_setting(found, begin.model, _expected(found))
     if known.doubt is not None:
         require_accounted(found, known.doubt)

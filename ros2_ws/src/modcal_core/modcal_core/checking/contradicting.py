@@ -8,11 +8,13 @@ with where the arm was then.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.score import FINEST
 from modcal_core.checking.search import FoundChanges
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
@@ -30,21 +32,32 @@ _MIXED = 3  # readings that are another station's; two might be so by chance
 _EXPLAINED = 0.8  # share of those that miss by far which must be another's
 
 
+def require_own_rows(model: Model, samples: Samples, noise: NoiseModel) -> None:
+    """Raises BadRecording where readings are those of other stations. model: frozen. noise: of its own recording."""
+    if not _comparable(model, samples):
+        return
+    order = np.argsort(samples.stamps, kind="stable")
+    _require_own_rows(_Readings.of(model, samples.select(order), noise.position, noise.rotation), model.serial.reach())
+
+
 def require_one_setting(found: FoundChanges, model: Model, expected: tuple[float | None, float | None]) -> None:
-    """Raises BadRecording where the stations contradict each other and what was found does not explain them.
+    """Raises BadRecording where base or tool moved between two stations and what was found does not explain both parts.
 
     model: frozen. expected: RMS of position [mm] and orientation [deg] that it should show while nothing has changed.
     """
     samples = found.samples
-    if not found.changes or not is_serial_arm(model.chain) or not is_direct(samples.kinds) or len(samples) < _MIN:
+    if not found.changes or not _comparable(model, samples) or expected[0] is None:
         return
-    if len(samples.frames) > 1 or samples.sockets or expected[0] is None:
-        return
-    order = np.argsort(samples.stamps, kind="stable")
-    samples = samples.select(order)
-    frozen, changed = (_Readings.of(m, samples, expected[0], expected[1]) for m in (model, found.state.model))
-    _require_own_rows(frozen, changed, model.serial.reach())
+    samples = samples.select(np.argsort(samples.stamps, kind="stable"))
+    sigma = 1e-3 * expected[0] / np.sqrt(3.0), np.radians(expected[1] or 0.0) / np.sqrt(3.0)
+    frozen, changed = (_Readings.of(m, samples, *map(float, sigma)) for m in (model, found.state.model))
     _require_one_part(frozen, changed)
+
+
+def _comparable(model: Model, samples: Samples) -> bool:
+    """Whether these are enough positions of one frame, read directly of a serial arm."""
+    direct = is_serial_arm(model.chain) and is_direct(samples.kinds)
+    return direct and len(samples) >= _MIN and len(samples.frames) == 1 and not samples.sockets
 
 
 @dataclass(frozen=True)
@@ -60,12 +73,11 @@ class _Readings:
     station: np.ndarray
 
     @classmethod
-    def of(cls, model: Model, samples: Samples, mm: float, deg: float | None) -> _Readings:
-        """deg: None of points."""
-        turned = samples.R if bool(samples.is_pose.all()) and deg is not None else None
-        sigma = 1e-3 * mm / np.sqrt(3.0), np.radians(deg or 0.0) / np.sqrt(3.0)
+    def of(cls, model: Model, samples: Samples, position: float, rotation: float) -> _Readings:
+        """position, rotation: standard deviations per axis [m, rad]; no rotation is looked at where that is 0."""
+        turned = samples.R if bool(samples.is_pose.all()) and rotation > 0.0 else None
         T = model.predict_samples(samples)
-        return cls(T, samples.reading, turned, (float(sigma[0]), float(sigma[1])), samples.station + 1)
+        return cls(T, samples.reading, turned, (max(position, FINEST), rotation), samples.station + 1)
 
     def __len__(self) -> int:
         return len(self.p)
@@ -85,22 +97,36 @@ class _Readings:
         none = np.zeros(3)
         return self.left(rows, np.eye(3), none, np.eye(3), none)
 
-    def base(self, rows: slice) -> float:
-        """The same with the base where these rows have it."""
+    def base_at(self, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """Y, y, X, x with the base where these rows have it."""
         p, known = self.p[rows], self.T[rows, :3, 3]
         middle, about = p.mean(axis=0), known.mean(axis=0)
         M = (p - middle).T @ (known - about) / self.sigma[0] ** 2
         if self.R is not None:
             M = M + np.einsum("nij,nkj->ik", self.R[rows], self.T[rows, :3, :3]) / self.sigma[1] ** 2
         Y = so3.nearest_rotation(M)
-        return self.left(rows, Y, middle - Y @ about, np.eye(3), np.zeros(3))
+        return Y, middle - Y @ about, np.eye(3), np.zeros(3)
 
-    def tool(self, rows: slice) -> float:
-        """The same with the tool where these rows have it."""
+    def tool_at(self, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """Y, y, X, x with the tool where these rows have it."""
         R = np.swapaxes(self.T[rows, :3, :3], -1, -2)
         x = (R @ (self.p[rows] - self.T[rows, :3, 3])[..., None])[..., 0].mean(axis=0)
         X = np.eye(3) if self.R is None else so3.nearest_rotation((R @ self.R[rows]).sum(axis=0))
-        return self.left(rows, np.eye(3), np.zeros(3), X, x)
+        return np.eye(3), np.zeros(3), X, x
+
+    def base(self, rows: slice) -> float:
+        """What is left with the base where these rows have it."""
+        return self.left(rows, *self.base_at(rows))
+
+    def tool(self, rows: slice) -> float:
+        """What is left with the tool where these rows have it."""
+        return self.left(rows, *self.tool_at(rows))
+
+    def placed(self, Y: Array, y: Array, X: Array, x: Array) -> _Readings:
+        """The same with base and tool there."""
+        at, tool = np.eye(4), np.eye(4)
+        at[:3, :3], at[:3, 3], tool[:3, :3], tool[:3, 3] = Y, y, X, x
+        return replace(self, T=at @ self.T @ tool)
 
 
 def _require_one_part(frozen: _Readings, changed: _Readings) -> None:
@@ -130,13 +156,16 @@ def _rms(square: float, numbers: int) -> float:
     return float(np.sqrt(square / numbers))
 
 
-def _require_own_rows(frozen: _Readings, changed: _Readings, reach: float) -> None:
+def _require_own_rows(frozen: _Readings, reach: float) -> None:
     """Raises BadRecording where most readings that miss by far are those of other stations.
 
-    changed: with what was found put in. What that brings to its own station is no other's, however near they stand.
+    What one move of base or tool brings to its own station is no other's, however near they stand.
     """
     near, gap = _near(frozen, reach)
-    far = np.flatnonzero(~np.diag(near) & ~np.diag(_near(changed, reach)[0]))
+    every = slice(0, len(frozen))
+    moved = (frozen.placed(*frozen.base_at(every)), frozen.placed(*frozen.tool_at(every)))
+    own = np.any([np.diag(near), *(np.diag(_near(each, reach)[0]) for each in moved)], axis=0)
+    far = np.flatnonzero(~own)
     others = near[far].any(axis=1)
     if others.sum() < _MIXED or others.mean() < _EXPLAINED:
         return
