@@ -33,6 +33,16 @@ def test_a_tracker_that_stands_still_is_refused(kind: str, noise: float) -> None
         evaluate(good, samples_of(CHAIN, made.samples.q, T, kind), np.random.default_rng(0))
 
 
+@pytest.mark.parametrize("kind", ["point", "pose"])
+def test_metres_that_were_taken_for_millimetres_do_not_stand_still(kind: str) -> None:
+    """A thousandth of the way is a unit: only what does not go along with the tip is a tracker that stands still."""
+    made = record(1, 80, kind)
+    good = calibrate(made.samples, CHAIN, np.random.default_rng(0), look_for_effects=False).calibration
+    small = replace(made.samples, reading=1e-3 * made.samples.reading)
+    with pytest.raises(BadRecording, match="metres taken for millimetres"):
+        evaluate(good, small, np.random.default_rng(0))
+
+
 def test_sockets_are_stated_by_the_cell_a_distance_or_the_recording() -> None:
     q = np.random.default_rng(0).uniform(-1, 1, (10, 6))
     origin = np.tile(np.eye(4), (10, 1, 1))
