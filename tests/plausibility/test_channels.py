@@ -14,8 +14,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.agreement import Disagreement
-from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
-from modcal_core.robots.chain import Chain
+from modcal_core.plausibility.channels import disagreeing_channel
 
 CHAIN = ur10()
 
@@ -40,8 +39,6 @@ def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) ->
     shuffled = replace(clean, reading=clean.reading[order], R=clean.R[order])
     for samples in (clean, shuffled, clean.select(np.arange(20))):
         assert disagreeing_channel(samples, CHAIN) is None
-    assert wrong_description(clean, CHAIN) is None
-    assert wrong_description(shuffled, CHAIN) is None
 
 
 @pytest.mark.parametrize(("shift", "side"), [(1, "late"), (-2, "early")])
@@ -90,29 +87,6 @@ def test_an_offset_taken_off_in_the_inverse_orientation(clean: Samples) -> None:
     assert "not as those of one point of the tool" in said
     size = float(said.partition("an offset of ")[2].partition(" mm")[0])
     assert size == pytest.approx(1e3 * np.linalg.norm(offset), rel=0.2)
-
-
-def with_origin(j: int, T: Array) -> Chain:
-    origins = CHAIN.origins.copy()
-    origins[j] = T
-    return CHAIN.with_origins(origins)
-
-
-def test_a_length_of_the_description(clean: Samples) -> None:
-    T = CHAIN.origins[2].copy()
-    T[:3, 3] *= 0.7
-    said = named(wrong_description(clean, with_origin(2, T)))
-    assert said.startswith(f"the origin of joint {CHAIN.names[2]} in the URDF looks wrong by")
-
-
-def test_a_turn_and_an_axis_of_the_description(clean: Samples) -> None:
-    T = CHAIN.origins[3].copy()
-    T[:3, :3] = T[:3, :3] @ Rotation.from_euler("xyz", [0.7, -0.4, 0.2]).as_matrix()
-    assert f"joint {CHAIN.names[3]} in the URDF" in named(wrong_description(clean, with_origin(3, T)))
-    axes = CHAIN.axes.copy()
-    axes[2] = [1.0, 0.0, 0.0]
-    said = named(wrong_description(clean, replace(CHAIN, axes=axes)))
-    assert f"joint {CHAIN.names[2]} looks as if it turned about 0 0 1" in said
 
 
 @pytest.mark.slow

@@ -1,13 +1,11 @@
 """Which channels of a recording go along with the robot, each judged by itself, and what the others look like.
 
 Where a model misses by far, one thing may be wrong and all the rest right: a column of the readings, the orientations,
-the row in which a reading stands, one length or one axis of the description. Lists of mistakes find what is on them.
+the row in which a reading stands. Lists of mistakes find what is on them.
 Here each channel is asked alone, in closed form. With a (N, 3, 3) and b (N, 3) the turns and places of the arm's tip, a
 coordinate of a point of the tool is linear in vec(a), b and 1, whatever base and tool are, and so is each element of an
 orientation in vec(a). A coordinate that is not so at its own station, and is at a neighbour's, stands in another row.
 Coordinates that are, say by their coefficients how long and how turned their frame is; orientations say it once more.
-Where orientations agree by themselves they tell how base and tool are turned, and places are then linear in the offsets
-of all joints.
 """
 
 from __future__ import annotations
@@ -21,21 +19,18 @@ from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_pl
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.agreement import ANGLE, OF_REACH, Disagreement
+from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 _MIN = 40  # stations; a coordinate has 13 coefficients
 _MAX = 400  # the same at most; more say the same
-_FEW = 60  # stations to which turns of the description are fitted
 _SHIFTS = (1, -1, 2, -2, 3, -3)  # stations, by which readings may have slipped against the joints
 _APART = np.radians(3.0)  # by which two frames are turned, from which that is no error of an arm
 _LONGER = 0.05  # share by which a coordinate is too long or too short
 _SEEN = 0.03  # of the reach; deviation of the tip's place beyond what its turns tell, from which scales are known
-_WRONG_LENGTH = 0.02  # of the reach
 _MOSTLY = 0.8  # share of the orientations that must agree on a frame, before it is said to be that of all of them
-_ROUNDS = 12  # iterations
 
 
 def disagreeing_channel(samples: Samples, chain: Mechanism) -> Disagreement | None:
@@ -52,17 +47,6 @@ def disagreeing_channel(samples: Samples, chain: Mechanism) -> Disagreement | No
         return None
 
 
-def wrong_description(samples: Samples, chain: Mechanism) -> Disagreement | None:
-    """The joint of the description that does not fit poses by one offset, one axis or one turn, None if none does."""
-    found = _Channels.of(samples, chain)
-    if found is None or not found.poses:
-        return None
-    try:
-        return found.offset() if found.turns_agree else found.turn()
-    except np.linalg.LinAlgError:
-        return None
-
-
 @dataclass(frozen=True)
 class _Channels:
     """Stations of one frame, in order of time."""
@@ -73,14 +57,9 @@ class _Channels:
 
     @classmethod
     def of(cls, samples: Samples, chain: Mechanism) -> _Channels | None:
-        if not is_serial_arm(chain) or not len(samples):
+        part = most_seen(samples, chain, _MIN, _MAX)
+        if part is None or not is_serial_arm(chain):
             return None
-        f = int(np.argmax(np.bincount(samples.frame)))
-        rows = np.flatnonzero((samples.frame == f) & (samples.is_pose | (samples.kind == "point")) & ~samples.moving)
-        if len(rows) < _MIN or samples.frames[f] in samples.sockets:
-            return None
-        rows = rows[np.argsort(samples.stamps[rows], kind="stable")][:_MAX]
-        part = samples.select(rows)
         return cls(part, chain, forward(chain, part.q))
 
     @property
@@ -257,119 +236,5 @@ class _Channels:
             "check how orientations are computed, and whether they are of the same target",
         )
 
-    # --- descriptions ------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def before(self) -> Array:
-        """Turns of the frames that the joints' origins are given in, (n + 1, N, 3, 3)."""
-        M, N = self.chain.origins[:, :3, :3], len(self.samples)
-        out = [np.broadcast_to(np.eye(3), (N, 3, 3))]
-        for k in range(self.chain.n):
-            turn = self.samples.q[:, k, None] * self.chain.axes[k] if self.chain.revolute[k] else np.zeros((N, 3))
-            out.append(out[-1] @ M[k] @ so3.exp(turn))
-        return np.stack(out)
-
-    def offset(self) -> Disagreement | None:
-        """One joint's origin that stands elsewhere, orientations being as the description has them; or several."""
-        Y, n = self.turned[0], self.chain.n
-        h = self.samples.reading - self.A[:, :3, 3] @ Y.T
-        known = [np.broadcast_to(np.eye(3), self.before[0].shape), Y @ self.A[:, :3, :3]]
-        if self._placed(known, h)[0] < self.limit:
-            return None
-        found: list[tuple[float, int, Array]] = []
-        for j in range(1, n):
-            miss, solution = self._placed([*known, Y @ self.before[j]], h)
-            found.append((miss, j, solution[6:]))
-        miss, j, shift = min(found, key=lambda f: f[0])
-        if miss < self.limit and np.linalg.norm(shift) > _WRONG_LENGTH * self.chain.reach():
-            said = ", ".join(f"{1e3 * v:.0f}" for v in shift)
-            name = self.chain.names[j]
-            return self._said(
-                f"the origin of joint {name} in the URDF looks wrong by ({said}) mm, "
-                "or the link before it is different",
-                f"check <origin xyz> of {name}, and whether the description is that of this robot",
-            )
-        miss, solution = self._placed([*known, *(Y @ self.before[j] for j in range(1, n))], h)
-        sizes = np.linalg.norm(solution[6:].reshape(-1, 3), axis=1)
-        wrong = [self.chain.names[j + 1] for j in np.flatnonzero(sizes > _WRONG_LENGTH * self.chain.reach())]
-        if miss > self.limit or not wrong:
-            return None
-        return self._said(
-            f"orientations fit the URDF and lengths do not: look at the origins of {', '.join(wrong)}",
-            "give the description of this robot, not of another size",
-        )
-
-    def _placed(self, columns: list[Array], h: Array) -> tuple[float, Array]:
-        """Median distance that places (N, 3) miss by, as sums of these turns (N, 3, 3) times constant vectors."""
-        design = np.concatenate(columns, axis=2)
-        flat = design.reshape(-1, design.shape[2])
-        H = flat.T @ flat
-        # what the readings do not show stays nominal
-        solution = np.linalg.solve(H + 1e-6 * np.trace(H) / len(H) * np.eye(len(H)), flat.T @ h.ravel())
-        return float(np.median(np.linalg.norm(h - design @ solution, axis=1))), solution
-
-    def turn(self) -> Disagreement | None:
-        """One joint's axis, or the turn of its origin, that is another than in the description."""
-        few = spread_rows(len(self.samples), _FEW)
-        R, q, M = self.samples.R[few], self.samples.q[few], self.chain.origins[:, :3, :3]
-        joints = [j for j in range(self.chain.n) if self.chain.revolute[j]]
-        left = {j: self.before[j][few] @ M[j] for j in joints}
-        right = {j: np.swapaxes(self.before[j + 1][few], 1, 2) @ self.A[few, :3, :3] for j in joints}
-        axes = [(j, s * e) for j in joints for e in np.eye(3) for s in (1.0, -1.0) if s * e @ self.chain.axes[j] < 0.99]
-        a = np.stack([left[j] @ so3.exp(q[:, j, None] * u) @ right[j] for j, u in axes])
-        k, missed = self._best(a, R)
-        if missed < ANGLE:
-            j, u = axes[k]
-            name, axis = self.chain.names[j], " ".join(f"{v:g}" for v in u + 0.0)
-            return self._said(
-                f"joint {name} looks as if it turned about {axis} in its frame and not about "
-                f"{' '.join(f'{v:g}' for v in self.chain.axes[j])}",
-                f"check <axis> of {name} in the URDF",
-            )
-        starts = _cube()
-        which = [(j, S) for j in joints for S in range(len(starts))]
-        S = np.stack([starts[s] for _, s in which])
-        L = np.stack([left[j] for j, _ in which])
-        T = np.stack([so3.exp(q[:, j, None] * self.chain.axes[j]) @ right[j] for j, _ in which])
-        for r in range(_ROUNDS):
-            Y, X = base_and_tool_turns(L @ S[:, None] @ T, np.broadcast_to(R, T.shape))
-            seen = np.swapaxes(L, -1, -2) @ np.swapaxes(Y, -1, -2)[:, None] @ R @ np.swapaxes(X, -1, -2)[:, None]
-            S = so3.nearest_rotation(np.sum(seen @ np.swapaxes(T, -1, -2), axis=1))
-            if r == 3:  # go on with the best of them
-                keep = np.argsort(self._residual(L @ S[:, None] @ T, R))[:12]
-                which, S, L, T = [which[i] for i in keep], S[keep], L[keep], T[keep]
-        k, missed = self._best(L @ S[:, None] @ T, R)
-        if missed > ANGLE:
-            return None
-        name = self.chain.names[which[k][0]]
-        turned = np.degrees(float(np.linalg.norm(so3.log(S[k]))))
-        return self._said(
-            f"the origin of joint {name} in the URDF looks turned by {turned:.3g}°, or its zero is different",
-            f"check <origin rpy> of {name} (order, degrees, sign), and the joint's zero",
-        )
-
-    def _residual(self, a: Array, R: Array) -> Array:
-        R = np.broadcast_to(R, a.shape)
-        Y, X = base_and_tool_turns(a, R)
-        return np.asarray(np.median(np.linalg.norm(turns_left(Y, a, X, R), axis=-1), axis=-1))
-
-    def _best(self, a: Array, R: Array) -> tuple[int, float]:
-        missed = self._residual(a, R)
-        k = int(np.argmin(missed))
-        return k, float(missed[k])
-
     def _said(self, what: str, remedy: str) -> Disagreement:
         return Disagreement(what, remedy, len(self.samples), len(self.samples))
-
-
-def _cube() -> Array:
-    """The 24 turns of a cube, (24, 3, 3)."""
-    from itertools import permutations, product
-
-    out = []
-    for order in permutations(range(3)):
-        for sign in product((1.0, -1.0), repeat=3):
-            R = np.eye(3)[list(order)] * sign
-            if np.linalg.det(R) > 0.0:
-                out.append(R)
-    return np.stack(out)

@@ -21,7 +21,7 @@ from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.other_joints import moving_beside
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
-from modcal_core.plausibility.channels import disagreeing_channel, wrong_description
+from modcal_core.plausibility.channels import disagreeing_channel
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise
 from modcal_core.plausibility.descriptions import other_order, other_type
@@ -43,6 +43,7 @@ from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.placements import several_placements
 from modcal_core.plausibility.screening import most_likely
 from modcal_core.plausibility.stated_distances import wrong_distances
+from modcal_core.plausibility.wrong_links import wrong_link
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
@@ -121,7 +122,7 @@ def refuse(
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
     if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
         raise BadRecording(best[1], named, best[2])
-    described = mixed_joints(whole, chain) or wrong_description(whole, chain)
+    described = mixed_joints(whole, chain) or wrong_link(whole, chain)
     if described is not None:
         raise BadRecording(described.what, said, described.remedy)
     if (drift := _drift(samples)) > _DRIFT * missed:
