@@ -43,7 +43,7 @@ from modcal_core.report.contents import Step
 from modcal_core.report.findings import findings
 from modcal_core.report.joint_offsets import offsets_of
 from modcal_core.report.loads import load_findings, load_notes
-from modcal_core.report.notes import instrument_notes, readmitted_note
+from modcal_core.report.notes import description_note, instrument_notes, readmitted_note
 from modcal_core.report.report import Report
 from modcal_core.report.residual import residual_notes
 from modcal_core.robots.mechanism import Mechanism
@@ -191,6 +191,7 @@ def calibrate(
         offsets=offsets_of(shipped),
         left_out=choice.left_out,
         notes=(
+            *description_note(left["nominal"], chain),
             *instrument_notes(final),
             *load_notes(loads),
             *readmitted_note(taken_in),

@@ -11,6 +11,7 @@ from modcal_core.measurements.marks import share_of_known
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.require import LIMIT_OF_REACH
 from modcal_core.report.counted import counted
+from modcal_core.robots.mechanism import Mechanism
 
 _OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
 
@@ -23,6 +24,21 @@ def instrument_notes(fit: Fit) -> tuple[str, ...]:
         said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
         out.append(f"Readings of kind {name} scatter about the model by {said}. {kind.blind}")
     return tuple(out)
+
+
+def description_note(nominal: Errors, chain: Mechanism) -> tuple[str, ...]:
+    """A sentence where the nominal model misses by more than a robot of that description should.
+
+    nominal: what it leaves with base and tool fitted.
+    """
+    size, limit = nominal.size_mm(), 1e3 * LIMIT_OF_REACH * chain.reach()
+    if size is None or size.rms <= limit:
+        return ()
+    return (
+        f"The nominal model misses by {size.rms:.0f} mm RMS, though a robot of that description should by less than "
+        f"{limit:.0f} mm. The fitted geometry makes up for it where stations are; see whether the description is that "
+        "of this robot, and whether a joint's zero has changed, before it is used elsewhere.",
+    )
 
 
 def readmitted_note(again: Readmitted) -> tuple[str, ...]:
