@@ -40,6 +40,8 @@ _WHOLE = 0.02  # by which a coefficient may miss a simple fraction that is said 
 def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
     """Joints whose reported positions are a linear mixture of what they should be, None where that explains nothing.
 
+    Nor is anything said where the columns as they are fit as a nominal arm does: what is left then is no column's fault.
+
     samples: all of them; in a frame of several, that with most readings is looked at.
     """
     part = most_seen(samples, chain, _MIN, 10 * _MAX)
@@ -47,8 +49,11 @@ def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
         return None
     part = part.select(spread_rows(len(part), _MAX))
     moved = part.q.std(axis=0) > 0.0
-    starts = [_Map(np.eye(chain.n), np.zeros(chain.n)), *_likely(part, chain)]
+    as_they_are = _Map(np.eye(chain.n), np.zeros(chain.n))
     try:
+        if _explains(_placed(part, chain, as_they_are), part, chain):
+            return None
+        starts = [as_they_are, *_likely(part, chain)]
         fits = [fit for start in starts if (fit := _fitted(part, chain, start, moved)) is not None]
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
         return None
@@ -119,13 +124,7 @@ def _mixtures(n: int) -> Iterator[_Map]:
 
 def _fitted(samples: Samples, chain: Chain, start: _Map, moved: np.ndarray) -> _Map | None:
     """The map from this start, where a nominal arm misses by no more than its own errors with it; None otherwise."""
-    angle, distance = limits(chain)
-    poses, M, c = bool(samples.is_pose.all()), start.M, start.c
-    A = frames(chain, samples.q @ M.T + c).transform(-1)
-    Y, X = _turns(A, samples, poses)
-    _, x, t = tool_and_place(Y, A, samples.reading)
-    scale = np.array([angle, distance])
-    state = (M, c, Y, X, x, t)
+    poses, scale, state = bool(samples.is_pose.all()), np.array(limits(chain)), _placed(samples, chain, start)
     r, G = _rows(samples, chain, state, moved, poses, scale)
     damping, cost = 1e-3, _cost(r)
     for _ in range(_ROUNDS):
@@ -144,10 +143,7 @@ def _fitted(samples: Samples, chain: Chain, start: _Map, moved: np.ndarray) -> _
         state, r, G, cost, damping = moved_on, r_there, G_there, now, max(damping / 4.0, 1e-6)
         if settled:
             break
-    turned, gap = _left(samples, chain, state, poses)
-    if float(np.median(gap)) > distance or float(np.median(turned)) > angle:
-        return None
-    return _Map(state[0], state[1])
+    return _Map(state[0], state[1]) if _explains(state, samples, chain) else None
 
 
 def _cost(r: Array) -> float:
@@ -155,6 +151,21 @@ def _cost(r: Array) -> float:
 
 
 _State = tuple[Array, Array, Array, Array, Array, Array]
+
+
+def _placed(samples: Samples, chain: Chain, start: _Map) -> _State:
+    """A map with the base and the tool that it asks for, in closed form."""
+    A = frames(chain, samples.q @ start.M.T + start.c).transform(-1)
+    Y, X = _turns(A, samples, bool(samples.is_pose.all()))
+    _, x, t = tool_and_place(Y, A, samples.reading)
+    return start.M, start.c, Y, X, x, t
+
+
+def _explains(state: _State, samples: Samples, chain: Chain) -> bool:
+    """Whether a nominal arm misses the usual station by no more than its own errors."""
+    angle, distance = limits(chain)
+    turned, gap = _left(samples, chain, state, bool(samples.is_pose.all()))
+    return float(np.median(gap)) <= distance and float(np.median(turned)) <= angle
 
 
 def _turns(A: Array, samples: Samples, poses: bool) -> tuple[Array, Array]:
