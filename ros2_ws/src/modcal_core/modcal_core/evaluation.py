@@ -51,7 +51,7 @@ def evaluate(
     cell = (cell or Cell()).met(samples)
     samples = with_sockets(samples, cell, calibration.nominal.chain)
     samples, convention = proved(samples, calibration.nominal.chain)
-    converged = True
+    again, converged = None, True
     applied = applicable(calibration, samples)
     models = {"nominal": calibration.nominal, "geometric": calibration.geometric, "final": applied.model}
     if refit_base or refit_tool:
@@ -59,7 +59,7 @@ def evaluate(
         train = samples.select(np.union1d(sets.train, sets.explain))
         fits = {stage: refit_cell(model, train, cell, refit_base, refit_tool) for stage, model in models.items()}
         models = {stage: fit.model for stage, fit in fits.items()}
-        converged = all(fit.converged for fit in fits.values())
+        again, converged = fits["final"], all(fit.converged for fit in fits.values())
     else:
         sets = hold_out_all(samples)
         models = {stage: with_frames(model, samples.frames) for stage, model in models.items()}
@@ -112,5 +112,5 @@ def evaluate(
         rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
         grounds=grounds,
         judged=judged,
-        left=located(frozen(models["final"], calibration.noise), samples) if judged.status == "open" else None,
+        left=located(frozen(models["final"], calibration.noise, again), samples) if judged.status == "open" else None,
     )

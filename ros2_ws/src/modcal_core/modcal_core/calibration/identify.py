@@ -69,7 +69,8 @@ class Fit:
     covariance (P, P): of the geometry [m, rad]; the model's effects carry their own. noise: what the model does not
     explain, per axis. weights: (N,) in [0, 1], of the samples it was fitted to; 0 is rejected. information: JᵀWJ of the
     data alone, (P, P). iterations: steps taken. converged: whether they ended because the next would have been too
-    short to matter, not because there were too many.
+    short to matter, not because there were too many. frozen: whether the effects are those of another
+    recording, and only the parameters were fitted to this one.
     """
 
     model: Model
@@ -82,6 +83,7 @@ class Fit:
     information: Array
     iterations: int
     converged: bool = True
+    frozen: bool = False
 
     @property
     def std(self) -> Array:

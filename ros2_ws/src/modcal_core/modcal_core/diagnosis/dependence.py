@@ -61,14 +61,18 @@ class Dependence:
 
 
 def dependence(
-    model: Model, samples: Samples, weight: Array, fitted: Array | None = None, least: float = WORTH_NAMING
+    model: Model,
+    samples: Samples,
+    weight: Array,
+    fitted: Array | None = None,
+    least: float = WORTH_NAMING,
+    constant: bool = True,
 ) -> Dependence | None:
     """What the residual of a model depends on most, None where no pair predicts a good part of it.
 
-    least: share of the squares that is a good part.
-
     weight: of the six components, (6, N). fitted: derivatives (P, 6, k) by the parameters that were fitted to these
-    samples, at those of :func:`asked_of`; None where the model is frozen: constant errors are looked for only then.
+    samples, at those of :func:`asked_of`; None where none were. least: share of the squares that is a good part.
+    constant: whether constant errors are looked for, as of an arm that was not fitted to these samples.
     """
     if samples.stations < _MIN or not is_serial_arm(model.chain) or model.instruments:
         return None
@@ -87,7 +91,7 @@ def dependence(
     fold = np.tile(_folds(samples.station[rows]), 6)[take]
     found: list[tuple[float, int, str, str]] = []
     asked: list[tuple[Pair, Array]] = []
-    for pair in pairs(model, samples, view, rows, constant=fitted is None):
+    for pair in pairs(model, samples, view, rows, constant=constant):
         X = (pair.columns * weight[:, rows]).reshape(len(pair.columns), -1)[:, take]
         size = np.linalg.norm(X, axis=1)
         asked.append((pair, X[size > _SMALL * max(size.max(initial=0.0), 1e-300)]))

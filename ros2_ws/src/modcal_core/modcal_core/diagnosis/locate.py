@@ -7,6 +7,8 @@ found already that something is left. It is named only where it explains a good 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modcal_core.calibration.identify import Fit
@@ -31,7 +33,7 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
     """
     rows = spread_rows(len(samples), _MAX_SCANNED)
     drivers = fit.model.drivers(samples.select(rows))
-    constant = () if fit.parameters else unknown.constants(drivers)
+    constant = unknown.constants(drivers) if fit.frozen else ()
     scanner = Scanner([*candidates(drivers), *constant], drivers)
     if not scanner.enough(fit):
         return None
@@ -47,7 +49,9 @@ def located(fit: Fit, samples: Samples) -> EffectChoice | None:
     return None if choice is None or choice.share < _WORTH_NAMING else choice
 
 
-def frozen(model: Model, noise: NoiseModel) -> Fit:
-    """A model as a fit that nothing was fitted in, its effects as they are."""
+def frozen(model: Model, noise: NoiseModel, refitted: Fit | None = None) -> Fit:
+    """A model as a fit of nothing, or of the base and tool that were found again; its effects as they are."""
     none, square = np.empty(0), np.empty((0, 0))
-    return Fit(model, model, (), none, square, noise, none, square, 0)
+    if refitted is None:
+        return Fit(model, model, (), none, square, noise, none, square, 0, frozen=True)
+    return replace(refitted, model=model, start=model, noise=noise, frozen=True)

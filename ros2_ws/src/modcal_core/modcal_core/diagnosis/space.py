@@ -135,9 +135,10 @@ class Space:
         held = np.zeros(len(now.J))  # of a frozen model without effects nothing is fitted
         held[: len(fit.parameters)] = [1.0 / p.prior_std for p in fit.parameters]
         N, rows = len(samples), _rows(view)
-        J = by_component(now.J, view)
+        fitted = len(fit.parameters) if fit.frozen else len(now.J)
+        J = by_component(now.J[:fitted], view)
         J *= weight[:rows]
-        flat, factor = _orthonormal(J.reshape(len(J), rows * N), held)
+        flat, factor = _orthonormal(J.reshape(len(J), rows * N), held[:fitted])
         D = len(flat)
         Q = np.empty((6, N, D)) if rows == 6 else np.zeros((6, N, D))
         Q[:rows] = flat.reshape(D, rows, N).transpose(1, 2, 0)

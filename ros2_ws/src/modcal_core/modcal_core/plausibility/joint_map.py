@@ -40,7 +40,7 @@ _WHOLE = 0.02  # by which a coefficient may miss a simple fraction that is said 
 def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
     """Joints whose reported positions are a linear mixture of what they should be, None where that explains nothing.
 
-    Nor is anything said where the columns as they are fit as a nominal arm does: what is left then is no column's fault.
+    Nor where the columns as they are fit as a nominal arm does: what is left then is no column's fault.
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """

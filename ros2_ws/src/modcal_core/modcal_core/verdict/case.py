@@ -35,6 +35,7 @@ class Case:
     values of its effects. noise: of its residuals when it was fitted.
     errors: of the scored rows by stage. residuals: of the final model at all samples. fitted: whether the parameters
     were found from these samples; otherwise the model is frozen and ``known`` is all that may be blamed on them.
+    refitted: of a frozen model, the parameters of base and tool that were found again.
     """
 
     samples: Samples
@@ -47,6 +48,7 @@ class Case:
     errors: dict[str, Errors]
     residuals: Errors
     fitted: bool
+    refitted: tuple[ModelParameter, ...] = ()
 
     @property
     def scored(self) -> Samples:
@@ -86,15 +88,22 @@ def frozen_case(
 
     model: its final one, base and tool refitted if asked. unit: see :class:`Case`. rows: those that are scored, (k,).
     """
-    known = _carried(calibration, model)
-    if refit_base or refit_tool:
+    known, free = _carried(calibration, model), _base_and_tool(model, refit_base, refit_tool)
+    if free:
         train = ~wrong
         train[rows] = False
         part = np.flatnonzero(train)
         part = part[spread_rows(len(part), _MAX_REFITTED)]
-        known = _refitted(known, model, samples.select(part), calibration.noise, refit_base, refit_tool)
+        known = _refitted(known, model, samples.select(part), calibration.noise, free)
     residuals = errors(model, samples)
-    return Case(samples, wrong, rows, unit, model, known, calibration.noise, left, residuals, fitted=False)
+    return Case(samples, wrong, rows, unit, model, known, calibration.noise, left, residuals, False, free)
+
+
+def _base_and_tool(model: Model, base: bool, tool: bool) -> tuple[ModelParameter, ...]:
+    """The parameters of all base frames, of the tool, or of both."""
+    frames = [ModelParameter(f"frame {name}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
+    at_tool = [ModelParameter("tool", model.chain.tool_place, d) for d in range(6)]
+    return (*(frames if base else ()), *(at_tool if tool else ()))
 
 
 def _carried(calibration: Calibration, model: Model) -> Uncertainty:
@@ -115,18 +124,15 @@ def _carried(calibration: Calibration, model: Model) -> Uncertainty:
 
 
 def _refitted(
-    known: Uncertainty, model: Model, samples: Samples, noise: NoiseModel, refit_base: bool, refit_tool: bool
+    known: Uncertainty, model: Model, samples: Samples, noise: NoiseModel, free: tuple[ModelParameter, ...]
 ) -> Uncertainty:
-    """The same where base or tool were found again from some samples, with the arm as it was calibrated.
+    """The same where base or tool (``free``) were found again from some samples, with the arm as it was calibrated.
 
     With J_a the derivatives of the arm and J_b those of base and tool, in units of the noise, they answer an error δ of
     the arm by −B δ, B = (J_bᵀJ_b)⁻¹ J_bᵀJ_a, and noise by (J_bᵀJ_b)⁻¹.
     """
-    tool = model.chain.tool_place
-    free = [ModelParameter(f"frame {name}", 0, d, f) for f, name in enumerate(model.frames) for d in range(6)]
-    free = [*(free if refit_base else ()), *(ModelParameter("tool", tool, d) for d in range(6) if refit_tool)]
-    again = [p.place == 0 if refit_base else False for p in known.parameters]
-    again = [a or (refit_tool and p.place == tool) for a, p in zip(again, known.parameters, strict=True)]
+    places = {p.place for p in free}
+    again = [p.place in places for p in known.parameters]
     rows = np.r_[np.flatnonzero(~np.array(again, bool)), len(again) : len(known.covariance)].astype(int)
     arm = tuple(p for p, a in zip(known.parameters, again, strict=True) if not a)
     _, J = derivatives(model, (*free, *arm), samples)

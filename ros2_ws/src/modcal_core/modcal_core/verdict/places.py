@@ -41,13 +41,16 @@ def sentences(
     """
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     samples = case.samples.select(rows)
+    asked = samples.select(asked_of(samples))
     fitted = None
     if case.fitted:
-        fitted = derivatives(case.model, case.known.parameters, samples.select(asked_of(samples)))[1]
+        fitted = derivatives(case.model, case.known.parameters, asked)[1]
+    elif case.refitted:
+        fitted = derivatives(case.model, case.refitted, asked)[1][: len(case.refitted)]
     both = judged.predictable_both
     share = both.share if both is not None and both.lower99 > MAX_PREDICTABLE else 1.0
     least = float(np.clip(_MOSTLY * share, _MIN_NAMED, WORTH_NAMING))
-    found = dependence(case.model, samples, weights(case.noise, samples), fitted, least)
+    found = dependence(case.model, samples, weights(case.noise, samples), fitted, least, constant=not case.fitted)
     named = " ".join(judged.open_because)
     said = [*(sentence for sentence in outside if sentence not in named), *_apart(case, described or case.model.chain)]
     if found is not None:
