@@ -81,3 +81,23 @@ def test_a_delta_whose_drive_was_adjusted_is_open_for_a_constant_error() -> None
     assert report.status == "open"
     assert report.left is not None
     assert report.left.effect.public_driver == "constant"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("again", [False, True])
+def test_an_effect_that_has_grown_is_named_beside_base_and_tool_that_are_found_again(again: bool) -> None:
+    """The columns of what the calibration knows hide nothing, and base and tool explain nothing that they took up."""
+
+    def worn(size: float, seed: int) -> Samples:
+        samples = visited(seed, 100)
+        off = samples.q.copy()
+        off[:, 1] += size * np.sin(3.0 * off[:, 1])
+        return replace(samples, q=off)
+
+    known = calibrate(worn(4e-4, 4), ur10(), np.random.default_rng(0)).calibration
+    assert any(effect.place == "shoulder_lift_joint" for effect in known.calibrated.effects)
+    report = evaluate(known, worn(8e-4, 4), np.random.default_rng(0), refit_base=again, refit_tool=again)
+    assert report.status == "open"
+    assert report.left is not None
+    assert report.left.effect.place == "shoulder_lift_joint"
+    assert "as an error of joint shoulder_lift_joint" in " ".join(report.open_because)
