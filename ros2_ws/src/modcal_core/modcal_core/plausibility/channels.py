@@ -186,10 +186,7 @@ class _Channels:
         Y = so3.nearest_rotation(M / common)
         if np.linalg.det(M) < 0.0 or abs(common - 1.0) > _LONGER:
             return None  # the mistakes have these
-        gap = float(
-            np.median(np.linalg.norm(tool_and_place(Y[None], self.A[None], self.samples.reading[None])[0][0], axis=1))
-        )
-        if gap > self.limit:
+        if self._gap(Y) > self.limit:
             return self._not_one_point(Y)
         if not self.poses:
             return None
@@ -198,11 +195,24 @@ class _Channels:
         apart = float(np.linalg.norm(so3.log(self.turned[0] @ Y.T)))
         if apart < _APART or self._agreeing < _MOSTLY:
             return None
+        if self._gap(self.turned[0]) < self.limit or self._turned_by(Y) < ANGLE:
+            return None  # a small part of space, or tools that hardly turn, do not tell how the base is turned
         return self._said(
             f"orientations are given in a frame that is turned by {np.degrees(apart):.3g}° to that of the positions "
             "(a static transform was left out of one of them, or the axes stand in another order)",
             "give positions and orientations in one frame",
         )
+
+    def _gap(self, Y: Array) -> float:
+        """Median distance [m] that positions miss by, with the base turned so."""
+        gap = tool_and_place(Y[None], self.A[None], self.samples.reading[None])[0][0]
+        return float(np.median(np.linalg.norm(gap, axis=1)))
+
+    def _turned_by(self, Y: Array) -> float:
+        """Median angle [rad] that orientations miss by, with the base turned so."""
+        a, R = self.A[:, :3, :3], self.samples.R
+        X = so3.mean(np.swapaxes(Y @ a, 1, 2) @ R)
+        return float(np.median(np.linalg.norm(turns_left(Y, a, X, R), axis=1)))
 
     def _not_one_point(self, Y: Array) -> Disagreement | None:
         """Positions that are linear in the posture and not those of one point of the tool."""

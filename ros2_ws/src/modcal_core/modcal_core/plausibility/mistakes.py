@@ -243,7 +243,7 @@ def of_pairing() -> Iterator[Mistake]:
 
         side = "late" if shift > 0 else "early"
         yield Mistake(
-            f"readings look {side} by {abs(shift)} stations",
+            f"readings look {side} by {abs(shift)} station{'s' if abs(shift) > 1 else ''}",
             "the tracker's clock is off: synchronise it with the joints' and record again",
             undone,
             "reading",

@@ -134,13 +134,13 @@ class _Links:
             if changes:
                 best = min(changes, key=lambda c: c.missed)
                 return self._said(best.what, best.remedy)
-        joints = sorted({j for j, _ in (*axes, *turns)})
-        if not joints:
+        several = [(missed, j) for j, S in turns if (missed := self._lengths_missed(j, S)) < self.limit]
+        if not several:
             return None
-        names = [self.chain.names[j] for j in joints]
         return self._said(
-            f"orientations would fit with another axis or origin of joint {' or '.join(names)}, and positions fit with "
-            "none of them, so that more than one link of the URDF is different",
+            "orientations and positions fit with another turn of the origin of joint "
+            f"{self.chain.names[min(several)[1]]} and other lengths of several links, so that more than one link "
+            "of the URDF is different",
             "give the description of this robot; of modules, check the kind, order and turn of each",
         )
 
@@ -231,6 +231,17 @@ class _Links:
         columns = [np.broadcast_to(np.eye(3), self.before[0].shape), Y @ A[:, :3, :3]]
         missed, solution = self._placed([*columns, Y @ self.before[j]] if offset else columns, h)
         return _Change(what, remedy, missed, solution[6:]) if missed < self.limit else None
+
+    def _lengths_missed(self, j: int, S: Array) -> float:
+        """What positions miss by [m] with another turn of a joint's origin and offsets before all joints."""
+        origins = self.chain.origins.copy()
+        origins[j, :3, :3] = origins[j, :3, :3] @ S
+        other = _Links(self.samples, self.chain.with_origins(origins))
+        A = forward(other.chain, self.samples.q)
+        Y, _ = base_and_tool_turns(A[:, :3, :3], self.samples.R)
+        columns = [np.broadcast_to(np.eye(3), A[:, :3, :3].shape), Y @ A[:, :3, :3]]
+        columns += [Y @ other.before[k] for k in range(1, self.chain.n)]
+        return self._placed(columns, self.samples.reading - A[:, :3, 3] @ Y.T)[0]
 
     def _said(self, what: str, remedy: str) -> Disagreement:
         return Disagreement(what, remedy, len(self.samples), len(self.samples))
