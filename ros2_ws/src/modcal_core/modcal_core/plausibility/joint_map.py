@@ -34,7 +34,10 @@ _MAX_INNER = 5  # joints whose zeros are looked at together, 4⁵ ways
 _ROUNDS = 40  # iterations
 _TURNED = 4.0  # times the limit of angles that a joint must be off by at the usual station to be named
 _SETTLED = 1e-3  # relative change of the cost at which a fit has settled
-_WHOLE = 0.02  # by which a coefficient may miss a simple fraction that is said in its place
+_SIMPLE, _WHOLE = (0.5, 1.0, 2.0), 0.02  # fractions, and by which share a coefficient may miss one that is said instead
+_MAX_ODD = (
+    4  # coefficients that are no such fraction: two motors of odd ratios have four; more fit any arm
+)
 
 
 def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
@@ -233,7 +236,8 @@ def _said(fit: _Map, samples: Samples, chain: Chain) -> Disagreement | None:
     varies = [i for i in range(chain.n) if off[:, i].std() > least]
     # the zeros of the first and the last joint are as well base and tool
     shifted = [i for i in range(1, chain.n - 1) if i not in varies and abs(np.sin(0.5 * shift[i])) > 0.5 * least]
-    if not varies and not shifted:
+    odd = (np.abs(fit.M - np.eye(chain.n)) * q.std(axis=0) > least) & ~np.vectorize(_is_simple)(np.abs(fit.M))
+    if (not varies and not shifted) or odd.sum() > _MAX_ODD:
         return None
     said = []
     for i in varies:
@@ -266,10 +270,12 @@ def _sum(terms: list[tuple[float, str]]) -> str:
     return out
 
 
+def _is_simple(value: float) -> bool:
+    return any(abs(value - whole) < _WHOLE * max(whole, 1.0) for whole in (0.0, *_SIMPLE))
+
+
 def _simple(value: float) -> str:
-    for whole in (0.5, 1.0, 2.0):
-        if abs(value - whole) < _WHOLE * whole:
-            value = whole
+    value = next((whole for whole in _SIMPLE if abs(value - whole) < _WHOLE * whole), value)
     return "" if value == 1.0 else f"{value:.3g} "
 
 
