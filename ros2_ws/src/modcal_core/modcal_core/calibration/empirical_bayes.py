@@ -7,7 +7,8 @@ the noise, the likelihood of the data with x integrated out is greatest where
 
 over the values of the group, with V the covariance that the data leaves them: γ is how many numbers the data tells of
 the group. These are taken one after the other until they agree (MacKay 1992, *Bayesian interpolation*; for groups
-Tipping 2001). A group of which the data says nothing shrinks to nothing.
+Tipping 2001), sizes a little farther than they ask for, which ends in fewer rounds at the same. A group of which the
+data says nothing shrinks to nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +23,12 @@ from modcal_core.geometry.so3 import Array
 
 _MAX_ROUNDS = 30  # for time
 _SETTLED = 0.05  # change of the logarithm of a size: predictions hardly depend on it
-_NOTHING = 0.3  # numbers told of a group, below which it is as good as nothing and only shrinks
+# Times the change that the equations ask for, in the logarithm: where little is told of a group each round takes a small
+# share of the way, and below 2 no size swings for ever (in two thirds of the rounds it ends nearer to where many lead)
+_FARTHER = 1.8
+# Numbers told of a group, below which it is as good as nothing where it shrinks, and what it grows by matters as much
+# less: by a few per cent a round for ever, of a joint that hardly moves the tool
+_NOTHING = 0.3
 
 
 @dataclass(frozen=True)
@@ -55,15 +61,16 @@ def likely_sizes(
         if not len(used):
             break
         d = std[used]
-        A = H[np.ix_(used, used)] * np.outer(d, d) / noise**2
+        A = H[np.ix_(used, used)] * (d[:, None] / noise**2)
+        A *= d
         A.flat[:: len(A) + 1] += 1.0
-        lower, failed = scipy.linalg.lapack.dpotrf(np.asfortranarray(A), lower=1)
+        lower, failed = scipy.linalg.lapack.dpotrf(A.T, lower=1, clean=0, overwrite_a=1)
         if failed:  # the data leave no noise to weigh sizes against
             return GroupSizes((0.0,) * len(groups), (0.0,) * len(groups), np.zeros(len(std)), noise)
         x = np.zeros(len(std))
         x[used] = d * scipy.linalg.lapack.dpotrs(lower, d * g[used] / noise**2, lower=1)[0]
         told_each = np.zeros(len(std))
-        told_each[used] = 1.0 - np.diag(scipy.linalg.lapack.dpotri(lower, lower=1)[0])
+        told_each[used] = 1.0 - np.diag(scipy.linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)[0])
         left = square - 2.0 * float(x @ g) + float(x @ H @ x)
         new = float(np.sqrt(max(left, 0.0) / max(rows - float(told_each.sum()), 1.0)))
         change = abs(np.log(max(new, 1e-12) / noise))
@@ -76,7 +83,9 @@ def likely_sizes(
             if (told[i] < _NOTHING and size < sizes[i]) or not size > 0.0:
                 alive[i], size, told[i] = False, 0.0, 0.0
             else:
-                change = max(change, abs(np.log(size / sizes[i])))
+                farther = float(np.log(size / sizes[i]))
+                change = max(change, abs(farther) * min(told[i] / _NOTHING, 1.0))
+                size = sizes[i] * float(np.exp(_FARTHER * farther))
             sizes[i] = size
             std[own] = size
         if change <= _SETTLED:
