@@ -14,7 +14,7 @@ the arm's expected faults are those that make the data likeliest, the parameters
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -47,7 +47,8 @@ class Sizes:
     @property
     def logs(self) -> Array:
         """Their logarithms, (7,)."""
-        return np.log(np.array(astuple(self)))
+        values = (self.noise, self.joint, self.shift, self.arm, self.other, self.lengths, self.places)
+        return np.log(np.array(values))
 
     @classmethod
     def of_logs(cls, logs: Array) -> Sizes:
@@ -153,7 +154,7 @@ class Equations:
         inner = np.eye(POSE) + own[:, :, :POSE] @ Q
         S = Q @ np.linalg.inv(inner)
         log_det = np.linalg.slogdet(inner)[1]
-        alone = slice(None) if shared is None else ~shared
+        alone = slice(None) if shared is None or not shared.any() else ~shared
         taken = S[alone] @ own[alone]
         rows = own.copy()
         rows[alone] -= own[alone][:, :, :POSE] @ taken
@@ -214,11 +215,12 @@ class Equations:
         H, b, cost = data.H, data.b, data.cost
         prior = self.prior(sizes)
         use = np.flatnonzero(self.free)
-        P = prior[np.ix_(use, use)]
-        pull = prior[use] @ self.offset
-        cost += float(self.offset @ prior @ self.offset)
+        chosen = np.ix_(use, use)
+        P = prior[chosen]
+        pull = prior @ self.offset
+        cost += float(self.offset @ pull)
         return SolvedEquations(
-            *(H[np.ix_(use, use)] + P, b[use] - pull, P, use, len(self.offset), cost, data.spread, data.S),
+            *(H[chosen] + P, b[use] - pull[use], P, use, len(self.offset), cost, data.spread, data.S),
             self.grams,
             sizes.noise,
         )
@@ -267,7 +269,7 @@ class SolvedEquations:
 
     def misfit(self) -> float:
         """−2 log of the likelihood of the data, all parameters integrated out, up to a constant."""
-        L = scipy.linalg.cholesky(self.H, lower=True)
-        z = scipy.linalg.solve_triangular(L, self.b, lower=True)
+        L = np.linalg.cholesky(self.H)
+        z = scipy.linalg.lapack.dtrtrs(L, self.b, lower=1)[0]
         logs = 2.0 * float(np.log(np.diag(L)).sum()) - float(np.linalg.slogdet(self.P)[1])
         return self.cost + self.spread + logs - float(z @ z)

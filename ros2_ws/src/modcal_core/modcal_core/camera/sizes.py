@@ -15,7 +15,7 @@ from modcal_core.geometry.so3 import Array
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
 # size that the data say nothing of where arms and cameras have it.
-_USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
+_USUAL_LOGS = Sizes(1.0, 1e-4, 1e-4, 0.1).logs
 # Lengths and angles of an arm are as faulty as each other, in units of 10 mm and 20 mrad, to a factor of two: from
 # industrial arms (0.3 mm, 0.5 mrad) to printed ones (1 mm, 5 mrad).
 # Markers on a body are off by a tolerance that is mostly a guess, as the arm's is.
@@ -29,7 +29,7 @@ _MET = 0.02  # of −2 log likelihood, which moves by 1 at a standard deviation
 
 def usual(sizes: Sizes) -> float:
     """−2 log of how usual these sizes are."""
-    off = (sizes.logs - _USUAL.logs) / _FACTOR
+    off = (sizes.logs - _USUAL_LOGS) / _FACTOR
     return float(off @ off)
 
 
@@ -52,8 +52,10 @@ def likeliest(
     if equations.places is not None:
         unknown.append(_PLACES)
 
+    known = begin.logs
+
     def inside(logs: Array) -> Array:
-        full = begin.logs
+        full = known.copy()
         full[unknown] = np.clip(logs, _MIN[unknown], _MAX[unknown])
         return full
 
@@ -62,7 +64,7 @@ def likeliest(
         sizes = Sizes.of_logs(full)
         return misfit_of(equations.solve(sizes)) + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
 
-    first = begin.logs[unknown]
+    first = known[unknown]
     simplex = np.vstack([first, first + np.eye(len(first))])
     options: Any = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "fatol": _MET, "xatol": 0.02}
     return Sizes.of_logs(inside(minimize(misfit, first, method="Nelder-Mead", options=options).x))
