@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 import conftest  # noqa: E402, F401 (finds the install tree)
 import numpy as np  # noqa: E402
-from impedance.test_operation import LIMITS, TASK  # noqa: E402
+from impedance.gentle import LIMITS, TASK  # noqa: E402
 from impedance.test_safety_monitor import fuzz as fuzz_guard  # noqa: E402
 from impedance.toy import PANDA, Toy, door, drawer, pull  # noqa: E402
 from nodes.processes import Process, fresh_domain, listener, running  # noqa: E402

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import BOARD, LENS, views
+from camera.fits import MEASURED, solved, start, true_error
 from camera.scenes import PANDA, CameraScene, scene
-from camera.test_camera_fit import MEASURED, solved, start, true_error
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.beside import ReadingsBeside, beside

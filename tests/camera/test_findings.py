@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import BOARD, views
+from camera.fits import solved
 from camera.rolling import rolling_views
 from camera.scenes import CameraScene, scene
-from camera.test_camera_fit import solved
 
 from modcal_core.camera.findings import CLOCK, TARGET
 from modcal_core.geometry import se3

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import views
+from camera.fits import MEASURED
 from camera.scenes import CameraScene, scene
-from camera.test_camera_fit import MEASURED
 
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.geometry import se3

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.bodies import Faults, body_scene
+from camera.fits import MEASURED
 from camera.scenes import scene
-from camera.test_camera_fit import MEASURED
 
 from modcal_core.camera.images_of_cameras import only_seen, prepare_images
 from modcal_core.camera.prepared import CameraImages

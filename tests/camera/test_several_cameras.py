@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera.boards import BOARD, views
+from camera.fits import MEASURED, true_error
 from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
-from camera.test_camera_fit import MEASURED, true_error
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.decision import APPLY

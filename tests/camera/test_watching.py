@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 from camera.boards import views
+from camera.fits import MEASURED, solved
 from camera.scenes import CameraScene, scene
-from camera.test_camera_fit import MEASURED, solved
 from camera.test_several_cameras import OTHER_LENS, looking, on_tripod
 from camera.test_several_cameras import solved as solved_by
 

@@ -7,25 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import NOISE_M, NOISE_RAD, Recorded, record, ur10
+from cells import NOISE_M, NOISE_RAD, Recorded, ur10
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.public import calibrate, check
-from modcal_core.robot import Robot
+from modcal_core.public import check
 
 pytestmark = pytest.mark.slow
 COUNT = 12
-
-
-@pytest.fixture(scope="module")
-def cell() -> tuple[Recorded, Calibration]:
-    """A world, and what was calibrated from eighty stations of it."""
-    recorded = record(3, 80)
-    return recorded, calibrate(Robot(ur10()), recorded.samples, geometry_only=True).calibration
 
 
 def postures(seed: int) -> Array:

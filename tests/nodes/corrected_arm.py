@@ -21,10 +21,12 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.calibration.store import Calibration, to_data
+from modcal_core.correction.arm_state import ArmState
+from modcal_core.correction.correction import Correction
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.files import to_yaml
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
@@ -167,3 +169,13 @@ def matrix(message: Any) -> Array:
     """The pose (4, 4) of a Pose."""
     p, o = message.position, message.orientation
     return se3.from_pose([p.x, p.y, p.z, o.x, o.y, o.z, o.w])
+
+
+def truth(made: Any, q: Array, target: str = "tip", frame: str = "") -> Array:
+    """Where a calibration has the tool of an arm at rest at joints q."""
+    return Correction(made).pose(np.asarray(q), ArmState.at_rest(q, 1.7e9), target, frame)  # type: ignore[arg-type]
+
+
+def near(T: Array, metres: float, turn: float = 0.0) -> Array:
+    """A pose so far from T [m, rad] in each direction."""
+    return T @ se3.transform(so3.exp([turn, 0.0, -turn]), [metres, -metres, metres])

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from camera.boards import views
+from camera.fits import MEASURED
 from camera.scenes import PANDA, CameraScene, scene
-from camera.test_camera_fit import MEASURED
 from camera.test_several_cameras import OTHER_LENS, looking
 from nodes.beside_a_cell import latched
 from nodes.cell import call

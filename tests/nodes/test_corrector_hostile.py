@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from nodes.corrected_arm import AWAY, CHAIN, URDF, Arm, calibration, matrix, written
+from nodes.corrected_arm import AWAY, CHAIN, URDF, Arm, calibration, matrix, near, truth, written
 from nodes.processes import Process, fresh_domain, listener, running
-from nodes.test_corrector import near, truth
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory

@@ -1,0 +1,48 @@
+"""One fit of arm, camera, target and lens, as several tests ask for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from camera.boards import BOARD
+from camera.scenes import CameraScene, scene
+
+from modcal_core.camera.arm_poses import ArmPoses, arm_poses
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.mounting import find_mounting
+from modcal_core.camera.pnp import board_poses
+from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_core.robots.kinematics import forward
+
+FLAT = np.zeros(5)
+MEASURED = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers", RULER_STD_M))
+AS_DRAWN = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers"))  # which anybody states
+
+
+@cache
+def images(on_tip: bool) -> CameraScene:
+    return scene(1, on_tip, count=20, board=MEASURED)
+
+
+def start(s: CameraScene, velocity: float = 0.0) -> tuple[CornerTable, ArmPoses]:
+    table = CornerTable.of(s.views, s.board)
+    found = find_mounting(forward(s.chain, s.q), board_poses(table, s.lens, FLAT))
+    moving = np.full_like(s.q, velocity)
+    return table, arm_poses(s.chain, s.q, moving, found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
+
+
+def solved(s: CameraScene, **options: object) -> CameraSolution:
+    return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, np.random.default_rng(3), **options)  # type: ignore[arg-type]
+
+
+def true_error(s: CameraScene, fit: CameraFit, q: Array) -> float:
+    """RMS distance of the flange, as the model has it on the tool, from the truth [m]."""
+    tip = se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
+    model = fit.poses.model_at(fit.state.values).predict(q)
+    return float(np.sqrt(((se3.apply(model, tip) - se3.apply(s.truth(q), tip)) ** 2).sum(1).mean()))

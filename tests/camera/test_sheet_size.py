@@ -1,0 +1,86 @@
+"""A sheet of another size than stated, and what its measured lengths are worth, with arms in MuJoCo."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera.boards import BOARD, views
+from camera.fits import AS_DRAWN, MEASURED, solved, true_error
+from camera.scenes import scene
+
+from modcal_core.camera.decision import APPLY, CANNOT_TELL, DO_NOT_APPLY
+from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
+from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.geometry import se3
+
+
+@pytest.mark.slow
+def test_without_anything_metric_nothing_can_be_told() -> None:
+    s = scene(1, True, count=15, board=BOARD)
+    r = solved(s)
+    assert r.decision.word == CANNOT_TELL
+    assert "rulers" in r.decision.because[0]
+    whole, known = r.shares["print scale"]
+    assert known < 0.5 * whole  # which is what a ruler would tell
+
+
+@pytest.mark.slow
+def test_a_sheet_of_another_size_is_named() -> None:
+    """Printed 5 % too large, and measured by nobody; the arm is known to a millimetre."""
+    s = scene(4, True, count=15, length_std=3e-4, angle_std=5e-4, printed=1.05 * BOARD.points)
+    r = solved(s, arm_m=1e-3)
+    assert r.decision.word == DO_NOT_APPLY
+    assert re.search(r"\+(4\.9|5\.[01]) % \(x\)", r.decision.because[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", [BOARD, MEASURED], ids=["unmeasured", "measured"])
+def test_squares_of_another_size_are_named(stated: PrintedTarget) -> None:
+    """Printed 10 % too large: the arm's links could take it up, which no arm is built like."""
+    s = scene(21, True, count=15, length_std=1e-3, angle_std=2e-3, printed=1.1 * BOARD.points, board=stated)
+    r = solved(s)
+    assert r.decision.word == DO_NOT_APPLY
+    assert "The sheet is +9." in r.decision.because[0] or "The sheet is +10." in r.decision.because[0]
+    assert "scale than its URDF" in r.decision.because[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_tip", [True, False])
+def test_a_sheet_that_a_bad_arm_hides_is_not_trusted(on_tip: bool) -> None:
+    """Rulers stated at their nominal lengths, a sheet 2 % larger, an arm 4 mm off a body: images do not decide, so the interval has
+    both, and what would tell is said.
+    """
+    s = scene(33, on_tip, count=20, length_std=4e-3, angle_std=5e-3, board=AS_DRAWN, printed=1.02 * BOARD.points)
+    r = solved(s)
+    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    assert r.decision.word == CANNOT_TELL
+    assert "state how well (--measured-to-mm)" in r.decision.because[0]
+    assert true_error(s, r.fit, q) < r.in_view.interval[2]
+    assert r.rests_on is not None
+    assert true_error(s, r.fit, q) < r.rests_on.if_wrong_m
+    assert any("look much alike" in said or "The sheet is +" in said for said in r.decision.because)
+    if on_tip:
+        return
+    T = se3.inverse(s.T) if on_tip else s.T
+    clean = solved(replace(s, board=MEASURED, views=views(np.random.default_rng(0), T, board=s.board)))
+    assert clean.decision.word == APPLY
+    assert clean.in_view.interval[2] < 4e-3
+    assert "rests on the sheet's stated size" in clean.decision.because[-1]
+
+
+def test_rulers_of_which_nobody_says_how_well_they_were_read_count_as_any_statement() -> None:
+    """One in twenty is of another sheet, whatever the images say against it; of rulers that were read with care that
+    is up to the images.
+    """
+    s = scene(34, True, count=12, length_std=4e-3, angle_std=5e-3)
+    chance = {}
+    for std in (None, RULER_STD_M):
+        board = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2008, 0.1205), "rulers", std))
+        error = solved(replace(s, board=board), look_for_effects=False).in_view
+        chance[std] = float(error.weight[error.of == error.wrong.index("size")].sum())
+    assert chance[None] >= 0.0499
+    assert chance[RULER_STD_M] < 0.03
