@@ -7,6 +7,7 @@ the wave of a gear. Where the recording is dense enough the whole curve is drawn
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,23 +26,32 @@ STATIONS_PER_FUNCTION = 6  # of a curve so fine; with fewer it follows the noise
 # Cycles between neighbours in the search: with 0.3 periods over the joint's range a wave halfway between two loses 7 %
 # of its square (sinc² of 0.15); never finer or coarser than the other two, for time and for narrow ranges
 _OF_A_PERIOD, _FINEST, _COARSEST = 0.3, 0.15, 0.5
+_FIRST = WHOLE_CYCLES + 1.0  # of the search, above the whole cycles that are asked for by themselves
+_REMEMBERED = 16  # joints whose waves are kept, a megabyte each: of the two arms that a process is asked about by turns
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
     """Every joint that turned, with every number of cycles that its range can tell apart; then curves."""
     for j, name in moving_joints(drivers):
         if drivers.arm.chain.revolute[j]:
-            yield from whole(name, WHOLE_CYCLES)
-            for cycles in cycle_grid(float(np.ptp(drivers.samples.q[:, j]))):
-                yield _wave(name, "sine", float(cycles))
-                if cycles <= 0.5 * MAX_CYCLES:  # strain wave gears err twice in each turn of their wave as well
-                    yield _wave(name, "double", float(cycles))
+            yield from _waves(name, _step(float(np.ptp(drivers.samples.q[:, j]))))
     for j, name in moving_joints(drivers):
         low, high = float(drivers.samples.q[:, j].min()), float(drivers.samples.q[:, j].max())
         count = round((high - low) / FINE_STEP) + 3
         if drivers.arm.chain.revolute[j] and drivers.samples.stations > STATIONS_PER_FUNCTION * count:
             shape = Shape("spline", {"low": low, "high": high, "count": float(count)})
             yield Effect(NAME, name, AXIS, f"position:{name}", shape)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _waves(joint: str, step: float) -> tuple[Effect, ...]:
+    """The waves of a joint, with cycles that far apart: the same two thousand in every scan of an arm."""
+    out = list(whole(joint, WHOLE_CYCLES))
+    for cycles in _grid(step).tolist():
+        out.append(_wave(joint, "sine", cycles))
+        if cycles <= 0.5 * MAX_CYCLES:  # strain wave gears err twice in each turn of their wave as well
+            out.append(_wave(joint, "double", cycles))
+    return tuple(out)
 
 
 def whole(joint: str, most: int) -> Iterator[Effect]:
@@ -58,10 +68,17 @@ def wave(joint: str, cycles: float, double: bool = False) -> Effect:
 
 def cycle_grid(joint_range: float) -> Array:
     """Cycles a turn, close enough that none is missed over this range [rad]."""
+    return _grid(_step(joint_range))
+
+
+def _step(joint_range: float) -> float:
+    """How far they lie apart, over a range [rad]: one of two dozen numbers."""
     step = float(np.clip(_OF_A_PERIOD * 2.0 * np.pi / joint_range, _FINEST, _COARSEST))
-    first = WHOLE_CYCLES + 1.0
-    step = first / np.ceil(first / step)  # so that all are multiples of it: a scan sums them by one FFT
-    return np.arange(round(first / step), int(np.ceil(MAX_CYCLES / step)) + 1) * step
+    return float(_FIRST / np.ceil(_FIRST / step))  # so that all are multiples of it: a scan sums them by one FFT
+
+
+def _grid(step: float) -> Array:
+    return np.arange(round(_FIRST / step), int(np.ceil(MAX_CYCLES / step)) + 1) * step
 
 
 def complexity(effect: Effect) -> int:
