@@ -1,11 +1,16 @@
 """How few stations of a recorded grid give the error of the whole grid: chosen ones, and random ones beside them.
 
+    python bench/measure/replay.py ur5 --first 8 --divisions 3 --chosen
+    python bench/measure/replay.py ipa --chosen
+
 Three tenths of the grid, in blocks, are never offered: the error is taken there. The whole is the rest, all of it
-fitted; a share is of that rest.
+fitted; a share is of that rest. A division is a split of the grid. The whole is fitted twice, with small curves behind
+its effects and without, and shares are given over both.
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import sys
 import tempfile
@@ -17,6 +22,7 @@ import numpy as np
 
 from modcal_core.calibration.score import errors
 from modcal_core.measurements.samples import Samples
+from modcal_core.measuring import refit as refitting
 from modcal_core.measuring.advice import Advisor
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.pool import of_recording
@@ -88,20 +94,38 @@ def rms(model: object, samples: Samples) -> float:
     return float(np.sqrt(np.mean(errors(model, samples).position_norm ** 2)))  # type: ignore[arg-type]
 
 
-def replayed(grid: Grid, planned: bool, whole: float | None, seed: int = 0) -> float:
-    """Print how the error falls with the share of stations; returns the error of the whole grid [m]."""
-    samples, robot = grid.samples, grid.robot
-    offered, scored = divided(grid, seed)
-    if whole is None:
-        began = time.process_time()
-        all_of_it = refit(offered, robot.mechanism, seed, None, robot.inertias)
-        whole = rms(all_of_it.calibration.calibrated, scored)
-        labels = [e.label for e in all_of_it.calibration.calibrated.effects]
+@dataclass(frozen=True)
+class Whole:
+    """Errors [m] that all stations offered leave: by the model as it is now, and by the one without small curves."""
+
+    now: float
+    searched: float
+
+    @classmethod
+    def of(cls, grid: Grid, offered: Samples, scored: Samples, seed: int) -> Whole:
+        """Fitted twice, and printed."""
+        began, left = time.process_time(), []
+        curves = refitting.with_residual_curves
+        for keep in (True, False):
+            refitting.with_residual_curves = curves if keep else lambda fit, *_: fit  # type: ignore[assignment]
+            found = refit(offered, grid.robot.mechanism, seed, None, grid.robot.inertias)
+            left.append(rms(found.calibration.calibrated, scored))
+        refitting.with_residual_curves = curves
+        labels = [e.label for e in found.calibration.calibrated.effects]
         print(
-            f"{grid.name}: {len(offered)} of {len(samples)} stations leave {1e3 * whole:.4f} mm at the other "
-            f"{len(scored)}; {time.process_time() - began:.0f} s; {labels}",
+            f"{grid.name}, division {seed}: {len(offered)} of {len(grid.samples)} stations leave "
+            f"{1e3 * left[0]:.4f} mm at the other {len(scored)}, without small curves {1e3 * left[1]:.4f} mm; "
+            f"{time.process_time() - began:.0f} s; {labels}",
             flush=True,
         )
+        return cls(*left)
+
+
+def replayed(grid: Grid, planned: bool, whole: Whole, seed: int) -> None:
+    """Print how the error falls with the share of stations."""
+    robot = grid.robot
+    offered, scored = divided(grid, seed)
+    how = "chosen" if planned else "random"
     measurer = Replay(offered)
     pool = of_recording(offered.q, np.random.default_rng(seed))
     goal = Goal(None, stations=max(int(grid.limit * len(offered)), 20))
@@ -117,10 +141,10 @@ def replayed(grid: Grid, planned: bool, whole: float | None, seed: int = 0) -> f
         if advice.refitted is not None:
             n = len(session.rows())
             error = rms(advice.refitted.calibration.calibrated, scored)
-            reached = (reached or n) if error <= WITHIN * whole else None
+            reached = (reached or n) if error <= WITHIN * whole.now else None
             print(
-                f"  {'chosen' if planned else 'random'} {n:5d} ({n / len(offered):.1%}): {1e3 * error:.4f} mm, "
-                f"{error / whole:.3f} of the whole's; {len(advice.status.effects)} effects",
+                f"  {how} {n:5d} ({n / len(offered):.1%}): {1e3 * error:.4f} mm, {error / whole.now:.3f} of the "
+                f"whole's, {error / whole.searched:.3f} without small curves; {len(advice.status.effects)} effects",
                 flush=True,
             )
         if advice.outcome is not None:
@@ -129,21 +153,27 @@ def replayed(grid: Grid, planned: bool, whole: float | None, seed: int = 0) -> f
         for number in session.pending:
             session = session.with_station(number, measurer.measure(session.stations[number]))
     share = "not reached" if reached is None else f"with {reached} stations, {reached / len(offered):.1%}"
-    print(f"{grid.name}, {'chosen' if planned else 'random'}: within {WITHIN - 1:.0%} and staying there {share}")
-    return whole
+    print(f"{grid.name}, division {seed}, {how}: within {WITHIN - 1:.0%} and staying there {share}", flush=True)
 
 
-def main() -> None:
-    """Both grids."""
+def main(arguments: list[str] | None = None) -> None:
+    """The grids and divisions that were asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("grids", nargs="*", choices=("ur5", "ipa"), default=["ur5", "ipa"])
+    parser.add_argument("--divisions", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="the first division's seed")
+    parser.add_argument("--chosen", action="store_true", help="without the random ones beside them")
+    asked = parser.parse_args(arguments)
     if not DATA.is_dir():
         sys.exit("no real recordings: ../shared/data is not beside this checkout")
-    wanted = sys.argv[1:] or ["ur5", "ipa"]  # and "chosen": without the random ones beside them
-    for name, make in (("ur5", ur5), ("ipa", ipa)):
-        if name in wanted:
-            grid = make()
-            whole = replayed(grid, True, None)
-            if "chosen" not in wanted:
-                replayed(grid, False, whole)
+    for make in (ur5, ipa):
+        if make.__name__ not in asked.grids:
+            continue
+        grid = make()
+        for seed in range(asked.first, asked.first + asked.divisions):
+            whole = Whole.of(grid, *divided(grid, seed), seed)
+            for planned in (True,) if asked.chosen else (True, False):
+                replayed(grid, planned, whole, seed)
 
 
 if __name__ == "__main__":

@@ -131,7 +131,7 @@ def main() -> int:
         import replay
 
         sys.argv[1:] = []
-        replay.main()
+        replay.main([])
     return 0
 
 

@@ -24,6 +24,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
 from modcal_core.calibration.store import Calibration
 from modcal_core.correction.arm_state import ArmState
+from modcal_core.effects.axis_curves import AxisCurves
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import JOINTS, PAIRS, READING, Effect, Term, columns, motion, shape_columns
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
@@ -51,6 +52,8 @@ class Correction:
         self._fallback = calibration.fallback(self.model, calibration.geometric)
         self._outside = _Parts.of(calibration.geometric.with_effects(()))
         self._covariance = _deviations_covariance(calibration)
+        # columns of the covariance of an arm at which the values of each effect begin
+        self._first = (6 * self.chain.n + np.cumsum([0, *(len(e.values) for e in self.model.effects)])[:-1]).tolist()
         self._needs, self._needs_effort = self.needs, self.needs_effort
 
     @property
@@ -144,7 +147,7 @@ class Correction:
         if not is_serial_arm(self.chain):
             return self.pose(at.q, at, target), self.covariance(at.q, at, target), self.joints(at.q, at)
         around = self._around(at.q[None], at)
-        twists, _ = motion(self._full.of_arm, around)
+        twists = self._full.twists(around)
         f = frames(self.chain, at.q[None], twists)
         T = self._full.behind(f.transform(-1), around, target)
         C, q = self._of_serial(f, around, T[0], target), self._full.turned(at.q, twists)
@@ -166,8 +169,7 @@ class Correction:
         chain = self.chain
         if not is_serial_arm(chain):
             return np.asarray(self._scatter() + self._of_closed(around, target))
-        twists, _ = motion(self._full.of_arm, around)
-        f = frames(chain, q[None], twists)
+        f = frames(chain, q[None], self._full.twists(around))
         return self._of_serial(f, around, self._full.behind(f.transform(-1), around, target)[0], target)
 
     def _scatter(self) -> Array:
@@ -185,16 +187,19 @@ class Correction:
             rows[:, 6 * (place - 1) : 6 * place] = units[place]
         if target == "tool":
             rows[:, 6 * (n - 1) : 6 * n] = units[n]
-        j = 6 * n
-        shown = (*self._full.of_arm, *self._full.of_tool) if target == "tool" else self._full.of_arm
-        for effect in self.model.effects:
+        full = self._full
+        shown = (*full.of_arm, *full.of_tool) if target == "tool" else full.of_arm
+        for effect, first in zip(self.model.effects, self._first, strict=True):
             if any(effect is e for e in shown):
-                for terms in (*columns(effect, around), *shape_columns(effect, around)):
+                for j, terms in enumerate((*columns(effect, around), *shape_columns(effect, around)), first):
                     rows[:, j] = _moved(terms, units)
-                    j += 1
-            else:
-                j += len(effect.values)
-        return np.asarray(self._scatter() + rows @ self._covariance @ rows.T)
+        curves = full.curves
+        for k, (own, sizes) in enumerate(curves.columns(around.samples.q[0])):
+            columns_of = slice(self._first[curves.of[k]] + own.start, self._first[curves.of[k]] + own.stop)
+            rows[:, columns_of] = np.outer(units[curves.place[k]][:, curves.direction[k]], sizes)
+        used = np.flatnonzero(rows.any(axis=0))  # of a curve's functions four
+        rows = rows[:, used]
+        return np.asarray(self._scatter() + rows @ self._covariance[np.ix_(used, used)] @ rows.T)
 
     def _of_closed(self, around: Drivers, target: Target) -> Array:
         """Covariance (6, 6) by the parameters and effects of a Delta: what lies in its base is not the arm's."""
@@ -248,27 +253,37 @@ class Correction:
 
 @dataclass(frozen=True)
 class _Parts:
-    """A model's effects by what they move: the arm, the tool, or the cell."""
+    """A model's effects by what they move: the arm, the tool, or the cell. curves: those of the arm that are computed
+    together; of_arm: the others.
+    """
 
     model: Model
+    curves: AxisCurves
     of_arm: tuple[Effect, ...]
     of_tool: tuple[Effect, ...]
     of_cell: tuple[Effect, ...]
 
     @classmethod
     def of(cls, model: Model) -> _Parts:
-        true = [e for e in model.effects if e.direction != JOINTS]
+        curves = AxisCurves.among(model.effects if is_serial_arm(model.chain) else (), model.chain)
+        true = [e for i, e in enumerate(model.effects) if e.direction != JOINTS and i not in curves.of]
         return cls(
             model,
+            curves,
             tuple(e for e in true if e.place not in ("base", "tool", "tracker") or e.direction == PAIRS),
             tuple(e for e in true if e.place == "tool" and e.direction != PAIRS),
             tuple(e for e in true if e.place in ("base", "tracker")),
         )
 
+    def twists(self, around: Drivers) -> dict[int, Array]:
+        """What the arm's effects move, (6, N) by place."""
+        twists, _ = motion(self.of_arm, around)
+        self.curves.add_to(twists, around.samples.q)
+        return twists
+
     def poses(self, postures: Array, around: Drivers, target: Target, base: Array | None) -> Array:
         """Poses of the target (N, 4, 4) in the base link, or seen from where the base (4, 4) is, with the cell's."""
-        twists, _ = motion(self.of_arm, around)
-        chain = self.model.chain
+        twists, chain = self.twists(around), self.model.chain
         if base is None:
             return self.behind(_tip(chain, postures, twists), around, target)
         in_cell, scale = motion(self.of_cell, around)
@@ -280,7 +295,7 @@ class _Parts:
 
     def joints(self, q: Array, around: Drivers) -> Array:
         """Where the joints stand when they report q (n,)."""
-        return self.turned(q, motion(self.of_arm, around)[0])
+        return self.turned(q, self.twists(around))
 
     def turned(self, q: Array, twists: Mapping[int, Array]) -> Array:
         """Joints (n,) at q (n,) with what these twists turn them by about their own axes."""

@@ -130,10 +130,15 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
     """For each amplitude of the effect its terms, at unit size."""
     chain = drivers.arm.chain
     if effect.direction == JOINTS:
-        return [[Term(chain.first_place + j, _axis(chain, j), size) for j, size in enumerate(_delay(effect, drivers))]]
+        return [
+            [
+                Term(chain.first_place + j, axis_direction(chain, j), size)
+                for j, size in enumerate(_delay(effect, drivers))
+            ]
+        ]
     if effect.driver == "velocity":
         j = chain.names.index(effect.place)
-        return [[Term(chain.first_place + j, _axis(chain, j), _delay(effect, drivers)[j])]]
+        return [[Term(chain.first_place + j, axis_direction(chain, j), _delay(effect, drivers)[j])]]
     x = drivers.values(effect.driver, effect.lag)
     k = place_index(effect.place, chain)
     if effect.direction == PAIRS:
@@ -279,7 +284,7 @@ def place_index(place: str, chain: Mechanism) -> int:
     return {"base": 0, "tool": chain.tool_place, "tracker": READING}[place]
 
 
-def _axis(chain: Mechanism, j: int) -> int:
+def axis_direction(chain: Mechanism, j: int) -> int:
     """The direction that joint j moves in."""
     return 5 if chain.revolute[j] else 2
 
@@ -287,7 +292,7 @@ def _axis(chain: Mechanism, j: int) -> int:
 def _directions(direction: str, chain: Mechanism, k: int) -> list[list[tuple[int, float]]]:
     """The directions of a place that move together, each with its share; one list for every amplitude."""
     if direction == AXIS:
-        return [[(_axis(chain, k - chain.first_place), 1.0)]]
+        return [[(axis_direction(chain, k - chain.first_place), 1.0)]]
     if direction == ACROSS:
         return [[(3, 1.0)], [(4, 1.0)]]
     if direction == LENGTH:

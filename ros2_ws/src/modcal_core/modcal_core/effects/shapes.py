@@ -178,25 +178,32 @@ def polynomial(x: Array, s: Settings) -> Array:
     return np.stack([u ** (k + 1) for k in range(int(s["degree"]))])
 
 
-def splines(x: Array, s: Settings) -> Array:
-    """``count`` cubic B-splines between ``low`` and ``high``, fading to nothing outside."""
-    count, low, high = int(s["count"]), s["low"], s["high"]
-    step = (high - low) / (count - SPLINE_DEGREE)
+def near_functions(x: Array, low: Array | float, step: Array | float, count: Array | float) -> tuple[Array, Array]:
+    """Cubic B-splines, the k-th about ``low + (k - 1) step``: number of the first of the four that are not zero at x,
+    like x, and the four values, (4, *x.shape). Those before 0 and from ``count`` on do not exist. NaN gives NaN.
+    """
     # counted in knots from the first centre; beyond the last knot every function is zero: nothing is claimed where
     # nothing was seen
     at = np.clip((x - low) / step + 1.0, -3.0, count + 2.0)
     unknown = np.isnan(at)
     at = np.where(unknown, 0.0, at)
     knot = np.floor(at)
-    u = at - knot
+    u = np.where(unknown, np.nan, at - knot)
     v = 1.0 - u
     near = (v**2 * v / 6.0, 2.0 / 3.0 - u**2 * (1.0 - 0.5 * u), 2.0 / 3.0 - v**2 * (1.0 - 0.5 * v), u**2 * u / 6.0)
+    return knot.astype(int) - 1, np.stack(near)
+
+
+def splines(x: Array, s: Settings) -> Array:
+    """``count`` cubic B-splines between ``low`` and ``high``, fading to nothing outside."""
+    count, low, high = int(s["count"]), s["low"], s["high"]
+    first, near = near_functions(x, low, (high - low) / (count - SPLINE_DEGREE), float(count))
     # only the four functions about a driver are not zero there
     out = np.zeros((count + 10, len(x)))
-    first, column = knot.astype(int) + 4, np.arange(len(x))
+    column = np.arange(len(x))
     for i, value in enumerate(near):
-        out[first + i, column] = value
-    out[:, unknown] = np.nan
+        out[first + (5 + i), column] = value
+    out[:, np.isnan(x)] = np.nan
     return out[5 : count + 5]
 
 

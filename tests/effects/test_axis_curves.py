@@ -1,0 +1,84 @@
+"""Curves that are computed together against the same effects one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from cells import samples_of, ur10
+from correction.test_compensation import calibration_of, moment, true_model
+
+from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.correction.arm_state import ArmState
+from modcal_core.correction.correction import Correction
+from modcal_core.effects.axis_curves import AxisCurves
+from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.effects.effect import AXIS, Effect, motion
+from modcal_core.effects.shapes import Shape
+from modcal_core.geometry import so3
+from modcal_core.geometry.so3 import Array
+
+CHAIN = ur10()
+
+
+def curve(rng: np.random.Generator, joint: int, count: int, at: int | None = None) -> Effect:
+    """A random curve over part of a joint's range, at the same joint or at another one."""
+    low = float(rng.uniform(-2.0, -1.0))
+    shape = Shape("spline", {"low": low, "high": low + float(rng.uniform(1.0, 3.0)), "count": float(count)})
+    of, place = CHAIN.names[joint], CHAIN.names[joint if at is None else at]
+    effect = Effect("residual", place, AXIS, f"position:{of}", shape)
+    return effect.started(1e-3 * rng.standard_normal(count))
+
+
+def effects_of(rng: np.random.Generator) -> tuple[Effect, ...]:
+    """Curves of one joint and of several, and between them what is none."""
+    side = Effect("residual", CHAIN.names[1], AXIS, f"direction:{CHAIN.names[1]}", Shape("linear"))
+    curves = [curve(rng, j, count, at) for j, count, at in ((1, 4, None), (1, 31, None), (4, 60, None), (0, 12, 2))]
+    return (curves[0], side.started(np.array([2e-4])), *curves[1:])
+
+
+def test_they_move_as_one_by_one(rng: np.random.Generator) -> None:
+    """Within the range, in the margin where they fade, beyond it, at its ends, and at a position that is not known."""
+    effects = effects_of(rng)
+    curves = AxisCurves.among(effects, CHAIN)
+    assert curves.of == (0, 2, 3, 4)
+    q = rng.uniform(-4.0, 4.0, (400, 6))
+    q[0, 1], q[1, 4], q[2] = effects[0].shape.settings["low"], effects[3].shape.settings["high"], 1e9
+    q[3, 4] = np.nan
+    around = Drivers(samples_of(CHAIN, q, np.tile(np.eye(4), (400, 1, 1))), NominalArm(CHAIN))
+    wanted, _ = motion(effects, around)
+    found, _ = motion([effects[1]], around)
+    curves.add_to(found, q)
+    assert found.keys() == wanted.keys()
+    for place, twist in wanted.items():
+        assert np.allclose(found[place], twist, rtol=0.0, atol=1e-18, equal_nan=True)
+    assert np.isnan(found[CHAIN.first_place + 4][5, 3])
+    assert np.abs(np.nan_to_num(found[CHAIN.first_place + 1])).max() > 1e-4
+
+
+def test_a_covariance_is_that_of_each_amplitude(rng: np.random.Generator) -> None:
+    """By differences: what a unit of each amplitude moves, squared and summed."""
+    effects = effects_of(rng)
+    model = true_model(*effects)
+    size = sum(len(e.values) for e in effects)
+    std = rng.uniform(0.5, 1.5, size) * 1e-5
+    made = calibration_of(model)
+    known = replace(made, uncertainty=Uncertainty((), np.diag(std**2)))
+    for q in rng.uniform(-2.5, 2.5, (4, 6)):
+        at = moment(q, rng)
+        C = Correction(known).covariance(q, at) - Correction(made).covariance(q, at)
+        assert np.allclose(C, _by_differences(effects, std, at), rtol=1e-3, atol=1e-14)
+        assert np.trace(C) > 1e-11
+
+
+def _by_differences(effects: tuple[Effect, ...], std: Array, at: ArmState) -> Array:
+    rows, step = [], 1e-6
+    pose = Correction(calibration_of(true_model(*effects))).pose(at.q, at)
+    for i, effect in enumerate(effects):
+        for k in range(len(effect.values)):
+            values = effect.values + step * (np.arange(len(effect.values)) == k)
+            moved = (*effects[:i], effect.started(values), *effects[i + 1 :])
+            T = Correction(calibration_of(true_model(*moved))).pose(at.q, at)
+            rows.append(np.r_[T[:3, 3] - pose[:3, 3], so3.log(T[:3, :3] @ pose[:3, :3].T)] / step)
+    J = np.array(rows)
+    return np.asarray(J.T @ (std[:, None] ** 2 * J))
