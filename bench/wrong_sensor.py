@@ -8,7 +8,7 @@ Random doors and drawers in MuJoCo that jam on the way or are locked, pulled by 
 * frozen: from 2 mm or 2 mrad before the jam, as soon as more than 0, 3, 12 or 25 N are felt, it says what it said then;
 * repeats: the same at 12 N, but to the last digit;
 * stuck: from 3 or 12 N on, wherever that is;
-* deaf: it says a fifth of what has been added since the first reading;
+* deaf, half: it says a fifth, or half, of what has been added since the first reading;
 * unconnected: it says what it said at first;
 * sound: nothing is wrong. What is free then must open, what jams must be let go.
 
@@ -35,6 +35,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import conftest  # noqa: E402, F401 (finds the install tree)
 import numpy as np  # noqa: E402
 from nodes.own_pull import pull  # noqa: E402
+from nodes.reported_efforts import KINDS, ReportedEfforts  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
@@ -50,10 +51,10 @@ LOOKED_AT, HELD_BACK = 0, 100  # first seeds
 LIMIT, LET_GO = 60.0, 10.0  # N
 NEAR = 2e-3  # m or rad before the jam
 NOISE = np.array([0.2] * 3 + [0.01] * 3)  # N, N m: that of the simulated sensor
-DEAF = 0.2
+DEAF = {"deaf": 0.2, "half": 0.5}
 FAULTS = (
-    "frozen 0", "frozen 3", "frozen 12", "frozen 25", "repeats 12", "stuck 3", "stuck 12", "deaf", "unconnected",
-    "sound",
+    "frozen 0", "frozen 3", "frozen 12", "frozen 25", "repeats 12", "stuck 3", "stuck 12", "deaf", "half",
+    "unconnected", "sound",
 )  # fmt: skip
 
 
@@ -74,8 +75,8 @@ class Sensor:
             return w
         if self.kind == "unconnected":
             return self._first + self._noise()
-        if self.kind == "deaf":
-            return self._first + DEAF * (w - self._first) + self._noise()
+        if self.kind in DEAF:
+            return self._first + DEAF[self.kind] * (w - self._first) + self._noise()
         if self._held is None and self._begins(w):
             self._held = w
         if self._held is None:
@@ -112,10 +113,20 @@ class Outcome:
         return self.peak < LIMIT and self.left < LET_GO and (self.stop != FREE or self.said.startswith("open to"))
 
 
-def run(seed: int, fault: str, servo: float, stated: float, late: float = 0.0, lead: float = 0.04) -> Outcome:
+def run(
+    seed: int,
+    fault: str,
+    servo: float,
+    stated: float,
+    late: float = 0.0,
+    lead: float = 0.04,
+    efforts: str = "",
+    integral: float = 0.0,
+) -> Outcome:
     """One pull in the scene of a seed. servo: stiffness of the joints [N m/rad]. stated: arm_stiffness_n_m [N/m].
 
-    late: mean delay of messages [s]. lead: max_joint_lead_rad.
+    late: mean delay of messages [s]. lead: max_joint_lead_rad. efforts: that joint states report, of
+    tests/nodes/reported_efforts.py. integral: time [s] in which the servos' integral part doubles a lead; 0: none.
     """
     rng = np.random.default_rng([seed, 24])
     kind, grasp = ("door", "drawer")[seed % 2], ("weld", "ball")[seed // 2 % 2]
@@ -128,7 +139,11 @@ def run(seed: int, fault: str, servo: float, stated: float, late: float = 0.0, l
     chosen = {"kind": kind, "grasp": grasp, "stop": stop}
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
     world = Pulling.of(URDF, CHAIN, scene, rng, Servo(effort_limits(URDF, CHAIN.names), servo))
-    done = pull(world, URDF, Sensor(fault, world, rng), late, arm_stiffness_n_m=stated, max_joint_lead_rad=lead)
+    reports = ReportedEfforts(efforts, URDF, world, np.random.default_rng([seed, 25])) if efforts else None
+    if integral:
+        _integrate(world, integral)
+    stiffness: dict[str, object] = {"arm_stiffness_n_m": stated, "max_joint_lead_rad": lead}
+    done = pull(world, URDF, Sensor(fault, world, rng), late, reports, **stiffness)
     for _ in range(50):  # as the arm stands where it was sent last
         world.forget()
         world.advance(0.004)
@@ -136,29 +151,48 @@ def run(seed: int, fault: str, servo: float, stated: float, late: float = 0.0, l
     return Outcome(seed, kind, grasp, servo, stop, fault, done.peak, left, done.opened, done.said)
 
 
+def _integrate(world: Pulling, time: float) -> None:
+    """Give the servos an integral part: they go on as long as the joints are not where they were referred to."""
+    refer, begun = world.refer, world.time
+    lead = np.zeros(world.chain.n)
+
+    def referred(q: Array) -> None:
+        nonlocal lead, begun
+        lead = lead + (world.time - begun) / time * (q - world.joints()[0])
+        begun = world.time
+        refer(q + lead)
+
+    world.refer = referred  # type: ignore[method-assign, assignment]
+
+
 def main() -> int:
     """Run it; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--scenes", type=int, default=12)
     parser.add_argument("--held-back", action="store_true", help="scenes that were not looked at")
+    parser.add_argument("--seed", type=int, default=None, help="of the first scene, instead of 0 or 100")
+    parser.add_argument("--every", type=int, default=1, help="so many seeds from one scene to the next")
     parser.add_argument("--only", default="", help="faults that have this word in them")
+    parser.add_argument("--verbose", action="store_true", help="a line of every pull, not only of bad ones")
     parser.add_argument("--servo", type=float, default=4000.0, help="stiffness of the joints [N m/rad]")
     parser.add_argument("--stated", type=float, default=100e3, help="arm_stiffness_n_m [N/m]")
     parser.add_argument("--lead", type=float, default=0.04, help="max_joint_lead_rad; 0.022 is true of these servos")
     parser.add_argument("--late", type=float, default=0.0, help="mean delay of messages, as on a busy machine [s]")
+    parser.add_argument("--efforts", default="", choices=("", *KINDS), help="what joint states report as effort")
+    parser.add_argument("--integral", type=float, default=0.0, help="time of the servos' integral part [s]")
     parser.add_argument("--out", type=Path, default=None, help="a file for the runs, as JSON")
     chosen = parser.parse_args()
     console, runs = Console(), []
-    first = HELD_BACK if chosen.held_back else LOOKED_AT
+    first = (HELD_BACK if chosen.held_back else LOOKED_AT) if chosen.seed is None else chosen.seed
     faults = [fault for fault in FAULTS if chosen.only in fault]
-    for seed in range(first, first + chosen.scenes):
+    world = chosen.servo, chosen.stated, chosen.late, chosen.lead, chosen.efforts, chosen.integral
+    for seed in range(first, first + chosen.scenes * chosen.every, chosen.every):
         for fault in faults:
-            one = run(seed, fault, chosen.servo, chosen.stated, chosen.late, chosen.lead)
+            one = run(seed, fault, *world)
             runs.append(one)
-            if not one.good:
-                console.print(
-                    f"{seed} {one.kind} {one.grasp} {fault}: {one.peak:.0f} N, {one.left:.0f} left; {one.said}"
-                )
+            if chosen.verbose or not one.good:
+                said = f"{seed} {one.kind} {one.grasp} {fault}: {one.peak:.0f} N, {one.left:.0f} left; {one.said}"
+                console.print(said, soft_wrap=True)
         if chosen.out is not None:
             chosen.out.write_text(json.dumps([asdict(one) for one in runs], indent=1) + "\n")
     console.print(_table(runs, faults))

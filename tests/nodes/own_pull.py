@@ -22,6 +22,7 @@ from modcal_core.impedance.wrench import Load
 from modcal_core.robots.kinematics import forward
 from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
 from modcal_nodes.setpoint.arm import SensedArm, limits, task
+from modcal_nodes.setpoint.joint_efforts import JointEfforts
 from modcal_nodes.setpoint.joint_softness import JointSoftness
 from modcal_nodes.simulation.pulling import Pulling
 
@@ -52,18 +53,25 @@ class Queue:
 
 
 def pull(
-    world: Pulling, urdf: str, sensed: Callable[[Array], Array] = lambda w: w, late: float = 0.0, **other: object
+    world: Pulling,
+    urdf: str,
+    sensed: Callable[[Array], Array] = lambda w: w,
+    late: float = 0.0,
+    efforts: Callable[[], Array] | None = None,
+    **other: object,
 ) -> Pull:
     """Pull with the nodes' default parameters, or others, until it says that it is over.
 
     sensed: what the force sensor makes of the wrench (6,) at its place. late: mean delay of joint states, wrenches and
-    references, each on its own way [s].
+    references, each on its own way [s]. efforts: what joint states report of them, if they do.
     """
     chosen = {name: parameter.default for name, parameter in IMPEDANCE_SETPOINT.items()} | other
     arm = SensedArm.of(urdf, chosen)
     arm.sensor.load = Load(world.scene.tool_mass, world.scene.tool_com)
     softest = JointSoftness.of(urdf, arm.chain, chosen["max_joint_lead_rad"]).least
-    operation = Operation(arm.chain, task(chosen), limits(arm.chain, chosen), softest)
+    operation = Operation(
+        arm.chain, task(chosen), limits(arm.chain, chosen), softest, JointEfforts.of(urdf, arm.chain).arm
+    )
     tracker, state = Tracker(), None
     period, opened, begun = operation.limits.period, 0.0, False
     rng = np.random.default_rng(0)
@@ -74,7 +82,7 @@ def pull(
         now = world.time
         if (q := references.newest(now)) is not None:
             world.refer(q)
-        states.send((world.joints()[0], now), now)
+        states.send((world.joints()[0], now, None if efforts is None else efforts()), now)
         wrenches.send((sensed(world.wrench()), now), now)
         opened = max(opened, world.opened)
         if late and rng.random() < _STALLS * period:
@@ -86,12 +94,12 @@ def pull(
             arm.sensor.receive(arm.chain.tip, felt[0], felt[1], now, _STALE)
         if heard is None:
             continue
-        q, stamp = heard
+        q, stamp, effort = heard
         T = forward(arm.chain, q)
         if k % _EVERY == 0 or state is None:
             pulled = float(np.linalg.norm(operation.force[:3])) > ARTICULATION_ESTIMATOR["pull_n"].default
             state = tracker.update(T[:3, 3], T[:3, :3], stamp, pulled)
-        answer = operation.tick(now, T, arm.sensor, JointPositions(q, stamp), state)
+        answer = operation.tick(now, T, arm.sensor, JointPositions(q, stamp, effort), state)
         if isinstance(answer, Stop):
             break
         if isinstance(answer, ArmSetpoint):

@@ -70,6 +70,7 @@ class Opening:
     opened: Array
     seconds: float
     gap: float  # s, the longest between two setpoints
+    by_efforts: tuple[str, ...] = ()  # force that the joints' efforts showed, as diagnostics said it
 
 
 def call(node: Node, wait: Wait, kind: type, name: str, request: Any, patience: float = 30.0) -> Any:
@@ -139,11 +140,11 @@ def open_it(
         until_over.enter_context(running(scenery))
         wait(lambda: told.forces and told.opened, 30.0)
         until_heard(node, wait)
-        begun = told.forces[-1][0]
+        begun, by_efforts = told.forces[-1][0], [""]
         begin(node, wait)
         wait(lambda: health.value(PULL, "phase"), 30.0)
         try:
-            wait(lambda: not health.value(PULL, "phase"), patience)
+            wait(lambda: _ended(health, by_efforts), patience)
             said = health.last[PULL].message
         except AssertionError:
             said = f"no end within {patience:g} s: {health.last[PULL].message}"
@@ -159,7 +160,15 @@ def open_it(
     # nothing pulls
     pulled = forces[forces[:, 0] >= (moving[0] - begun if moving else 0.0), 1]
     pull = Pull(float(forces[:, 1].max()), float(pulled.mean()), float(opened[:, 1].max()), goal, said)
-    return Opening(pull, forces, opened, ended - begun, float(np.diff(moving).max(initial=0.0)))
+    return Opening(pull, forces, opened, ended - begun, float(np.diff(moving).max(initial=0.0)), tuple(by_efforts[1:]))
+
+
+def _ended(health: Diagnostics, by_efforts: list[str]) -> bool:
+    """Whether the pull is over; what its efforts show is noted whenever it is new."""
+    said = health.value(PULL, "force by joint efforts N")
+    if said and said != by_efforts[-1]:
+        by_efforts.append(said)
+    return not health.value(PULL, "phase")
 
 
 def begin(node: Node, wait: Wait) -> None:

@@ -53,7 +53,7 @@ def test_a_locked_door_is_let_alone(tmp_path: Path) -> None:
 def test_a_drawer_that_jams_is_felt_below_the_limit_and_let_go(tmp_path: Path) -> None:
     """At a hard stop, half way and at full speed; up to there it opens gently."""
     # the goal, 0.15 m, lies beyond the stop
-    opening = opened(tmp_path, 1, share=0.5, kind="drawer", grasp="weld", stop=0.12)
+    opening = opened(tmp_path, 1, share=0.5, kind="drawer", grasp="weld", stop=0.12, publish_effort=True)
     assert not opening.pull.done
     assert opening.pull.opened == pytest.approx(0.12, abs=2e-3)
     met = opening.opened[np.argmax(opening.opened[:, 1] > 0.115), 0]
@@ -62,3 +62,6 @@ def test_a_drawer_that_jams_is_felt_below_the_limit_and_let_go(tmp_path: Path) -
     assert before.mean() <= 12.0
     assert 15.0 < opening.pull.peak < 60.0
     assert opening.forces[-10:, 1].mean() < 0.5 * opening.pull.peak
+    # the joints' efforts told of it as well, and of no more
+    shown = [float(newtons) for newtons in opening.by_efforts]
+    assert 15.0 < max(shown) < opening.pull.peak + 2.0

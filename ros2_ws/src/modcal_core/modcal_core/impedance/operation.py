@@ -20,6 +20,7 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry.single import relative, speeds
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance import tare
+from modcal_core.impedance.effort_check import ArmEfforts
 from modcal_core.impedance.impedance import Impedance
 from modcal_core.impedance.input_watch import InputWatch
 from modcal_core.impedance.letting_go import LettingGo
@@ -44,17 +45,24 @@ _MODEL_MOVED = 0.015, 0.04  # m, rad by which a goal may move before its way is 
 
 
 class Operation:
-    """One pull at one object. Tick it; it is over when a tick has said Stop, or after :meth:`stop`."""
+    """One pull at one object. Tick it; it is over when a tick has said Stop, or after :meth:`stop`.
 
-    def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits, softest: Array | None = None) -> None:
-        """For an arm (chain to the tool that is measured). softest (n,): stiffness of its joints at least [N m/rad]."""
+    tool_force: what is felt, and what tells whether that is all.
+    """
+
+    def __init__(self, chain: Chain, task: ImpedanceTask, limits: Limits, softest: Array | None = None,
+                 efforts: ArmEfforts | None = None) -> None:  # fmt: skip
+        """For an arm (chain to the tool that is measured). softest (n,): stiffness of its joints at least [N m/rad].
+
+        efforts: what is known of those that its joints report.
+        """
         self.chain, self.task, self.limits = chain, task, limits
         self.phase = "tare"
         self.monitor = SafetyMonitor(chain, limits)
         self.setpoint_filter = SetpointFilter(chain, limits)
         self.impedance = Impedance(task.gains(task.direction), task.blend)
         self.governor = SpeedGovernor(task.governor)
-        self._force = ToolForce(chain.n, task, limits, softest)
+        self.tool_force = ToolForce(chain.n, task, limits, softest, efforts)
         self.reached: Reach | None = None
         self.course: PathModel | None = None
         self.expected = self._measured = np.eye(4)
@@ -81,12 +89,7 @@ class Operation:
     @property
     def force(self) -> Array:
         """The wrench (6,) that is felt on the tool, in its axes."""
-        return self._force.felt
-
-    @property
-    def servos(self) -> str:
-        """By how much the joints' servos yield to the felt force, for a person; empty while that is not known."""
-        return self._force.servos
+        return self.tool_force.felt
 
     def stop(self, why: str) -> Stop:
         """End it now, whatever it does; what is let go says why it was."""
@@ -121,7 +124,7 @@ class Operation:
             kept = self.limits
             limits = replace(limits, displacement=kept.displacement, rotation=kept.rotation, gain=kept.gain)
         self.limits, self._watch.timeout = limits, limits.timeout
-        self._force.restrict(self.task, limits)
+        self.tool_force.restrict(self.task, limits)
         self.monitor.restrict(limits, now)
         self.setpoint_filter.limits = limits
         if why and self.phase != "release":
@@ -171,10 +174,12 @@ class Operation:
     def _weigh(
         self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
     ) -> Wait | Stop:
+        self.tool_force.efforts.rest(joints)
         over, why = self._tare.step(now, T, sensor, joints, state.silent)
         if why:
             return self.stop(why) if over else Wait(why)
         self.setpoint_filter.begin(joints.q, T)
+        self.tool_force.efforts.begin(T[:3, :3], self.setpoint_filter.jacobian)
         self.monitor.open(T, joints.q, now)
         self._pull = Exploration(T, self.task.direction, self.task.exploration_speed)
         self.expected = T
@@ -199,10 +204,10 @@ class Operation:
         self._measured = T
         age = max(now - joints.stamp, now - sensor.stamp)
         self.governor.heed(age, h)
-        self._force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
+        self.tool_force.take(now, T, sensor, joints, self.setpoint_filter, self.governor.braking)
         refused = self.monitor.overload(self.force)
         if refused is None and self.phase in _MOVING:
-            refused = self._force.refused(T, joints, self.setpoint_filter)
+            refused = self.tool_force.refused(T, joints, self.setpoint_filter)
         lost = self.phase in _MOVING and self._watch.estimator_lost(state.silent, now, self.task.input_timeout_s)
         if (refused is not None or lost) and self.phase != "release":
             self._let_go(str(refused or lost), now)
@@ -218,7 +223,7 @@ class Operation:
         else:
             goal = self.expected
         self.setpoint_filter.step(goal, h, self._posture())
-        self._force.sent(self.setpoint_filter, now)
+        self.tool_force.sent(self.setpoint_filter, now)
         self._last = now
         positions = dict(zip(self.chain.names, joints.q.tolist(), strict=True))
         heard = SensorReadings(positions, joints.stamp, T, self.force, self.chain.tip, sensor.stamp)
@@ -235,7 +240,7 @@ class Operation:
     def _explore(self, h: float, T: Array, state: ObjectModel) -> None:
         pull, now = self._pull, self._last + h
         assert pull is not None
-        ds = self._go(self.task.exploration_speed, h, self._force.exploring_speed(pull.progress(T)))
+        ds = self._go(self.task.exploration_speed, h, self.tool_force.exploring_speed(pull.progress(T)))
         sent = self.setpoint_filter.pose if self.task.mode == "admittance" else None
         self.expected = pull.advance(ds, T, h, sent)
         self.impedance.align(self.expected[:3, :3].T @ pull.moved)
@@ -279,7 +284,8 @@ class Operation:
             self._at = course.configuration(T)
         at = self._at
         left = course.left(at)
-        wanted = (self._force.following_speed if state.trusted else self._force.exploring_speed)(course.way - left)
+        force = self.tool_force
+        wanted = (force.following_speed if state.trusted else force.exploring_speed)(course.way - left)
         wanted = min(wanted, math.sqrt(0.2 * max(left, 0.0)) + 0.01)
         # the arm may be slower than the way: its joints set the pace then
         wanted *= min(1.0, max(0.0, 2.0 - self.setpoint_filter.lag(self._goal_now()) / 0.005))
@@ -314,8 +320,8 @@ class Operation:
 
     def _go(self, wanted: float, h: float, most: float = math.inf) -> float:
         """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it, and never above most."""
-        sight = self.governor.in_sight(self._force.size, self._force.delay)
-        return self.governor.step(wanted, min(most, sight), self._force.foreseen, h)
+        sight = self.governor.in_sight(self.tool_force.size, self.tool_force.delay)
+        return self.governor.step(wanted, min(most, sight), self.tool_force.foreseen, h)
 
     def _enter(self, phase: str, now: float) -> None:
         self.phase, self._since = phase, now

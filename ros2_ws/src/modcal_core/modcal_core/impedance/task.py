@@ -39,10 +39,14 @@ class ObjectModel(Protocol):
 
 @dataclass(frozen=True)
 class JointPositions:
-    """Positions q (n,) of the chain's joints, in its order, and when they were so [s]."""
+    """Positions q (n,) of the chain's joints, in its order, and when they were so [s].
+
+    effort (n,): what the joints gave then, as reported [N m; N]; None where that is not known of all.
+    """
 
     q: Array
     stamp: float
+    effort: Array | None = None
 
 
 @dataclass(frozen=True)

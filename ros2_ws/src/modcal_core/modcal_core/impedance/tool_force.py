@@ -8,6 +8,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.effort_check import ArmEfforts, EffortCheck
 from modcal_core.impedance.joint_lead_check import JointLeadCheck
 from modcal_core.impedance.lead_check import LeadCheck, Stiffness
 from modcal_core.impedance.safety_monitor import Limits
@@ -25,11 +26,21 @@ class ToolForce:
     """felt (6,): wrench on the tool in its axes. foreseen (6,): what it will have come to when the arm stands.
 
     delay: from a touch until the arm begins to brake [s]. size: of the felt force and of what the servos show beside
-    it [N]; ``foreseen`` has that as well.
+    it, or of what the efforts show where that is more [N]; ``foreseen`` has that as well. efforts: see there.
     """
 
-    def __init__(self, joints: int, task: ImpedanceTask, limits: Limits, least: Array | None = None) -> None:
-        """Nothing is felt yet. least (joints,): stiffness of each joint's servo at least [N m/rad], if known."""
+    def __init__(
+        self,
+        joints: int,
+        task: ImpedanceTask,
+        limits: Limits,
+        least: Array | None = None,
+        arm: ArmEfforts | None = None,
+    ) -> None:
+        """Nothing is felt yet. least (joints,): stiffness of each joint's servo at least [N m/rad], if known.
+
+        arm: what is known of the efforts that they report.
+        """
         self.task, self.limits = task, limits
         self.felt, self.foreseen = np.zeros(6), np.zeros(6)
         self.delay = self.size = 0.0
@@ -37,6 +48,7 @@ class ToolForce:
         self._leads = LeadCheck(_stiffness(task))
         self._unfelt = UnfeltForce(joints, task.servo_lag, limits.period)
         known = np.full(joints, np.nan) if least is None else least
+        self.efforts = EffortCheck(arm, task.gravity)
         self._joints = JointLeadCheck(known, task.servo_lag, limits.period)
         judged = task.mode == "admittance" and bool(np.isfinite(known).any())
         self._evidence, self._least = SensorEvidence(judged), known
@@ -59,10 +71,11 @@ class ToolForce:
         self._joints.heard(joints.stamp, now)
         if (servos := self._unfelt.servos) is not None:
             self._joints.learned(*servos)
+        self.efforts.take(joints, T[:3, :3], sent.jacobian)
         age = max(now - joints.stamp, now - sensor.stamp, 0.0)
         self.delay = age + self.limits.period + sensor.lag + self._foresight.lag + task.servo_lag
         felt = math.sqrt(self.felt[:3] @ self.felt[:3])
-        self.size = felt + self._unfelt.force
+        self.size = max(felt + self._unfelt.force, self.efforts.force)
         known = self.felt.copy()
         known[:3] = known[:3] * (self.size / felt) if felt > 0.0 else (self.size, 0.0, 0.0)
         self.foreseen = self._foresight.ahead(known, sensor.stamp, self.delay + braking)
@@ -80,6 +93,7 @@ class ToolForce:
         if refused is None and self.task.mode == "admittance":
             stiffest = self.task.arm_stiffness
             refused = self._joints.refused(joints.q, joints.stamp, self.felt, sent.jacobian, most, stiffest)
+        refused = refused or self.efforts.refused(felt, joints.stamp, most)
         return refused or self._evidence.refused() or self._unfelt.refused(self.felt, most)
 
     def exploring_speed(self, progress: float) -> float:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.geometry.single import crossed_rows
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import Frames, frames
+from modcal_core.robots.kinematics import Frames, frames, posture_frames
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 STANDARD_GRAVITY = 9.80665  # m/s²
@@ -23,6 +24,28 @@ def gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Array | No
     f = frames(chain, q)
     centres = np.stack([_centre(chain, inertias, q, f, k, moved) for k in range(chain.n)])
     return _wrench(chain, f, inertias.mass, centres, inertias.down, inertias.held)
+
+
+def holding_efforts(chain: Chain, inertias: Inertias, q: Array) -> tuple[Array, Array]:
+    """What the joints give at rest for the weight of their bodies, and of 1 kg at the tip, (n,) each [N m; N].
+
+    Of one posture q (n,), for where a clock runs; of an arm that is held at its base.
+    """
+    before, tip = posture_frames(chain, q)
+    axes, p = before[:, :3, 2], before[:, :3, 3]
+    x, y, z = np.einsum("ki,kij->jk", inertias.com, chain.joint_basis)
+    turn, slide = q * chain.revolute, np.where(chain.revolute, 0.0, q)
+    c, s = np.cos(turn), np.sin(turn)
+    local = np.stack([c * x - s * y, s * x + c * y, z + slide], axis=1)
+    centres = p + np.einsum("kij,kj->ki", before[:, :3, :3], local)
+    weight = STANDARD_GRAVITY * inertias.mass
+    beyond = np.cumsum(weight[::-1])[::-1]  # of all bodies that a joint carries [N]
+    moments = np.cumsum((weight[:, None] * centres)[::-1], axis=0)[::-1] - beyond[:, None] * p
+    across = crossed_rows(np.broadcast_to(inertias.down, axes.shape), axes)  # (moment × down) · axis
+    along = axes @ inertias.down
+    own = np.where(chain.revolute, (moments * across).sum(axis=1), beyond * along)
+    held = STANDARD_GRAVITY * np.where(chain.revolute, ((tip[:3, 3] - p) * across).sum(axis=1), along)
+    return -own, -held
 
 
 def payload_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:

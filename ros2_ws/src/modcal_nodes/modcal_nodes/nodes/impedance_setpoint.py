@@ -37,6 +37,7 @@ from modcal_nodes.ros.transitions import noted
 from modcal_nodes.setpoint.arm import limits, task
 from modcal_nodes.setpoint.arm_inputs import ArmInputs
 from modcal_nodes.setpoint.changes import require_changeable
+from modcal_nodes.setpoint.joint_efforts import JointEfforts
 from modcal_nodes.setpoint.joint_softness import JointSoftness
 from modcal_nodes.setpoint.publishers import SetpointPublishers
 
@@ -62,7 +63,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._operation: Operation | None = None
         self._said = "nothing was pulled yet"
         self._level = OK
-        self._judged_by = ""
+        self._judged_by, self._efforts = "", JointEfforts(None)
         self._inputs: list[MonitoredSubscription] = []
         self._outputs: SetpointPublishers | None = None
         self._timer: Timer | None = None
@@ -261,9 +262,10 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._arm is None:
             raise BadCommand("robot_description", "not received yet", "publish it (latched), or set the parameter")
         self._arm.require_fresh(self._now())
-        arm = self._arm
-        softness = self._softness(arm)
-        self._operation = Operation(arm.chain, task(self._chosen), limits(arm.chain, self._chosen), softness.least)
+        arm, softness = self._arm, self._softness(self._arm)
+        self._efforts = JointEfforts.of(arm.arm.urdf, arm.chain)
+        known = limits(arm.chain, self._chosen), softness.least, self._efforts.arm
+        self._operation = Operation(arm.chain, task(self._chosen), *known)
         self._judged_by = softness.said
         if softness.unknown:
             self.get_logger().warning(f"a force that the sensor does not tell is judged by {softness.said}")
@@ -379,7 +381,8 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             "phase": self._operation.phase if self._operation else "",
             "force N": f"{float(np.linalg.norm(self._operation.force[:3])):.1f}" if self._operation else "",
             "unfelt force judged by": self._judged_by,
-            "joints yield to what is felt": self._operation.servos if self._operation else "",
+            "joints yield to what is felt": self._operation.tool_force.servos if self._operation else "",
+            "force by joint efforts N": self._efforts.said(self._operation),
             "tick ms, median": f"{took[0]:.2f}",
             "tick ms, 99 %": f"{took[1]:.2f}",
         }

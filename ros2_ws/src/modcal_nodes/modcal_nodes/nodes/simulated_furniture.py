@@ -58,7 +58,7 @@ class SimulatedFurniture(GuardedNode):
         servo = Servo(effort_limits(text, chain.names), chosen["servo_stiffness"], chosen["servo_lag_s"])
         noise = np.random.default_rng(chosen["seed"] + 1)
         self._world = Pulling.of(text, chain, scene, noise, servo, chosen["noise_n"], chosen["noise_nm"])
-        self._refused = ""
+        self._refused, self._reports_effort = "", chosen["publish_effort"]
 
         self._joints = self.create_publisher(JointState, "joint_states", _DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "wrench", _DEPTH)
@@ -165,7 +165,7 @@ class SimulatedFurniture(GuardedNode):
 
     def _send_joints(self, when: tuple[int, int]) -> None:
         q, v = self._world.joints()
-        self._joints.publish(self._states.fill(when, q, v, None))
+        self._joints.publish(self._states.fill(when, q, v, self._world.efforts() if self._reports_effort else None))
 
     def _send_wrench(self, when: tuple[int, int]) -> None:
         self._wrench.publish(_filled(self._felt, when, self._world.wrench()))

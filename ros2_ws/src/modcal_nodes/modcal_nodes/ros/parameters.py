@@ -175,6 +175,7 @@ SIMULATED_FURNITURE = {
     "time_factor": Parameter(1.0, "Simulated seconds per real second.", 0.01, 10.0),
     "noise_n": Parameter(0.2, "Noise of a force, per axis [N].", 0.0, 10.0),
     "noise_nm": Parameter(0.01, "Noise of a torque, per axis [N m].", 0.0, 1.0),
+    "publish_effort": Parameter(False, "Whether joint states contain what the drives give as effort."),
 }
 
 

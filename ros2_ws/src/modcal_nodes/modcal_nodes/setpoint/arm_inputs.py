@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
@@ -61,8 +62,9 @@ class ArmInputs:
         return min(stamp, self._tool[0]), self._tool[1]
 
     def positions(self, stamp: float) -> JointPositions:
-        """The joints' positions, as of this stamp [s]."""
-        return JointPositions(self._joints.position.copy(), stamp)
+        """The joints' positions, and the efforts that they report, as of this stamp [s]."""
+        effort = self._joints.effort
+        return JointPositions(self._joints.position.copy(), stamp, effort.copy() if np.isfinite(effort).all() else None)
 
     def require_fresh(self, now: float) -> None:
         """Raises BadCommand unless everything that a pull needs was heard of late."""

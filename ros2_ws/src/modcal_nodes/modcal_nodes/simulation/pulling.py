@@ -137,6 +137,14 @@ class Pulling:
         """Positions and velocities of the arm's joints, (n,) each."""
         return self.data.qpos[self._arm].copy(), self.data.qvel[self._arm_v].copy()
 
+    def efforts(self) -> Array:
+        """What the drives give (n,) [N m; N], the weight that they bear included."""
+        return np.asarray(self.data.qfrc_actuator[self._arm_v] + self.weight())
+
+    def weight(self) -> Array:
+        """What the arm's own weight and the tool's take of the drives (n,) [N m; N]."""
+        return self.data.qfrc_gravcomp[self._arm_v].copy()
+
     def reference(self) -> Array:
         """Where the servos are sent (n,)."""
         return self.data.ctrl.copy()

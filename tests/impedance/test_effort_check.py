@@ -1,0 +1,139 @@
+"""Joints' efforts show the force on the tool, whatever a wrench sensor says; those that are no torques show none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from impedance.toy import PANDA, PERIOD, READY, ROOT
+
+from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.effort_check import ArmEfforts, EffortCheck
+from modcal_core.impedance.task import JointPositions
+from modcal_core.impedance.wrench import DOWN
+from modcal_core.robots.gravity import gravity_wrench, holding_efforts, payload_wrench
+from modcal_core.robots.kinematics import pose_and_jacobian
+from modcal_core.robots.urdf_drives import read_drives
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
+
+MAX, STANDS = 50.0, 47.5  # N: that may be felt; at which a pull stands
+HANGS = 0.7  # kg at the tip, of which the robot description knows nothing
+CLENCHED = np.array(
+    [1.5, -1.0, 2.0, 0.1, 0.05, -0.1]
+)  # N, N m: of the hand about the handle, before anything is pulled
+
+
+@pytest.fixture(scope="module")
+def arm() -> ArmEfforts:
+    text = (ROOT / "examples" / "robots" / "panda.urdf").read_text()
+    return ArmEfforts(PANDA, read_inertias(text, PANDA), read_drives(text, PANDA).torque)
+
+
+class Reports:
+    """Efforts by the tables of before, with gains, zeros and noise of their own. dry: friction, of the full effort."""
+
+    def __init__(self, arm: ArmEfforts, rng: np.random.Generator, dry: float = 0.0) -> None:
+        self.arm, self._rng = arm, rng
+        self._gain = 1.0 + rng.uniform(-0.02, 0.02, arm.chain.n)
+        self._zero = 0.004 * arm.full * rng.uniform(-1.0, 1.0, arm.chain.n)
+        self._dry = dry * arm.full * rng.uniform(-1.0, 1.0, arm.chain.n)
+
+    def at(self, q: Array, wrench: Array) -> Array:
+        chain, bodies = self.arm.chain, self.arm.bodies
+        weight = gravity_wrench(chain, bodies, q[None])[:, 5, 0] + HANGS * payload_wrench(chain, q[None])[:, 5, 0]
+        true = -weight - pose_and_jacobian(chain, q)[1].T @ (wrench + CLENCHED)
+        return self._gain * true + self._zero + self._dry + 1e-3 * self.arm.full * self._rng.standard_normal(chain.n)
+
+
+def begun(reports: Reports, scale: float = 1.0, weight: bool = True) -> EffortCheck:
+    """A check that has seen the arm stand. scale: of what is reported. weight: whether that has the arm's own in it."""
+    arm = reports.arm
+    check = EffortCheck(arm, DOWN)
+    T, J = pose_and_jacobian(arm.chain, READY)
+    own = 0.0 if weight else holding_efforts(arm.chain, arm.bodies, READY)[0]
+    for k in range(30):
+        check.rest(JointPositions(READY, k * PERIOD, scale * (reports.at(READY, np.zeros(6)) - own)))
+    check.begin(T[:3, :3], J)
+    return check
+
+
+def shown(check: EffortCheck, reports: Reports, force: Array, felt: float) -> tuple[float, float | None]:
+    """(the force [N] that is shown at least at the end of half a second in which the tool goes some way and a force (3,) [N]
+    in the base comes up; the true force at which it stood or was let go, None if never).
+    """
+    q, start = READY.copy(), 31 * PERIOD
+    for k in range(round(0.5 / PERIOD)):
+        share = 2.0 * k * PERIOD
+        q = READY + share * np.array([0.1, 0.2, -0.1, 0.2, 0.0, 0.1, 0.3])
+        T, J = pose_and_jacobian(PANDA, q)
+        wrench = np.concatenate([T[:3, :3].T @ (share * force), np.zeros(3)])
+        stamp = start + k * PERIOD
+        check.take(JointPositions(q, stamp, reports.at(q, wrench)), T[:3, :3], J)
+        if check.refused(felt * share, stamp, MAX) is not None or check.force > STANDS:
+            return check.force, float(share * np.linalg.norm(force))
+    return check.force, None
+
+
+def test_the_weight_of_one_posture_is_that_of_many(arm: ArmEfforts, rng: np.random.Generator) -> None:
+    for _ in range(5):
+        q = rng.uniform(arm.chain.lower, arm.chain.upper)
+        down = rng.standard_normal(3)
+        bodies = arm.bodies.pulled(down)
+        own, load = holding_efforts(arm.chain, bodies, q)
+        np.testing.assert_allclose(own, -gravity_wrench(arm.chain, bodies, q[None])[:, 5, 0], atol=1e-12)
+        np.testing.assert_allclose(load, -payload_wrench(arm.chain, q[None], bodies.down)[:, 5, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_what_a_sensor_hides_is_found_below_the_limit(arm: ArmEfforts, share: float) -> None:
+    """Of a sensor that says nothing, or half, whichever way the force acts."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        way = rng.standard_normal(3)
+        reports = Reports(arm, rng)
+        check = begun(reports)
+        assert not check.unusable
+        _, let_go = shown(check, reports, 120.0 * way / np.linalg.norm(way), 120.0 * share)
+        assert let_go is not None
+        assert 0.4 * MAX / (1.0 - share) < let_go < 1.3 * MAX
+
+
+def test_a_sensor_that_says_all_is_believed_and_no_more_is_shown_than_there_is(arm: ArmEfforts) -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        way = rng.standard_normal(3)
+        force, let_go = shown(begun(r := Reports(arm, rng)), r, 45.0 * way / np.linalg.norm(way), 45.0)
+        assert let_go is None
+        assert 0.6 * 45.0 < force < 48.0
+
+
+def test_what_is_no_torque_is_not_used_and_the_reason_is_said(arm: ArmEfforts, rng: np.random.Generator) -> None:
+    currents, weightless = begun(Reports(arm, rng), scale=0.1), begun(Reports(arm, rng), weight=False)
+    geared = begun(Reports(arm, rng, dry=0.15))
+    for check in (currents, weightless, geared):
+        assert "weight takes" in check.unusable or "full effort" in check.unusable
+        assert shown(check, Reports(arm, rng), np.array([0.0, 0.0, 200.0]), 0.0) == (0.0, None)
+    without = EffortCheck(arm, DOWN)
+    without.begin(np.eye(3), pose_and_jacobian(arm.chain, READY)[1])
+    assert "no efforts" in without.unusable
+
+
+def test_friction_that_turns_about_makes_no_force(arm: ArmEfforts) -> None:
+    """Gears whose friction bears two hundredths of the full effort one way as the arm stands, and the other as it goes."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        standing, going = Reports(arm, rng, dry=0.02), Reports(arm, rng, dry=0.02)
+        check = begun(standing)
+        force, let_go = shown(check, going, np.array([0.0, 0.0, 10.0]), 10.0)
+        assert let_go is None
+        assert force < 20.0
+
+
+def test_an_arm_without_masses_shows_no_force(arm: ArmEfforts) -> None:
+    none = np.zeros_like
+    bare = Inertias(none(arm.bodies.mass), none(arm.bodies.com), none(arm.bodies.inertia))
+    check = EffortCheck(ArmEfforts(arm.chain, bare, arm.full), DOWN)
+    T, J = pose_and_jacobian(arm.chain, READY)
+    for k in range(30):
+        check.rest(JointPositions(READY, k * PERIOD, np.ones(arm.chain.n)))
+    check.begin(T[:3, :3], J)
+    assert check.unusable
