@@ -144,6 +144,6 @@ class EffortCheck:
         assert self._bodies is not None
         self._own = holding_efforts(self._arm.chain, self._bodies, q)[0]
         A = -J.T / self._error[:, None]
-        covariance: Array = np.linalg.inv(A.T @ A + _PRIOR)
-        self._shows = covariance @ (A.T / self._error)
+        covariance = np.asarray(np.linalg.inv(A.T @ A + _PRIOR), dtype=float)
+        self._shows = np.asarray(covariance @ (A.T / self._error), dtype=float)
         self._covariance = covariance[:3, :3]
