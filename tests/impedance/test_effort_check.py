@@ -10,7 +10,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.effort_check import ArmEfforts, EffortCheck
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import DOWN
-from modcal_core.robots.gravity import gravity_wrench, holding_efforts, payload_wrench
+from modcal_core.robots.gravity import HeldWeight, gravity_wrench, payload_wrench
 from modcal_core.robots.kinematics import pose_and_jacobian
 from modcal_core.robots.urdf_drives import read_drives
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
@@ -49,7 +49,7 @@ def begun(reports: Reports, scale: float = 1.0, weight: bool = True) -> EffortCh
     arm = reports.arm
     check = EffortCheck(arm, DOWN)
     T, J = pose_and_jacobian(arm.chain, READY)
-    own = 0.0 if weight else holding_efforts(arm.chain, arm.bodies, READY)[0]
+    own = 0.0 if weight else HeldWeight(arm.chain, arm.bodies).efforts(READY)
     for k in range(30):
         check.rest(JointPositions(READY, k * PERIOD, scale * (reports.at(READY, np.zeros(6)) - own)))
     check.begin(T[:3, :3], J)
@@ -78,9 +78,11 @@ def test_the_weight_of_one_posture_is_that_of_many(arm: ArmEfforts, rng: np.rand
         q = rng.uniform(arm.chain.lower, arm.chain.upper)
         down = rng.standard_normal(3)
         bodies = arm.bodies.pulled(down)
-        own, load = holding_efforts(arm.chain, bodies, q)
-        np.testing.assert_allclose(own, -gravity_wrench(arm.chain, bodies, q[None])[:, 5, 0], atol=1e-12)
-        np.testing.assert_allclose(load, -payload_wrench(arm.chain, q[None], bodies.down)[:, 5, 0], atol=1e-12)
+        weight = HeldWeight(arm.chain, bodies)
+        np.testing.assert_allclose(weight.efforts(q), -gravity_wrench(arm.chain, bodies, q[None])[:, 5, 0], atol=1e-12)
+        np.testing.assert_allclose(
+            weight.of_load(q), -payload_wrench(arm.chain, q[None], bodies.down)[:, 5, 0], atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])

@@ -28,7 +28,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import LowPass
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import holding_efforts
+from modcal_core.robots.gravity import HeldWeight
 from modcal_core.robots.urdf_inertias import Inertias
 
 _READINGS, _STANDS = 50, 2e-3  # readings at rest that count; rad or m by which they may differ
@@ -62,7 +62,7 @@ class EffortCheck:
         self.force = 0.0
         self.unusable = "" if arm is not None else "masses or efforts of the joints are not known"
         self._arm = arm
-        self._bodies = None if arm is None else arm.bodies.pulled(down)
+        self._weight = None if arm is None else HeldWeight(arm.chain, arm.bodies.pulled(down))
         self._filter = LowPass(_CUTOFF)
         self._rest: deque[tuple[Array, Array]] = deque(maxlen=_READINGS)
         self._error = np.zeros(0)  # (n,) standard deviation of the joints' efforts [N m; N]
@@ -83,14 +83,14 @@ class EffortCheck:
 
     def begin(self, R: Array, J: Array) -> None:
         """The pull begins: see whether efforts are torques. R (3, 3): the tool in the base; J (6, n): of the tool."""
-        arm, bodies = self._arm, self._bodies
-        if arm is None or bodies is None:
+        arm, weight = self._arm, self._weight
+        if arm is None or weight is None:
             return
         if len(self._rest) < _FEWEST:
             self.unusable = "joint states contain no efforts"
             return
         q, effort = self._rest[-1][0], np.mean([e for _, e in self._rest], axis=0)
-        own, load = holding_efforts(arm.chain, bodies, q)
+        own, load = weight.efforts(q), weight.of_load(q)
         left, per = (effort - own) / arm.full, load / arm.full
         mass = float(left @ per) / max(float(per @ per), 1e-12)
         left = left - mass * per
@@ -105,7 +105,8 @@ class EffortCheck:
             self.unusable = f"at rest they are off by {100.0 * error:.0f} % of the joints' full effort"
             return
         self._error = _TWICE * max(error, _FLOOR) * arm.full
-        self._look_up(q, J)
+        self._own = own
+        self._look_up(J)
         self._at_first = R @ (self._shows @ (effort - self._own))[:3]
 
     def take(self, joints: JointPositions, R: Array, J: Array) -> None:
@@ -117,7 +118,10 @@ class EffortCheck:
             return
         effort, self._stamp = self._filter.take(joints.effort, joints.stamp), joints.stamp
         if self._taken % _EVERY == 0:
-            self._look_up(joints.q, J)
+            assert self._weight is not None
+            self._own = self._weight.efforts(joints.q)
+        elif self._taken % _EVERY == _EVERY // 2:  # not both at once, which takes longer
+            self._look_up(J)
         self._taken += 1
         f = (self._shows @ (effort - self._own))[:3] - R.T @ self._at_first
         size = math.sqrt(f @ f)
@@ -138,11 +142,8 @@ class EffortCheck:
         said = f"{felt:.0f} N are felt but the efforts of the joints show {self._surely:.0f} N at least"
         return BadCommand("wrench", said, "check the force sensor, and the efforts of joint_states")
 
-    def _look_up(self, q: Array, J: Array) -> None:
-        """The efforts that the weight takes here, and what others show."""
-        assert self._arm is not None
-        assert self._bodies is not None
-        self._own = holding_efforts(self._arm.chain, self._bodies, q)[0]
+    def _look_up(self, J: Array) -> None:
+        """Find what efforts beyond the weight's show here."""
         A = -J.T / self._error[:, None]
         covariance = np.asarray(np.linalg.inv(A.T @ A + _PRIOR), dtype=float)
         self._shows = np.asarray(covariance @ (A.T / self._error), dtype=float)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from operator import itemgetter
 
 import numpy as np
 
@@ -55,12 +56,14 @@ class JointLeadCheck:
         self._stamp = -math.inf
         self._beyond = 0
         self._late: deque[tuple[float, float]] = deque()  # when, and by how much [s]
+        self._latest = 0.0  # most of them
 
     def heard(self, stamp: float, now: float) -> None:
         """Note that the joints of ``stamp`` [s] are the newest now [s]: as late a reference may come to the servos."""
         silent = now - self._late[-1][0] - self._period if self._late else 0.0
         self._late.append((now, max(now - stamp, silent, 0.0)))
         _forget(self._late, now - _REMEMBERED)
+        self._latest = max(map(itemgetter(1), self._late))
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
@@ -69,7 +72,7 @@ class JointLeadCheck:
         _forget(self._sent, now - _REMEMBERED)
         before = next(((t, r) for t, r in reversed(self._sent) if t <= now - _SPAN), self._sent[0])
         self._asked.append((now, (q - before[1]) / (now - before[0]) if now > before[0] else np.zeros(len(q))))
-        late = _BOTH_WAYS * max((by for _, by in self._late), default=0.0)
+        late = _BOTH_WAYS * self._latest
         _forget(self._asked, now - _GATHERS * self._lag - late)
         speeds = np.array([speed for _, speed in self._asked])
         self._gained.append((now, np.stack([speeds[-1] - speeds.max(axis=0), speeds[-1] - speeds.min(axis=0)])))
@@ -89,7 +92,7 @@ class JointLeadCheck:
 
         q (n,): measured at ``stamp`` [s]. J (6, n): the tool's Jacobian, in its axes as the wrench.
         """
-        late = _BOTH_WAYS * max((by for _, by in self._late), default=0.0)
+        late = _BOTH_WAYS * self._latest
         before = [(t, r) for t, r in self._sent if t <= stamp]
         if not before or self._begun is None:
             return np.zeros(len(q))

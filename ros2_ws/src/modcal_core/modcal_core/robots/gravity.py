@@ -26,26 +26,46 @@ def gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Array | No
     return _wrench(chain, f, inertias.mass, centres, inertias.down, inertias.held)
 
 
-def holding_efforts(chain: Chain, inertias: Inertias, q: Array) -> tuple[Array, Array]:
-    """What the joints give at rest for the weight of their bodies, and of 1 kg at the tip, (n,) each [N m; N].
+class HeldWeight:
+    """What joints give at rest for the weight of their bodies, of one posture at a time, for where a clock runs.
 
-    Of one posture q (n,), for where a clock runs; of an arm that is held at its base.
+    Of an arm that is held at its base.
     """
-    before, tip = posture_frames(chain, q)
-    axes, p = before[:, :3, 2], before[:, :3, 3]
-    x, y, z = np.einsum("ki,kij->jk", inertias.com, chain.joint_basis)
-    turn, slide = q * chain.revolute, np.where(chain.revolute, 0.0, q)
-    c, s = np.cos(turn), np.sin(turn)
-    local = np.stack([c * x - s * y, s * x + c * y, z + slide], axis=1)
-    centres = p + np.einsum("kij,kj->ki", before[:, :3, :3], local)
-    weight = STANDARD_GRAVITY * inertias.mass
-    beyond = np.cumsum(weight[::-1])[::-1]  # of all bodies that a joint carries [N]
-    moments = np.cumsum((weight[:, None] * centres)[::-1], axis=0)[::-1] - beyond[:, None] * p
-    across = crossed_rows(np.broadcast_to(inertias.down, axes.shape), axes)  # (moment × down) · axis
-    along = axes @ inertias.down
-    own = np.where(chain.revolute, (moments * across).sum(axis=1), beyond * along)
-    held = STANDARD_GRAVITY * np.where(chain.revolute, ((tip[:3, 3] - p) * across).sum(axis=1), along)
-    return -own, -held
+
+    def __init__(self, chain: Chain, inertias: Inertias) -> None:
+        """Of the bodies of a chain."""
+        self._chain, self._down = chain, inertias.down
+        self._local = np.einsum("ki,kij->kj", inertias.com, chain.joint_basis)  # with the joints' axes as z [m]
+        self._weight = (STANDARD_GRAVITY * inertias.mass)[:, None]
+        self._beyond = np.cumsum(self._weight[::-1], axis=0)[::-1]  # of all bodies that a joint carries [N]
+
+    def efforts(self, q: Array) -> Array:
+        """Of a posture q (n,), (n,) [N m; N]."""
+        before, _ = posture_frames(self._chain, q)
+        p = before[:, :3, 3]
+        x, y, z = self._local.T
+        c, s = np.cos(q), np.sin(q)
+        local = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+        if not self._chain.revolute.all():
+            slides = np.stack([x, y, z + q], axis=1)
+            local = np.where(self._chain.revolute[:, None], local, slides)
+        centres = p + (before[:, :3, :3] @ local[:, :, None])[:, :, 0]
+        moments = np.cumsum((self._weight * centres)[::-1], axis=0)[::-1] - self._beyond * p
+        return self._about(before, moments, self._beyond)
+
+    def of_load(self, q: Array) -> Array:
+        """The same (n,) for 1 kg at the tip."""
+        before, tip = posture_frames(self._chain, q)
+        weight = np.full((len(q), 1), STANDARD_GRAVITY)
+        return self._about(before, weight * (tip[:3, 3] - before[:, :3, 3]), weight)
+
+    def _about(self, before: Array, moments: Array, weight: Array) -> Array:
+        """Efforts against weights (n, 1) [N] that have moments (n, 3) [N m] about the joints."""
+        axes = before[:, :3, 2]
+        turning = -(moments * crossed_rows(np.broadcast_to(self._down, axes.shape), axes)).sum(axis=1)
+        if self._chain.revolute.all():
+            return np.asarray(turning)
+        return np.where(self._chain.revolute, turning, -weight[:, 0] * (axes @ self._down))
 
 
 def payload_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
