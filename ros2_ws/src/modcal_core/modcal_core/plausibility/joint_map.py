@@ -35,9 +35,7 @@ _ROUNDS = 40  # iterations
 _TURNED = 4.0  # times the limit of angles that a joint must be off by at the usual station to be named
 _SETTLED = 1e-3  # relative change of the cost at which a fit has settled
 _SIMPLE, _WHOLE = (0.5, 1.0, 2.0), 0.02  # fractions, and by which share a coefficient may miss one that is said instead
-_MAX_ODD = (
-    4  # coefficients that are no such fraction: two motors of odd ratios have four; more fit any arm
-)
+_MAX_ODD = 4  # coefficients that are no such fraction: two motors of odd ratios have four; more fit any arm
 
 
 def mixed_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:

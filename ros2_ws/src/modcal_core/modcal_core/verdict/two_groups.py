@@ -81,6 +81,8 @@ def two_groups(case: Case) -> TwoGroups | None:
     residual = np.zeros((6, len(samples)))
     residual[:3], residual[3:, view.pose] = view.position, view.rotation
     residual = residual * weight
+    if not case.fitted:
+        residual = _settled(residual, chain, view, weight)
     found: list[tuple[float, TwoGroups, bool]] = []
     for motion in _motions(chain, view, weight):
         split = _split(motion.columns, residual[motion.components])
@@ -94,23 +96,36 @@ def two_groups(case: Case) -> TwoGroups | None:
     return next((said for share, said, _ in found if share >= _PLAINER * best), None)
 
 
-def _motions(chain: Chain, view: RowView, weight: Array) -> Iterator[_Motion]:
+def _settled(residual: Array, chain: Chain, view: RowView, weight: Array) -> Array:
+    """The residual (6, N) beside the base and tool that it asks for: frozen ones that moved are not in two places."""
+    columns = np.concatenate([_of_place(place, view, weight) for place in (0, chain.tool_place)])
+    flat = columns.reshape(len(columns), -1)
+    return np.asarray(residual - (np.linalg.lstsq(flat.T, residual.ravel(), rcond=1e-9)[0] @ flat).reshape(6, -1))
+
+
+def _column(place: int, direction: int, view: RowView, weight: Array) -> Array:
+    """Motion of the tool (6, N) per unit of a direction at a place, in units of the noise."""
     N = weight.shape[1]
+    row = view.unit_column(place, direction)
+    out = np.zeros((6, N))
+    out[:3] = row[: 3 * N].reshape(3, N)
+    out[3:, view.pose] = row[3 * N :].reshape(3, -1)
+    return out * weight
 
-    def unit(place: int, direction: int) -> Array:
-        row = view.unit_column(place, direction)
-        out = np.zeros((6, N))
-        out[:3] = row[: 3 * N].reshape(3, N)
-        out[3:, view.pose] = row[3 * N :].reshape(3, -1)
-        return out * weight
 
+def _of_place(place: int, view: RowView, weight: Array) -> Array:
+    """The same of all directions that the readings show, (d, 6, N): a point of the tool does not turn."""
+    columns = np.stack([_column(place, d, view, weight) for d in range(6)])
+    return columns[np.abs(columns).max(axis=(1, 2)) > 0.0]
+
+
+def _motions(chain: Chain, view: RowView, weight: Array) -> Iterator[_Motion]:
     every = slice(0, 6)
     for j, name in enumerate(chain.names):
-        axis = unit(place_index(name, chain), 5 if chain.revolute[j] else 2)
+        axis = _column(place_index(name, chain), 5 if chain.revolute[j] else 2, view, weight)
         yield _Motion(f"joint {name}", axis[None], every, "mrad" if chain.revolute[j] else "mm")
     for who, place in (("the tool (or the target on it)", chain.tool_place), ("the base (or the tracker)", 0)):
-        columns = np.stack([unit(place, d) for d in range(6)])
-        columns = columns[np.abs(columns).max(axis=(1, 2)) > 0.0]  # a point of the tool does not turn
+        columns = _of_place(place, view, weight)
         yield _Motion(who, columns, every)
         if len(view.pose) and place == 0:  # readings of positions alone, as a tracker that looks with either face
             yield _Motion("the tracker, in its positions,", columns[:, :3], slice(0, 3))

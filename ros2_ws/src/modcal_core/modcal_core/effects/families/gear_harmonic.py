@@ -78,7 +78,7 @@ def _step(joint_range: float) -> float:
 
 
 def _grid(step: float) -> Array:
-    return np.arange(round(_FIRST / step), int(np.ceil(MAX_CYCLES / step)) + 1) * step
+    return np.asarray(np.arange(round(_FIRST / step), int(np.ceil(MAX_CYCLES / step)) + 1) * step, dtype=float)
 
 
 def complexity(effect: Effect) -> int:
