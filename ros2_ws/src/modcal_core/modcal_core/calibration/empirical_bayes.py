@@ -23,8 +23,8 @@ from modcal_core.geometry.so3 import Array
 
 _MAX_ROUNDS = 30  # for time
 _SETTLED = 0.05  # change of the logarithm of a size: predictions hardly depend on it
-# Times the change that the equations ask for, in the logarithm: where little is told of a group each round takes a
-# small share of the way, and below 2 no size swings for ever (two thirds of the rounds, and nearer the end)
+# Times the change that the equations ask for, in the logarithm: where little is told of a group each round takes a part
+# of the way, and below 2 no size swings for ever (in two thirds of the rounds it ends nearer to where many lead)
 _FARTHER = 1.8
 # Numbers told of a group, below which it is as good as nothing where it shrinks, and what it grows by matters as much
 # less: by a few per cent a round for ever, of a joint that hardly moves the tool

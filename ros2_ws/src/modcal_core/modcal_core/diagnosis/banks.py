@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from modcal_core.diagnosis.known_sums import Key, KnownSums, running_sums, squared
+from modcal_core.diagnosis.known_sums import Key, KnownSums, Parts, squared
 from modcal_core.diagnosis.number_banks import ALL
 from modcal_core.diagnosis.spectra import Spectrum
 from modcal_core.effects.drivers import Drivers
@@ -111,14 +110,14 @@ class WaveBank:
 class StepBank:
     """What is −1 before a time of its own and nothing from then on, or nothing and then 1.
 
-    order: samples in the order of time, (N,). before: how many of them are before each one's time, (C,). after: whether
-    it is the part from then on that is not nothing.
+    parts: samples between the times. at: which of these begins with each one's time, (C,). after: whether it is what is
+    from then on that is not nothing.
     """
 
     effects: tuple[Effect, ...]
     keys: tuple[Key, ...]
-    order: np.ndarray
-    before: np.ndarray
+    parts: Parts
+    at: np.ndarray
     after: bool
 
     @property
@@ -129,7 +128,7 @@ class StepBank:
     def sums(self, of: Mapping[Key, Array], known: KnownSums, rows: slice = ALL) -> Array:
         """See :class:`Bank`."""
         sign = 1.0 if self.after else -1.0
-        each = [self._part(known.running(self.order, self._edges, of[key]))[rows] for key in self.keys]
+        each = [self._part(known.running(self.parts, of[key]))[rows] for key in self.keys]
         return sign * np.stack(each, axis=1)
 
     def gram_of_sums(self, of: Mapping[Key, Array], known: KnownSums) -> Array:
@@ -141,26 +140,16 @@ class StepBank:
         m, each = self.width, [columns[key] for key in self.keys]
         pairs = [(a, b) for a in range(m) for b in range(a, m)]
         columns_of_both = np.stack([np.sum(each[a] * each[b], axis=0) for a, b in pairs], axis=1)
-        both = self._part(running_sums(self.order, self._edges, columns_of_both))
-        out = np.empty((len(self.before), m, m))
+        both = self._part(self.parts.running(columns_of_both))
+        out = np.empty((len(self.at), m, m))
         for (a, b), product in zip(pairs, both.T, strict=True):
             out[:, a, b] = out[:, b, a] = product
         return out
 
-    @cached_property
-    def _edges(self) -> np.ndarray:
-        """How many samples are before each of the times, each number once."""
-        return np.unique(np.r_[0, self.before[self.before < len(self.order)]])
-
     def _part(self, running: Array) -> Array:
         """Sums on the one side of each time, (C, k), from the running sums."""
-        before = running[self._at]
+        before = running[self.at]
         return np.asarray(running[-1] - before if self.after else before)
-
-    @cached_property
-    def _at(self) -> np.ndarray:
-        """Which of the edges each one's time is."""
-        return np.searchsorted(self._edges, self.before)
 
 
 def _range(rows: np.ndarray) -> slice | np.ndarray:

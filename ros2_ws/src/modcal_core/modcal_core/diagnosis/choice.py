@@ -64,8 +64,7 @@ def choose(
     top = int(np.argmax(score))
     if not plain[top] and plain.any():
         best_plain = int(np.argmax(np.where(plain, score, -1.0)))
-        enough = _NEARLY * evidence.explained[top]
-        if evidence.explained[best_plain] >= enough or _together(evidence, best_plain, scanner, fit, plain) >= enough:
+        if _explain_together(evidence, best_plain, scanner, fit, plain, _NEARLY * float(evidence.explained[top])):
             top = best_plain
     pool = plain if plain[top] else allowed
     alike = np.flatnonzero(pool & (score >= score[top] - tie)).tolist()
@@ -106,18 +105,22 @@ def _whole_curve(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
     return best
 
 
-def _together(evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray) -> float:
-    """The share that a few plain causes explain, taken one after the other."""
+def _explain_together(
+    evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray, enough: float
+) -> bool:
+    """Whether a few plain causes, taken one after the other, explain as large a share."""
     left = 1.0 - float(evidence.explained[first])
     chosen = evidence.effects[first]
     for _ in range(_LOOK_AHEAD - 1):
+        if 1.0 - left >= enough:
+            return True
         started = chosen.started(scanner.amplitudes(fit, chosen))
         fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, started)))
         now = scanner.evidence(fit, most=USUAL)  # curves take no part
         best = int(np.argmax(np.where(plain, now.score, -1.0)))
         left *= 1.0 - float(now.explained[best])
         chosen = now.effects[best]
-    return 1.0 - left
+    return 1.0 - left >= enough
 
 
 def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:

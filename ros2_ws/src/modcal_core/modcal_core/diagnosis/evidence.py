@@ -28,7 +28,7 @@ from modcal_core.diagnosis.anchor import Anchor
 from modcal_core.diagnosis.banks import Bank, SpectraOfDrivers, StepBank, WaveBank, wave_step
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS, against_noise, is_clear, score_table
 from modcal_core.diagnosis.explained import explained, inverses
-from modcal_core.diagnosis.known_sums import Key
+from modcal_core.diagnosis.known_sums import Key, Parts
 from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, NumberPool, gathered
 from modcal_core.diagnosis.space import Directions, SignTrials, Space
 from modcal_core.effects.drivers import Drivers
@@ -82,7 +82,7 @@ class Scanner:
         """effects: the candidates. drivers: at the samples they are looked for on."""
         self.drivers = drivers
         self._composed: dict[Key, list[tuple[int, int, Array | float]]] = {}
-        self._order: dict[str, np.ndarray] = {}  # of the samples along a driver that steps are looked for in
+        self._parts: dict[tuple[str, bytes], Parts] = {}  # between the times of steps
         spectra = SpectraOfDrivers(drivers)
         lists = _alike(effects)
         for alike in lists:
@@ -118,15 +118,27 @@ class Scanner:
         keys, _ = self._factor(first)
         x = self.drivers.values(first.driver)
         if first.shape.kind in STEPS:
-            order = self._order.setdefault(first.driver, np.argsort(x, kind="stable"))
-            before = np.searchsorted(x[order], [e.shape.settings["at"] for e in alike])
-            return StepBank(effects, keys, order, before, first.shape.kind == "step")
+            parts, at = self._parts_at(first.driver, x, [e.shape.settings["at"] for e in alike])
+            return StepBank(effects, keys, parts, at, first.shape.kind == "step")
         cycles = _cycles(alike)
         step = wave_step(cycles)
         if step is None:
             return NumberBank(effects, keys, periodic(first.shape.kind, cycles, x))
         which = np.round(cycles / step).astype(np.int64)[:, None] * _multiples(first)
         return WaveBank(effects, keys[0], which, spectra.of(first.driver, step))
+
+    def _parts_at(self, driver: str, x: Array, times: Sequence[float]) -> tuple[Parts, np.ndarray]:
+        """The samples between some values of a driver, and which part begins with each, (C,).
+
+        x: the driver's, (N,).
+        """
+        order = np.argsort(x, kind="stable")
+        before = np.searchsorted(x[order], times)
+        edges = np.unique(np.r_[0, before[before < len(order)]])
+        key = driver, edges.tobytes()
+        if key not in self._parts:
+            self._parts[key] = Parts(order, edges)
+        return self._parts[key], np.searchsorted(edges, before)
 
     def space_of(self, fit: Fit) -> Space:
         """The rows of this fit at the samples."""

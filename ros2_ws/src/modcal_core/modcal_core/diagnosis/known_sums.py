@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -28,7 +29,7 @@ class KnownSums:
     def __init__(self) -> None:
         self._waves: dict[tuple[int, int], Array] = {}
         self._squares: dict[tuple[int, int], SquaredSums] = {}
-        self._running: dict[tuple[int, bytes, int], Array] = {}
+        self._running: dict[tuple[int, int], Array] = {}
         self._numbers: dict[int, Array] = {}
         self._kept: list[object] = []  # what sums are of, so that nothing else takes its number
 
@@ -48,12 +49,12 @@ class KnownSums:
             self._kept.append(columns)
         return self._squares[key]
 
-    def running(self, order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
-        """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
-        key = id(order), edges.tobytes(), id(matrix)
+    def running(self, parts: Parts, matrix: Array) -> Array:
+        """Sums of the rows of a matrix (N, k) before each of some times and of all, (parts + 1, k)."""
+        key = id(parts), id(matrix)
         if key not in self._running:
-            self._running[key] = running_sums(order, edges, matrix)
-            self._kept.append(matrix)
+            self._running[key] = parts.running(matrix)
+            self._kept += [parts, matrix]
         return self._running[key]
 
     def numbers(self, pool: NumbersOfKeys, of: Mapping[Key, Array]) -> Array:
@@ -64,13 +65,25 @@ class KnownSums:
         return self._numbers[id(pool)]
 
 
-def running_sums(order: np.ndarray, edges: np.ndarray, matrix: Array) -> Array:
-    """Sums of the rows of a matrix (N, k), taken in this order, before each edge and of all, (edges + 1, k)."""
-    parts = np.ones(len(order), matrix.dtype), order, np.append(edges, len(order))
-    between = scipy.sparse.csr_array(parts, shape=(len(edges), len(order)))  # each sample once, in the part it lies in
-    running = np.zeros((len(edges) + 1, matrix.shape[1]))
-    np.cumsum(between @ matrix, axis=0, dtype=float, out=running[1:])
-    return running
+class Parts:
+    """Samples in parts, one after the other along an order."""
+
+    def __init__(self, order: np.ndarray, edges: np.ndarray) -> None:
+        """order: of the samples, (N,). edges: how many are before each part, each number once, the first 0."""
+        self._count = len(edges)
+        parts = np.ones(len(order)), order, np.append(edges, len(order))
+        self._of_each = scipy.sparse.csr_array(parts, shape=(len(edges), len(order)))  # each sample once, in its part
+
+    @cached_property
+    def _lean(self) -> scipy.sparse.csr_array:
+        return self._of_each.astype(np.float32)
+
+    def running(self, matrix: Array) -> Array:
+        """Sums of the rows of a matrix (N, k) before each part and of all, (parts + 1, k)."""
+        of_each = self._lean if matrix.dtype == np.float32 else self._of_each
+        running = np.zeros((self._count + 1, matrix.shape[1]))
+        np.cumsum(of_each @ matrix, axis=0, dtype=float, out=running[1:])
+        return running
 
 
 def squared(sums: Array) -> Array:

@@ -208,8 +208,12 @@ class _RegimeSearch:
         if not both:
             only = _place(next(iter(self.places)))
             moves = [replace(m, what=only) for m in moves]
+        if not (moves or stated):
+            return []
         score = _Score(self, sorted([*moves, *stated], key=lambda m: m.at))
         if moves and (score.needless(moves) or score.has_rival(moves)):
+            if not stated:
+                return []
             score = _Score(self, list(stated))
         for move in score.own(stated) if both else ():
             score.simplify(move)
