@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.diagnosis.evidence_map import EvidenceMap
+from modcal_core.effects.drivers import remembered
 from modcal_core.report.account import accounts
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.contents import STAGES, ReportContents
@@ -62,6 +63,7 @@ FILES = (
 )
 
 
+@remembered()
 def to_html(report: ReportContents, files: Iterable[str] = (), calibration: str = "") -> str:
     """The report as HTML text, below 1 MB. files: names of what is written beside it. calibration: of an evaluation,
     the name of what was evaluated.

@@ -168,23 +168,21 @@ def _path(points: Array) -> str:
 
 def _simplified(points: Array) -> Array:
     """Those of the points (N, 2) that a line needs so that it leaves none by more than _OFF (Douglas and Peucker)."""
-    kept = np.zeros(len(points), bool)
-    kept[[0, -1]] = True
-    parts = [(0, len(points) - 1)]
-    while parts:
-        first, last = parts.pop()
-        if last - first < 2:
-            continue
-        inside, chord = points[first + 1 : last] - points[first], points[last] - points[first]
-        length = float(np.hypot(*chord))
-        along = inside @ chord / max(length, 1e-12)
-        across = np.abs(inside[:, 0] * chord[1] - inside[:, 1] * chord[0]) / max(length, 1e-12)
+    if len(points) < 3:
+        return points
+    kept = np.array([0, len(points) - 1])
+    while True:  # all parts between points that are kept at once
+        first, last = kept[:-1], kept[1:]
+        part = np.repeat(np.arange(len(first)), last - first)
+        inside, chord = points[:-1] - points[first][part], points[last] - points[first]
+        length, chord = np.hypot(*chord.T)[part], chord[part]
+        along = np.einsum("ni,ni->n", inside, chord) / np.maximum(length, 1e-12)
+        across = np.abs(inside[:, 0] * chord[:, 1] - inside[:, 1] * chord[:, 0]) / np.maximum(length, 1e-12)
         off = np.where((along < 0.0) | (along > length), np.hypot(inside[:, 0], inside[:, 1]), across)
-        far = int(np.argmax(off))
-        if off[far] > _OFF:
-            kept[first + 1 + far] = True
-            parts += [(first, first + 1 + far), (first + 1 + far, last)]
-    return points[kept]
+        far = np.flatnonzero((off > _OFF) & (off == np.maximum.reduceat(off, first)[part]))
+        if not len(far):
+            return points[kept]
+        kept = np.sort(np.r_[kept, far[np.unique(part[far], return_index=True)[1]]])
 
 
 def round_numbers(low: float, high: float) -> tuple[Array, float]:

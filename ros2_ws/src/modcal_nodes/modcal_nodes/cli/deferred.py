@@ -13,7 +13,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import LazyLoader
 from types import ModuleType
 
-DEFERRED = ("numpy.f2py", "numpy.testing")
+DEFERRED = ("numpy.f2py", "numpy.ma", "numpy.testing")
 
 
 class _Finder:
