@@ -23,6 +23,11 @@ from modcal_core.geometry.single import crossed_rows
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
+# Sets of positions whose sines are kept: what is fitted, what judges it, and both. With fewer samples it is not worth
+# it, and of more they take too much memory
+_SETS_KEPT, _FEWEST_KEPT, _MOST_KEPT = 3, 64, 20_000
+_kept: list[tuple[Array, Array, Array]] = []  # positions (n, N), cosines and sines
+
 
 @dataclass(frozen=True)
 class Tilt:
@@ -127,7 +132,7 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     q = np.ascontiguousarray(np.asarray(q, dtype=float).T)
     n, N = q.shape
     M = chain.along_z
-    c, s = np.cos(q), np.sin(q)
+    c, s = _cos_sin(q)
     axes = np.empty((n + 1, 3, 3, N))
     p = np.empty((n + 1, 3, N))
     axes[0] = M[0, :3, :3].T[:, :, None]
@@ -155,6 +160,20 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     return Frames(axes, p)
 
 
+def _cos_sin(q: Array) -> tuple[Array, Array]:
+    """Cosines and sines of joint positions (n, N), a third of the time of their frames: those that were asked for last
+    are kept, for a fit asks for the same ones at each step.
+    """
+    if not _FEWEST_KEPT <= q.shape[1] <= _MOST_KEPT:
+        return np.cos(q), np.sin(q)
+    known = tuple(_kept)
+    found = next((one for one in known if np.array_equal(one[0], q)), None)
+    if found is None:
+        found = q.copy(), np.cos(q), np.sin(q)
+        _kept[:] = [found, *known[: _SETS_KEPT - 1]]
+    return found[1:]
+
+
 def moved_frame(axes: Array, p: Array, twist: Array) -> None:
     """Shift a frame by the first three rows of a twist (6, N) and turn it by the next three, seen from itself."""
     twist = twist[:6]
@@ -162,7 +181,7 @@ def moved_frame(axes: Array, p: Array, twist: Array) -> None:
         for axis, size in zip(axes, twist[:3], strict=True):
             p += axis * size
     if twist[5].any() and not twist[3:5].any():  # about the joint's axis, as most are
-        c, s = np.cos(twist[5]), np.sin(twist[5])
+        c, s = so3.cos_sin(twist[5])
         x, y = axes[0].copy(), axes[1].copy()
         axes[0] = c * x + s * y
         axes[1] = c * y - s * x
