@@ -33,6 +33,15 @@ def test_rotations(angle: float, rng: np.random.Generator) -> None:
     assert np.abs(so3.from_quaternion(3.0 * theirs.as_quat()) - R).max() < 1e-14
 
 
+@pytest.mark.parametrize("largest", [0.0, 1e-6, 4.9e-3, 5.1e-3, 3.0])
+def test_cosine_and_sine_of_small_angles(largest: float, rng: np.random.Generator) -> None:
+    t = largest * np.r_[-1.0, 1.0, rng.uniform(-1.0, 1.0, 1000)]
+    c, s = so3.cos_sin(t)
+    assert np.abs(c - np.cos(t)).max() < 3e-16
+    assert np.abs(s - np.sin(t)).max() <= 3e-16 * largest
+    assert all(part.shape == (0,) for part in so3.cos_sin(np.zeros(0)))
+
+
 def test_roll_pitch_yaw(rng: np.random.Generator) -> None:
     rpy = rng.uniform(-np.pi, np.pi, (200, 3)) * [1.0, 0.5, 1.0]
     assert np.abs(so3.from_rpy(rpy) - Rotation.from_euler("xyz", rpy).as_matrix()).max() < 1e-14
