@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from itertools import accumulate
 from typing import Any
 
@@ -21,6 +22,8 @@ from modcal_core.modules.urdf import urdf_of
 from modcal_core.robots.kinematics import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
+
+PUBLISHED = yaml.safe_load(published_text())
 
 
 def test_lengths_are_the_published_ones() -> None:
@@ -156,7 +159,7 @@ def test_what_cannot_be_built_is_refused(modules: list[Module], words: str) -> N
 
 
 def changed(*path: str, to: Any) -> Any:
-    data = yaml.safe_load(published_text())
+    data = copy.deepcopy(PUBLISHED)
     at = data
     for key in path[:-1]:
         at = at[key]

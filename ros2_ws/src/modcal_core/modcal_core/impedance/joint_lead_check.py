@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from operator import itemgetter
 
 import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.recent_maximum import RecentMaximum
 
 _REMEMBERED = 0.5  # s of references
 _MAX_LAG = 2.0  # times the stated lag may a servo's be, as long as nothing was learned of it
@@ -55,15 +55,12 @@ class JointLeadCheck:
         self._sag: Array | None = None
         self._stamp = -math.inf
         self._beyond = 0
-        self._late: deque[tuple[float, float]] = deque()  # when, and by how much [s]
-        self._latest = 0.0  # most of them
+        self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
 
     def heard(self, stamp: float, now: float) -> None:
         """Note that the joints of ``stamp`` [s] are the newest now [s]: as late a reference may come to the servos."""
-        silent = now - self._late[-1][0] - self._period if self._late else 0.0
-        self._late.append((now, max(now - stamp, silent, 0.0)))
-        _forget(self._late, now - _REMEMBERED)
-        self._latest = max(map(itemgetter(1), self._late))
+        self._late.add(now, max(now - stamp, now - self._heard - self._period, 0.0))
+        self._heard = now
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
@@ -72,7 +69,7 @@ class JointLeadCheck:
         _forget(self._sent, now - _REMEMBERED)
         before = next(((t, r) for t, r in reversed(self._sent) if t <= now - _SPAN), self._sent[0])
         self._asked.append((now, (q - before[1]) / (now - before[0]) if now > before[0] else np.zeros(len(q))))
-        late = _BOTH_WAYS * self._latest
+        late = _BOTH_WAYS * self._late.largest
         _forget(self._asked, now - _GATHERS * self._lag - late)
         speeds = np.array([speed for _, speed in self._asked])
         self._gained.append((now, np.stack([speeds[-1] - speeds.max(axis=0), speeds[-1] - speeds.min(axis=0)])))
@@ -92,12 +89,11 @@ class JointLeadCheck:
 
         q (n,): measured at ``stamp`` [s]. J (6, n): the tool's Jacobian, in its axes as the wrench.
         """
-        late = _BOTH_WAYS * self._latest
-        before = [(t, r) for t, r in self._sent if t <= stamp]
-        if not before or self._begun is None:
+        late = _BOTH_WAYS * self._late.largest
+        recent = sent_since(self._sent, stamp - late - _ON_ITS_WAY * self._period, stamp)
+        if not recent or self._begun is None:
             return np.zeros(len(q))
-        since = stamp - late - _ON_ITS_WAY * self._period
-        references = np.array([r for t, r in before if t >= since] or [before[-1][1]])
+        references = np.array(recent)
         self._read.append((stamp, q.copy()))
         _forget(self._read, stamp - _SPAN)
         begun, first = self._read[0]
@@ -143,7 +139,21 @@ class JointLeadCheck:
         return BadCommand("wrench", said, "check the force sensor, servo_lag_s and max_joint_lead_rad")
 
 
-def _forget(values: deque[tuple[float, Array]] | deque[tuple[float, float]], before: float) -> None:
+def sent_since(sent: deque[tuple[float, Array]], since: float, until: float) -> list[Array]:
+    """What was sent between two times [s], the oldest first; where nothing was, what was sent last before them."""
+    out: list[Array] = []
+    for t, value in reversed(sent):  # the newest few of a hundred
+        if t > until:
+            continue
+        if t >= since or not out:
+            out.append(value)
+        if t < since:
+            break
+    out.reverse()
+    return out
+
+
+def _forget(values: deque[tuple[float, Array]], before: float) -> None:
     """Take out what is older than a time [s]; the newest stays."""
     while len(values) > 1 and values[0][0] < before:
         values.popleft()

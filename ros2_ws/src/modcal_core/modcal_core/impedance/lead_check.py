@@ -26,6 +26,7 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.joint_lead_check import sent_since
 
 _LAGS = 1.5  # servo lags ago the setpoint may have been where the tool is now
 _REMEMBERED = 0.5  # s of setpoints
@@ -136,8 +137,7 @@ class LeadCheck:
         felt wrench moves the tool of an arm whose joints yield by 1 rad to 1 N m, and one newton of it at most [N m²].
         """
         known = self.stiffness
-        since = stamp - _LAGS * known.lag
-        lately = [p for t, p in self._sent if since <= t <= stamp] or [p for t, p in self._sent if t <= stamp][-1:]
+        lately = sent_since(self._sent, stamp - _LAGS * known.lag, stamp)
         if not lately:
             return 0.0
         if known.stiffest and self._gone <= _SETTLES:
@@ -171,13 +171,17 @@ class LeadCheck:
         fell = max(f for _, f, _ in self._felt) > force + _FALLS
         if abs(by - noted) >= _CHANGES * newton and by > 0.0 and not fell:
             self._noted = noted, per = by, min(lead, force / self.stiffness.softest) / by
-        return max(self._takes(f, b, noted, per) for _, f, b in self._felt)
+        return max(self._takes(noted, per))
 
-    def _takes(self, force: float, by: float, noted: float, per: float) -> float:
-        most = force / self.stiffness.softest
+    def _takes(self, noted: float, per: float) -> list[float]:
+        """The leads [m] that the forces of the last moments take."""
+        softest = self.stiffness.softest
         if not math.isfinite(per):
-            return most
-        return min(per * (_STEADY * min(by, noted) + _GROWS * max(by - noted, 0.0)), most)
+            return [force / softest for _, force, _ in self._felt]
+        return [
+            min(per * (_STEADY * by if by < noted else _STEADY * noted + _GROWS * (by - noted)), force / softest)
+            for _, force, by in self._felt
+        ]
 
     def refused(
         self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None

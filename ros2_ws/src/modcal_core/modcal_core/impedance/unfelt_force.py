@@ -24,12 +24,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from operator import itemgetter
 
 import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry.so3 import Array
+from modcal_core.impedance.recent_maximum import RecentMaximum
 from modcal_core.impedance.servo_model import FEWEST, FLOOR, ServoModel
 
 _SPAN = 0.012  # s over which a joint's speed is measured: three readings at 250 Hz
@@ -88,7 +88,7 @@ class UnfeltForce:
         self.model = ServoModel(np.full(joints + 6, _SOFTEST), lag)
         self.force = self.sure = 0.0
         self._n = joints
-        self._late: deque[tuple[float, float]] = deque()  # when, and by how much [s]
+        self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
         self._sent: deque[tuple[float, Array]] = deque()
         self._read: deque[tuple[float, Array, Array, Array]] = deque()  # stamp, q, lead, wrench
         self._begun: Array | None = None
@@ -156,10 +156,8 @@ class UnfeltForce:
         wrench (6,): felt, on the tool in its axes. J (6, n): the tool's Jacobian in its axes. most: force that may
         come [N].
         """
-        before = self._late[-1][0] if self._late else now - self.period
-        self._late.append((now, max(now - stamp, now - before - self.period, 0.0)))
-        while self._late[0][0] < now - _REMEMBERED:
-            self._late.popleft()
+        self._late.add(now, max(now - stamp, now - self._heard - self.period, 0.0))
+        self._heard = now
         reference = self._reference(stamp)
         if reference is None or (self._read and stamp <= self._read[-1][0]):
             return
@@ -171,7 +169,7 @@ class UnfeltForce:
             self._read.popleft()
         if len(self._read) < 2:
             return
-        late = max(map(itemgetter(1), self._late))
+        late = self._late.largest
         older = self._reference(stamp - late) if late > 0.0 else None
         at = self._moment(stamp - _SPAN, J)
         v = at.rows[self._n : self._n + 3, 0]
