@@ -82,13 +82,15 @@ class Faults:
 @dataclass(frozen=True)
 class BodyScene:
     """chain: nominal. drawing: nominal. glued: true poses of the markers on the body, (K, 4, 4). q: as reported,
-    (N, n). cameras: T_base_camera of each. lenses: theirs. images: what each saw.
+    (N, n). as_moved: as they were when the images were taken. cameras: T_base_camera of each. lenses: theirs. images: what
+    each saw.
     """
 
     chain: Chain
     drawing: MarkerBundle
     glued: Array
     q: Array
+    as_moved: Array
     cameras: tuple[Array, ...]
     lenses: tuple[Lens, ...]
     images: tuple[CameraImages, ...]
@@ -182,7 +184,7 @@ def body_scene(
         rows = [i for i, v in enumerate(views) if len(v)]
         name = f"camera_{len(images) + 1}"
         images.append(CameraImages(reported[rows], [views[i] for i in rows], drawing, lens.size, name=name))
-    return BodyScene(chain, drawing, glued, reported, tuple(stand), tuple(lenses), tuple(images), world, faults)
+    return BodyScene(chain, drawing, glued, reported, q, tuple(stand), tuple(lenses), tuple(images), world, faults)
 
 
 def _view(

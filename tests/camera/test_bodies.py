@@ -274,7 +274,7 @@ def test_an_arm_by_two_cameras_and_a_body_glued_by_hand(corners: bool) -> None:
     s, r = cell(corners), solved(corners)
     assert (r.mounting.label, r.decision.word) == (IN_WORLD, "apply")
     assert arm_error(s, r.fit) < 3e-4 < 1.2e-3 < arm_error(s, r.nominal)
-    late = {f"{i}" for i in np.flatnonzero((s.q != cell_as_moved(corners)).any(axis=1))}
+    late = {f"{i}" for i in np.flatnonzero((s.q != s.as_moved).any(axis=1))}
     assert set(r.left_out) == late & {v.name for v in s.images[0].views}
     assert set(r.further[0].left_out) == late & {v.name for v in s.images[1].views}
     # where its markers are, to a sixth of how far they are off
@@ -293,11 +293,6 @@ def test_an_arm_by_two_cameras_and_a_body_glued_by_hand(corners: bool) -> None:
         assert np.abs(lens.values - true_lens.values)[:4].max() < 12.0
     assert (second.state.shape == r.fit.state.shape).all()
     assert r.fit.rms_px < 0.3
-
-
-def cell_as_moved(corners: bool) -> Array:
-    """Joints as they were when the images were taken."""
-    return body_scene(3, 70, 2, Faults(misread=0.015, late=0), corners, drawing=measured(icosahedron())).q
 
 
 @pytest.mark.slow
