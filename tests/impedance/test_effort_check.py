@@ -119,6 +119,17 @@ def test_what_is_no_torque_is_not_used_and_the_reason_is_said(arm: ArmEfforts, r
     assert "no efforts" in without.unusable
 
 
+@pytest.mark.filterwarnings("error")
+def test_nonsense_among_efforts_shows_no_force(arm: ArmEfforts, rng: np.random.Generator) -> None:
+    reports = Reports(arm, rng)
+    check = begun(reports)
+    T, J = pose_and_jacobian(PANDA, READY)
+    for k, effort in enumerate((1e300, -1e300, np.inf, np.nan, 1e5)):
+        check.take(JointPositions(READY, 1.0 + k * PERIOD, np.full(arm.chain.n, effort)), T[:3, :3], J)
+        assert check.force == 0.0
+        assert check.refused(0.0, 1.0 + k * PERIOD, MAX) is None
+
+
 def test_friction_that_turns_about_makes_no_force(arm: ArmEfforts) -> None:
     """Gears whose friction bears two hundredths of the full effort one way as the arm stands, and the other as it goes."""
     for seed in range(5):

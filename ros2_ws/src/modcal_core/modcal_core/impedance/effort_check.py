@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from modcal_core.robots.chain import Chain
 from modcal_core.robots.gravity import HeldWeight
 from modcal_core.robots.urdf_inertias import Inertias
 
+_MOST = 3.0  # times the full effort may a reading be: what drives give for a moment is no more
 _READINGS, _STANDS = 50, 2e-3  # readings at rest that count; rad or m by which they may differ
 _FEWEST = 10  # of them, for a mean
 _LIKE = 0.25  # of the arm's weight may be off: currents are off by ten times, gravity that is left out is all of it
@@ -75,7 +77,7 @@ class EffortCheck:
 
     def rest(self, joints: JointPositions) -> None:
         """Note a reading of an arm that stands and touches no more than it will hold."""
-        if joints.effort is None or self._arm is None:
+        if not self._plausible(joints.effort):
             return
         if self._rest and np.abs(joints.q - self._rest[0][0]).max() > _STANDS:
             self._rest.clear()
@@ -113,7 +115,7 @@ class EffortCheck:
         """Look at a reading. R (3, 3): the tool in the base; J (6, n): of the tool, in its axes."""
         if not len(self._error) or joints.stamp <= self._stamp:
             return
-        if joints.effort is None:
+        if not self._plausible(joints.effort):
             self.force = self._surely = 0.0
             return
         effort, self._stamp = self._filter.take(joints.effort, joints.stamp), joints.stamp
@@ -141,6 +143,10 @@ class EffortCheck:
             return None
         said = f"{felt:.0f} N are felt but the efforts of the joints show {self._surely:.0f} N at least"
         return BadCommand("wrench", said, "check the force sensor, and the efforts of joint_states")
+
+    def _plausible(self, effort: Array | None) -> TypeGuard[Array]:
+        """Whether efforts were reported, and no drive would have to give some times what it can."""
+        return effort is not None and self._arm is not None and bool((np.abs(effort) <= _MOST * self._arm.full).all())
 
     def _look_up(self, J: Array) -> None:
         """Find what efforts beyond the weight's show here."""
