@@ -44,6 +44,7 @@ class JointLeadCheck:
         [s]. period: of references and readings [s].
         """
         self._least, self._lag, self._period = least, lag, period
+        self._judges = bool(np.isfinite(least).any())  # else nothing is looked at: any lead may be the load's
         self._most_lag, self._rest = np.full(len(least), _MAX_LAG * lag), np.zeros(len(least))
         self._sent: deque[tuple[float, Array]] = deque()
         self._read: deque[tuple[float, Array]] = deque()
@@ -59,11 +60,15 @@ class JointLeadCheck:
 
     def heard(self, stamp: float, now: float) -> None:
         """Note that the joints of ``stamp`` [s] are the newest now [s]: as late a reference may come to the servos."""
+        if not self._judges:
+            return
         self._late.add(now, max(now - stamp, now - self._heard - self._period, 0.0))
         self._heard = now
 
     def sent(self, q: Array, now: float) -> None:
         """Note the reference (n,) that is sent at time ``now`` [s]."""
+        if not self._judges:
+            return
         self._begun = q.copy() if self._begun is None else self._begun
         self._sent.append((now, q.copy()))
         _forget(self._sent, now - _REMEMBERED)
@@ -122,7 +127,7 @@ class JointLeadCheck:
 
         stiffest: that the servos may hold the tool [N/m]. The rest as of :meth:`unexplained`.
         """
-        if stamp <= self._stamp:
+        if stamp <= self._stamp or not self._judges:
             return None
         self._stamp = stamp
         left = self.unexplained(q, stamp, wrench, J)
