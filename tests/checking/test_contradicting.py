@@ -31,7 +31,7 @@ def readings(q: Array, T: Array, seed: int, points: bool) -> Samples:
     T[:, :3, 3] += NOISE_M * rng.standard_normal((len(q), 3))
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((len(q), 3)))
     made = Samples.from_arrays(q, poses=T, names=ur10().names, stamps=1e6 + 5.0 * np.arange(len(q)))
-    return replace(made, kind=np.full(COUNT, "point")) if points else made
+    return replace(made, kind=np.full(len(q), "point")) if points else made
 
 
 @pytest.mark.parametrize("points", [False, True])
@@ -111,3 +111,17 @@ def test_readings_that_mean_nothing_are_refused_or_not_explained(
         except BadRecording:
             continue
         assert found.status == "unexplained", found.sentence
+
+
+def test_a_gear_of_any_course_is_no_contradiction(cell: tuple[Recorded, Calibration]) -> None:
+    """A curve that no form was found for is none of the model's; base or tool of two parts have 12 or 6 numbers to
+    please 30 readings of points with (seeds 10 and 11 were refused).
+    """
+    recorded, calibration = cell
+    for seed in range(8, 12):
+        q = postures(seed)[:10]
+        joint = 4 if seed % 2 else 3
+        turned = 2e-3 * np.sin((2.0 + seed) * q[:, joint] + seed)
+        T = recorded.world.tool_in_tracker(q + turned[:, None] * np.eye(6)[joint])
+        found = check(calibration, readings(q, T, seed, True))
+        assert [(c.kind, c.place) for c in found.changes] == [("gear", ur10().names[joint])], found.sentence

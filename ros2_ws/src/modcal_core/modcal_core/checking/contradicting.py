@@ -45,13 +45,22 @@ def require_one_setting(found: FoundChanges, model: Model, expected: tuple[float
 
     model: frozen. expected: RMS of position [mm] and orientation [deg] that it should show while nothing has changed.
     """
-    samples = found.samples
-    if not found.changes or not _comparable(model, samples) or expected[0] is None:
+    if not found.changes or not _comparable(model, found.samples) or expected[0] is None:
         return
-    samples = samples.select(np.argsort(samples.stamps, kind="stable"))
+    samples = found.samples.select(np.argsort(found.samples.stamps, kind="stable"))
     sigma = 1e-3 * expected[0] / np.sqrt(3.0), np.radians(expected[1] or 0.0) / np.sqrt(3.0)
-    frozen, changed = (_Readings.of(m, samples, *map(float, sigma)) for m in (model, found.state.model))
+    frozen = _Readings.of(model, samples, *map(float, sigma))
+    changed = _Readings.of(found.state.model, _with_curves(found, samples), *map(float, sigma))
     _require_one_part(frozen, changed)
+
+
+def _with_curves(found: FoundChanges, samples: Samples) -> Samples:
+    """The samples with the joints where gears of any course turned them, which no model has."""
+    q, station = samples.q.copy(), np.searchsorted(np.unique(found.samples.station), samples.station)
+    for change in found.changes:
+        if change.judged.candidate.free and len(change.sizes):
+            q[:, change.hypothesis.curve] += change.sizes[station]
+    return replace(samples, q=q)
 
 
 def _comparable(model: Model, samples: Samples) -> bool:
