@@ -23,6 +23,7 @@ from modcal_core.measuring.pool import of_recording, of_robot
 from modcal_core.measuring.session import Session
 from modcal_core.measuring.table import FilledTable, text_of, with_table
 from modcal_core.planning.site import Site, site_from_data
+from modcal_core.report.counted import counted
 from modcal_core.report.notes import readmitted_note
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
@@ -261,8 +262,8 @@ def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -
     """Say what to measure next."""
     session = advice.session
     lines = [*_nothing_new(place, filled), *left_out(advice)]
-    lines.append(f"{len(session.rows())} stations measured; {_standing(advice)}".rstrip("; "))
-    lines.append(f"Next: {len(session.pending)} stations ({advice.why}), in {place.path / NEXT}")
+    lines.append(f"{counted(len(session.rows()), 'station')} measured; {_standing(advice)}".rstrip("; "))
+    lines.append(f"Next: {counted(len(session.pending), 'station')} ({advice.why}), in {place.path / NEXT}")
     for number in session.pending:
         q = session.stations[number].asked
         turns = place.robot.mechanism.revolute
@@ -305,7 +306,7 @@ def _standing(advice: Advice) -> str:
     if status.seen is not None:
         parts.append(f"{1e3 * status.seen:.3f} mm seen at {status.proving} random stations")
     if status.needed is not None:
-        parts.append(f"about {status.needed} more stations")
+        parts.append(f"about {counted(status.needed, 'more station')}")
     return ", ".join(parts)
 
 

@@ -19,6 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measuring.advice import Advice
 from modcal_core.measuring.motion import TimedMotion
 from modcal_core.measuring.session import SKIPPED, UNSEEN
+from modcal_core.report.counted import counted
 from modcal_nodes.measuring.joint_reports import JointReports, required
 from modcal_nodes.measuring.place import Place, StationWay
 from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, JointReport, Rules, Runner
@@ -120,7 +121,7 @@ class StationSequence:
         self._joints = JointReports(place.robot.names, place.lower, place.upper, self._clock)
         self._runner = Runner(place.lower, place.upper, self._rules())
         done = len(place.session.rows())
-        before = f"{done} stations measured before; " if done else ""
+        before = f"{counted(done, 'station')} measured before; " if done else ""
         self._tell(OK, f"{before}waiting for joint states")
 
     def take_joints(self, message: JointState) -> None:
@@ -197,7 +198,7 @@ class StationSequence:
             place = self._place
             self._worker.begin(lambda: place.finish(advice), lambda _: None)
         else:
-            self._tell(OK, f"{advice.why}: {len(advice.session.pending)} stations")
+            self._tell(OK, f"{advice.why}: {counted(len(advice.session.pending), 'station')}")
 
     def _dry(self, summary: str) -> None:
         self._summary = summary
