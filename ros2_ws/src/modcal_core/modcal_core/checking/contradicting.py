@@ -15,6 +15,7 @@ import numpy as np
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.score import FINEST
+from modcal_core.checking.hypotheses import NOISE
 from modcal_core.checking.search import FoundChanges
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import so3
@@ -51,7 +52,7 @@ def require_one_setting(found: FoundChanges, model: Model, expected: tuple[float
     sigma = 1e-3 * expected[0] / np.sqrt(3.0), np.radians(expected[1] or 0.0) / np.sqrt(3.0)
     frozen = _Readings.of(model, samples, *map(float, sigma))
     changed = _Readings.of(found.state.model, _with_curves(found, samples), *map(float, sigma))
-    _require_one_part(frozen, changed)
+    _require_one_part(frozen, changed, any(change.hypothesis.kind == NOISE for change in found.changes))
 
 
 def _with_curves(found: FoundChanges, samples: Samples) -> Samples:
@@ -138,8 +139,8 @@ class _Readings:
         return replace(self, T=at @ self.T @ tool)
 
 
-def _require_one_part(frozen: _Readings, changed: _Readings) -> None:
-    """changed: with what was found put in."""
+def _require_one_part(frozen: _Readings, changed: _Readings, noisier: bool) -> None:
+    """changed: with what was found put in. noisier: whether that is more noise."""
     N = len(frozen)
     moved: tuple[tuple[str, Callable[[slice], float]], ...] = (
         ("the base (or the tracker)", frozen.base),
@@ -150,7 +151,10 @@ def _require_one_part(frozen: _Readings, changed: _Readings) -> None:
     )
     square, k, what = found
     numbers = N * (3 if frozen.R is None else 6)
-    as_well = min(changed.as_is(slice(0, N)), *(of(slice(0, N)) for _, of in moved))
+    as_is = changed.as_is(slice(0, N))
+    if noisier and as_is > numbers:  # twice a log-likelihood, with the noise as large as it is most likely
+        as_is = numbers * (1.0 + float(np.log(as_is / numbers)))
+    as_well = min(as_is, *(of(slice(0, N)) for _, of in moved))
     if square > _NEAR**2 * numbers or as_well - square < _BEYOND_DOUBT:
         return
     raise BadRecording(
