@@ -17,7 +17,7 @@ from modcal_core.robots.mechanism import Mechanism, forward
 _MOVED = 0.02  # m; the tip's RMS distance from its mean beyond which a target that follows must be seen to move
 _STANDS = 1e-3  # of that distance, and as many radians: what readings of a target that stands still vary by, noise only
 _THOUSANDTH = (0.5e-3, 2e-3)  # of the tip's motion, as of readings in metres that were taken for millimetres
-_FOLLOWS, _ENOUGH = 0.7, 12  # share of their size that goes along with the tip: of 12 readings of noise 0.44 (mean)
+_FOLLOWS, _ENOUGH = 0.7, 12  # share of their size that follows the tip: of 12 readings of noise 0.44 (mean)
 
 
 def with_sockets(samples: Samples, cell: Cell, chain: Mechanism) -> Samples:
@@ -66,7 +66,7 @@ def _require_moving(samples: Samples, frame: str, chain: Mechanism) -> None:
 
 
 def _follows(tip: np.ndarray, readings: np.ndarray) -> bool:
-    """Whether readings (N, 3) go along with the tip (N, 3), however little they move.
+    """Whether readings (N, 3) follow the tip (N, 3), however little they move.
 
     What the best rotation or reflection makes alike is the sum of the singular values of their product.
     """
