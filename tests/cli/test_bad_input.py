@@ -88,7 +88,7 @@ CASES: dict[str, tuple[Callable[[], Recording], list[str], str]] = {
     "no joint states": (lambda: replace(stations(), joints=()), ["--tip", "tool0"], "joint states: no message"),
     "tracker clock 2 s off (streams)": (lambda: streams(late=2.0), [], r"clock of /tracker/pose.*2\.00 s off.*limit"),
     "tracker clock 2 s off (paired stations)": (
-        lambda: with_reading(stations(), stamps=stations().readings[0].stamps + 2.0), [], "readings look .* by 1 stations"
+        lambda: with_reading(stations(), stamps=stations().readings[0].stamps + 2.0), [], "readings look .* by 1 station:"
     ),
     "tracker clock 0.7 s off (paired stations)": (
         lambda: with_reading(stations(), stamps=stations().readings[0].stamps + 0.7), [], r"stamped \+0.700 s off"
