@@ -16,7 +16,8 @@ import numpy as np
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.score import usual_miss
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.score import errors, usual_miss
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_core.measurements.other_joints import moving_beside
 from modcal_core.measurements.samples import Samples
@@ -48,6 +49,9 @@ from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
 _AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not explained by it
+_TURNED = (
+    0.05  # rad that orientations may be missed by, or as much as without it: nominal arms turn tips 3 mrad too far
+)
 _PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
 _DRIFT = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
 _SCREENED = 4  # mistakes of several joints that are fitted
@@ -85,14 +89,14 @@ def refuse(
                 f"{said}, and it does not without them",
                 "correct position_m [m], quaternion (x y z w), or the frame that they are stated in; or leave them out",
             )
-    usual = usual_miss(nominal.model, few)
+    usual, turned = usual_miss(nominal.model, few), max(_turned(nominal.model, few), _TURNED)
     best: tuple[float, str, str] = (usual / _BETTER, "", "")
     for mistake in _mistakes(few.names, bool(few.is_pose.all())):
-        best = _weighed(mistake, few, chain, best)
+        best = _weighed(mistake, few, chain, best, turned)
     if is_serial_arm(chain) and len(few.frames) == 1:  # of several joints, which must explain plainly more
         several = (_PLAINLY * best[0], "", "")
         for mistake in most_likely(few, chain, list(of_several_joints(few.names)), _SCREENED):
-            several = _weighed(mistake, few, chain, several)
+            several = _weighed(mistake, few, chain, several, turned)
         best = several if several[1] else best
     if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
         apart = (
@@ -159,15 +163,27 @@ def _drift(samples: Samples) -> float:
     return float(np.median(sigma[known])) if len(sigma) and known.mean() > 0.5 else 0.0
 
 
+def _turned(model: Model, samples: Samples) -> float:
+    """Median angle [rad] by which a model misses orientations, 0 where there are none."""
+    angles = errors(model, samples).rotation_norm
+    return float(np.median(angles)) if len(angles) else 0.0
+
+
 def _weighed(
-    mistake: Mistake, samples: Samples, chain: Mechanism, best: tuple[float, str, str]
+    mistake: Mistake, samples: Samples, chain: Mechanism, best: tuple[float, str, str], turned: float
 ) -> tuple[float, str, str]:
-    """The better of the best so far and this mistake: by how much the arm misses with it undone, and what to say."""
+    """The better of the best so far and this mistake: by how much the arm misses with it undone, and what to say.
+
+    turned: what orientations may be missed by [rad]; what makes positions fit and not them is no explanation.
+    """
     undone = mistake.undone(samples)
     try:
-        miss = usual_miss(fit_cell(chain, undone, Cell()).model, undone)
+        model = fit_cell(chain, undone, Cell()).model
     except ModcalError:
         return best
+    if _turned(model, undone) > turned:
+        return best
+    miss = usual_miss(model, undone)
     if samples.sockets and mistake.touches == "joints":
         miss *= max(1.0, _extent(chain, samples) / max(_extent(chain, undone), 1e-12))
     return (miss, mistake.offender, mistake.remedy) if miss < best[0] else best

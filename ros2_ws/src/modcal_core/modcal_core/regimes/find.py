@@ -82,7 +82,16 @@ def find_regimes(
     search = _RegimeSearch(nominal.model, samples, choice.parameters, cell, places)
     cuts = search.cuts([nominal.model, geometric.model])
     moves = search.decided([Move(at, "both") for at in cuts], tuple(stated))
-    return search.start(moves) if moves else None
+    if not moves:
+        return None
+    found = search.start(moves)
+    return found if _possible(found) else None
+
+
+def _possible(model: Model) -> bool:
+    """Whether no tool has moved by more than the arm reaches: where tools hardly turn, base and tool are one motion."""
+    sizes = [float(np.linalg.norm(e.values[:3])) for e in model.effects if is_move(e) and e.place == "tool"]
+    return bool(max(sizes, default=0.0) < model.chain.reach())
 
 
 def moves_of(model: Model) -> tuple[Move, ...]:
