@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_forces_that_come_late_do_not_make_it_swing() -> None:
-    """80 ms late, against what does not give way: with the plain damping, contact swings up to more than 60 N."""
+    """80 ms late, against what is rigid: with the plain damping, contact swings up to more than 60 N."""
     done = pull(Toy(door(), delay=20, locked=True), Operation(PANDA, TASK, LIMITS))
     assert done.stop is not None
     assert "does not move" in done.stop.why

@@ -3,7 +3,8 @@
 The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
 times is named. When none does, one channel of the recording may not go along with the rest
 (:mod:`channels`), or follow another link (:mod:`links`), or only a part of the stations, or one joint
-(:mod:`consistency`), or joints are mixed (:mod:`joint_map`); else the robot or the pairing as a whole is wrong.
+(:mod:`consistency`), or joints are mixed (:mod:`joint_map`), or a link of the description is another
+(:mod:`wrong_links`); else the robot or the pairing as a whole is wrong.
 """
 
 from __future__ import annotations
