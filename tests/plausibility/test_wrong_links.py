@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import record, ur10
+from cells import record, samples_of, ur10
 from scipy.spatial.transform import Rotation
 
 from modcal_core.geometry import se3
@@ -79,3 +79,14 @@ def test_two_wrong_links_name_none(clean: Samples) -> None:
     origins[4, :3, 3] += [0.2, 0.1, 0.0]
     said = named(wrong_link(clean, two.with_origins(origins)))
     assert "more than one link of the URDF is different" in said
+
+
+def test_an_arm_that_only_slides_has_no_axis_to_blame() -> None:
+    """Orientations that its joints cannot make are no link's fault."""
+    names, axes = ("x", "y", "z"), np.eye(3)
+    gantry = Chain.build(names, [np.eye(4)] * 4, axes, [False] * 3, [-1.0] * 3, [1.0] * 3)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1.0, 1.0, (60, 3))
+    T = np.tile(np.eye(4), (60, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = Rotation.random(60, random_state=0).as_matrix(), q
+    assert wrong_link(samples_of(gantry, q, T), gantry) is None

@@ -99,7 +99,8 @@ class EffortCheck:
         shares = float(np.linalg.norm(left)), float(np.linalg.norm(own / arm.full))
         if not shares[0] <= _LIKE * shares[1]:
             worst = int(np.argmax(np.abs(left)))
-            takes = f"the arm's weight takes {own[worst]:.3g} N m"
+            unit = "N m" if arm.chain.revolute[worst] else "N"
+            takes = f"the arm's weight takes {own[worst]:.3g} {unit}"
             self.unusable = f"{arm.chain.names[worst]} reports {effort[worst]:.3g} where {takes}"
             return
         error = shares[0] / math.sqrt(len(left) - 1)

@@ -125,6 +125,8 @@ class _Links:
 
     def _turn(self) -> Disagreement | None:
         """One joint's axis, or the turn of its origin, that is another; with the places that it asks for."""
+        if not self.chain.revolute.any():
+            return None
         axes, turns = self._axes(), self._turns()
         for changes in (
             [c for c in (self._axis_changed(j, u) for j, u in axes) if c is not None],
@@ -165,8 +167,8 @@ class _Links:
             S = so3.nearest_rotation(np.sum(seen @ np.swapaxes(T, -1, -2), axis=1))
             if r == _SIFTED:
                 missed = _missed(L @ S[:, None] @ T, R)
-                rows = (np.flatnonzero(which == j) for j in joints)
-                keep = np.concatenate([r[np.argsort(missed[r])[:_KEPT]] for r in rows])
+                of_joint = (np.flatnonzero(which == j) for j in joints)
+                keep = np.concatenate([rows[np.argsort(missed[rows])[:_KEPT]] for rows in of_joint])
                 which, S, L, T = which[keep], S[keep], L[keep], T[keep]
         missed = _missed(L @ S[:, None] @ T, R)
         return [(int(which[k]), self._smallest(int(which[k]), S[k])) for k in np.flatnonzero(missed < ANGLE)]
