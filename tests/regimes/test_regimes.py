@@ -10,12 +10,13 @@ import pytest
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.model import place_model
 from modcal_core.calibration.score import errors
-from modcal_core.effects.effect import is_move
+from modcal_core.effects.effect import SHIFT, is_move
+from modcal_core.effects.families import step
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.regimes.find import Move, find_regimes, moves_of
+from modcal_core.regimes.find import Move, find_regimes, is_possible, moves_of
 from modcal_core.regimes.setups import SetupReadings
 from tests.cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
@@ -211,3 +212,12 @@ def test_windows_at_once_have_the_base_and_tool_that_each_has(kind: str) -> None
         alone = seen.both(rows, seen.setup)
         np.testing.assert_allclose(D, alone.D, atol=1e-9)
         np.testing.assert_allclose(X, alone.X, atol=1e-9)
+
+
+@pytest.mark.parametrize(("shift", "possible"), [(0.012, True), (1.0, True), (171.0, False)])
+def test_a_tool_does_not_move_by_more_than_the_arm_reaches(shift: float, possible: bool) -> None:
+    """Where tools hardly turn, base and tool are one motion, and a search may put any length into either."""
+    model = place_model(ur10(), ("tracker",))
+    tool = step.moved("tool", SHIFT, 1.0).with_values(np.array([shift, 0.0, 0.0]))
+    base = step.moved("base", SHIFT, 1.0).with_values(np.array([-shift, 0.0, 0.0]))
+    assert is_possible(model.with_effects((tool, base))) == possible

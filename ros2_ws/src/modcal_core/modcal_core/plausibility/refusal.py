@@ -10,6 +10,7 @@ times is named. When none does, one channel of the recording may not go along wi
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
@@ -53,9 +54,11 @@ _AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not
 _TURNED = (
     0.05  # rad that orientations may be missed by, or as much as without it: nominal arms turn tips 3 mrad too far
 )
+_NO_HELP = 0.5  # rad; orientations that a nominal arm misses by more agree with no posture of it
 _PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
 _DRIFT = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
 _SCREENED = 4  # mistakes of several joints that are fitted
+_EVERYTHING = "joint states and readings"  # the offender where none is told
 _MAX = 300  # samples are enough to tell
 
 
@@ -150,11 +153,34 @@ def refuse(
             f"{'stands' if len(stand) == 1 else 'stand'} at the same position at all {len(samples)} stations; {said}",
             "see whether it truly did; else its position is not recorded: check how it gets into joint_states",
         )
+    if (by_positions := _without_orientations(few, whole, chain, limit)) is not None:
+        raise by_positions
     raise BadRecording(
-        "joint states and readings",
+        _EVERYTHING,
         said,
         "check that the URDF, --base and --tip are those of this robot, and that joint and tracker clocks agree",
     )
+
+
+def _without_orientations(few: Samples, whole: Samples, chain: Mechanism, limit: float) -> BadRecording | None:
+    """What positions alone show where orientations agree with no posture: two mistakes, of which this is the first.
+
+    None where orientations are not as wrong as that, or positions name nothing.
+    """
+    if not few.is_pose.all() or _turned(fit_cell(chain, few, Cell()).model, few) < _NO_HELP:
+        return None
+    points, all_points = (replace(s, kind=np.full(len(s), "point", dtype=s.kind.dtype)) for s in (few, whole))
+    nominal = fit_cell(chain, points, Cell())
+    missed = usual_miss(nominal.model, points)
+    if missed < limit:
+        return None
+    try:
+        refuse(nominal, points, all_points, (), False, missed, limit)
+    except BadRecording as found:
+        if found.offender == _EVERYTHING:
+            return None
+        said = f"by positions alone, since orientations agree with no posture: {found.limit}"
+        return BadRecording(found.offender, said, f"{found.remedy}; then check the convention of the orientations")
 
 
 def _drift(samples: Samples) -> float:

@@ -85,10 +85,10 @@ def find_regimes(
     if not moves:
         return None
     found = search.start(moves)
-    return found if _possible(found) else None
+    return found if is_possible(found) else None
 
 
-def _possible(model: Model) -> bool:
+def is_possible(model: Model) -> bool:
     """Whether no tool has moved by more than the arm reaches: where tools hardly turn, base and tool are one motion."""
     sizes = [float(np.linalg.norm(e.values[:3])) for e in model.effects if is_move(e) and e.place == "tool"]
     return bool(max(sizes, default=0.0) < model.chain.reach())
