@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from articulation.objects import Seen, ideal, noisy
 from cli.recordings import URDF
+from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.urdf import frames, read
 from modcal_core.geometry import se3, so3
@@ -211,6 +212,42 @@ def test_quaternions_in_another_order_are_refused_by_name(tmp_path: Path, capsys
     assert "read as w x y z a revolute one: give x y z w" in lines[0]
     assert not (tmp_path / "out").exists()
     assert run(["articulate", str(tmp_path / "xyzw.txt"), "--out", str(tmp_path / "out")]) == 0
+    assert told(tmp_path / "out")["kind"] == "revolute"
+
+
+def inverse_rotations(seen: np.ndarray) -> np.ndarray:
+    return seen * np.r_[np.ones(3), -np.ones(3), 1.0]
+
+
+def left_handed(seen: np.ndarray) -> np.ndarray:
+    return seen * np.r_[1.0, -1.0, np.ones(5)]
+
+
+@pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        (inverse_rotations, "read as their inverses a revolute one: give the rotation of the handle"),
+        (left_handed, "sign of y reversed (a left-handed frame) a revolute one: correct the sign of y"),
+    ],
+)
+def test_other_conventions_of_a_track_are_refused_by_name(  # type: ignore[no-untyped-def]
+    written, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """About an axis that is no axis of the frame, so that each sign is another motion."""
+    seen = poses(door())
+    R = Rotation.from_rotvec([0.5, -0.3, 0.4])
+    seen[:, :3], seen[:, 3:] = R.apply(seen[:, :3]), (R * Rotation.from_quat(seen[:, 3:])).as_quat()
+    np.savetxt(tmp_path / "track.txt", written(seen))
+    assert run(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_rotations_that_follow_nothing_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seen = poses(door())
+    seen[:, 3:] = seen[0, 3:]
+    np.savetxt(tmp_path / "track.txt", seen)
+    assert run(["articulate", str(tmp_path / "track.txt"), "--out", str(tmp_path / "out")]) == 0
+    assert "By positions alone: the measured rotations do not follow it" in capsys.readouterr().out
     assert told(tmp_path / "out")["kind"] == "revolute"
 
 

@@ -159,14 +159,14 @@ def articulate(track: Track, seed: int = 0) -> Choice:
     cut into ``phases``. ``enough`` says whether to rely on the kind: it is probable, good enough, and predicts.
 
     track: positions or poses of the handle. seed: of the samples that first guesses are made from. Raises BadRecording
-    where rotations would follow the handle if their quaternions were w x y z.
+    where rotations would follow the handle in another convention (w x y z, inverse, a left-handed frame).
     """
     from modcal_core.articulation.choice import choose  # not for those who only calibrate
-    from modcal_core.articulation.quaternion_order import require_order
+    from modcal_core.articulation.rotation_convention import require_convention
 
     rng = np.random.default_rng(seed)
     choice = choose(track, rng)
-    require_order(track, choice, rng)
+    require_convention(track, choice, rng)
     return sealed(choice)
 
 

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from modcal_core.articulation.choice import choose
-from modcal_core.articulation.quaternion_order import require_order
+from modcal_core.articulation.rotation_convention import require_convention
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadRecording, about
 from modcal_core.geometry import se3
@@ -112,7 +112,7 @@ def articulate_command(
         rng = np.random.default_rng(seed)
         choice = choose(track, rng)
         with about(str(bag)):
-            require_order(track, choice, rng)
+            require_convention(track, choice, rng)
     found = Articulation(bag.name, read.frame, track, choice)
     out = out or Path(f"{bag.resolve().stem}_articulation")
     data, files, said = write_articulation(found, out)

@@ -19,6 +19,11 @@ def write_articulation(found: Articulation, out: Path) -> tuple[dict[str, Any], 
     choice = found.choice
     files = {"articulation.json": to_json(data), "report.html": to_html(found)}
     said = [data["verdict"]]
+    if not choice.follows:
+        said.append(
+            "By positions alone: the measured rotations do not follow it (the handle turned in the grasp, or they are "
+            "wrong)."
+        )
     if choice.misfit.fails:
         said.append(
             f"No {_URDF}: a URDF has no joint that moves so; articulation.json has the best one and its phases."
