@@ -53,3 +53,19 @@ def test_no_joint_is_blamed_where_orientations_agree_with_it_as_it_is() -> None:
     q = CLEAN.q * np.where(np.arange(6) == 2, -1.0, 1.0)
     said = refused(replace(CLEAN, reading=WORLD.world.tool_in_tracker(q)[:, :3, 3]))
     assert "elbow_joint" not in said
+
+
+@pytest.mark.slow
+def test_millimetres_and_a_joint_are_both_named() -> None:
+    said = refused(replace(CLEAN, q=swapped(CLEAN.q), reading=1e3 * CLEAN.reading))
+    assert said.startswith("positions look like millimetres: lie ")
+    assert "in metres, joints shoulder_lift_joint and elbow_joint look swapped" in said
+    assert "record metres; then correct the names in joint_states" in said
+
+
+@pytest.mark.slow
+def test_mirrored_points_and_a_joint_are_both_named() -> None:
+    points = record(12, 60, "point").samples
+    said = refused(replace(points, q=swapped(points.q), reading=points.reading * [1.0, -1.0, 1.0]))
+    assert said.startswith("positions look mirrored")
+    assert "and joints shoulder_lift_joint and elbow_joint look swapped: with both corrected" in said

@@ -9,8 +9,7 @@ times is named. When none does, one channel of the recording may not go along wi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -18,9 +17,8 @@ import numpy as np
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import errors, usual_miss
-from modcal_core.errors import BadRecording, ModcalError
+from modcal_core.calibration.score import usual_miss
+from modcal_core.errors import BadRecording
 from modcal_core.measurements.other_joints import moving_beside
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
@@ -31,34 +29,16 @@ from modcal_core.plausibility.descriptions import other_order, other_type
 from modcal_core.plausibility.filtered import filtered_readings
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
-from modcal_core.plausibility.mistakes import (
-    Mistake,
-    inverse_pose,
-    left_handed,
-    mirror_image,
-    of_joints,
-    of_pairing,
-    of_several_joints,
-    of_units,
-)
+from modcal_core.plausibility.listed import explaining
 from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.placements import several_placements
-from modcal_core.plausibility.screening import most_likely
 from modcal_core.plausibility.stated_distances import wrong_distances
+from modcal_core.plausibility.two_mistakes import EVERYTHING, another_unit, hidden_by_readings
 from modcal_core.plausibility.wrong_links import wrong_link
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 
-_BETTER = 4.0  # how many times smaller the error must get before a mistake is named
 _AN_ARM = 0.05  # of the reach; what misses by more with a mistake undone is not explained by it
-_TURNED = (
-    0.05  # rad that orientations may be missed by, or as much as without it: nominal arms turn tips 3 mrad too far
-)
-_NO_HELP = 0.5  # rad; orientations that a nominal arm misses by more agree with no posture of it
-_PLAINLY = 0.8  # times what the best single mistake leaves, by which one of several joints must be better
 _DRIFT = 0.1  # of what is missed, that readings move by within a station; noise of an instrument does not miss by far
-_SCREENED = 4  # mistakes of several joints that are fitted
-_EVERYTHING = "joint states and readings"  # the offender where none is told
 _MAX = 300  # samples are enough to tell
 
 
@@ -93,15 +73,7 @@ def refuse(
                 f"{said}, and it does not without them",
                 "correct position_m [m], quaternion (x y z w), or the frame that they are stated in; or leave them out",
             )
-    usual, turned = usual_miss(nominal.model, few), max(_turned(nominal.model, few), _TURNED)
-    best: tuple[float, str, str] = (usual / _BETTER, "", "")
-    for mistake in _mistakes(few.names, bool(few.is_pose.all())):
-        best = _weighed(mistake, few, chain, best, turned)
-    if is_serial_arm(chain) and len(few.frames) == 1:  # of several joints, which must explain plainly more
-        several = (_PLAINLY * best[0], "", "")
-        for mistake in most_likely(few, chain, list(of_several_joints(few.names)), _SCREENED):
-            several = _weighed(mistake, few, chain, several, turned)
-        best = several if several[1] else best
+    best = explaining(nominal.model, few)
     if not best[1] or best[0] > limit:  # nothing on the lists explains it as an arm's errors do
         apart = (
             filtered_readings(whole, chain)
@@ -128,6 +100,12 @@ def refuse(
     found = disagreement(few, chain) or part_apart(whole, chain) or several_placements(whole, chain)
     if found is not None:
         raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
+
+    def again(fitted: Samples, everything: Samples, miss: float) -> NoReturn:
+        refuse(fit_cell(chain, fitted, Cell()), fitted, everything, (), False, miss, limit)
+
+    if (unit := another_unit(few, whole, chain, limit, again)) is not None:
+        raise unit
     if best[1] and best[0] <= _AN_ARM * chain.reach():  # better than any, though not as a nominal arm
         raise BadRecording(best[1], named, best[2])
     described = mixed_joints(whole, chain) or wrong_link(whole, chain)
@@ -153,34 +131,13 @@ def refuse(
             f"{'stands' if len(stand) == 1 else 'stand'} at the same position at all {len(samples)} stations; {said}",
             "see whether it truly did; else its position is not recorded: check how it gets into joint_states",
         )
-    if (by_positions := _without_orientations(few, whole, chain, limit)) is not None:
-        raise by_positions
+    if (hidden := hidden_by_readings(few, whole, chain, limit, again)) is not None:
+        raise hidden
     raise BadRecording(
-        _EVERYTHING,
+        EVERYTHING,
         said,
         "check that the URDF, --base and --tip are those of this robot, and that joint and tracker clocks agree",
     )
-
-
-def _without_orientations(few: Samples, whole: Samples, chain: Mechanism, limit: float) -> BadRecording | None:
-    """What positions alone show where orientations agree with no posture: two mistakes, of which this is the first.
-
-    None where orientations are not as wrong as that, or positions name nothing.
-    """
-    if not few.is_pose.all() or _turned(fit_cell(chain, few, Cell()).model, few) < _NO_HELP:
-        return None
-    points, all_points = (replace(s, kind=np.full(len(s), "point", dtype=s.kind.dtype)) for s in (few, whole))
-    nominal = fit_cell(chain, points, Cell())
-    missed = usual_miss(nominal.model, points)
-    if missed < limit:
-        return None
-    try:
-        refuse(nominal, points, all_points, (), False, missed, limit)
-    except BadRecording as found:
-        if found.offender == _EVERYTHING:
-            return None
-        said = f"by positions alone, since orientations agree with no posture: {found.limit}"
-        return BadRecording(found.offender, said, f"{found.remedy}; then check the convention of the orientations")
 
 
 def _drift(samples: Samples) -> float:
@@ -188,45 +145,3 @@ def _drift(samples: Samples) -> float:
     sigma = samples.sigma_position[(samples.is_pose | (samples.kind == "point")) & ~samples.moving]
     known = np.isfinite(sigma)
     return float(np.median(sigma[known])) if len(sigma) and known.mean() > 0.5 else 0.0
-
-
-def _turned(model: Model, samples: Samples) -> float:
-    """Median angle [rad] by which a model misses orientations, 0 where there are none."""
-    angles = errors(model, samples).rotation_norm
-    return float(np.median(angles)) if len(angles) else 0.0
-
-
-def _weighed(
-    mistake: Mistake, samples: Samples, chain: Mechanism, best: tuple[float, str, str], turned: float
-) -> tuple[float, str, str]:
-    """The better of the best so far and this mistake: by how much the arm misses with it undone, and what to say.
-
-    turned: what orientations may be missed by [rad]; what makes positions fit and not them is no explanation.
-    """
-    undone = mistake.undone(samples)
-    try:
-        model = fit_cell(chain, undone, Cell()).model
-    except ModcalError:
-        return best
-    if _turned(model, undone) > turned:
-        return best
-    miss = usual_miss(model, undone)
-    if samples.sockets and mistake.touches == "joints":
-        miss *= max(1.0, _extent(chain, samples) / max(_extent(chain, undone), 1e-12))
-    return (miss, mistake.offender, mistake.remedy) if miss < best[0] else best
-
-
-def _extent(chain: Mechanism, samples: Samples) -> float:
-    """How far apart the flange is between postures, RMS [m]: an arm that hardly moved returns to any socket."""
-    return float(np.sqrt(forward(chain, samples.q)[:, :3, 3].var(axis=0).sum()))
-
-
-def _mistakes(names: tuple[str, ...], poses: bool) -> Iterator[Mistake]:
-    """The mistakes that are weighed here; conventions of orientation have been settled before."""
-    yield from of_joints(names)
-    yield from of_pairing()
-    yield from of_units()
-    yield left_handed()
-    if poses:
-        yield inverse_pose()
-        yield mirror_image()
