@@ -133,6 +133,7 @@ class GuardedNode(Node):
     _faults: CallbackFaults | None = None
     parameters_without_effect = ""  # what is said of those that no node knows (see declaring.py)
     most_at_once = 100  # messages of one topic before others have their turn
+    heard_by_executor = False  # whether something is subscribed to that no poller takes (see resting.py)
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.pollers: list[Callable[[], int]] = []  # take what waits in a subscription; how much that was

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -59,6 +58,8 @@ class MonitoredSubscription:
         self._kind, self._qos = kind, qos
         self._read = _READ[kind](partial(deserialize_message, message_type=kind)) if kind in _READ else None
         self._replaced = replaced
+        # no more than can have waited: those that come while others are taken must not hold up what comes beside
+        self._most = min(node.most_at_once, qos.depth or node.most_at_once)
         self._subscriptions = [self._subscribe(topic, qos)]
         node.pollers.append(self.poll)
         self.topic = self._subscriptions[0].topic_name
@@ -67,30 +68,25 @@ class MonitoredSubscription:
         raw = self._read is not None
 
         def hear(message: Any) -> None:
-            self._take_all(itertools.chain([message], (behind for behind, _ in waiting(subscription, most, raw))))
+            self._take_all([message, *(behind for behind, _ in waiting(subscription, self._most, raw))])
 
-        most = self._at_once
         events = SubscriptionEventCallbacks(incompatible_qos=self._mismatch)
         subscription = self._node.create_subscription(self._kind, topic, hear, qos, event_callbacks=events, raw=raw)
         return subscription
 
-    @property
-    def _at_once(self) -> int:
-        """No more than can have waited: those that come while others are handled must not hold up what comes beside."""
-        return min(self._node.most_at_once, self._qos.depth or self._node.most_at_once)
-
     def poll(self) -> int:
         """Take what has arrived, without an executor; how many messages that were."""
         before = self.count
-        for subscription in list(self._subscriptions):
-            self._take_all(message for message, _ in waiting(subscription, self._at_once, self._read is not None))
+        for subscription in tuple(self._subscriptions):
+            if told := waiting(subscription, self._most, self._read is not None):
+                self._take_all([message for message, _ in told])
         return self.count - before
 
-    def _take_all(self, messages: Iterable[Any]) -> None:
+    def _take_all(self, told: list[Any]) -> None:
         """Hand on what is needed of messages that came together."""
-        if self._read is not None and self._replaced is not None:
-            told = list(messages)
-            messages = self._read.needed(told, self._replaced) if len(told) > 1 else told
+        messages = told
+        if len(told) > 1 and self._read is not None and self._replaced is not None:
+            messages = self._read.needed(told, self._replaced)
             self.count += len(told) - len(messages)
         for message in messages:
             self._take(message)
