@@ -170,7 +170,8 @@ def modcals_chain(seconds: float, folder: Path, beside: bool) -> dict[str, Any]:
         heard, wait = stack.enter_context(listener(domain))
         said = Said(heard)
         last = time.monotonic()
-        wait(lambda: time.monotonic() > last + 3.0 and "/calibrator: samples" in said.last, 10.0)
+        needed = {"/calibrator: samples", "/calibrator: hearing", "/recorder: topics"}
+        wait(lambda: time.monotonic() > last + 3.0 and needed <= set(said.last), 20.0)
         late = [float(said.value("/calibrator: samples", f"from stamp to update, {key} [ms]")) for key in FIGURES]
         taken = [int(said.value("/calibrator: hearing", f"messages of {topic}")) for topic in TOPICS]
         recorded = [int(said.value("/recorder: topics", f"messages of {topic}")) for topic in TOPICS]
