@@ -22,6 +22,8 @@ from modcal_core.robots.mechanism import Mechanism, is_serial_arm
 from modcal_nodes.calibrating.standing import Standing, standing_of
 from modcal_nodes.ros.child_process import settle_in
 
+_YIELDING = 5  # of niceness: what nodes do within milliseconds goes before what takes seconds
+
 
 @dataclass(frozen=True)
 class Solved:
@@ -86,7 +88,9 @@ class SolveWorker:
         self._start()
 
     def _start(self) -> None:
-        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=settle_in)
+        self._pool = ProcessPoolExecutor(
+            1, multiprocessing.get_context("spawn"), initializer=settle_in, initargs=(_YIELDING,)
+        )
         self._pool.submit(os.getpid)  # the first piece of work does not wait for the process to start
 
     @property

@@ -9,8 +9,10 @@ import threading
 from multiprocessing.connection import wait
 
 
-def settle_in() -> None:
-    """Leave Ctrl-C to the parent, and end with it, however that ends."""
+def settle_in(yielding: int = 0) -> None:
+    """Leave Ctrl-C to the parent, and end with it, however that ends. yielding: by how much nicer than it."""
+    if yielding:
+        os.nice(yielding)
     # Ctrl-C in a terminal reaches every process of the group; the parent decides when this one ends
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
