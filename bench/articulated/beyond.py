@@ -2,7 +2,7 @@
 
 ``DESIGN`` were looked at while thresholds were chosen; ``KEPT`` were not before all was done, but before the rule of
 two motions; ``LATER`` were written after that rule, and run once; ``LAST`` were written after the tracker kept to that
-rule as well, and run once. More are in ``more_beyond`` and ``unseen``.
+rule as well, and run once. More are in ``more_beyond``, ``unseen`` and ``put_aside``.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from more_beyond import FRESH, SHAPING
 from numpy.typing import NDArray
+from put_aside import ASIDE
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from unseen import UNSEEN
@@ -38,7 +39,7 @@ def seen(kind: str, seed: int) -> Seen:
     """What a camera notes of a kind: even seeds see poses, odd ones points."""
     rng = np.random.default_rng([seed, *kind.encode()])
     n = int(rng.integers(120, 300))
-    p, R = {**DESIGN, **KEPT, **LATER, **LAST, **SHAPING, **FRESH, **UNSEEN}[kind](rng, n)
+    p, R = {**DESIGN, **KEPT, **LATER, **LAST, **SHAPING, **FRESH, **UNSEEN, **ASIDE}[kind](rng, n)
     world, hold = Rotation.random(rng=rng), Rotation.random(rng=rng)
     p = world.apply(p) + rng.uniform(-1.0, 1.0, 3) + rng.normal(0.0, np.exp(rng.uniform(-8.1, -6.2)), (n, 3))
     R = world * R * hold * Rotation.from_rotvec(rng.normal(0.0, DEGREE * rng.uniform(0.1, 0.8), (n, 3)))

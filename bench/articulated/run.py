@@ -144,7 +144,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=("real", "beyond"), default=None)
     parser.add_argument(
-        "--kinds", choices=("design", "kept", "later", "last", "shaping", "fresh", "unseen", "all"), default="all"
+        "--kinds",
+        choices=("design", "kept", "later", "last", "shaping", "fresh", "unseen", "aside", "all"),
+        default="all",
     )
     parser.add_argument("--variants", default="", help="comma-separated; default: all")
     parser.add_argument("--every", type=int, default=1, help="Of real tracks, every so many.")
@@ -157,7 +159,7 @@ def main() -> int:
     online, offline = chosen.online or chosen.not_offline, not chosen.not_offline
     if chosen.only != "real":
         sets = {"design": beyond.DESIGN, "kept": beyond.KEPT, "later": beyond.LATER, "last": beyond.LAST}
-        sets |= {"shaping": beyond.SHAPING, "fresh": beyond.FRESH, "unseen": beyond.UNSEEN}
+        sets |= {"shaping": beyond.SHAPING, "fresh": beyond.FRESH, "unseen": beyond.UNSEEN, "aside": beyond.ASIDE}
         sets["all"] = {kind: maker for some in sets.values() for kind, maker in some.items()}
         no_joint(list(sets[chosen.kinds]), chosen.seeds, online, chosen.log, chosen.trust_after, offline)
     if chosen.only != "beyond" and DATA.is_dir():
