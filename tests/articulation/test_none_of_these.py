@@ -126,3 +126,17 @@ def test_a_bow_on_top_of_a_joint_is_not_two_motions(rng: np.random.Generator) ->
     off = 1.5e-3 * np.stack([np.sin(2 * np.pi * a / 0.12), np.sin(2 * np.pi * a / 0.09 + 1.0), 0.0 * a], axis=1)
     track = Track(seen.positions + off + rng.normal(0.0, 5e-4, (200, 3)), None)
     assert two_explain(track) == ""
+
+
+@pytest.mark.parametrize(("degrees", "radius", "certain"), [(14.0, 2.2, False), (60.0, 2.2, True), (40.0, 0.8, True)])
+def test_an_arc_farther_away_than_hinges_of_furniture_has_to_be_long(
+    degrees: float, radius: float, certain: bool
+) -> None:
+    """A garage's gate that goes all the way is a hinge; half a metre of its arc is any curve."""
+    rng = np.random.default_rng(6)
+    a = np.linspace(0.0, degrees * DEGREE, 160)
+    for oriented in (True, False):
+        choice = choose(track_of(noisy(ideal("revolute", a, rng, radius), rng, 5e-4, 2e-3), oriented))
+        assert choice.kind == "revolute", choice.why
+        assert choice.enough == certain, choice.why
+        assert certain or "hinges are seldom farther away than 1.6 m" in choice.why

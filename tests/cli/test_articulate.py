@@ -184,7 +184,7 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
         ("n,x,y,z\n" + "1,1,2,3\n" * 6 + "0,,,\n" * 9, "9 of 15 rows without all numbers"),
         ("a b c\n", "line 1: is not numbers"),
         ("nan 0 0\n" * 9, "is not finite"),
-        ("0 0 0\n" * 3, "6 are needed"),
+        ("0 0 0\n" * 3, "4 are needed"),
         ("400 0 0\n" * 9, "not millimetres"),
         ("".join(f"{x} 0 0\n" for x in range(30)), "not centimetres"),
         ("0 0 0 0 0 0 3\n" * 9, "unit quaternions"),

@@ -14,20 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.articulation.bends import bend_explains
+from modcal_core.articulation.direction import backwards, one_way
 from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
+from modcal_core.articulation.far_hinge import unproved
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.held_out import predicted
-from modcal_core.articulation.misfit import NONE, Misfit, misfit, scales
+from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, misfit, scales
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.motion import Motion
 from modcal_core.articulation.nodes import Nodes
-from modcal_core.articulation.phases import best_cut, two_explain
+from modcal_core.articulation.phases import best_cut, two_explain, where
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.telling import telling, travelled
 from modcal_core.articulation.track import FEWEST, Track
 from modcal_core.geometry.so3 import Array
 
+# pooled samples of a whole track: 1 to 3 cm of the paths that handles have, short beside what is alike (10 cm)
+NODES = 48
 _GROSS = 4.0  # times noise, or the usual play of furniture: Gaussian noise across a line does so once in 3000
 SURE = 0.95  # probability from which a kind is said
 
@@ -72,7 +76,7 @@ class Phase:
     choice: Choice
 
 
-def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12) -> Choice:
+def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = NODES) -> Choice:
     """The choice between all joint types, the built-in ones and those that packages add, for one track.
 
     Lone outliers, and most samples of a rest, have no say. rng: picks samples for first guesses. Raises BadTable where
@@ -87,14 +91,15 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = 12
         choice = _cut(told, choice, rng, nodes)
     if whole:
         return choice
-    found = _refitted(choice, track, rng)
+    found = _refitted(choice, track)
     return replace(choice, fit=found, fits={**choice.fits, choice.best: found})
 
 
-def _refitted(choice: Choice, track: Track, rng: np.random.Generator) -> JointFit:
+def _refitted(choice: Choice, track: Track) -> JointFit:
     """The chosen kind with a configuration for every sample of the whole track."""
     model = next(model for model in all_models() if model.name == choice.best)
-    return fit(track if choice.follows else track.points(), model, rng, start=choice.fit.motion)
+    used = track if choice.follows else track.points()
+    return _settled(used, model, choice.fit.motion, choice.misfit.white)[0]
 
 
 def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> Choice:
@@ -102,11 +107,12 @@ def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> 
     cut = best_cut(track)
     if cut is None:
         return choice
-    way = travelled(track)
-    parts = [_chosen(track.part(rows), rng, nodes) for rows in (np.arange(cut), np.arange(cut, len(track)))]
+    order = -1 if backwards(track.positions) else 1
+    sides = (np.arange(cut), np.arange(cut, len(track)))[::order]
+    parts = [_chosen(track.part(rows), rng, nodes) for rows in sides][::order]
     if any(part.misfit.fails for part in parts) or sum(p.misfit.position for p in parts) > choice.misfit.position:
         return choice
-    ends = (0.0, float(way[cut]), float(way[-1]))
+    ends = (0.0, where(track, cut), float(travelled(track)[-1]))
     phases = tuple(Phase(a, b, part) for a, b, part in zip(ends[:-1], ends[1:], parts, strict=True))
     words = [f"{part.best}, it {_seen(part.fit, track)}" for part in parts]
     told = f"two motions: 0–{1e2 * ends[1]:.0f} cm {words[0]}; then {words[1]}"
@@ -119,7 +125,8 @@ def _chosen(track: Track, rng: np.random.Generator, nodes: int) -> Choice:
     fits = {model.name: fit(track, model, rng) for model in models}
     richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
     good = np.logical_not(gross(richest, track))
-    kept = track.part(good) if good.sum() >= FEWEST else track
+    # what is more than a quarter, as of what a joint leaves, are no outliers but the motion
+    kept = track.part(good) if good.sum() >= FEWEST and good.mean() >= 1.0 - OUTLIERS else track
     noise = white_noise(richest.motion.residuals(kept, richest.motion.configurations(kept, scales(richest))))
     choice = _weighed(track, kept, noise, nodes, fits, models, rng)
     if choice.best == STILL.name and choice.misfit.fails and kept is not track:
@@ -149,25 +156,45 @@ def _weighed(
     follows = kind == STILL.name or not (track.oriented and bool(LOOSE[j]))
     used = track if follows else track.points()
     by_name = {model.name: model for model in models}
-    if not follows:
-        fits = {**fits, kind: fit(used, by_name[kind], rng)}
     left = misfit(fits[kind], used, noise)
+    if kind != STILL.name:
+        motion = rows[kind][i].motion
+        found, left = _settled(used, by_name[kind], motion if follows else replace(motion, R=None), noise)
+        fits = {**fits, kind: found}
     doubt = ""
     if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
         rivals = sorted((k for k in shares if k != kind), key=lambda k: -probabilities[k])[:2]
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
         doubt = predicted(used, kind, rivals, own, by_name, left).doubt
         doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
-        doubt = doubt or _bent(used, fits[kind])
+        doubt = doubt or _curved(used, fits[kind])
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
     return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)
 
 
-def _bent(track: Track, found: JointFit) -> str:
-    """Whether a smooth bend explains what a fit leaves, for a person."""
+def _settled(
+    track: Track, model: ArticulationModel, motion: Motion, noise: tuple[float, float]
+) -> tuple[JointFit, Misfit]:
+    """The fit that begins at the most probable motion, and what it leaves; that motion itself where it is too much.
+
+    A fit takes every sample's error as its own. Where rotations of a part of the path agree to a tenth of a degree it
+    may follow them, and leave another part by a centimetre, although both are within what handles and cameras do.
+    """
+    found = fit(track, model, start=motion)
+    left = misfit(found, track, noise)
+    if left.fails:
+        held = fit(track, model, start=motion, climbs=False)
+        instead = misfit(held, track, noise)
+        if not instead.fails:
+            return held, instead
+    return found, left
+
+
+def _curved(track: Track, found: JointFit) -> str:
+    """Why it may be another curve than the joint's, for a person: a bend explains what is left, or a hinge is far."""
     a = found.motion.configurations(track, scales(found))
-    return bend_explains(track, found.motion.residuals(track, a)[:, :3], a)
+    return bend_explains(track, found.motion.residuals(track, a)[:, :3], a) or unproved(found.motion, a)
 
 
 def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
@@ -196,10 +223,10 @@ def gross(found: JointFit, track: Track) -> NDArray[np.bool_]:
 
 def _scenes(track: Track, sigma: tuple[float, float], most: int) -> list[NodeScene]:
     """The nodes of a track with each size of distortion; none where nothing moved. sigma: noise of a sample."""
-    nodes = Nodes(track.oriented, most)
+    nodes, ordered = Nodes(track.oriented, most), one_way(track)
     for i in range(len(track)):
-        nodes.add(track.positions[i], None if track.rotations is None else track.rotations[i])
-    pooled = nodes.track()
+        nodes.add(ordered.positions[i], None if ordered.rotations is None else ordered.rotations[i])
+    pooled = nodes.track(FEWEST)
     if pooled is None:
         return []
     apart, counts = nodes.apart(), nodes.counts[: nodes.k]

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modcal_core.articulation.direction import one_way
 from modcal_core.articulation.joints import PlacedJoint
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import axis_model
@@ -63,16 +64,16 @@ class JointFit:
 
 
 def fit(track: Track, model: Kind | ArticulationModel, rng: np.random.Generator | None = None, prior: bool = True,
-        start: Motion | None = None) -> JointFit:  # fmt: skip
+        start: Motion | None = None, climbs: bool = True) -> JointFit:  # fmt: skip
     """The most likely joint of this type (a name: one about an axis).
 
-    start: begin there, else with robust guesses (rng chooses their samples). Raises BadTable where a package's model
-    gives no answer.
+    start: begin there, else with robust guesses (rng chooses their samples). climbs: else stay at the start, and find
+    its scales and covariance only. Raises BadTable where a package's model gives no answer.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     of_type = axis_model(model) if isinstance(model, str) else model
-    starts = [start] if start is not None else of_type.guesses(track, rng)
-    best = min((climb(track, s, prior) for s in starts), key=lambda c: c.cost)
+    starts = [start] if start is not None else of_type.guesses(one_way(track), rng)
+    best = min((climb(track, s, prior, climbs) for s in starts), key=lambda c: c.cost)
     return _told(track, best, prior)
 
 
@@ -150,8 +151,8 @@ def whitened(motion: Motion, track: Track, a: Array, sigma: tuple[float, float])
     return e, J
 
 
-def climb(track: Track, motion: Motion, prior: bool) -> ClimbState:
-    """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes."""
+def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> ClimbState:
+    """Damped Gauss–Newton steps with scales re-estimated between them, until nothing changes; or the scales only."""
     sigma = (5e-3, 0.07)
     a = motion.configurations(track, sigma)
     e = motion.residuals(track, a)
@@ -167,6 +168,8 @@ def climb(track: Track, motion: Motion, prior: bool) -> ClimbState:
         cost = before
         if quiet >= 2:
             break
+        if not climbs:
+            continue
         z, J = whitened(motion, track, a, sigma)
         w = (NU + _dims(motion, z.shape[1])) / (NU + _squared(e, sigma))
         flat = J.reshape(-1, motion.size)

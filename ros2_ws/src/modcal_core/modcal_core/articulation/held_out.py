@@ -56,7 +56,7 @@ class Predicted:
             return f"it leaves {1e3 * self.left:.0f} mm, more than a {self.kind} usually does"
         own = self.errors.get(self.kind, ())
         if not own:
-            return ""
+            return "samples are too few to fit a part of the path and predict the rest"
         if min(own) > much:
             return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
         for kind, other in self.errors.items():

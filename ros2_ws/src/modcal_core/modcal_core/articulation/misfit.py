@@ -23,7 +23,7 @@ NONE: Kind = "none"  # of what moves as no joint type does
 MUCH = 4.0  # times the usual play or sway
 _NOISE = 3.0  # deviations of white noise beside it
 _COUNTED = 0.9  # of the samples, those that fit best
-_GROSS = 0.25  # share of samples beyond the limits that outliers may have
+OUTLIERS = 0.25  # share of samples beyond the limits that outliers may have
 _SMOOTH = 5  # samples of a median along the path
 _NOTHING = 1e-9  # m, rad: far below what anything measures
 
@@ -46,7 +46,7 @@ class Misfit:
     @property
     def fails(self) -> bool:
         """Whether this is no such joint."""
-        return too_much(self.position, self.rotation, self.white) or self.off > _GROSS
+        return too_much(self.position, self.rotation, self.white) or self.off > OUTLIERS
 
     @property
     def said(self) -> str:

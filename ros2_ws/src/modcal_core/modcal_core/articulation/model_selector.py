@@ -20,9 +20,8 @@ from modcal_core.articulation.evidence import EvidenceRow, glance, improved, wei
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import AXES, STILL, log_shares
-from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.nodes import FEWEST_NODES, Nodes
 from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
-from modcal_core.articulation.track import FEWEST
 from modcal_core.geometry.so3 import Array
 
 FEW = (1, 2, 3)  # of the plays: the least and the largest are rare, and each costs as much as the others
@@ -71,7 +70,7 @@ class ModelSelector:
         What a round has found is concluded where the next one begins.
         """
         self._turn += 1
-        if self._turn % 2 == 0 and nodes.k >= FEWEST and self.motion is not None:
+        if self._turn % 2 == 0 and nodes.k >= FEWEST_NODES and self.motion is not None:
             if nodes.oriented:  # both together would take too long
                 self._improve(self.motion, nodes)
                 return False
@@ -81,7 +80,7 @@ class ModelSelector:
             self._slot(*self._left.pop(), self._scene)
             return False
         other = self._scene is not None and self._conclude(self._scene)
-        if nodes.k >= FEWEST:
+        if nodes.k >= FEWEST_NODES:
             self._begin(nodes)
         return other
 

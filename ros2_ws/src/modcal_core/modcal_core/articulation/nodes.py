@@ -15,6 +15,7 @@ from modcal_core.geometry.so3 import Array
 
 _LENGTH = 0.1  # m: a turn of 1 rad is as far as this shift
 _FIRST_REACH = 4e-3  # m
+FEWEST_NODES = 6  # while more are coming: a circle in space has six parameters
 
 
 class Nodes:
@@ -77,9 +78,9 @@ class Nodes:
         squares = (m * m).sum(axis=1)
         return np.sqrt(np.maximum(squares[:, None] + squares[None] - 2.0 * m @ m.T, 0.0))
 
-    def track(self) -> Track | None:
-        """The nodes as a track; None while they are too few."""
-        if self.k < 6:
+    def track(self, fewest: int = FEWEST_NODES) -> Track | None:
+        """The nodes as a track; None where they are fewer than that."""
+        if self.k < fewest:
             return None
         m = self.means()
         if not self.oriented:

@@ -23,10 +23,10 @@ from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
-from modcal_core.articulation.nodes import Nodes
+from modcal_core.articulation.nodes import FEWEST_NODES, Nodes
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
 from modcal_core.articulation.share_check import ShareCheck
-from modcal_core.articulation.track import FARTHEST, FEWEST, RIGID, Track
+from modcal_core.articulation.track import FARTHEST, RIGID, Track
 from modcal_core.articulation.travel import Travel
 from modcal_core.articulation.two_motions import TwoMotions
 from modcal_core.errors import BadCommand
@@ -173,7 +173,7 @@ class Tracker:
             self._share.come(q, motion, self._selector.scale[0])
             if self._nodes.add(q, S):
                 continue  # pooled again, which is enough for one pose
-            due = self._travel.steps_due(stamp) if self._nodes.k >= FEWEST else 0
+            due = self._travel.steps_due(stamp) if self._nodes.k >= FEWEST_NODES else 0
             for _ in range(due):
                 if self._selector.advance(self._nodes):
                     self._check.begin(*self._reached())

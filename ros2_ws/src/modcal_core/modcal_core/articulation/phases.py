@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.articulation.direction import backwards, one_way
 from modcal_core.articulation.furniture import PLAY
 from modcal_core.articulation.telling import travelled, white
 from modcal_core.articulation.track import Track
@@ -26,6 +27,13 @@ _CAP = 0.03  # m: a sample farther off costs no more
 
 def best_cut(track: Track) -> int | None:
     """The first row of the second motion; None where the track is too short for two."""
+    if backwards(track.positions):
+        cut = _best_cut(one_way(track))
+        return None if cut is None else len(track) - cut
+    return _best_cut(track)
+
+
+def _best_cut(track: Track) -> int | None:
     way = travelled(track)
     inside = np.flatnonzero((way > MIN_PATH) & (way < way[-1] - MIN_PATH))
     inside = inside[(inside >= MIN) & (inside <= len(track) - MIN)]
@@ -48,11 +56,16 @@ def two_explain(track: Track) -> str:
     two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - noise
     if not vanishes(one, two):
         return ""
-    at = 1e2 * float(travelled(track)[cut])
+    at = 1e2 * where(track, cut)
     return (
         f"two motions, cut at {at:.0f} cm, leave {1e3 * np.sqrt(2.0 * max(two, 0.0)):.1f} mm beside noise where one "
         f"leaves {1e3 * np.sqrt(2.0 * one):.1f} mm"
     )
+
+
+def where(track: Track, cut: int) -> float:
+    """How far along the path a cut lies [m]: between the last row of the first motion and the first of the second."""
+    return float(travelled(track)[cut - 1 : cut + 1].mean())
 
 
 def vanishes(one: float, two: float) -> bool:

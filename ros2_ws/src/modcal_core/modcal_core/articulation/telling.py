@@ -12,8 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from modcal_core.articulation.direction import backwards, one_way
 from modcal_core.articulation.furniture import PLAY, SWAY
-from modcal_core.articulation.track import FEWEST, Track
+from modcal_core.articulation.track import Track
 from modcal_core.geometry.so3 import Array
 
 _NEAR = (-2, -1, 1, 2)  # neighbours in time; an outlier may have one or two that are outliers as well
@@ -23,6 +24,7 @@ _LENGTH = 0.1  # m: a turn of 1 rad is as far as this shift
 _PLACE = 3e-3  # m: samples within it, or within three deviations of noise, are in one place
 _CROWD = 2.0  # times as many samples in one place as is usual on this track are enough
 _FEW = 5  # samples of a place that are kept in any case
+_LEAST = 6  # samples that are left; of fewer, which are outliers nobody can say
 _MARK = 0.01  # m of path between marks
 _Rows = NDArray[np.intp]
 
@@ -30,10 +32,12 @@ _Rows = NDArray[np.intp]
 def telling(track: Track) -> _Rows:
     """Rows of the samples that tell of the path, in their order; all of them where too few would be left."""
     rows = np.flatnonzero(~lone(track))
-    if len(rows) < FEWEST:
+    if len(rows) < _LEAST:
         return np.arange(len(track))
-    rows = rows[_without_rests(track.part(rows))]
-    return rows if len(rows) >= FEWEST else np.arange(len(track))
+    moving = track.part(rows)
+    kept = _without_rests(one_way(moving))
+    rows = rows[np.sort(len(rows) - 1 - kept) if backwards(moving.positions) else kept]
+    return rows if len(rows) >= _LEAST else np.arange(len(track))
 
 
 def lone(track: Track) -> NDArray[np.bool_]:
@@ -89,7 +93,15 @@ def _without_rests(track: Track) -> _Rows:
 
 def travelled(track: Track) -> Array:
     """How far the handle had come along its path at each sample (n,) [m]; noise is no path."""
-    p, mark = track.positions, max(_MARK, 5.0 * white(track.positions))
+    p = track.positions
+    if backwards(p):
+        way = _way(p[::-1])
+        return np.asarray(way[-1] - way[::-1])
+    return _way(p)
+
+
+def _way(p: Array) -> Array:
+    mark = max(_MARK, 5.0 * white(p))
     at, way, out = p[0], 0.0, np.zeros(len(p))
     for i, here in enumerate(p):
         step = float(np.linalg.norm(here - at))

@@ -11,7 +11,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 
-FEWEST = 6  # samples; a circle in space has six parameters
+FEWEST = 4  # samples: three lie on a circle whatever moved
 _UNIT = 0.02  # by which the length of a quaternion may be off 1
 RIGID = 1e-3  # by which a rotation matrix may be off one
 _MAX_OF, _MANY = 0.98, 50  # share of samples that an extent is taken of, where there are more than so many
@@ -23,8 +23,8 @@ _WIDEST = 5.0  # m from the middle of the track: a gate of 10 m; beyond, a handl
 class Track:
     """positions: (n, 3) [m]. rotations: R_world_handle (n, 3, 3), or None. stamps: (n,) [s], or None.
 
-    Raises NotEnoughData for fewer than six samples, and BadRecording for what cannot be a handle's track: a number that
-    is not finite, millimetres, matrices that are no rotations, stamps that go back.
+    Raises NotEnoughData for fewer than four samples, and BadRecording for what cannot be a handle's track: a number
+    that is not finite, millimetres, matrices that are no rotations, stamps that go back.
     """
 
     positions: Array
