@@ -77,7 +77,8 @@ class Anchor:
                 del others[same]
             at += len(effect.values)
         count = len(gone) + sum(len(e.values) for e in others)
-        if count > _MAX_NEW * self.factor.columns:
+        ahead = fit.values is self.fit.values  # of a look ahead, which is asked once
+        if count > _MAX_NEW * self.factor.columns and not ahead:
             return None
         space = self.space
         rows = space.rows
@@ -142,16 +143,17 @@ class Anchor:
         J = by_component(np.stack([view.moved_by(terms) for terms in all_columns(effects, drivers)]), view)
         J *= space.weight[:rows]
         a = len(J)
-        flat = J.reshape(a, -1)
-        size = np.maximum(np.sqrt(np.einsum("ij,ij->i", flat, flat)), 1e-300)
-        W = (flat / size[:, None]).T.reshape(rows, -1, a)
+        unit = J.reshape(a, -1)
+        unit /= np.maximum(np.sqrt(np.einsum("ij,ij->i", unit, unit)), 1e-300)[:, None]
+        left = unit.copy()
         for part in (Directions(Q), *before):
-            W = W - part.sign * (part.Q @ np.tensordot(part.Q, (J / size[:, None, None]), ((0, 1), (1, 2))))
+            flat = part.Q.reshape(unit.shape[1], -1)
+            left -= part.sign * ((unit @ flat) @ flat.T)
         try:
-            L = np.linalg.cholesky((flat / size[:, None]) @ W.reshape(-1, a) + ROUNDING * np.eye(a))
+            L = np.linalg.cholesky(unit @ left.T + ROUNDING * np.eye(a))
         except np.linalg.LinAlgError:
             return None
-        out = solve_triangular(L, W.reshape(-1, a).T, lower=True, check_finite=False)
+        out = solve_triangular(L, left, lower=True, check_finite=False)
         return np.ascontiguousarray(out.T).reshape(rows, -1, a)
 
 

@@ -17,7 +17,7 @@ residual and with the projector once, and the thousands of candidates that share
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 
 import numpy as np
@@ -48,7 +48,8 @@ class Evidence:
     """What C candidates explain. effects: the candidates. explained: share of the residual's squares, (C,). score: how
     unlikely that share would be of white noise, −log10 p, (C,). p_value: that pure noise would have as good a best.
     inflation: how much larger scores of this noise are than those of white noise. freedom: rows beyond what is fitted.
-    flips: trials that p_value was compared with. complexity: how much it takes to believe each, (C,).
+    flips: trials that p_value was compared with. complexity: how much it takes to believe each, (C,). noise: the best
+    score in each trial, (flips,).
     """
 
     effects: tuple[Effect, ...]
@@ -59,6 +60,7 @@ class Evidence:
     freedom: int
     flips: int
     complexity: np.ndarray
+    noise: Array
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,7 @@ class Scanner:
         self.unit = independent_unit(drivers.samples)
         self._seen: list[tuple[Fit, Space]] = []
         self._anchor: Anchor | None = None
+        self._scanned: tuple[list[_Weighed], _Tables] = [], {}  # of the last scan with trials
 
     def _at_once(self, alike: list[Effect], spectra: SpectraOfDrivers) -> Bank:
         """The bank of candidates that differ in their cycles or times alone."""
@@ -168,6 +171,8 @@ class Scanner:
         weighed = [self._weighed(tuple(alike), space) for _, alike in groupby(asked, lambda bank: bank.width)]
         size = np.concatenate([part.sizes for part in weighed])
         tables = {int(m): score_table(int(m), space.freedom) for m in np.unique(size)}
+        if rng is not None:
+            self._scanned = weighed, tables
         whole = space.trials(signs[:1][:, self.unit])
         squares, best = self._explained(weighed, space, whole, tables)
         for some in (signs[1 : 1 + FIRST_FLIPS], signs[1 + FIRST_FLIPS :]):
@@ -178,13 +183,27 @@ class Scanner:
             taken = np.concatenate([np.full(len(b.effects), self._plainest(b) <= most) for b in self.banks])
             size, squares = _spread(size, taken), _spread(squares, taken)
         share = squares / whole.total[0]
-        score = np.zeros(len(share))
-        for m, table in tables.items():
-            if table is not None:
-                score[size == m] = np.interp(share[size == m], *table)
+        score = _scores(share, size, tables)
         p_value, inflation = against_noise(best, len(self.effects))
-        flipped = len(best) - 1
-        return Evidence(self.effects, share, score, p_value, inflation, space.freedom, flipped, self.complexity)
+        noise = best[1:]
+        return Evidence(
+            self.effects, share, score, p_value, inflation, space.freedom, len(noise), self.complexity, noise
+        )
+
+    def beyond(self, ahead: Fit, scan: Evidence) -> Evidence:
+        """What candidates explain, at least, of what is left beside more effects than the last scan with trials knew.
+
+        ahead: that scan's fit with these effects. scan: its evidence, whose trials say what noise would do: scores are
+        of shares, whatever is left. What the new effects have in common with a candidate is not taken from the
+        candidate's squares, so that its share is too small rather than too large.
+        """
+        weighed, tables = self._scanned
+        trial = self.space_of(ahead).trials(np.ones((1, len(self.drivers))))
+        squares, best = self._explained(weighed, self.space_of(ahead), trial, tables)
+        share = squares / trial.total[0]
+        score = _scores(share, np.concatenate([part.sizes for part in weighed]), tables)
+        p_value = against_noise(np.r_[best, scan.noise], len(self.effects))[0]
+        return replace(scan, explained=share, score=score, p_value=p_value)
 
     def _plainest(self, bank: Bank) -> int:
         """The least complexity among the candidates of a bank."""
@@ -329,6 +348,15 @@ def _gathered(banks: Iterable[tuple[Bank, int]]) -> Iterator[tuple[Bank, int]]:
             yield GatheredBank(parts, pools[least <= USUAL]), least
         else:
             yield from some
+
+
+def _scores(share: Array, size: np.ndarray, tables: _Tables) -> Array:
+    """How unlikely shares (C,) would be of white noise, −log10 p. size: numbers of new directions, (C,)."""
+    score = np.zeros(len(share))
+    for m, table in tables.items():
+        if table is not None:
+            score[size == m] = np.interp(share[size == m], *table)
+    return score
 
 
 def _spread(values: np.ndarray, where: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ from modcal_core.diagnosis.evidence_map import evidence_map
 from modcal_core.diagnosis.forms import other_forms
 from modcal_core.diagnosis.outliers import isolated_outliers
 from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN, joint_size, needless
+from modcal_core.diagnosis.rounds import chosen_together, surely_worth
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.family import FREE, USUAL
@@ -48,6 +49,7 @@ _HALF, _LITTLE, _NO_CHANCE = 0.5, 0.05, 0.04
 _MAX_STEPS = 15  # of such a fit: usual are three to eight, and where a wave's cycles keep changing for more it has none
 _MAX_REVISITED = 400  # samples up to which choices are weighed against each other, before and after
 _MAX_REFUSED = 3  # choices in a row that did not predict, before the search ends
+_JUDGED = 2  # fits of which is remembered what *explain* says of them: that which stands, and one beside it
 _HALVED = 0.5  # of the rejected, at most, that may be left where an effect is to explain what was rejected
 _MAX_SINGLE = 0.05  # share of the samples up to which rejected ones are taken for single wrong readings
 _NEEDLESS = 3.0  # standard deviations below which an amplitude may be nothing; the largest of several is asked
@@ -131,7 +133,7 @@ def _searched(
         if choice is None:
             break
         progress(choice.effect.label)
-        if search.add(choice):
+        if search.add_several(evidence, choice, refused) or search.add(choice):
             left, missed, evidence = None, 0, None
         else:  # also more of the same, which is not worth having: another may be
             refused.add(choice.effect.key)
@@ -184,6 +186,7 @@ class _EffectSearch:
     def __post_init__(self) -> None:
         self.causes: list[Cause] = list(self.known)
         self._geometric = self.fit
+        self._judged: list[tuple[Fit, float]] = []  # fits that *explain* was asked of last, and its answers
         rows = 3 * (len(self.train) + int(self.train.is_pose.sum()))
         # a step of so many deviations gains its square
         must = MIN_GAIN * rows  # what an effect must take of the squares
@@ -208,6 +211,30 @@ class _EffectSearch:
         if not better:
             self.fit, self.causes = before, causes
         return better
+
+    def add_several(self, evidence: Evidence, first: EffectChoice, refused: set[tuple[str, str, str, str]]) -> bool:
+        """Whether effects that a scan shows together, fitted at once, each surely predict *explain* better beside those
+        before them. Those of which that is not sure are left to another round.
+        """
+        if len(self.scanner.drivers) <= _MAX_REVISITED:  # there each is weighed against all before it
+            return False
+        most = MAX_EFFECTS - len(self.causes)
+        chosen = chosen_together(first, evidence, self.scanner, self.fit, refused, most)
+        if len(chosen) < 2:
+            return False
+        old = self.fit.model.effects
+        fit = self._refit(self.fit, (*old, *(one.started for one in chosen)))
+        known = uncertainty(fit.model, self.train, fit.parameters, fit, self.distances)
+        worth = surely_worth(fit.model, known, len(old), self._mean_square(self.fit), self._missed_by)
+        if not worth:
+            return False
+        if len(worth) < len(chosen):
+            fit = self._refit(fit, (*old, *(fit.model.effects[len(old) + i] for i, _ in worth)))
+        for i, model in worth:
+            one, nested = chosen[i].choice, replace(fit, model=model)
+            self.causes.append(Cause(one.effect, one.p_value, one.same_as, one.rivals, nested, one.flips))
+        self.fit = fit
+        return True
 
     def _in_best_form(self, effect: Effect, missed: float) -> tuple[Effect, Fit]:
         """The effect, or another form of it with as many amplitudes that leaves less of all but the held-out set.
@@ -342,7 +369,12 @@ class _EffectSearch:
 
     def _mean_square(self, fit: Fit, samples: Samples | None = None) -> float:
         """Mean squared error on *explain*, or on other samples, each sample's drawn in so that none rules alone."""
-        return self._missed_by(fit.model, samples)
+        if samples is not None:
+            return self._missed_by(fit.model, samples)
+        missed = next((missed for judged, missed in self._judged if judged is fit), None)
+        missed = self._missed_by(fit.model) if missed is None else missed
+        self._judged = [(fit, missed), *(pair for pair in self._judged if pair[0] is not fit)][:_JUDGED]
+        return missed
 
     def _missed_by(self, model: Model, samples: Samples | None = None) -> float:
         """The same of a model."""

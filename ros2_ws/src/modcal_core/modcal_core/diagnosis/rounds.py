@@ -1,0 +1,92 @@
+"""Effects that one scan shows together: the best, and what explains much of what that leaves, at other places.
+
+A scan is weighed by trials with random signs, whose best scores are of noise whatever is left. So what the chosen
+effects leave is weighed against the same trials, without a fit, where an answer is as clear as one that a scan gives
+early (:func:`chance.is_clear`) and where an effect explains many times what it must; else the round ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.removal import without
+from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.diagnosis.chance import is_clear
+from modcal_core.diagnosis.choice import EffectChoice, choose
+from modcal_core.diagnosis.evidence import Evidence, Scanner
+from modcal_core.diagnosis.forms import other_forms
+from modcal_core.diagnosis.pruning import MIN_GAIN
+from modcal_core.effects.effect import Effect, is_large_move, is_turned
+
+_MANY = 10.0  # times what an effect must gain, which it explains: such a one is hardly ever refused once it is fitted
+_SURELY = 2.0  # times what an effect must gain, where that is judged by the curvature of a fit with others
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A choice, and its effect with the amplitudes to begin from beside those chosen before it."""
+
+    choice: EffectChoice
+    started: Effect
+
+
+def chosen_together(
+    first: EffectChoice,
+    evidence: Evidence,
+    scanner: Scanner,
+    fit: Fit,
+    refused: set[tuple[str, str, str, str]],
+    most: int,
+) -> tuple[Chosen, ...]:
+    """The first choice of a scan and those that follow it, each beside those before it, at another place than they.
+
+    evidence: of that scan, the last that was made. most: how many. A choice of which a fit alone knows what it leaves
+    stands alone: a wave whose cycles are fitted, one of several forms, a large move.
+    """
+    found: list[Chosen] = []
+    choice: EffectChoice | None = first
+    ahead = fit
+    while choice is not None and choice.share >= _MANY * MIN_GAIN:
+        started = choice.effect.started(scanner.amplitudes(ahead, choice.effect))
+        if any(one.started.place == started.place for one in found) or _stands_alone(started, scanner.effects):
+            break
+        found.append(Chosen(choice, started))
+        if len(found) == most:
+            break
+        ahead = replace(ahead, model=ahead.model.with_effects((*ahead.model.effects, started)))
+        now = scanner.beyond(ahead, evidence)
+        sure = is_clear(np.r_[now.score.max(initial=0.0), now.noise])
+        choice = choose(now, scanner, ahead, refused) if sure else None
+    return tuple(found)
+
+
+def surely_worth(
+    model: Model, known: Uncertainty, first: int, missed: float, missed_by: Callable[[Model], float]
+) -> list[tuple[int, Model]]:
+    """Which effects of a model, counted from the first of its new ones, are surely worth having beside those before
+    them, each with the model that has those and it alone.
+
+    known: covariance of the model's fit, by which others are taken out. missed: what *explain* is missed by without the
+    new ones. missed_by: the same of a model.
+    """
+    found: list[tuple[int, Model]] = []
+    count = len(model.effects) - first
+    for i in range(count):
+        kept = {i, *(j for j, _ in found)}
+        nested = without(model, known, [first + j for j in range(count) if j not in kept])
+        now = missed_by(nested)
+        if now < (1.0 - _SURELY * MIN_GAIN) * missed:
+            found.append((i, nested))
+            missed = now
+    return found
+
+
+def _stands_alone(effect: Effect, candidates: Sequence[Effect]) -> bool:
+    """Whether what an effect leaves is known by its fit alone."""
+    bent = is_large_move(effect) or is_turned(effect) or bool(effect.refined)
+    return bent or bool(other_forms(effect, candidates))

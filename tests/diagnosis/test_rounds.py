@@ -1,0 +1,101 @@
+"""Effects that one scan shows together are those that are there, and each has to be worth having by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from calibration.test_identify import fit_all
+from cells import record, samples_of, ur10
+
+from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.score import errors, squared_residuals
+from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.diagnosis.choice import EffectChoice, choose
+from modcal_core.diagnosis.evidence import Evidence, Scanner
+from modcal_core.diagnosis.rounds import chosen_together, surely_worth
+from modcal_core.effects.registry import candidates
+from modcal_core.measurements.samples import Samples
+
+PAN, ELBOW, WRIST_2 = 0, 2, 4
+STALE = {PAN: 3e-4, ELBOW: 4e-4, WRIST_2: 3e-4}  # rad, of the side that each comes from
+
+
+@dataclass(frozen=True)
+class Scanned:
+    """A fit of geometry, what its scan shows, and stations that were not fitted."""
+
+    fit: Fit
+    scanner: Scanner
+    evidence: Evidence
+    first: EffectChoice
+    fitted: Samples
+    others: Samples
+
+
+@pytest.fixture(scope="module")
+def scanned() -> Scanned:
+    """An arm of which three joints have backlash."""
+    made = record(8, 240)
+    rng = np.random.default_rng(4)
+    q = made.samples.q
+    came = np.sign(np.diff(q, axis=0, prepend=np.zeros((1, 6))))
+    actual = q + 2e-5 * rng.standard_normal(q.shape)
+    for joint, size in STALE.items():
+        actual[:, joint] += size * came[:, joint]
+    T = made.world.tool_in_tracker(actual)
+    T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
+    samples = replace(samples_of(ur10(), q, T), approach=came)
+    fitted, others = samples.select(slice(None, 160)), samples.select(slice(160, None))
+    fit = fit_all(ur10(), fitted)
+    drivers = fit.model.drivers(fitted)
+    scanner = Scanner(list(candidates(drivers)), drivers)
+    evidence = scanner.evidence(fit, np.random.default_rng(0), 39)
+    first = choose(evidence, scanner, fit, set())
+    assert first is not None
+    return Scanned(fit, scanner, evidence, first, fitted, others)
+
+
+def test_one_scan_shows_all_that_are_there(scanned: Scanned) -> None:
+    s = scanned
+    chosen = chosen_together(s.first, s.evidence, s.scanner, s.fit, set(), 30)
+    names = ur10().names
+    assert {(c.started.family, c.started.place) for c in chosen} == {("backlash", names[j]) for j in STALE}
+    for one in chosen:  # with what each is, beside the others
+        size = STALE[names.index(one.started.place)]
+        np.testing.assert_allclose(np.abs(one.started.amplitudes), size, rtol=0.3)
+    assert len(chosen_together(s.first, s.evidence, s.scanner, s.fit, set(), 2)) == 2
+
+
+def test_shares_beyond_a_scan_are_none_too_large(scanned: Scanned) -> None:
+    """What a scan anew finds of each is at least as much, and of most the same."""
+    s = scanned
+    started = s.first.effect.started(s.scanner.amplitudes(s.fit, s.first.effect))
+    ahead = replace(s.fit, model=s.fit.model.with_effects((started,)))
+    beyond = s.scanner.beyond(ahead, s.evidence)
+    anew = s.scanner.evidence(ahead)
+    assert (beyond.explained <= anew.explained + 1e-6).all()
+    assert np.median(anew.explained - beyond.explained) < 0.05 * np.median(anew.explained)
+    assert anew.explained[s.evidence.effects.index(s.first.effect)] < 1e-6  # that is had already
+
+
+def test_what_is_not_there_is_not_worth_having(scanned: Scanned) -> None:
+    """Of effects that are fitted together those that predict are told from one that does not."""
+    s = scanned
+    chosen = [c.started for c in chosen_together(s.first, s.evidence, s.scanner, s.fit, set(), 30)]
+    absent = next(e for e in s.evidence.effects if (e.family, e.place) == ("backlash", ur10().names[5]))
+    new = (*chosen[:1], absent.started(np.array([1e-4])), *chosen[1:])
+    start = s.fit.start.with_effects(new)
+    fit = identify(start, s.fitted, s.fit.parameters, tolerance=FITTED, begin=s.fit.values)
+
+    def missed_by(model: Model) -> float:
+        return float(np.mean(squared_residuals(errors(model, s.others), s.others, s.fit.noise)))
+
+    known = uncertainty(fit.model, s.fitted, fit.parameters, fit)
+    worth = surely_worth(fit.model, known, 0, missed_by(s.fit.model), missed_by)
+    assert [i for i, _ in worth] == [0, *range(2, len(new))]
+    assert [len(model.effects) for _, model in worth] == list(range(1, len(new)))
+    alone = identify(s.fit.start.with_effects(chosen[:1]), s.fitted, s.fit.parameters, tolerance=FITTED)
+    assert missed_by(worth[0][1]) == pytest.approx(missed_by(alone.model), rel=0.05)
