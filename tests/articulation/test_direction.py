@@ -107,3 +107,15 @@ def test_rotations_that_are_bent_by_a_few_degrees_hide_no_door(tilt: float) -> N
     assert choice.kind == "revolute", choice.why
     off = np.linalg.norm(choice.fit.model.position(choice.fit.configurations) - seen.positions, axis=1)
     assert np.quantile(off, 0.9) < 8e-3
+
+
+@pytest.mark.parametrize("turned", [200.0, 430.0, -430.0])
+def test_a_wheel_is_said_to_turn_by_what_it_turned(turned: float) -> None:
+    a = np.radians(np.linspace(0.0, turned, 160))
+    rng = np.random.default_rng(4)
+    p = 0.3 * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1) + rng.normal(0.0, 1e-3, (160, 3))
+    p[50] += 0.3  # an outlier on the other side
+    choice = choose(Track(p))
+    assert choice.best == "revolute"
+    assert np.ptp(np.delete(choice.fit.configurations, 50)) == pytest.approx(np.radians(abs(turned)), abs=0.03)
+    assert f"it turned {abs(turned):.0f}°" in choice.why

@@ -17,7 +17,7 @@ from modcal_core.articulation.bends import bend_explains
 from modcal_core.articulation.direction import backwards, one_way
 from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
 from modcal_core.articulation.far_hinge import unproved
-from modcal_core.articulation.fit import JointFit, fit
+from modcal_core.articulation.fit import SOUND, JointFit, fit
 from modcal_core.articulation.held_out import predicted
 from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, misfit, scales
 from modcal_core.articulation.models.model import ArticulationModel, Kind
@@ -268,7 +268,7 @@ def _still(
 
 
 def _seen(chosen: JointFit, track: Track) -> str:
-    return chosen.model.sentence(chosen.configurations[chosen.weights > 0.2], track.extent(), chosen.std)
+    return chosen.model.sentence(chosen.configurations[chosen.weights > SOUND], track.extent(), chosen.std)
 
 
 def _why(probabilities: dict[Kind, float], chosen: JointFit, left: Misfit, doubt: str, track: Track) -> str:

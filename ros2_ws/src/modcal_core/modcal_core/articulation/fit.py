@@ -33,6 +33,7 @@ _MIN = (2e-6, 2e-6)  # m, rad: no scale is smaller, so that exact data can be fi
 _STEPS = 40  # iterations
 _INSIDE = 4.0  # times the expected square, beyond which a sample is an outlier: two deviations
 _MIN_LAGS = 8  # samples of which an autocorrelation says anything
+SOUND = 0.2  # weight of a sample that is no outlier
 _ENOUGH = 1e-3  # of a log-likelihood
 
 
@@ -198,7 +199,8 @@ def _bounded(step: Array) -> Array:
 def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
     motion, at = state.motion, settled(track, state, prior)
     first = motion.zero(at.configurations)
-    return JointFit(motion.joint(first), at.configurations - first, motion.covariance(at.parameters), at.log_likelihood,
+    a = motion.counted(at.configurations - first, at.weights > SOUND)
+    return JointFit(motion.joint(first), a, motion.covariance(at.parameters), at.log_likelihood,
                at.weights, at.sigma_position, at.sigma_rotation, motion, at.parameters)  # fmt: skip
 
 

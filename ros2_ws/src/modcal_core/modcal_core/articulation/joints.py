@@ -175,3 +175,16 @@ def wrapped(angle: ArrayLike) -> Array:
     """Angles [rad] brought into (−π, π]."""
     angle = np.asarray(angle, dtype=float)
     return angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))
+
+
+def followed(angle: Array, sound: np.ndarray) -> Array:
+    """Angles (n,) [rad] without jumps by whole turns from one sample to the next. sound (n,): which are no outliers.
+
+    As they are where neighbours are a quarter turn apart or more, as in a track that is not in order of time.
+    """
+    rows = np.flatnonzero(sound)
+    steps = wrapped(np.diff(angle[rows]))
+    if not len(steps) or np.abs(steps).max() > 0.5 * np.pi:
+        return angle
+    turns = (angle[rows[0]] + np.r_[0.0, np.cumsum(steps)] - angle[rows]) / (2.0 * np.pi)
+    return angle + 2.0 * np.pi * np.round(np.interp(np.arange(len(angle)), rows, turns))

@@ -83,6 +83,10 @@ class Motion(ABC):
         """Which configuration is called 0, of those of all samples (n,)."""
         return 0.0
 
+    def counted(self, a: Array, sound: np.ndarray) -> Array:
+        """Configurations (n,) as a person counts them: more than a turn of what turns on. sound: no outliers."""
+        return a
+
     def sound(self) -> bool:
         """Whether all its numbers are finite."""
         return True

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from modcal_core.articulation import furniture
 from modcal_core.articulation.guesses import best_of, far_apart, few, some_three
-from modcal_core.articulation.joints import JointModel, placed, span, wrapped
+from modcal_core.articulation.joints import JointModel, followed, placed, span, wrapped
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion, robust
 from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.models.prismatic import line
@@ -109,6 +109,10 @@ class RevoluteMotion(AxisMotion):
     def resized(self, z: Array) -> tuple[float, float]:
         """The radius changed by its logarithm's step."""
         return scaled(self.r, z[0], RADIUS), self.h
+
+    def counted(self, a: Array, sound: np.ndarray) -> Array:
+        """Angles (n,) that go on beyond a turn; a thread has followed them already."""
+        return followed(a, sound) if self.flat else a
 
     def along(self, y: Array, track: Track, sigma: tuple[float, float]) -> Array:
         """Angles (n,) [rad]: of positions, and of rotations where their noise is bounded."""
