@@ -104,3 +104,19 @@ def test_moved_mirrored_or_reversed_it_stays_what_it_is(name: str, furniture: di
         choice = choose(Track(other))
         assert choice.kind == kind
         assert choice.enough
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+@pytest.mark.parametrize("samples", [4, 5, 7])
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_a_few_samples_are_told_with_their_probability_and_never_with_certainty(
+    kind: Kind, samples: int, oriented: bool
+) -> None:
+    rng = np.random.default_rng(8)
+    a = np.linspace(0.0, 0.4 if kind == "prismatic" else 1.2, samples)
+    seen = noisy(ideal(kind, a, rng, 0.5), rng, 5e-4, 3e-3)
+    choice = choose(Track(seen.positions, seen.rotations if oriented else None))
+    assert choice.kind == kind, choice.why
+    assert choice.probabilities[kind] > 0.5
+    assert not choice.enough
+    assert choice.why.startswith(("not sure yet", "not enough motion yet"))
