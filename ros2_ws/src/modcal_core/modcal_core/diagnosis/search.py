@@ -204,6 +204,10 @@ class _EffectSearch:
         self.causes.append(Cause(effect, choice.p_value, same, rivals, self.fit, choice.flips))
         better = self._mean_square(self.fit) < (1.0 - MIN_GAIN) * missed
         if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MAX_REVISITED:
+            self.make_plainer()
+            if self._weakest() == (len(self.causes) - 1, True):  # nothing beside the others, it would be taken out
+                self.fit, self.causes = before, causes
+                return False
             self._exchange()
             self._take_out()
             # every round must bring something, or rounds could go in circles
@@ -305,19 +309,24 @@ class _EffectSearch:
         """Drop effects that are nothing beside the others."""
         self.make_plainer()
         while True:
-            size = [
-                float(np.max(np.abs(e.values) / np.maximum(e.std, 1e-300)))
-                for e in map(_linear, self.fit.model.effects)
-            ]
-            size[: len(self.known)] = [np.inf] * len(self.known)
-            size = self._together(size)
-            weakest = int(np.argmin(size))
-            if size[weakest] >= _NEEDLESS or len(size) < 2 + len(self.known):
+            weakest, needless = self._weakest()
+            if not needless:
                 return
             del self.causes[weakest]
             effects = self.fit.model.effects
             self.fit = self._refit(self.fit, effects[:weakest] + effects[weakest + 1 :])
             self._stale = True
+
+    def _weakest(self) -> tuple[int, bool]:
+        """The number of the effect that is least beside the others, and whether it is nothing: of one alone it is not
+        said.
+        """
+        effects = self.fit.model.effects
+        size = [float(np.max(np.abs(e.amplitudes) / np.maximum(e.std[: len(e.amplitudes)], 1e-300))) for e in effects]
+        size[: len(self.known)] = [np.inf] * len(self.known)
+        size = self._together(size)
+        weakest = int(np.argmin(size))
+        return weakest, size[weakest] < _NEEDLESS and len(size) >= 2 + len(self.known)
 
     def _together(self, size: list[float]) -> list[float]:
         """Sizes of the effects, of those that seem nothing the size of all their amplitudes together."""
@@ -382,11 +391,6 @@ class _EffectSearch:
         samples = self.explain if samples is None else samples
         square = squared_residuals(errors(model, samples), samples, self._geometric.noise)
         return float(np.mean(np.minimum(square, DRAWN_IN * np.median(square) + 1e-300)))
-
-
-def _linear(effect: Effect) -> Effect:
-    count = len(effect.amplitudes)
-    return replace(effect, values=effect.values[:count], std=effect.std[:count])
 
 
 def _evenly(rows: np.ndarray, most: int) -> np.ndarray:
