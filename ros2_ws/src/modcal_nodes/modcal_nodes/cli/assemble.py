@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from modcal_core.errors import BadTable
+from modcal_core.errors import BadRecording, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
 from modcal_core.modules.assembly import Assembly
 from modcal_core.modules.error_store import store_from_data, store_to_data, twists_from_data, with_recording
@@ -119,6 +119,7 @@ def modules_command() -> None:
     "--modules", "store", type=click.Path(path_type=Path), required=True, metavar="STORE",
     help="YAML of the known errors; created if it does not exist.",
 )  # fmt: skip
+@click.option("--accept", is_flag=True, help="Learn also from an assembly that is not as its modules were known.")
 @_LIBRARY
 @topic_options
 @speaking
@@ -126,6 +127,7 @@ def learn_command(
     spec: Path,
     bag: Path,
     store: Path,
+    accept: bool,
     library_file: Path | None,
     topic: tuple[str, ...],
     ignore: tuple[str, ...],
@@ -144,6 +146,14 @@ def learn_command(
         new = recording_evidence(assembly, library, prepared.samples)
         others = [w for w in known.recordings if w.assembly.name != assembly.name]
         p_value = surprise(learn(others, library), new, library).p_value
+        as_known = bool(p_value >= _UNLIKELY)
+        if not (as_known or accept):
+            raise BadRecording(
+                f"assembly {assembly.name}",
+                f"is not as its modules were known (p = {p_value:.1g}, {_UNLIKELY:g} is the limit); nothing is learned",
+                "check serial numbers, modules and flanges; where modules have changed, or the library's tolerances "
+                "are too tight, --accept learns from it all the same",
+            )
         known = with_recording(known, new, library)
         data = store_to_data(known, library)
     write_folder(store.resolve().parent, {store.name: to_yaml(data)})
@@ -152,7 +162,7 @@ def learn_command(
         "stations": new.stations,
         "residual_m": float(new.residual),
         "p_value": float(p_value),
-        "as_known": bool(p_value >= _UNLIKELY),
+        "as_known": as_known,
         "notes": list(prepared.notes),
         "parts": [_part(serial, part, error) for (serial, part), error in known.parts.items()],
     }
@@ -181,8 +191,8 @@ def _show_learned(found: dict[str, Any], console: Console) -> None:
     )
     if not found["as_known"]:
         said = (
-            f"This assembly is not as its modules were known (p = {found['p_value']:.1g}): "
-            "a serial number is wrong, a module or a flange has suffered, or the library's tolerances are too tight."
+            f"Learned although this assembly is not as its modules were known (p = {found['p_value']:.1g}): a serial "
+            "number is wrong, a module or a flange has changed, or the library's tolerances are too tight."
         )
         console.print(said, style="yellow", highlight=False)
 
