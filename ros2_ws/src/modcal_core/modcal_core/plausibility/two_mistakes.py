@@ -23,7 +23,7 @@ EVERYTHING = "joint states and readings"  # the offender of a refusal that can n
 _NO_HELP = 0.5  # rad; orientations that a nominal arm misses by more agree with no posture of it
 _FAR = 10.0  # times as far apart as any two flange positions can be, from which readings are not in metres
 _LIKE = 3.0  # times, by which the extent in the right unit may be another than that of the flange
-_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
+_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}  # m
 
 # refuses (samples that were fitted, all of the recording, by what the arm misses them [m]); raises BadRecording
 Refuse = Callable[[Samples, Samples, float], None]
