@@ -8,6 +8,8 @@ from articulation.objects import Seen, ideal, noisy
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.choice import choose
+from modcal_core.articulation.far_hinge import hidden
+from modcal_core.articulation.models.prismatic import PrismaticMotion
 from modcal_core.articulation.phases import best_cut, two_explain
 from modcal_core.articulation.telling import lone, telling
 from modcal_core.articulation.track import Track
@@ -140,3 +142,16 @@ def test_an_arc_farther_away_than_hinges_of_furniture_has_to_be_long(
         assert choice.kind == "revolute", choice.why
         assert choice.enough == certain, choice.why
         assert certain or "hinges are seldom farther away than 1.6 m" in choice.why
+
+
+def test_a_line_that_leaves_as_much_as_a_hinge_would_is_not_certain() -> None:
+    """The same 19 cm: with play of half a millimetre they are a drawer's, with play of 7 mm a cupboard's as well."""
+    rng = np.random.default_rng(9)
+    a = np.linspace(0.0, 0.19, 80)
+    motion = PrismaticMotion(np.zeros(3), np.eye(3))
+    assert hidden(motion, a, 5e-4) == ""
+    assert "the arc of a hinge at 40 cm is 3 mm from a line" in hidden(motion, a, 6e-3)
+    play = np.interp(a, np.linspace(0.0, 0.19, 8), rng.choice([-1.0, 1.0], 8))
+    for size, certain in ((5e-4, True), (7e-3, False)):
+        p = np.stack([a, size * play, 0.0 * a], axis=1) + rng.normal(0.0, 2e-4, (80, 3))
+        assert choose(Track(p)).enough == certain

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from modcal_core.articulation.bends import bend_explains
 from modcal_core.articulation.direction import backwards, one_way
 from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
-from modcal_core.articulation.far_hinge import unproved
+from modcal_core.articulation.far_hinge import hidden, unproved
 from modcal_core.articulation.fit import SOUND, JointFit, fit
 from modcal_core.articulation.held_out import predicted
 from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, misfit, scales
@@ -167,7 +167,7 @@ def _weighed(
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
         doubt = predicted(used, kind, rivals, own, by_name, left).doubt
         doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
-        doubt = doubt or _curved(used, fits[kind])
+        doubt = doubt or _curved(used, fits[kind], left.position)
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
     return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)
@@ -191,10 +191,11 @@ def _settled(
     return found, left
 
 
-def _curved(track: Track, found: JointFit) -> str:
+def _curved(track: Track, found: JointFit, left: float) -> str:
     """Why it may be another curve than the joint's, for a person: a bend explains what is left, or a hinge is far."""
     a = found.motion.configurations(track, scales(found))
-    return bend_explains(track, found.motion.residuals(track, a)[:, :3], a) or unproved(found.motion, a)
+    bent = bend_explains(track, found.motion.residuals(track, a)[:, :3], a)
+    return bent or unproved(found.motion, a) or hidden(found.motion, a, left)
 
 
 def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
