@@ -60,7 +60,8 @@ class JointInput:
         self._column = {name: j for j, name in enumerate(self.names)}
         self._lower, self._upper = lower - _BEYOND, upper + _BEYOND
         self._told: tuple[str, ...] | None = None  # names of the last message ...
-        self._rows = self._columns = np.empty(0, int)  # ... and which of them are which of this arm's joints
+        self._rows = self._columns = np.empty(0, int)  # ... and which of them are which of this arm's joints,
+        self._low, self._high = self._lower[:0], self._upper[:0]  # with their limits
         self.complete = False  # whether every joint was heard of
         n = len(self.names)
         self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.full(n, math.nan)
@@ -84,6 +85,7 @@ class JointInput:
             self._told = None
             known = [(i, self._column[name]) for i, name in enumerate(names) if name in self._column]
             self._rows, self._columns = np.array(known, int).reshape(-1, 2).T
+            self._low, self._high = self._lower[self._columns], self._upper[self._columns]
         if len(message.position) != len(names) or (self._told is None and len(set(names)) != len(names)):
             raise BadCommand(
                 "joint_states", f"{len(message.position)} positions for {len(names)} names", "send one for every name"
@@ -93,8 +95,9 @@ class JointInput:
         if not len(at):
             return
         q = np.asarray(message.position, dtype=float)[at]
-        if not ((q >= self._lower[column]) & (q <= self._upper[column])).all():  # NaN is neither
-            worst = int(np.argmin((q >= self._lower[column]) & (q <= self._upper[column])))
+        within = (q >= self._low) & (q <= self._high)  # NaN is neither
+        if not within.all():
+            worst = int(np.argmin(within))
             raise BadCommand(
                 f"joint_states of {self.names[column[worst]]}",
                 f"{q[worst]:.4g} is far outside its limits",
@@ -109,7 +112,9 @@ class JointInput:
             told = np.asarray(values, dtype=float)
             kept[column] = told[at] if len(told) == len(names) else unknown
         # no joint goes this fast: a driver that sends it does not know, and then nothing is made of it
-        self.velocity[~(np.abs(self.velocity) < _FASTEST)] = 0.0
+        slow = np.abs(self.velocity) < _FASTEST
+        if not slow.all():
+            self.velocity[~slow] = 0.0
         self.complete = self.complete or not self.missing()
 
     def missing(self) -> tuple[str, ...]:

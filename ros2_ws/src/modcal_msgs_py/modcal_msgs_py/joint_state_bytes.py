@@ -53,20 +53,25 @@ class JointStateView:
 
 @dataclass(frozen=True)
 class _Layout:
-    """same, mask: of the bytes from the stamp to the first number, as one number; what only fills up may be anything.
-    spans: of positions, velocities, efforts. counts: of the latter two, where they stand and what.
+    """head: the bytes from the stamp to the first number, as they were first. same, mask: of these, as one number; what
+    only fills up may be anything. spans: of positions, velocities, efforts. counts: of the latter two, where they
+    stand and what.
     """
 
     frame: str
     names: tuple[str, ...]
+    head: bytes
     same: int
     mask: int
     spans: tuple[tuple[int, int], ...]
     counts: tuple[tuple[int, bytes], ...]
 
     def fits(self, cdr: bytes) -> bool:
-        told = int.from_bytes(cdr[_AFTER_STAMP : self.spans[0][0]], "little")
-        return told & self.mask == self.same and all(cdr.startswith(count, at) for at, count in self.counts)
+        head = cdr[_AFTER_STAMP : self.spans[0][0]]
+        if head != self.head and int.from_bytes(head, "little") & self.mask != self.same:
+            return False
+        (a, velocities), (b, efforts) = self.counts
+        return cdr.startswith(velocities, a) and cdr.startswith(efforts, b)
 
 
 class JointStateBytes:
@@ -129,9 +134,8 @@ def _layout(cdr: bytes) -> _Layout | None:
     except (struct.error, UnicodeDecodeError):
         return None
     first = spans[0][0]
-    mask = int.from_bytes(walk.counted[_AFTER_STAMP:first], "little")
-    same = int.from_bytes(cdr[_AFTER_STAMP:first], "little") & mask
-    return _Layout(frame, names, same, mask, tuple(spans), tuple(counts[1:]))
+    head, mask = cdr[_AFTER_STAMP:first], int.from_bytes(walk.counted[_AFTER_STAMP:first], "little")
+    return _Layout(frame, names, head, int.from_bytes(head, "little") & mask, mask, tuple(spans), tuple(counts[1:]))
 
 
 class _JointStateWalk:

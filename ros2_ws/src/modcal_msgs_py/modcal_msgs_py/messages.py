@@ -238,12 +238,18 @@ class RecordingBuilder:
 
     def _add_joints(self, topic: str, message: Any, stamp: float, received: float) -> None:
         names = tuple(message.name)
-        n = _require_joints(topic, names, len(message.position), stamp)
+        rows = self._joints.get((topic, names))
+        if rows is None or len(message.position) != len(names):  # else there was one with these names before
+            rows = self._joint_rows(topic, names, _require_joints(topic, names, len(message.position), stamp))
+        n = len(names)
         # a column that was not sent, or not for every joint, is unknown for all of them
         sent = (message.velocity, message.effort)
-        rest = [np.asarray(values, dtype=float) if len(values) == n else np.full(n, np.nan) for values in sent]
-        rows = self._joints.setdefault((topic, names), TrackRows(3 * n))
+        rest = [values if len(values) == n else np.full(n, np.nan) for values in sent]
         rows.append(stamp, received, np.concatenate([message.position, *rest]))
+
+    def _joint_rows(self, topic: str, names: tuple[str, ...], n: int) -> TrackRows:
+        """The rows of a track of n joints."""
+        return self._joints.setdefault((topic, names), TrackRows(3 * n))
 
     def _add_joint_rows(
         self, topic: str, layout: MessageLayout, stamps: Array, received: Array, columns: list[Array]
@@ -251,7 +257,7 @@ class RecordingBuilder:
         names = tuple(layout.texts[f"name[{i}]"] for i in range(layout.counts["name"]))
         n = _require_joints(topic, names, columns[0].shape[1], float(stamps[0]))
         known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
-        self._joints.setdefault((topic, names), TrackRows(3 * n)).extend(stamps, received, np.hstack(known))
+        self._joint_rows(topic, names, n).extend(stamps, received, np.hstack(known))
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
         rows = self._reading_rows(topic, kind, str(message.header.frame_id))
@@ -260,7 +266,10 @@ class RecordingBuilder:
 
     def _reading_rows(self, topic: str, kind: str, frame: str) -> TrackRows:
         """The rows of a track: its numbers, and what is stated of the error of position and orientation."""
-        return self._readings.setdefault((topic, kind, frame), TrackRows(kinds()[kind].width + 2))
+        rows = self._readings.get((topic, kind, frame))
+        if rows is None:
+            rows = self._readings[topic, kind, frame] = TrackRows(kinds()[kind].width + 2)
+        return rows
 
     def _add_transforms(self, topic: str, message: Any, received: float) -> None:
         if self._transforms is None:

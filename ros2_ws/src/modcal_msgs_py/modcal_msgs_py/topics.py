@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from modcal_core.errors import BadTable
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_msgs_py import commanded
@@ -61,6 +63,7 @@ def accepted(role: str) -> tuple[str, ...]:
 _ACCEPTED = {role: accepted(role) for role in TYPES}
 
 
+@lru_cache(maxsize=256)  # of a few topics, whose every message is asked for
 def role_of(topic: str, type_name: str) -> str | None:
     """The contract's name for a topic, in whatever namespace it stands; None for a topic of no known role.
 
