@@ -122,11 +122,13 @@ def run(
     lead: float = 0.04,
     efforts: str = "",
     integral: float = 0.0,
+    cascaded: bool = False,
 ) -> Outcome:
     """One pull in the scene of a seed. servo: stiffness of the joints [N m/rad]. stated: arm_stiffness_n_m [N/m].
 
     late: mean delay of messages [s]. lead: max_joint_lead_rad. efforts: that joint states report, of
     tests/nodes/reported_efforts.py. integral: time [s] in which the servos' integral part doubles a lead; 0: none.
+    cascaded: whether that is in a loop of speed.
     """
     rng = np.random.default_rng([seed, 24])
     kind, grasp = ("door", "drawer")[seed % 2], ("weld", "ball")[seed // 2 % 2]
@@ -138,10 +140,9 @@ def run(
         stop = float(rng.uniform(0.1, 0.8) if kind == "door" else rng.uniform(0.05, 0.25))
     chosen = {"kind": kind, "grasp": grasp, "stop": stop}
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
-    world = Pulling.of(URDF, CHAIN, scene, rng, Servo(effort_limits(URDF, CHAIN.names), servo))
+    drives = Servo(effort_limits(URDF, CHAIN.names), servo, integral_s=integral, cascaded=cascaded)
+    world = Pulling.of(URDF, CHAIN, scene, rng, drives)
     reports = ReportedEfforts(efforts, URDF, world, np.random.default_rng([seed, 25])) if efforts else None
-    if integral:
-        _integrate(world, integral)
     stiffness: dict[str, object] = {"arm_stiffness_n_m": stated, "max_joint_lead_rad": lead}
     done = pull(world, URDF, Sensor(fault, world, rng), late, reports, **stiffness)
     for _ in range(50):  # as the arm stands where it was sent last
@@ -149,20 +150,6 @@ def run(
         world.advance(0.004)
     left = float(np.linalg.norm(world.peak()[:3]))
     return Outcome(seed, kind, grasp, servo, stop, fault, done.peak, left, done.opened, done.said)
-
-
-def _integrate(world: Pulling, time: float) -> None:
-    """Give the servos an integral part: they go on as long as the joints are not where they were referred to."""
-    refer, begun = world.refer, world.time
-    lead = np.zeros(world.chain.n)
-
-    def referred(q: Array) -> None:
-        nonlocal lead, begun
-        lead = lead + (world.time - begun) / time * (q - world.joints()[0])
-        begun = world.time
-        refer(q + lead)
-
-    world.refer = referred  # type: ignore[method-assign, assignment]
 
 
 def main() -> int:
@@ -180,12 +167,13 @@ def main() -> int:
     parser.add_argument("--late", type=float, default=0.0, help="mean delay of messages, as on a busy machine [s]")
     parser.add_argument("--efforts", default="", choices=("", *KINDS), help="what joint states report as effort")
     parser.add_argument("--integral", type=float, default=0.0, help="time of the servos' integral part [s]")
+    parser.add_argument("--cascaded", action="store_true", help="the integral part is in a loop of speed")
     parser.add_argument("--out", type=Path, default=None, help="a file for the runs, as JSON")
     chosen = parser.parse_args()
     console, runs = Console(), []
     first = (HELD_BACK if chosen.held_back else LOOKED_AT) if chosen.seed is None else chosen.seed
     faults = [fault for fault in FAULTS if chosen.only in fault]
-    world = chosen.servo, chosen.stated, chosen.late, chosen.lead, chosen.efforts, chosen.integral
+    world = chosen.servo, chosen.stated, chosen.late, chosen.lead, chosen.efforts, chosen.integral, chosen.cascaded
     for seed in range(first, first + chosen.scenes * chosen.every, chosen.every):
         for fault in faults:
             one = run(seed, fault, *world)

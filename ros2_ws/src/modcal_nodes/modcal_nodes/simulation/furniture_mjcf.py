@@ -35,11 +35,15 @@ class Servo:
 
     stiffness: of the stronger joints [N m/rad]; those whose torque is limited below 20 N m have a quarter of it. lag_s:
     how far a steadily moving reference is ahead [s]. effort: limits of the torque (n,) [N m]; inf where there is none.
+    integral_s: time in which an integral part adds as much again to a lead that stays [s]; 0 where there is none.
+    cascaded: whether it sums up errors of speed, in a loop within that of position: no steady motion leaves any there.
     """
 
     effort: Array
     stiffness: float = 4000.0
     lag_s: float = 0.03
+    integral_s: float = 0.0
+    cascaded: bool = False
 
     @property
     def gains(self) -> Array:

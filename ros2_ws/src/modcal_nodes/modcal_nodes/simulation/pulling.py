@@ -52,10 +52,10 @@ class Pulling:
         self._tool, self._handle = self.model.site("tool").id, self.model.site("handle").id
         self._wrist, self._grasp = self._sensor("force"), self._sensor("grasp_force")
         self._resistance, self._lever = scene.resistance, scene.radius if scene.turns else 1.0
+        self._servo, self._reference, self._wound = servo, np.array(scene.q, dtype=float), np.zeros(chain.n)
         self._way: tuple[Array, Array] | None = None
         self._peak, self._peak_size, self._sum, self._steps = np.zeros(6), 0.0, 0.0, 0
         self.data.qpos[self._arm] = scene.q
-        self.data.ctrl[:] = scene.q
         self.start = 0.0
         self.advance(_SETTLE)
         self.start = float(self.data.time)
@@ -90,7 +90,8 @@ class Pulling:
         for _ in range(round(seconds / TIMESTEP)):
             if self._way is not None:
                 times, postures = self._way
-                self.data.ctrl[:] = [np.interp(self.data.time, times, column) for column in postures.T]
+                self._reference = np.array([np.interp(self.data.time, times, column) for column in postures.T])
+            self._drive()
             self._resist()
             mujoco.mj_step(self.model, self.data)
             force = self.data.sensordata[self._grasp : self._grasp + 3]
@@ -99,6 +100,15 @@ class Pulling:
                 self._peak, self._peak_size = self.contact(), size
             self._sum += size
             self._steps += 1
+
+    def _drive(self) -> None:
+        """Send the servos to their references, and by as much beyond as their integral parts have summed up."""
+        if self._servo.integral_s > 0.0:
+            missing = self._reference - self.data.qpos[self._arm]
+            if self._servo.cascaded:
+                missing = missing - self._servo.lag_s * self.data.qvel[self._arm_v]
+            self._wound += missing * (TIMESTEP / self._servo.integral_s)
+        self.data.ctrl[:] = self._reference + self._wound
 
     def _resist(self) -> None:
         """Hold the object back by the law of its scene, which is one of the handle's way."""
@@ -115,7 +125,7 @@ class Pulling:
         q = np.asarray(q, dtype=float)
         if q.shape != (self.chain.n,) or not np.isfinite(q).all():
             raise BadCommand("joint_references", "has wrong positions", f"give {self.chain.n} finite numbers")
-        jump = np.abs(q - self.data.ctrl)
+        jump = np.abs(q - self._reference)
         if jump.max() > _LONGEST_JUMP:
             worst = self.chain.names[int(np.argmax(jump))]
             raise BadCommand(
@@ -123,13 +133,12 @@ class Pulling:
                 f"is {jump.max():.3g} away from the last one, {_LONGEST_JUMP:g} is the limit",
                 "start references where the arm is, and move in small steps",
             )
-        self._way = None
-        self.data.ctrl[:] = q
+        self._way, self._reference = None, q.copy()
 
     def follow(self, legs: Sequence[tuple[float, Array]]) -> None:
         """Go through postures (n,) by their seconds from now, straight from one to the next."""
         times = self.data.time + np.array([0.0, *(after for after, _ in legs)])
-        self._way = times, np.array([self.data.ctrl.copy(), *(q for _, q in legs)])
+        self._way = times, np.array([self._reference, *(q for _, q in legs)])
 
     # what may be known of it
 
@@ -147,7 +156,7 @@ class Pulling:
 
     def reference(self) -> Array:
         """Where the servos are sent (n,)."""
-        return self.data.ctrl.copy()
+        return self._reference.copy()
 
     def wrench(self) -> Array:
         """Reading of the wrist's sensor (6,): what acts on the tool, in the tool and about its origin [N, N m].
