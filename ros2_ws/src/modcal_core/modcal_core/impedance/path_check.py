@@ -120,7 +120,9 @@ class PathCheck:
         gain = float(np.sqrt(max(np.linalg.eigvalsh(J @ J.T)[0], 0.0))) if chain.n >= 6 else self._gain
         moved = np.abs(q - self._before)
         if near.any():
-            self._end(f"{chain.names[int(np.argmax(near))]} reaches its limit")
+            j = int(np.argmax(near))
+            limit = (chain.upper if q[j] > self._upper[j] else chain.lower)[j]
+            self._end(f"{chain.names[j]} reaches its limit of {limit:.3g} {'rad' if chain.revolute[j] else 'm'}")
         elif gain < self._gain:
             self._end(f"the arm is next to singular (gain {gain:.3g}, {self._gain:g} is the limit)")
         elif k > 0 and moved.max() > self._stride:
