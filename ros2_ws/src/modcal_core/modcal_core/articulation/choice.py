@@ -159,7 +159,8 @@ def _weighed(
     left = misfit(fits[kind], used, noise)
     if kind != STILL.name:
         motion = rows[kind][i].motion
-        found, left = _settled(used, by_name[kind], motion if follows else replace(motion, R=None), noise)
+        free = motion if follows else replace(motion, R=None)  # type: ignore[type-var] # motions are dataclasses
+        found, left = _settled(used, by_name[kind], free, noise)
         fits = {**fits, kind: found}
     doubt = ""
     if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
