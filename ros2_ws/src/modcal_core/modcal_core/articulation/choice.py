@@ -159,8 +159,9 @@ def _weighed(
     left = misfit(fits[kind], used, noise)
     if kind != STILL.name:
         motion = rows[kind][i].motion
-        free = motion if follows else replace(motion, R=None)  # type: ignore[type-var] # motions are dataclasses
-        found, left = _settled(used, by_name[kind], free, noise)
+        if not follows:
+            motion = replace(motion, R=None)  # type: ignore[type-var]  # every motion is a dataclass
+        found, left = _settled(used, by_name[kind], motion, noise)
         fits = {**fits, kind: found}
     doubt = ""
     if probabilities[kind] >= SURE and kind != STILL.name and not left.fails:
