@@ -131,7 +131,7 @@ def refuse(
             f"{'stands' if len(stand) == 1 else 'stand'} at the same position at all {len(samples)} stations; {said}",
             "see whether it truly did; else its position is not recorded: check how it gets into joint_states",
         )
-    if (hidden := hidden_by_readings(few, whole, chain, limit, again)) is not None:
+    if (hidden := hidden_by_readings(few, chain, limit, again)) is not None:
         raise hidden
     raise BadRecording(
         EVERYTHING,

@@ -1,7 +1,7 @@
 """Two mistakes at once, of which one hides the other: it is undone, and what is then told is said of both.
 
-Readings that no arm could give in metres are in another unit, whatever else is wrong. Positions may be mirrored, and
-orientations agree with no posture, beside a wrong joint.
+Readings that no arm could give in metres are in another unit, whatever else is wrong (of arrays: topics are asked as
+they are read). Positions may be mirrored, and orientations agree with no posture, beside a wrong joint.
 """
 
 from __future__ import annotations
@@ -51,9 +51,7 @@ def another_unit(few: Samples, whole: Samples, chain: Mechanism, limit: float, r
     return BadRecording(offender, said, remedy)
 
 
-def hidden_by_readings(
-    few: Samples, whole: Samples, chain: Mechanism, limit: float, refuse: Refuse
-) -> BadRecording | None:
+def hidden_by_readings(few: Samples, chain: Mechanism, limit: float, refuse: Refuse) -> BadRecording | None:
     """What mirrored positions, or orientations of another convention, hide; None where there is nothing of the kind.
 
     A joint beside mirrored positions has to make up for all that an arm misses by; orientations are left out only where
@@ -62,7 +60,8 @@ def hidden_by_readings(
     if not bool(np.all(few.is_pose | (few.kind == "point"))):
         return None
     if few.is_pose.any() and missed_angle(fit_cell(chain, few, Cell()).model, few) >= _NO_HELP:
-        found = _told(_points(few), _points(whole), chain, limit, refuse)
+        points = _points(few)  # what the order of all rows shows has been asked
+        found = _told(points, points, chain, limit, refuse)
         if found is None:
             return None
         said = f"by positions alone, since orientations agree with no posture: {found.limit}"
