@@ -28,7 +28,7 @@ _SURELY = 2.0  # times what an effect must gain, where that is judged by the cur
 
 
 @dataclass(frozen=True)
-class Chosen:
+class StartedChoice:
     """A choice, and its effect with the amplitudes to begin from beside those chosen before it."""
 
     choice: EffectChoice
@@ -42,20 +42,20 @@ def chosen_together(
     fit: Fit,
     refused: set[tuple[str, str, str, str]],
     most: int,
-) -> tuple[Chosen, ...]:
+) -> tuple[StartedChoice, ...]:
     """The first choice of a scan and those that follow it, each beside those before it, at another place than they.
 
     evidence: of that scan, the last that was made. most: how many. A choice of which a fit alone knows what it leaves
     stands alone: a wave whose cycles are fitted, one of several forms, a large move.
     """
-    found: list[Chosen] = []
+    found: list[StartedChoice] = []
     choice: EffectChoice | None = first
     ahead = fit
     while choice is not None and choice.share >= _MANY * MIN_GAIN:
         started = choice.effect.started(scanner.amplitudes(ahead, choice.effect))
         if any(one.started.place == started.place for one in found) or _stands_alone(started, scanner.effects):
             break
-        found.append(Chosen(choice, started))
+        found.append(StartedChoice(choice, started))
         if len(found) == most:
             break
         ahead = replace(ahead, model=ahead.model.with_effects((*ahead.model.effects, started)))
