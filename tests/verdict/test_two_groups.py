@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cells import Recorded, record, samples_of, ur10
+from cells import NOISE_M, NOISE_RAD, Recorded, record, samples_of, ur10
 
-from modcal_core.geometry import se3
+from modcal_core.evaluation import evaluate
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
@@ -95,3 +96,19 @@ def test_what_has_more_values_than_two_is_not_split(made: Recorded, off: str) ->
 @pytest.mark.parametrize("kind", ["pose", "point"])
 def test_nothing_is_split_on_clean_arms(seed: int, kind: str) -> None:
     assert said(record(40 + seed, 40, kind).samples) == ""
+
+
+@pytest.mark.slow
+def test_a_joint_that_was_mastered_again_is_not_two_trackers(made: Recorded) -> None:
+    """Stations on two sides of the arm, which its new zero moves apart."""
+    calibration = calibrate(made.samples, CHAIN, np.random.default_rng(0), look_for_effects=False).calibration
+    rng = np.random.default_rng(3)
+    q = np.array([0.0, -1.5, 0.3, -0.5, 1.4, 0.3]) + 0.15 * rng.standard_normal((120, 6))
+    q[:, 0] += rng.choice([-1.5, 1.5], 120)
+    q[:, 3:] += rng.uniform(-1.5, 1.5, (120, 3))
+    T = made.world.tool_in_tracker(q + 4e-3 * (np.arange(6) == 1))
+    T[:, :3, 3] += NOISE_M * rng.standard_normal((120, 3))
+    T[:, :3, :3] = T[:, :3, :3] @ so3.exp(NOISE_RAD * rng.standard_normal((120, 3)))
+    judged = evaluate(calibration, samples_of(CHAIN, q, T), np.random.default_rng(0)).judged
+    assert judged.status == "open"
+    assert not any("two groups" in s for s in judged.open_because)

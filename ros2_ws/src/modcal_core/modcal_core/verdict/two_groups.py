@@ -97,9 +97,13 @@ def two_groups(case: Case) -> TwoGroups | None:
 
 
 def _settled(residual: Array, chain: Chain, view: RowView, weight: Array) -> Array:
-    """The residual (6, N) beside the base and tool that it asks for: frozen ones that moved are not in two places."""
-    columns = np.concatenate([_of_place(place, view, weight) for place in (0, chain.tool_place)])
-    flat = columns.reshape(len(columns), -1)
+    """The residual (6, N) beside the base, tool and joint zeros that it asks for.
+
+    What moved since a calibration, or was mastered again, is not in two places where stations are near two postures.
+    """
+    columns = [_of_place(place, view, weight) for place in (0, chain.tool_place)]
+    columns += [_of_axis(j, chain, view, weight)[None] for j in range(chain.n)]
+    flat = np.concatenate(columns).reshape(-1, residual.size)
     return np.asarray(residual - (np.linalg.lstsq(flat.T, residual.ravel(), rcond=1e-9)[0] @ flat).reshape(6, -1))
 
 
@@ -119,10 +123,15 @@ def _of_place(place: int, view: RowView, weight: Array) -> Array:
     return columns[np.abs(columns).max(axis=(1, 2)) > 0.0]
 
 
+def _of_axis(j: int, chain: Chain, view: RowView, weight: Array) -> Array:
+    """The same of a joint along its axis, (6, N)."""
+    return _column(place_index(chain.names[j], chain), 5 if chain.revolute[j] else 2, view, weight)
+
+
 def _motions(chain: Chain, view: RowView, weight: Array) -> Iterator[_Motion]:
     every = slice(0, 6)
     for j, name in enumerate(chain.names):
-        axis = _column(place_index(name, chain), 5 if chain.revolute[j] else 2, view, weight)
+        axis = _of_axis(j, chain, view, weight)
         yield _Motion(f"joint {name}", axis[None], every, "mrad" if chain.revolute[j] else "mm")
     for who, place in (("the tool (or the target on it)", chain.tool_place), ("the base (or the tracker)", 0)):
         columns = _of_place(place, view, weight)
