@@ -11,7 +11,7 @@ some seconds. Asked of every pull:
 * the hand feels no more than 1.2 times `max_force_n` at any time;
 * references end within `QUIET` s, and the object is let go: less than `LET_GO` N at the end. A setpoint node that was
   killed sends nothing any more, so there the force must only not grow; where the world was killed, there is none;
-* an arm that is heard again after a pause is let go, and not led on; a pull that had not begun may begin then.
+* an arm that is heard again after a pause is let go, and not led on.
 
 A pull that does not begin is named and replaced by another scene's. Ends with exit code 1 where one of them fails, or
 more than a tenth do not begin. Writes a table, and with --out the runs as JSON.
@@ -190,8 +190,6 @@ def pull(seed: int, event: str) -> Outcome:
     if event == f"kill {SETPOINT}":
         if last > max(before, LET_GO) + 5.0:
             faults.append(f"the force grew from {before:.0f} to {last:.0f} N")
-    elif event == f"pause {WORLD}" and not pulling:
-        pass
     elif went_on > (QUIET_PAUSE if event.startswith("pause") else QUIET):
         faults.append(f"references went on for {went_on:.1f} s")
     elif last > LET_GO and event != f"kill {WORLD}":
