@@ -7,24 +7,20 @@ rule as well, and run once. More are in ``more_beyond``, ``unseen`` and ``put_as
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from more_beyond import FRESH, SHAPING
-from numpy.typing import NDArray
+from paths import DEGREE, Array, Maker, Path
 from put_aside import ASIDE
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from unseen import UNSEEN
 
-Array = NDArray[np.float64]
-Path = tuple[Array, Rotation]  # positions (n, 3) [m] and rotations of the handle
-DEGREE = np.pi / 180.0
-DESIGN: dict[str, Callable[[np.random.Generator, int], Path]] = {}
-KEPT: dict[str, Callable[[np.random.Generator, int], Path]] = {}
-LATER: dict[str, Callable[[np.random.Generator, int], Path]] = {}
-LAST: dict[str, Callable[[np.random.Generator, int], Path]] = {}
+DESIGN: dict[str, Maker] = {}
+KEPT: dict[str, Maker] = {}
+LATER: dict[str, Maker] = {}
+LAST: dict[str, Maker] = {}
 
 
 @dataclass(frozen=True)
@@ -65,12 +61,12 @@ def _still(n: int) -> Rotation:
     return Rotation.from_rotvec(np.zeros((n, 3)))
 
 
-def design(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+def design(maker: Maker) -> Maker:
     DESIGN[maker.__name__] = maker
     return maker
 
 
-def kept(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+def kept(maker: Maker) -> Maker:
     KEPT[maker.__name__] = maker
     return maker
 
@@ -196,7 +192,7 @@ def door_with_a_new_grasp(rng: np.random.Generator, n: int) -> Path:
     return p, _about_z(a)
 
 
-def later(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+def later(maker: Maker) -> Maker:
     LATER[maker.__name__] = maker
     return maker
 
@@ -274,7 +270,7 @@ def cord_on_a_drum(rng: np.random.Generator, n: int) -> Path:
     return radius[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1), _about_z(a)
 
 
-def last(maker: Callable[[np.random.Generator, int], Path]) -> Callable[[np.random.Generator, int], Path]:
+def last(maker: Maker) -> Maker:
     LAST[maker.__name__] = maker
     return maker
 

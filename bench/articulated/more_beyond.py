@@ -6,17 +6,11 @@ written after both, and run once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
+from paths import DEGREE, Array, Maker, Path, about_z
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
-Path = tuple[Array, Rotation]  # positions (n, 3) [m] and rotations of the handle
-Maker = Callable[[np.random.Generator, int], Path]
-DEGREE = np.pi / 180.0
 SHAPING: dict[str, Maker] = {}
 FRESH: dict[str, Maker] = {}
 
@@ -33,10 +27,6 @@ def fresh(maker: Maker) -> Maker:
 
 def _about(axis: list[float], angle: Array) -> Rotation:
     return Rotation.from_rotvec(np.outer(angle, axis))
-
-
-def _z(angle: Array) -> Rotation:
-    return _about([0.0, 0.0, 1.0], angle)
 
 
 def _still(n: int) -> Rotation:
@@ -69,14 +59,14 @@ def eccentric_cam(rng: np.random.Generator, n: int) -> Path:
     """A crank whose length follows a lobe."""
     a = np.linspace(0.0, rng.uniform(80.0, 130.0) * DEGREE, n)
     r = rng.uniform(0.25, 0.4) + rng.uniform(0.02, 0.04) * np.cos(2.0 * a + rng.uniform(0.0, 6.0))
-    return r[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1), _z(a)
+    return r[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1), about_z(a)
 
 
 @shaping
 def parallelogram_flap(rng: np.random.Generator, n: int) -> Path:
     """A flap on two nearly parallel arms: positions go round, the flap turns by a third. Points alone are a hinge."""
     a = np.linspace(0.0, rng.uniform(50.0, 80.0) * DEGREE, n)
-    return _arc(a, rng.uniform(0.3, 0.45)), _z(rng.uniform(0.2, 0.4) * a)
+    return _arc(a, rng.uniform(0.3, 0.45)), about_z(rng.uniform(0.2, 0.4) * a)
 
 
 @shaping
@@ -95,7 +85,7 @@ def plug_door_of_a_bus(rng: np.random.Generator, n: int) -> Path:
     """Swings out, and then slides along the side."""
     k = n // 3
     a = np.linspace(0.0, rng.uniform(25.0, 40.0) * DEGREE, k)
-    R, p = _z(a), _arc(a, rng.uniform(0.3, 0.45))
+    R, p = about_z(a), _arc(a, rng.uniform(0.3, 0.45))
     return _then((p, R), (R[-1].inv().apply(_straight(rng.uniform(0.25, 0.45), n - k, [0.0, 1.0, 0.0])), _still(n - k)))
 
 
@@ -103,7 +93,7 @@ def plug_door_of_a_bus(rng: np.random.Generator, n: int) -> Path:
 def boom_that_turns_then_extends(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(60.0, 100.0) * DEGREE, n)
     r = rng.uniform(0.35, 0.5) + rng.uniform(0.15, 0.3) * np.clip(a / a[-1] - 0.4, 0.0, 1.0) ** 2
-    return r[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1), _z(a)
+    return r[:, None] * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1), about_z(a)
 
 
 @shaping
@@ -113,7 +103,7 @@ def hinge_that_lifts_late(rng: np.random.Generator, n: int) -> Path:
     z = rng.uniform(0.04, 0.08) * np.clip(a - rng.uniform(30.0, 40.0) * DEGREE, 0.0, None)
     p = _arc(a, rng.uniform(0.5, 0.7))
     p[:, 2] = z
-    return p, _z(a)
+    return p, about_z(a)
 
 
 @shaping
@@ -123,7 +113,7 @@ def hose_in_the_hand(rng: np.random.Generator, n: int) -> Path:
     heading = CubicSpline(knots, np.cumsum(rng.normal(0.0, 0.5, 4)))(fine)
     p = _walk(heading, np.linspace(0.0, rng.uniform(0.5, 0.8), n))
     p[:, 2] = 0.1 * CubicSpline(knots, rng.normal(0.0, 0.5, 4))(fine)
-    return p, _z(heading)
+    return p, about_z(heading)
 
 
 @shaping
@@ -131,7 +121,7 @@ def elliptic_rail(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(80.0, 110.0) * DEGREE, n)
     A, B = rng.uniform(0.4, 0.5), rng.uniform(0.22, 0.3)
     p = np.stack([A * np.sin(a), B * (1.0 - np.cos(a)), 0.0 * a], axis=1)
-    return p, _z(np.arctan2(B * np.sin(a), A * np.cos(a)))
+    return p, about_z(np.arctan2(B * np.sin(a), A * np.cos(a)))
 
 
 @shaping
@@ -140,7 +130,7 @@ def lid_on_a_rack(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(70.0, 100.0) * DEGREE, n)
     r, p = rng.uniform(0.05, 0.09), _arc(a, rng.uniform(0.35, 0.5))
     p[:, 0] += r * a
-    return p, _z(a)
+    return p, about_z(a)
 
 
 @shaping
@@ -157,7 +147,7 @@ def screw_of_changing_pitch(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(1.2, 2.2) * np.pi, n)
     p = _arc(a, rng.uniform(0.1, 0.2))
     p[:, 2] = rng.uniform(0.01, 0.02) * a**2
-    return p, _z(a)
+    return p, about_z(a)
 
 
 @shaping
@@ -175,7 +165,7 @@ def rail_like_an_s(rng: np.random.Generator, n: int) -> Path:
     k = n // 2
     a, b = (np.linspace(0.0, rng.uniform(35.0, 60.0) * DEGREE, m) for m in (k, n - k))
     second = _arc(b, rng.uniform(0.25, 0.45)) * [-1.0, 1.0, 1.0]
-    return _then((_arc(a, rng.uniform(0.25, 0.45)), _z(a)), (second, _z(-b)))
+    return _then((_arc(a, rng.uniform(0.25, 0.45)), about_z(a)), (second, about_z(-b)))
 
 
 @fresh
@@ -185,7 +175,7 @@ def point_of_a_connecting_rod(rng: np.random.Generator, n: int) -> Path:
     crank, rod, at = rng.uniform(0.15, 0.22), rng.uniform(0.45, 0.6), rng.uniform(0.3, 0.6)
     tilt = np.arcsin(crank * np.sin(a) / rod)
     pin = crank * np.stack([np.cos(a), np.sin(a), 0.0 * a], axis=1)
-    return pin + at * rod * np.stack([np.cos(tilt), -np.sin(tilt), 0.0 * a], axis=1), _z(-tilt)
+    return pin + at * rod * np.stack([np.cos(tilt), -np.sin(tilt), 0.0 * a], axis=1), about_z(-tilt)
 
 
 @fresh
@@ -194,7 +184,7 @@ def oval_of_a_toy_train(rng: np.random.Generator, n: int) -> Path:
     lead, radius = rng.uniform(0.15, 0.3), rng.uniform(0.15, 0.22)
     s = np.linspace(0.0, lead + np.pi * radius + rng.uniform(0.1, 0.25), n)
     heading = np.clip((s - lead) / radius, 0.0, np.pi)
-    return _walk(heading, s), _z(heading)
+    return _walk(heading, s), about_z(heading)
 
 
 @fresh
@@ -205,7 +195,7 @@ def window_that_tilts_and_then_turns(rng: np.random.Generator, n: int) -> Path:
     tilt, height = _about([1.0, 0.0, 0.0], a), rng.uniform(0.6, 0.9)
     p = height * np.stack([0.0 * a, -np.sin(a), np.cos(a) - 1.0], axis=1)
     b = np.linspace(0.0, rng.uniform(40.0, 70.0) * DEGREE, n - k)
-    return _then((p, tilt), (_arc(b, rng.uniform(0.4, 0.6)), _z(b)))
+    return _then((p, tilt), (_arc(b, rng.uniform(0.4, 0.6)), about_z(b)))
 
 
 @fresh
@@ -214,7 +204,7 @@ def wheel_that_is_drawn_out_as_it_turns(rng: np.random.Generator, n: int) -> Pat
     a = np.linspace(0.0, rng.uniform(120.0, 200.0) * DEGREE, n)
     p = _arc(a, rng.uniform(0.12, 0.2))
     p[:, 2] = rng.uniform(0.08, 0.14) * np.clip(a - 0.5, 0.0, None) ** 1.5
-    return p, _z(a)
+    return p, about_z(a)
 
 
 @fresh
@@ -222,7 +212,7 @@ def trolley_that_changes_lanes(rng: np.random.Generator, n: int) -> Path:
     """A bend that comes and goes smoothly, and its opposite."""
     t = np.linspace(0.0, 1.0, n)
     heading = rng.uniform(0.4, 0.8) * np.sin(np.pi * t) ** 2
-    return _walk(heading, rng.uniform(0.6, 0.9) * t), _z(heading)
+    return _walk(heading, rng.uniform(0.6, 0.9) * t), about_z(heading)
 
 
 @fresh
@@ -251,7 +241,7 @@ def stair_of_a_snail(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(140.0, 220.0) * DEGREE, n)
     r = rng.uniform(0.12, 0.18) + rng.uniform(0.03, 0.05) * a
     p = np.stack([r * np.cos(a), r * np.sin(a), rng.uniform(0.03, 0.06) * a], axis=1)
-    return p, _z(a)
+    return p, about_z(a)
 
 
 @fresh
@@ -260,5 +250,5 @@ def lid_of_a_piano(rng: np.random.Generator, n: int) -> Path:
     k = n // 2
     a = np.linspace(0.0, rng.uniform(90.0, 150.0) * DEGREE, k)
     b = np.linspace(0.0, rng.uniform(30.0, 50.0) * DEGREE, n - k)
-    first, R = _arc(a, rng.uniform(0.2, 0.3)), _z(a)
-    return _then((first, R), (R[-1].inv().apply(_arc(b, rng.uniform(0.6, 0.8))), _z(b)))
+    first, R = _arc(a, rng.uniform(0.2, 0.3)), about_z(a)
+    return _then((first, R), (R[-1].inv().apply(_arc(b, rng.uniform(0.6, 0.8))), about_z(b)))

@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
+from paths import DEGREE, Array, Maker, Path, about_z, flat
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
-Path = tuple[Array, Rotation]  # positions (n, 3) [m] and rotations of the handle
-Maker = Callable[[np.random.Generator, int], Path]
-DEGREE = np.pi / 180.0
 ASIDE: dict[str, Maker] = {}
 
 
 def aside(maker: Maker) -> Maker:
     ASIDE[maker.__name__] = maker
     return maker
-
-
-def _z(angle: Array) -> Rotation:
-    return Rotation.from_rotvec(np.outer(angle, [0.0, 0.0, 1.0]))
-
-
-def _flat(x: Array, y: Array) -> Array:
-    return np.stack([x, y, np.zeros_like(x)], axis=1)
 
 
 def _ray(angle: Array) -> Array:
@@ -38,7 +24,7 @@ def lamp_on_two_parallelograms(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(20.0 * DEGREE, rng.uniform(75.0, 100.0) * DEGREE, n)
     b = rng.uniform(120.0, 150.0) * DEGREE - rng.uniform(0.3, 0.6) * a
     p = rng.uniform(0.35, 0.45) * _ray(a) + rng.uniform(0.35, 0.45) * _ray(b)
-    return _flat(p[:, 0], p[:, 1]), _z(0.0 * a)
+    return flat(p[:, 0], p[:, 1]), about_z(0.0 * a)
 
 
 @aside
@@ -47,7 +33,7 @@ def curtain_on_a_clothoid(rng: np.random.Generator, n: int) -> Path:
     s = np.linspace(0.0, rng.uniform(0.5, 0.8), n)
     heading = rng.uniform(0.8, 1.5) * (s / s[-1]) ** 2
     step = np.gradient(s)
-    return _flat(np.cumsum(np.cos(heading) * step), np.cumsum(np.sin(heading) * step)), _z(heading)
+    return flat(np.cumsum(np.cos(heading) * step), np.cumsum(np.sin(heading) * step)), about_z(heading)
 
 
 @aside
@@ -61,16 +47,16 @@ def bin_above_the_seats(rng: np.random.Generator, n: int) -> Path:
     beta = np.arccos(np.clip((body**2 + far**2 - second**2) / (2.0 * body * far), -1.0, 1.0))
     turn = np.arctan2(d[:, 1], d[:, 0]) - beta
     p = A + rng.uniform(0.3, 0.4) * _ray(turn - 0.9)
-    return _flat(p[:, 0], p[:, 1]), _z(turn)
+    return flat(p[:, 0], p[:, 1]), about_z(turn)
 
 
 @aside
 def sofa_that_lifts_as_it_comes(rng: np.random.Generator, n: int) -> Path:
     """A seat that is drawn out, and lifted over a hump by a cam."""
     t = np.linspace(0.0, 1.0, n)
-    p = _flat(rng.uniform(0.4, 0.6) * t, 0.0 * t)
+    p = flat(rng.uniform(0.4, 0.6) * t, 0.0 * t)
     p[:, 2] = rng.uniform(0.05, 0.1) * np.sin(np.pi * t**1.5)
-    return p, _z(0.0 * t)
+    return p, about_z(0.0 * t)
 
 
 @aside
@@ -79,7 +65,7 @@ def footrest_of_a_recliner(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(60.0, 85.0) * DEGREE, n)
     b = -rng.uniform(0.3, 0.6) * a
     p = rng.uniform(0.3, 0.4) * _ray(a) + rng.uniform(0.15, 0.25) * _ray(b + 0.5)
-    return _flat(p[:, 0], p[:, 1]), _z(b)
+    return flat(p[:, 0], p[:, 1]), about_z(b)
 
 
 @aside
@@ -89,7 +75,7 @@ def rib_of_an_umbrella(rng: np.random.Generator, n: int) -> Path:
     strut, at, length = 0.22, 0.2, rng.uniform(0.45, 0.6)
     angle = np.arccos(np.clip((at**2 + runner**2 - strut**2) / (2.0 * at * runner), -1.0, 1.0))
     droop = rng.uniform(0.05, 0.12) * np.sin(angle)  # the rib bends under the cloth
-    return _flat(length * np.sin(angle) * (1.0 - droop), -length * np.cos(angle) - droop * length), _z(angle)
+    return flat(length * np.sin(angle) * (1.0 - droop), -length * np.cos(angle) - droop * length), about_z(angle)
 
 
 @aside
@@ -98,7 +84,7 @@ def hook_of_a_crane(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(15.0 * DEGREE, rng.uniform(60.0, 75.0) * DEGREE, n)
     p = rng.uniform(0.6, 0.8) * _ray(a)
     p[:, 1] -= rng.uniform(0.15, 0.35) * (a - a[0])
-    return _flat(p[:, 0], p[:, 1]), _z(0.0 * a)
+    return flat(p[:, 0], p[:, 1]), about_z(0.0 * a)
 
 
 @aside
@@ -107,7 +93,7 @@ def hatch_on_a_growing_arm(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(70.0, 100.0) * DEGREE, n)
     r = rng.uniform(0.35, 0.5) * (1.0 + rng.uniform(0.1, 0.2) * (a / a[-1]) ** 2)
     p = r[:, None] * _ray(a)
-    return _flat(p[:, 0], p[:, 1]), _z(a)
+    return flat(p[:, 0], p[:, 1]), about_z(a)
 
 
 @aside
@@ -124,7 +110,7 @@ def pendulum_between_cheeks(rng: np.random.Generator, n: int) -> Path:
     """A cord that winds about two cheeks: a cycloid."""
     a = np.linspace(-rng.uniform(1.6, 2.2), rng.uniform(0.4, 1.0), n)
     wheel = rng.uniform(0.1, 0.16)
-    return _flat(wheel * (a + np.sin(a)), wheel * (1.0 - np.cos(a))), _z(0.5 * a)
+    return flat(wheel * (a + np.sin(a)), wheel * (1.0 - np.cos(a))), about_z(0.5 * a)
 
 
 @aside
@@ -132,7 +118,7 @@ def trolley_on_a_hanging_rope(rng: np.random.Generator, n: int) -> Path:
     """A pulley on a rope that sags: a catenary."""
     x = np.linspace(-rng.uniform(0.3, 0.4), rng.uniform(0.2, 0.35), n)
     c = rng.uniform(0.18, 0.3)
-    return _flat(x, c * np.cosh(x / c)), _z(np.arctan(np.sinh(x / c)))
+    return flat(x, c * np.cosh(x / c)), about_z(np.arctan(np.sinh(x / c)))
 
 
 @aside
@@ -142,4 +128,4 @@ def slider_round_the_corner(rng: np.random.Generator, n: int) -> Path:
     s = np.linspace(0.0, 2.0 * straight + bend * radius, n)
     heading = np.clip((s - straight) / radius, 0.0, bend)
     step = np.gradient(s)
-    return _flat(np.cumsum(np.cos(heading) * step), np.cumsum(np.sin(heading) * step)), _z(heading)
+    return flat(np.cumsum(np.cos(heading) * step), np.cumsum(np.sin(heading) * step)), about_z(heading)

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
+from paths import DEGREE, Array, Maker, Path, about_z, flat
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
-Path = tuple[Array, Rotation]  # positions (n, 3) [m] and rotations of the handle
-Maker = Callable[[np.random.Generator, int], Path]
-DEGREE = np.pi / 180.0
 UNSEEN: dict[str, Maker] = {}
 
 
@@ -21,18 +15,10 @@ def unseen(maker: Maker) -> Maker:
     return maker
 
 
-def _z(angle: Array) -> Rotation:
-    return Rotation.from_rotvec(np.outer(angle, [0.0, 0.0, 1.0]))
-
-
-def _flat(x: Array, y: Array) -> Array:
-    return np.stack([x, y, np.zeros_like(x)], axis=1)
-
-
 def _walk(heading: Array, s: Array) -> Array:
     """A way in the plane with a heading [rad] at each length s [m]."""
     step = np.gradient(s)
-    return _flat(np.cumsum(np.cos(heading) * step), np.cumsum(np.sin(heading) * step))
+    return flat(np.cumsum(np.cos(heading) * step), np.cumsum(np.sin(heading) * step))
 
 
 @unseen
@@ -46,7 +32,7 @@ def link_of_watt(rng: np.random.Generator, n: int) -> Path:
     beta = np.arccos(np.clip((link**2 + far**2 - arm**2) / (2.0 * link * far), -1.0, 1.0))
     at = np.arctan2(d[:, 1], d[:, 0]) + beta
     share = rng.uniform(0.5, 0.8)
-    return _flat(first[:, 0] + share * link * np.cos(at), first[:, 1] + share * link * np.sin(at)), _z(at)
+    return flat(first[:, 0] + share * link * np.cos(at), first[:, 1] + share * link * np.sin(at)), about_z(at)
 
 
 @unseen
@@ -54,14 +40,14 @@ def spiral_of_archimedes(rng: np.random.Generator, n: int) -> Path:
     """A pin in the groove of a scroll: outwards by 5 to 9 cm a radian."""
     a = np.linspace(0.0, rng.uniform(100.0, 170.0) * DEGREE, n)
     r = rng.uniform(0.15, 0.25) + rng.uniform(0.05, 0.09) * a
-    return _flat(r * np.cos(a), r * np.sin(a)), _z(a)
+    return flat(r * np.cos(a), r * np.sin(a)), about_z(a)
 
 
 @unseen
 def parabolic_chute(rng: np.random.Generator, n: int) -> Path:
     x = np.linspace(0.0, rng.uniform(0.45, 0.65), n)
     steep = rng.uniform(1.2, 2.4)
-    return _flat(x, steep * x**2), _z(np.arctan(2.0 * steep * x))
+    return flat(x, steep * x**2), about_z(np.arctan(2.0 * steep * x))
 
 
 @unseen
@@ -70,10 +56,10 @@ def flipper_door(rng: np.random.Generator, n: int) -> Path:
     k = n // 2
     a = np.linspace(0.0, 90.0 * DEGREE, k)
     height = rng.uniform(0.25, 0.4)
-    p = height * _flat(np.sin(a), 1.0 - np.cos(a))
+    p = height * flat(np.sin(a), 1.0 - np.cos(a))
     into = np.linspace(0.0, rng.uniform(0.2, 0.35), n - k)
     q = p[-1] + np.outer(into, [-1.0, 0.0, 0.0])
-    return np.concatenate([p, q]), _z(np.concatenate([a, np.full(n - k, a[-1])]))
+    return np.concatenate([p, q]), about_z(np.concatenate([a, np.full(n - k, a[-1])]))
 
 
 @unseen
@@ -85,9 +71,9 @@ def bayonet_with_a_long_lever(rng: np.random.Generator, n: int) -> Path:
     a = np.concatenate([a, np.full(n - 2 * k, a[-1])])
     z = np.concatenate([np.linspace(0.0, -push, k), np.full(k, -push), -push + np.linspace(0.0, out, n - 2 * k)])
     lever = rng.uniform(0.2, 0.3)
-    p = _flat(lever * np.cos(a), lever * np.sin(a))
+    p = flat(lever * np.cos(a), lever * np.sin(a))
     p[:, 2] = z
-    return p, _z(a)
+    return p, about_z(a)
 
 
 @unseen
@@ -95,7 +81,7 @@ def trammel(rng: np.random.Generator, n: int) -> Path:
     """A rod with two pins in crossed slots, held at its end: an ellipse, and the rod turns the other way."""
     a = np.linspace(10.0 * DEGREE, rng.uniform(95.0, 125.0) * DEGREE, n)
     whole, part = rng.uniform(0.45, 0.55), rng.uniform(0.2, 0.3)
-    return _flat(whole * np.cos(a), part * np.sin(a)), _z(-a)
+    return flat(whole * np.cos(a), part * np.sin(a)), about_z(-a)
 
 
 @unseen
@@ -105,7 +91,7 @@ def cradle_that_rocks(rng: np.random.Generator, n: int) -> Path:
     runner, above = rng.uniform(0.35, 0.5), rng.uniform(0.3, 0.45)
     x = runner * a + above * np.sin(a)
     y = runner + above * np.cos(a) + rng.uniform(0.05, 0.12) * np.sin(2.0 * a)
-    return _flat(x, y), _z(-a)
+    return flat(x, y), about_z(-a)
 
 
 @unseen
@@ -113,8 +99,8 @@ def table_on_a_turntable(rng: np.random.Generator, n: int) -> Path:
     """Two turntables, one on the other and geared to it."""
     a = np.linspace(0.0, rng.uniform(60.0, 100.0) * DEGREE, n)
     b = rng.uniform(1.6, 2.6) * a
-    p = rng.uniform(0.25, 0.35) * _flat(np.cos(a), np.sin(a)) + rng.uniform(0.1, 0.16) * _flat(np.cos(b), np.sin(b))
-    return p, _z(b)
+    p = rng.uniform(0.25, 0.35) * flat(np.cos(a), np.sin(a)) + rng.uniform(0.1, 0.16) * flat(np.cos(b), np.sin(b))
+    return p, about_z(b)
 
 
 @unseen
@@ -127,7 +113,7 @@ def trailer_that_is_swung(rng: np.random.Generator, n: int) -> Path:
     for i in range(1, n):
         heading[i] = heading[i - 1] - np.sin(heading[i - 1]) * (s[i] - s[i - 1]) / length
     over = rng.uniform(1.2, 1.6) * length  # the handle sits behind the axle
-    return _flat(s - over * np.cos(heading), -over * np.sin(heading)), _z(heading)
+    return flat(s - over * np.cos(heading), -over * np.sin(heading)), about_z(heading)
 
 
 @unseen
@@ -150,7 +136,7 @@ def rail_of_the_third_degree(rng: np.random.Generator, n: int) -> Path:
     """Straight at first, and off to the side with the cube of the way."""
     s = np.linspace(0.0, rng.uniform(0.45, 0.65), n)
     side = rng.uniform(0.08, 0.2) * (s / s[-1]) ** 3
-    return _flat(s, side), _z(np.arctan(np.gradient(side, s)))
+    return flat(s, side), about_z(np.arctan(np.gradient(side, s)))
 
 
 @unseen
@@ -164,7 +150,7 @@ def toggle_clamp(rng: np.random.Generator, n: int) -> Path:
     beta = np.arccos(np.clip((coupler**2 + far**2 - rocker**2) / (2.0 * coupler * far), -1.0, 1.0))
     turn = np.arctan2(d[:, 1], d[:, 0]) + beta
     lever = rng.uniform(0.3, 0.45)
-    return _flat(A[:, 0] + lever * np.cos(turn + 0.8), A[:, 1] + lever * np.sin(turn + 0.8)), _z(turn)
+    return flat(A[:, 0] + lever * np.cos(turn + 0.8), A[:, 1] + lever * np.sin(turn + 0.8)), about_z(turn)
 
 
 @unseen
@@ -176,7 +162,7 @@ def spiral_slide_with_a_landing(rng: np.random.Generator, n: int) -> Path:
     p = np.column_stack([radius * np.cos(a), radius * np.sin(a), -pitch * a])
     on = np.array([-np.sin(a[-1]), np.cos(a[-1]), 0.0])
     q = p[-1] + np.outer(np.linspace(0.0, rng.uniform(0.15, 0.3), n - k), on)
-    return np.concatenate([p, q]), _z(np.concatenate([a, np.full(n - k, a[-1])]))
+    return np.concatenate([p, q]), about_z(np.concatenate([a, np.full(n - k, a[-1])]))
 
 
 @unseen
@@ -185,8 +171,8 @@ def second_hinge_that_joins_in(rng: np.random.Generator, n: int) -> Path:
     a = np.linspace(0.0, rng.uniform(60.0, 85.0) * DEGREE, n)
     late = np.clip(a - rng.uniform(20.0, 30.0) * DEGREE, 0.0, None)
     b = a + rng.uniform(0.8, 1.4) * late**2 / (late + 0.2)
-    p = rng.uniform(0.3, 0.4) * _flat(np.cos(a), np.sin(a)) + rng.uniform(0.3, 0.4) * _flat(np.cos(b), np.sin(b))
-    return p, _z(b)
+    p = rng.uniform(0.3, 0.4) * flat(np.cos(a), np.sin(a)) + rng.uniform(0.3, 0.4) * flat(np.cos(b), np.sin(b))
+    return p, about_z(b)
 
 
 @unseen
