@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modcal_core.verdict.features import Waves
-from modcal_core.verdict.ridge import Baseline, Layout, Projection
+from modcal_core.verdict.ridge import Baseline, Layout
 from modcal_core.verdict.sparse import SparseRegressor
 
 N = 30
@@ -24,14 +24,14 @@ def test_contracted_products_are_those_of_the_columns_in_full(parameters: int) -
     U = 10.0 * layout.flat(rng.normal(size=(parameters, 6, N)))
     full = layout.flat(waves.written(np.arange(22)) * seen)
     seen_only = Waves(tuple(u * seen for u in waves.motions), waves.numbers)
-    few = SparseRegressor.of("", seen_only, Baseline(U, layout), Projection(U), 0.02)
+    few = SparseRegressor.of("", seen_only, Baseline(U, layout), 0.02)
     assert few is not None
     np.testing.assert_allclose(seen_only.squares(), np.sum(full**2, axis=1), rtol=1e-12)
 
     # ridge regression on parameters of unit variance, taken out of the columns, which are then of unit length
     left = full - full @ U.T @ np.linalg.solve(U @ U.T + np.eye(parameters), U)
     left /= np.linalg.norm(left, axis=1, keepdims=True)
-    np.testing.assert_allclose(few.columns.rows(np.arange(22)), left, atol=1e-9)
+    np.testing.assert_allclose(few.written(np.arange(22)), left, atol=1e-9)
     r = rng.normal(size=(left.shape[1], 3))
     trials = Baseline(U, layout).trials(r)
     for k, (a, b) in enumerate(layout.spans):
@@ -39,4 +39,4 @@ def test_contracted_products_are_those_of_the_columns_in_full(parameters: int) -
         train = r[rest] - U[:, rest].T @ np.linalg.solve(
             U[:, rest] @ U[:, rest].T + np.eye(parameters), U[:, rest] @ r[rest]
         )
-        np.testing.assert_allclose(few.trained.products(trials)[k], left[:, rest] @ train, atol=1e-9)
+        np.testing.assert_allclose(few.trained(trials)[k], left[:, rest] @ train, atol=1e-9)

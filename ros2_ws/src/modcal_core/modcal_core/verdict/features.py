@@ -328,10 +328,12 @@ class _GroupBuilder:
         size = np.sqrt(np.einsum("dcn,dcn->d", columns, columns))
         columns = columns[size > 1e-9 * size.max(initial=1e-300)]
         if len(columns) > _MAX_COLUMNS:
-            flat = columns.reshape(len(columns), -1)
-            flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
+            read = self.weight.any(axis=1)  # of points three of the six components are nothing
+            flat = columns[:, read].reshape(len(columns), -1)
+            length = np.sqrt(np.einsum("dr,dr->d", flat, flat))
             mix = self.rng.normal(size=(_MAX_COLUMNS, len(flat))) / np.sqrt(_MAX_COLUMNS)
-            columns = (mix @ flat).reshape(_MAX_COLUMNS, *columns.shape[1:])
+            columns = np.zeros((_MAX_COLUMNS, *columns.shape[1:]))
+            columns[:, read] = ((mix / length) @ flat).reshape(_MAX_COLUMNS, -1, columns.shape[2])
         return Group(name, columns)
 
 

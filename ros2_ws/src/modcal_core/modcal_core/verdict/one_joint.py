@@ -92,7 +92,7 @@ def one_joint(case: Case, least: float = _MOSTLY) -> OneJoint | None:
     share = variance * power
     first, second = (int(j) for j in np.argsort(-share)[:2])
     rng = np.random.default_rng(0)
-    drawn: list[Array] = []
+    drawn: Array | None = None
     for loose in ([first], [first, second]):
         alike = [k for k in range(chain.n) if k not in loose and chain.revolute[k] == chain.revolute[first]]
         if share[loose].sum() < least or len(alike) < _MIN_JOINTS:
@@ -101,10 +101,9 @@ def one_joint(case: Case, least: float = _MOSTLY) -> OneJoint | None:
             continue
         if variance[loose].min() < _TIMES**2 * float(np.median(variance[alike])):
             continue
-        for _ in range(_DRAWS - len(drawn)):
-            some = rng.integers(len(rows), size=len(rows))
-            drawn.append(_variances(products[some].sum(axis=0), seen[some].sum(axis=0)))
-        at = _apart(np.array(drawn)[:, : chain.n], power, loose, alike)
+        if drawn is None:
+            drawn = _drawn(products, seen, rng)
+        at = _apart(drawn[:, : chain.n], power, loose, alike)
         if at is None:
             continue
         others, hidden = at
@@ -114,6 +113,19 @@ def one_joint(case: Case, least: float = _MOSTLY) -> OneJoint | None:
         turns = bool(chain.revolute[first])
         return OneJoint(names, float(sizes[0]), float(sizes[1]), turns, float(share[loose].sum()), unseen)
     return None
+
+
+def _drawn(products: Array, seen: Array, rng: np.random.Generator) -> Array:
+    """Variances of directions (draws, J) as other draws of the stations would have them.
+
+    products, seen: of each station its squared products of directions with each other (N, J, J), and with the residual
+    (N, J).
+    """
+    N, J = seen.shape
+    some = rng.integers(N, size=(_DRAWS, N)) + N * np.arange(_DRAWS)[:, None]
+    times = np.bincount(some.ravel(), minlength=_DRAWS * N).reshape(_DRAWS, N).astype(float)
+    whole, met = (times @ products.reshape(N, J * J)).reshape(_DRAWS, J, J), times @ seen
+    return np.stack([_variances(*sums) for sums in zip(whole, met, strict=True)])
 
 
 def _apart(drawn: Array, power: Array, loose: list[int], alike: list[int]) -> tuple[float, list[int]] | None:

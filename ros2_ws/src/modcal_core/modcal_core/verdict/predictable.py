@@ -27,7 +27,7 @@ from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.by_instrument import by_instrument
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.features import groups, on_the_way, single_waves
-from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Projection, Regressor, Ridge
+from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Regressor, Ridge
 from modcal_core.verdict.sparse import SparseRegressor
 from modcal_core.verdict.verdict import Share
 
@@ -76,7 +76,7 @@ def predictable(case: Case) -> Predictable:
     r = layout.flat(_drawn_in(residual * weight))
     U = _parameters(J * weight, case)
     free = U[U.any(axis=(1, 2))] if case.fitted else U[:0]  # a curve's functions that reach to no sample are nothing
-    baseline, project = Baseline(layout.flat(free), layout), Projection(layout.flat(free))
+    baseline = Baseline(layout.flat(free), layout)
     own = layout.flat(U[:0] if case.fitted else U)
     tests: list[Regressor] = []
     changed = on_the_way(case.model, samples, weight, J * weight)
@@ -84,14 +84,14 @@ def predictable(case: Case) -> Predictable:
     for group in (*groups(case.model, samples, weight), changed, *apart):
         columns = layout.flat(group.columns)
         before = np.sqrt(np.einsum("dr,dr->d", columns, columns))
-        columns = project(columns)
+        columns = baseline.without(columns)
         size = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         keep = size > _MIN_NEW * before
         if keep.any():
             columns = (columns if keep.all() else columns[keep]) / size[keep, None]
             tests.append(Ridge.of(group.name, columns, baseline))
     for name, waves in single_waves(case.model, samples, weight):
-        few = SparseRegressor.of(name, waves, baseline, project, _MIN_NEW)
+        few = SparseRegressor.of(name, waves, baseline, _MIN_NEW)
         tests += [few] if few is not None else []
     return _weighed(tests, baseline, r, own, layout, unit)
 

@@ -42,94 +42,58 @@ class Layout:
 
 @dataclass(frozen=True)
 class Trials:
-    """m residuals (R, m) with what the parameters U (K, R) predict taken away.
+    """m residuals (R, m) with what K parameters predict taken away.
 
-    left: what parameters fitted to all of it leave, (R, m): to be predicted. values: for every fold the parameters
-    fitted to the others, (FOLDS, K, m). What they leave of the others is what regressors for this fold are trained on,
-    so white noise of a fold shows nowhere in it, not even through the parameters.
+    left: what parameters fitted to all of it leave, (R, m): to be predicted. seen: products of each fold with the
+    orthonormal directions that the parameters move it along, (FOLDS, K, m). moved: along these directions, by the
+    parameters that are fitted to the other folds, (FOLDS, K, m). What they leave of the others is what regressors for
+    this fold are trained on, so white noise of a fold shows nowhere in it, not even through the parameters.
     """
 
     residual: Array
     left: Array
-    values: Array
+    seen: Array
+    moved: Array
 
 
 class Baseline:
-    """The parameters as regressors with unit variance, prepared for every fold."""
+    """The parameters as regressors with unit variance, prepared for every fold.
+
+    directions: orthonormal ones that they move a residual along, (K, R). shared: products of these over each fold,
+    (FOLDS, K, K), which add up to the identity.
+    """
 
     def __init__(self, U: Array, layout: Layout) -> None:
         """U: (K, R), of which there may be none."""
-        self._U, self.layout = U, layout
-        grams = [U[:, a:b] @ U[:, a:b].T for a, b in layout.spans]
-        whole = np.sum(grams, axis=0) + np.eye(len(U))
-        self._whole = np.linalg.cholesky(whole)
-        self._factors = [np.linalg.cholesky(whole - g) for g in grams]
+        value, vector = np.linalg.eigh(U @ U.T)
+        keep = value > 1e-12 * value.max(initial=1e-300)
+        self.layout, self._value, self._root = layout, value[keep], np.sqrt(value[keep])
+        self.directions = (vector[:, keep] / self._root).T @ U
+        parts = [self.directions[:, a:b] for a, b in layout.spans]
+        self.shared = np.stack([part @ part.T for part in parts])
+        both = np.outer(self._root, self._root)
+        self._factors = [np.linalg.cholesky(np.diag(1.0 + self._value) - both * own) for own in self.shared]
+
+    @property
+    def predicted(self) -> Array:
+        """What of each direction the parameters predict when fitted to all of it, (K,)."""
+        return np.asarray(self._value / (1.0 + self._value))
+
+    def without(self, x: Array) -> Array:
+        """Columns (D, R) less what the parameters predict of them."""
+        Q = self.directions
+        return np.asarray(x - ((x @ Q.T) * self.predicted) @ Q) if len(Q) else x
 
     def trials(self, r: Array) -> Trials:
         """The trials of residuals (R, m)."""
-        products = [self._U[:, a:b] @ r[a:b] for a, b in self.layout.spans]
-        whole = np.sum(products, axis=0)
-        values = [
-            cho_solve((factor, True), whole - own, check_finite=False)
-            for own, factor in zip(products, self._factors, strict=True)
+        Q = self.directions
+        seen = np.stack([Q[:, a:b] @ r[a:b] for a, b in self.layout.spans])
+        whole, root = seen.sum(axis=0), self._root[:, None]
+        moved = [
+            root * cho_solve((factor, True), root * (whole - own), check_finite=False)
+            for own, factor in zip(seen, self._factors, strict=True)
         ]
-        left = r - self._U.T @ cho_solve((self._whole, True), whole, check_finite=False)
-        return Trials(r, left, np.stack(values))
-
-    def trained(self, columns: Columns) -> Trained:
-        """How columns are trained."""
-        own = columns.products(self._U.T)
-        return Trained(columns, own.sum(axis=0) - own)
-
-
-class Projection:
-    """What is left of columns when a regression on U is taken out of them."""
-
-    def __init__(self, U: Array) -> None:
-        """U: regressors (K, R) of unit variance, of which there may be none."""
-        value, vector = np.linalg.eigh(U @ U.T)
-        keep = value > 1e-12 * value.max(initial=1e-300)
-        self.Q = (vector[:, keep] / np.sqrt(value[keep])).T @ U
-        self.out = value[keep] / (1.0 + value[keep])
-
-    def __call__(self, x: Array) -> Array:
-        """Columns (D, R) less what U predicts of them."""
-        return np.asarray(x - ((x @ self.Q.T) * self.out) @ self.Q) if len(self.Q) else x
-
-
-class Columns(Protocol):
-    """D regressors of R rows each."""
-
-    def products(self, x: Array) -> Array:
-        """Products with x (R, m) over each fold, (FOLDS, D, m)."""
-
-
-@dataclass(frozen=True)
-class Plain:
-    """Columns (D, R) as they are."""
-
-    columns: Array
-    layout: Layout
-
-    def products(self, x: Array) -> Array:
-        """Products with x (R, m) over each fold, (FOLDS, D, m)."""
-        return np.stack([self.columns[:, a:b] @ x[a:b] for a, b in self.layout.spans])
-
-
-@dataclass(frozen=True)
-class Trained:
-    """Columns that are trained on what the parameters leave of the other folds.
-
-    against: products with the parameters over the other folds, (FOLDS, D, K).
-    """
-
-    columns: Columns
-    against: Array
-
-    def products(self, trials: Trials) -> Array:
-        """Products with what each fold's regressors are trained on, (FOLDS, D, m)."""
-        own = self.columns.products(trials.residual)
-        return np.asarray(own.sum(axis=0) - own - self.against @ trials.values)
+        return Trials(r, r - Q.T @ (self.predicted[:, None] * whole), seen, np.stack(moved))
 
 
 class Regressor(Protocol):
@@ -148,33 +112,37 @@ class Ridge:
     """Ridge regression on columns (D, R) of unit length, prepared for every fold and for ridges of several sizes.
 
     With as many columns as D, none of them special, and a share s of R unit variances expected to be explained, each
-    coefficient has a variance of s R / D, and the ridge is its inverse.
+    coefficient has a variance of s R / D, and the ridge is its inverse. along: products with the parameters' directions
+    over the folds other than each, (FOLDS, D, K).
     """
 
     name: str
     columns: Array
     layout: Layout
-    trained: Trained
+    along: Array
     factors: list[list[tuple[Array, bool]]]
 
     @classmethod
     def of(cls, name: str, columns: Array, baseline: Baseline) -> Ridge:
         """name: of the columns, for a person."""
         D, R = columns.shape
-        parts = [columns[:, a:b] for a, b in baseline.layout.spans]
+        spans, Q = baseline.layout.spans, baseline.directions
+        parts = [columns[:, a:b] for a, b in spans]
         grams = [part @ part.T for part in parts]
         whole = np.sum(grams, axis=0)
         ridges = [D / (share * R) for share in _EXPECTED]
         factors = [[cho_factor(whole - g + ridge * np.eye(D), check_finite=False) for g in grams] for ridge in ridges]
-        return cls(name, columns, baseline.layout, baseline.trained(Plain(columns, baseline.layout)), factors)
+        own = np.stack([part @ Q[:, a:b].T for part, (a, b) in zip(parts, spans, strict=True)])
+        return cls(name, columns, baseline.layout, own.sum(axis=0) - own, factors)
 
     def predictions(self, trials: Trials) -> list[Array]:
         """Predictions (R, m) of what is left in the trials, one for each size of ridge."""
-        products = self.trained.products(trials)
+        own = np.stack([self.columns[:, a:b] @ trials.residual[a:b] for a, b in self.layout.spans])
+        products = own.sum(axis=0) - own - self.along @ trials.moved
         out = []
         for factors in self.factors:
             prediction = np.empty_like(trials.left)
-            for (a, b), own, factor in zip(self.layout.spans, products, factors, strict=True):
-                prediction[a:b] = self.columns[:, a:b].T @ cho_solve(factor, own, check_finite=False)
+            for (a, b), target, factor in zip(self.layout.spans, products, factors, strict=True):
+                prediction[a:b] = self.columns[:, a:b].T @ cho_solve(factor, target, check_finite=False)
             out.append(prediction)
         return out
