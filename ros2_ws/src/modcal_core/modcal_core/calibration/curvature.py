@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from modcal_core.calibration.triangle import inverse_of_triangle
 from modcal_core.geometry.so3 import Array
 
 _RIDGES = (0.0, 1e-12, 1e-10, 1e-8)  # of the scaled curvature, where it is singular to rounding
@@ -48,7 +49,13 @@ class Curvature:
         """``H⁻¹``, (P, P)."""
         if self.lower is None:
             inverse = np.linalg.lstsq(self.scaled, np.eye(len(self.scaled)), rcond=1e-12)[0]
-        else:
-            half = np.tril(scipy.linalg.lapack.dpotri(self.lower, lower=1)[0])
-            inverse = half + np.tril(half, -1).T
-        return np.asarray(inverse * np.outer(self.scale, self.scale), dtype=float)
+            return np.asarray(inverse * np.outer(self.scale, self.scale), dtype=float)
+        half = inverse_of_triangle(self.lower) * self.scale
+        return half.T @ half
+
+    def variances(self) -> Array:
+        """The diagonal of ``H⁻¹``, (P,)."""
+        if self.lower is None:
+            return np.diag(self.inverse())
+        half = inverse_of_triangle(self.lower)
+        return np.asarray(np.einsum("ij,ij->j", half, half) * self.scale**2)

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from modcal_core.calibration.triangle import inverse_of_triangle
 from modcal_core.geometry.so3 import Array
 
 _MAX_ROUNDS = 30  # for time
@@ -56,12 +57,16 @@ def likely_sizes(
     for own, size in zip(groups, sizes, strict=True):
         std[own] = size
     noise, x = 1.0, np.zeros(len(std))
+    used, own_H = np.arange(len(std)), H
     for _ in range(_MAX_ROUNDS):
-        used = np.flatnonzero(std > 0.0)
+        still = std[used] > 0.0
+        if not still.all():
+            used = used[still]
+            own_H = H[np.ix_(used, used)]
         if not len(used):
             break
         d = std[used]
-        A = H[np.ix_(used, used)] * (d[:, None] / noise**2)
+        A = own_H * (d[:, None] / noise**2)
         A *= d
         A.flat[:: len(A) + 1] += 1.0
         lower, failed = scipy.linalg.lapack.dpotrf(A.T, lower=1, clean=0, overwrite_a=1)
@@ -70,7 +75,8 @@ def likely_sizes(
         x = np.zeros(len(std))
         x[used] = d * scipy.linalg.lapack.dpotrs(lower, d * g[used] / noise**2, lower=1)[0]
         told_each = np.zeros(len(std))
-        told_each[used] = 1.0 - np.diag(scipy.linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)[0])
+        half = inverse_of_triangle(lower)
+        told_each[used] = 1.0 - np.einsum("ij,ij->j", half, half)
         left = square - 2.0 * float(x @ g) + float(x @ H @ x)
         new = float(np.sqrt(max(left, 0.0) / max(rows - float(told_each.sum()), 1.0)))
         change = abs(np.log(max(new, 1e-12) / noise))

@@ -235,7 +235,7 @@ def _minimum(
             if curvature is None:
                 curvature, weighed = Curvature.of(H, damping), float(row_weight.sum())
                 if held.any() and damping == 0.0:
-                    told = len(values) - float(np.sum(np.diag(curvature.inverse())[held] / prior[held] ** 2))
+                    told = len(values) - float(np.sum(curvature.variances()[held] / prior[held] ** 2))
             step = share * weighed / float(row_weight.sum()) * curvature.solve(g)
             length = float(np.sqrt(max(float(step @ H @ step), 0.0))) / share if damping == 0.0 else np.inf
             shrinks = min(max(length / last, _SLOWLY if fitted else 0.0), 1.0) if last < np.inf else 1.0

@@ -19,6 +19,7 @@ from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import blocks_at, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.triangle import inverse_of_triangle
 from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import prior_stds
 from modcal_core.geometry.so3 import Array
@@ -66,9 +67,10 @@ def uncertainty(
     H += np.diag(prior**-2.0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H * np.outer(scale, scale)
-    try:
-        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(H, lower=True), np.eye(len(H)))
-    except np.linalg.LinAlgError:  # singular to rounding
+    lower, singular = scipy.linalg.lapack.dpotrf(H.T, lower=1, clean=0)
+    if singular:  # to rounding
         inverse = np.asarray(np.linalg.pinv(H, rcond=1e-12, hermitian=True), dtype=float)
-    covariance = inverse * np.outer(scale, scale)
-    return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
+        covariance = inverse * np.outer(scale, scale)
+        return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
+    half = inverse_of_triangle(lower) * scale
+    return Uncertainty(tuple(parameters), half.T @ half)
