@@ -152,11 +152,11 @@ def moved(bare: Model, samples: Samples, effects: tuple[Effect, ...]) -> Array:
 
 
 @pytest.mark.parametrize("points", [0, 3, 1], ids=["poses", "points among poses", "points"])
-@pytest.mark.parametrize(("block", "thinned"), [(2000, 100_000), (30, 100_000), (2000, 1), (30, 1)])
+@pytest.mark.parametrize(("block", "thinned"), [(2000, 100_000), (30, 100_000), (2000, 1), (30, 1), (2000, 850)])
 def test_normal_equations_are_those_of_the_whole_jacobian(
     block: int, thinned: int, points: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However many samples are taken at once, and with two curves as sparse arrays."""
+    """However many samples are taken at once, and with two curves, one curve or none as sparse arrays."""
     monkeypatch.setattr("modcal_core.calibration.normal_equations.BLOCK", block)
     monkeypatch.setattr("modcal_core.effects.knots._MIN", thinned)
     monkeypatch.setattr("modcal_core.calibration.linearise._AT_ONCE", 17)

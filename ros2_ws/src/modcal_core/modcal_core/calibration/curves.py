@@ -33,6 +33,19 @@ class Curve:
     numbers: Array
     knots: Knots | None
 
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Its place and direction."""
+        return self.place, self.direction
+
+    @property
+    def functions(self) -> Array | scipy.sparse.csr_array:
+        """Its functions as a matrix (b, N), sparse where most are zero."""
+        return self.numbers if self.knots is None else self.knots.whole
+
 
 def curves_of(terms: Sequence[list[Term]], at: Drivers) -> tuple[list[Curve], list[int]]:
     """The curves among columns of effects, and the numbers of all other columns."""
@@ -61,18 +74,22 @@ def whole_shapes(terms: Sequence[list[Term]]) -> tuple[list[tuple[int, Term, Arr
 
 
 def _is_whole(terms: Sequence[list[Term]], of: Array) -> bool:
-    """Whether these are the columns of all functions of one direction."""
-    return len(terms) == len(of) and all(
-        len(t) == 1 and t[0].of is of and t[0].direction == terms[0][0].direction for t in terms
-    )
+    """Whether these are the columns of all functions of one direction, which stand one after another: the last says."""
+    last = terms[-1]
+    same = len(last) == 1 and last[0].of is of and last[0].direction == terms[0][0].direction
+    return same and len(terms) == len(of)
 
 
-def product(one: Knots, other: Knots, weight: Array, at: Drivers) -> Array:
-    """``one diag(weight) otherᵀ``, (b, c), of curves at the samples of these drivers."""
-    if one.value.size * other.value.shape[1] > _MAX_KEPT:
-        blocks = _blocks(one, other)
+def product(one: Curve, other: Curve, weight: Array, at: Drivers) -> Array:
+    """``Φ diag(weight) Ψᵀ``, (b, c), of the functions of curves at the samples of these drivers."""
+    if one.knots is None:
+        return np.asarray((other.functions @ (one.numbers * weight).T).T)
+    if other.knots is None:
+        return np.asarray(one.functions @ (other.numbers * weight).T)
+    if one.knots.value.size * other.knots.value.shape[1] > _MAX_KEPT:
+        blocks = _blocks(one.knots, other.knots)
     else:
-        blocks = at.made_of((one, other), _blocks)
+        blocks = at.made_of((one.knots, other.knots), _blocks)
     return np.asarray(blocks @ weight).reshape(len(one), len(other))
 
 

@@ -182,6 +182,29 @@ def geometry_rows(
     return J
 
 
+def geometry_gradient(
+    view: RowView, model: Model, parameters: Sequence[ModelParameter], values: Array, weighted: Array
+) -> Array:
+    """``Jᵀ w``, (P,), of the geometry's parameters at these values. weighted: w, (3 N + 3 M,).
+
+    Of a serial arm in plain sight the force and torque that w is at a place is all that its parameters ask for.
+    """
+    if model.instruments or view.f.loops:
+        return np.asarray(geometry_rows(view, model, parameters, values) @ weighted)
+    errors = deviations(model, parameters, values[: len(parameters)])
+    of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
+    wrenches: dict[tuple[int, int], Array] = {}
+    out = np.empty(len(parameters))
+    for j, parameter in enumerate(parameters):
+        key = parameter.place, parameter.frame
+        if key not in wrenches:
+            several = parameter.place == 0 and len(model.frames) > 1
+            wrenches[key] = view.wrench(key[0], weighted, model.frames_led_by(parameter.frame) if several else ())
+        twist = (of_places[parameter.place - 1] if parameter.place else of_frames[parameter.frame])[parameter.direction]
+        out[j] = twist @ wrenches[key]
+    return out
+
+
 def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
     """The effects with their shares of a vector of values."""
     ends = np.cumsum([len(e.values) for e in effects])
@@ -192,7 +215,10 @@ def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
 
 @dataclass
 class RowView:
-    """Readings and frames of the chain as seen from the root, and how twists anywhere move the tool."""
+    """Readings and frames of the chain as seen from the root, and how twists anywhere move the tool.
+
+    effects: of the model that is looked at.
+    """
 
     samples: Samples
     pose: np.ndarray
@@ -201,6 +227,7 @@ class RowView:
     rotation: Array
     reading: Array
     sights: Sights | None = None
+    effects: tuple[Effect, ...] = ()
     _units: dict[tuple[int, int], Array] = field(default_factory=dict)
 
     @classmethod
@@ -225,7 +252,7 @@ class RowView:
             R = f.rotation(-1) if len(pose) == N else f.rotation(-1)[pose]
             R_y = T_root_frame[samples.frame[pose], :3, :3] @ samples.R[pose]
             rotation = so3.log(R_y @ np.swapaxes(R, -1, -2)).T
-        view = cls(samples, pose, f, y - f.p[-1], rotation, reading)
+        view = cls(samples, pose, f, y - f.p[-1], rotation, reading, effects=now.effects)
         if now.instruments:
             view.sights = look(now.instruments, samples, true, T_root_frame, f)
             if view.sights is not None:
@@ -255,6 +282,20 @@ class RowView:
                 position += (twist[:3] @ flat).reshape(3, N)
         if self.sights is not None:
             self.sights.look_through(position)
+
+    def wrench(self, place: int, weighted: Array, frames: Sequence[int] = ()) -> Array:
+        """Products of weighted residuals (3 N + 3 M,) with the motions of the tool per unit of each of the six
+        directions of a place of a serial arm, (6,). frames: of whose samples; all by default.
+        """
+        N = self.position.shape[1]
+        force, torque = weighted[: 3 * N].reshape(3, N), np.zeros((3, N))
+        torque[:, self.pose] = weighted[3 * N :].reshape(3, -1)
+        torque += so3.cross(self.f.p[-1] - self.f.p[place], force)
+        if len(frames):
+            here = np.isin(self.samples.frame, frames)
+            force, torque = force * here, torque * here
+        flat = self.f.axes[place].reshape(3, 3 * N)
+        return np.concatenate([flat @ force.ravel(), flat @ torque.ravel()])
 
     def constant_column(self, place: int, constant: int, out: Array) -> None:
         """Write the motion of the tool, (3 N + 3 M,), per unit of what a place's arm has of its own."""

@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.curves import curves_of, product
-from modcal_core.calibration.linearise import RowView, geometry_rows, model_at
+from modcal_core.calibration.curves import Curve, curves_of, product
+from modcal_core.calibration.linearise import RowView, geometry_gradient, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import all_columns
-from modcal_core.effects.knots import Knots
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
 BLOCK = 4000  # samples
+_FEW = 8  # functions of a curve; fewer are columns like others, of which one product does with all
 MAX_KEPT = 20_000  # samples whose blocks are kept from step to step, with the drivers of each; some 5 kB each
 
 
@@ -102,29 +102,27 @@ def _add(
     P = len(parameters)
     half = np.sqrt(weight)
     residual = np.concatenate([view.position.ravel(), view.rotation.ravel()]) * half
-    terms = all_columns(model_at(start, parameters, values).effects, at) if len(values) > P else []
+    terms = all_columns(view.effects, at) if len(values) > P else []
     curves, others = curves_of(terms, at)
-    whole = [curve for curve in curves if curve.knots is None]
-    dense = np.r_[np.arange(P), *(np.arange(P + c.at.start, P + c.at.stop) for c in whole), P + np.array(others, int)]
+    few = [curve for curve in curves if len(curve) < _FEW]
+    dense = np.r_[np.arange(P), *(np.arange(P + c.at.start, P + c.at.stop) for c in few), P + np.array(others, int)]
     J = np.empty((len(dense), len(weight)))
     geometry_rows(view, start, parameters, values, out=J[:P])
     first = P
-    for curve in whole:
-        view.times(view.unit_column(curve.place, curve.direction), curve.numbers, J[first : first + len(curve.numbers)])
-        first += len(curve.numbers)
+    for curve in few:
+        view.times(view.unit_column(curve.place, curve.direction), curve.numbers, J[first : first + len(curve)])
+        first += len(curve)
     for row, j in zip(J[first:], others, strict=True):
         view.moved_by(terms[j], out=row)
     J *= half
     H[np.ix_(dense, dense)] += J @ J.T
     g[dense] += J @ residual
-    many = [
-        ((c.place, c.direction), slice(P + c.at.start, P + c.at.stop), c.knots) for c in curves if c.knots is not None
-    ]
-    _add_knots(many, dense, J, residual, view, half, at, H, g)
+    many = [(c, slice(P + c.at.start, P + c.at.stop)) for c in curves if len(c) >= _FEW]
+    _add_curves(many, dense, J, residual, view, half, at, H, g)
 
 
-def _add_knots(
-    curves: Sequence[tuple[tuple[int, int], slice, Knots]],
+def _add_curves(
+    curves: Sequence[tuple[Curve, slice]],
     dense: np.ndarray,
     J: Array,
     residual: Array,
@@ -134,26 +132,27 @@ def _add_knots(
     H: Array,
     g: Array,
 ) -> None:
-    """Add what curves of many knots have with each other, with all other columns J and with the residual.
+    """Add what curves have with each other, with all other columns J and with the residual.
 
-    curves: place and direction of each, its columns among all, and it. dense: the columns of J among all. half: square
-    roots of the weights, which J and the residual contain already.
+    curves: each, and its columns among all. dense: the columns of J among all. half: square roots of the weights, which
+    J and the residual contain already.
     """
-    units = {key: view.unit_column(*key) * half for key in dict.fromkeys(key for key, _, _ in curves)}
+    units = {key: view.unit_column(*key) * half for key in dict.fromkeys(curve.key for curve, _ in curves)}
     if not units:
         return
     seen = dict(zip(units, view.all_products(J, np.stack(list(units.values()))), strict=True))
     missed = {key: view.products(residual[None], unit)[0] for key, unit in units.items()}
     both: dict[object, Array] = {}
-    for i, (one, columns, knots) in enumerate(curves):
-        cross = knots.whole @ seen[one]
+    for i, (one, columns) in enumerate(curves):
+        cross = one.functions @ seen[one.key]
         H[columns, dense] += cross
         H[dense, columns] += cross.T
-        g[columns] += knots.whole @ missed[one]
-        for other, more, others in curves[i:]:
-            if (one, other) not in both:
-                both[one, other] = view.products(units[one][None], units[other])[0]
-            block = product(knots, others, both[one, other], at)
+        g[columns] += one.functions @ missed[one.key]
+        for other, more in curves[i:]:
+            keys = one.key, other.key
+            if keys not in both:
+                both[keys] = view.products(units[one.key][None], units[other.key])[0]
+            block = product(one, other, both[keys], at)
             H[columns, more] += block
             if more is not columns:
                 H[more, columns] += block.T
@@ -170,7 +169,7 @@ def gradient(
     P = len(parameters)
     weighted = np.concatenate([view.position.ravel(), view.rotation.ravel()]) * row_weight
     g = np.zeros(len(values))
-    g[:P] = geometry_rows(view, start, parameters, values) @ weighted
+    g[:P] = geometry_gradient(view, start, parameters, values, weighted)
     if len(values) == P:
         return g
     seen: dict[tuple[int, int], Array] = {}
@@ -181,11 +180,10 @@ def gradient(
             seen[key] = view.products(weighted[None], view.unit_column(place, direction))[0]
         return seen[key]
 
-    terms = all_columns(model_at(start, parameters, values).effects, at)
+    terms = all_columns(view.effects, at)
     curves, others = curves_of(terms, at)
     for j in others:
         g[P + j] = sum(float(term.size @ along(term.place, term.direction)) for term in terms[j])
     for curve in curves:
-        numbers = curve.numbers if curve.knots is None else curve.knots.whole
-        g[P:][curve.at] = numbers @ along(curve.place, curve.direction)
+        g[P:][curve.at] = curve.functions @ along(*curve.key)
     return g

@@ -40,13 +40,16 @@ class ShapeKind:
 
     basis(x, settings): its functions (size, N) at drivers x (N,), or (c, N) where the driver names c separated by
     commas. size: how many functions, or how to tell from the settings. refined: the settings that are fitted, by name;
-    basis must be smooth in them. fixed: settings that stay where the scan found them and that reports show.
+    basis must be smooth in them. fixed: settings that stay where the scan found them and that reports show. slopes: by
+    refined setting, the change of the functions per unit of it (size, N), given drivers, settings and functions; where
+    none is known, differences are taken.
     """
 
     basis: Callable[[Array, Settings], Array]
     size: int | Callable[[Settings], int] = 1
     refined: Mapping[str, Setting] = field(default_factory=dict)
     fixed: Mapping[str, Setting] = field(default_factory=dict)
+    slopes: Mapping[str, Callable[[Array, Settings, Array], Array]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -247,7 +250,16 @@ def _of_cycles(kind: str, size: int, *, refined: bool) -> ShapeKind:
     def basis(x: Array, s: Settings) -> Array:
         return np.asarray(periodic(kind, np.array([s["cycles"]]), x)[0])
 
-    return ShapeKind(basis, size, cycles if refined else {}, {} if refined else cycles)
+    def by_cycles(x: Array, _: Settings, functions: Array) -> Array:
+        # of sin and cos of m c x: m x cos and - m x sin
+        out = functions.reshape(-1, 2, len(x))[:, ::-1] * x
+        out *= np.arange(1, len(out) + 1)[:, None, None]
+        out[:, 1] *= -1.0
+        return np.asarray(out.reshape(functions.shape))
+
+    if not refined:
+        return ShapeKind(basis, size, fixed=cycles)
+    return ShapeKind(basis, size, refined=cycles, slopes={"cycles": by_cycles})
 
 
 _AT = {"at": Setting(unit="s")}
