@@ -132,22 +132,24 @@ class LoadHypothesis:
         n, S = len(parts[0]), len(parts)
         A = (X @ X.T).reshape(S, n, S, n)
         v = (X @ space.residual.ravel()).reshape(S, n)
+        products = A.transpose(0, 2, 1, 3).reshape(S * S, n * n)
 
-        def missed(x: Array) -> float:
+        def missed(x: Array) -> Array:  # (..., k) to (...)
             before = self._before(x)
-            M = np.einsum("s,sitj,t->ij", before, A, before)
-            prior = float(np.sum((x / self.prior_std) ** 2))
-            return prior - _explained(M, before @ v)
+            both = before[..., :, None] * before[..., None, :]
+            M = (both.reshape(*both.shape[:-2], S * S) @ products).reshape(*both.shape[:-2], n, n)
+            return np.asarray(np.sum((x / self.prior_std) ** 2, axis=-1) - _explained(M, before @ v))
 
         total = float(np.sum(space.residual**2))
         most = _all_explained(A.reshape(S * n, S * n), v.ravel())  # each part at each joint for itself
         if most < worth * (total - most):  # whatever the arm as it is known explains of it
             return None
-        known = missed(np.zeros(self.size))
+        known = float(missed(np.zeros(self.size)))
         if known + most < worth * (total - most):
             return None
-        starts = sorted(self._starts(), key=missed)[:2]
-        least, x = min((_lowest(missed, start) for start in starts), key=lambda found: found[0])
+        starts = np.stack(self._starts())
+        nearest = starts[np.argsort(missed(starts), kind="stable")[:2]]
+        least, x = min((_lowest(missed, start) for start in nearest), key=lambda found: found[0])
         gain, left = known - least, max(total + least, 0.0)
         return Suspicion(x, gain, left) if gain >= worth * left else None
 
@@ -164,10 +166,10 @@ class LoadHypothesis:
         return out
 
     def _before(self, x: Array) -> Array:
-        """What stands before each part of the load, (S,)."""
+        """What stands before each part of the load, (..., S), of numbers (..., k)."""
         if self.tilts:
-            return np.asarray(so3.exp(x[:2] @ self.across) @ self.down)
-        return np.r_[1.0, x]
+            return np.asarray(so3.exp(x[..., :2] @ self.across) @ self.down)
+        return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)
 
     def _parts(self, drivers: Drivers) -> list[Array]:
         """Parts of the joints' loads, (n, N) each, in the order of what stands before them."""
@@ -215,30 +217,38 @@ def _with(inertias: Inertias, arm: NominalArm, carried: Array) -> Inertias:
     return replace(inertias, mass=mass, com=com)
 
 
-def _lowest(missed: Callable[[Array], float], start: Array) -> tuple[float, Array]:
+def _lowest(missed: Callable[[Array], Array], start: Array) -> tuple[float, Array]:
     """The least that is found downhill from a start (k,), and where."""
     if len(start) > 2:
         from scipy.optimize import minimize  # slow to import, and of most arms not asked for
 
-        found = minimize(missed, start, method="BFGS")
+        def missed_by_one(x: Array) -> float:
+            return float(missed(x))
+
+        found = minimize(missed_by_one, start, method="BFGS")
         return float(found.fun), np.asarray(found.x)
-    x, least, step = start, missed(start), _APART  # around a point, and half as far where nothing is lower
+    ways = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=len(start)) if any(way)])
+    x, least, step = start, float(missed(start)), _APART  # around a point, and half as far where nothing is lower
     while step > _FINE:
-        around = [x + step * np.array(way) for way in product((-1.0, 0.0, 1.0), repeat=len(x)) if any(way)]
-        values = [missed(point) for point in around]
-        if min(values) < least:
-            least, x = min(values), around[int(np.argmin(values))]
+        around = x + step * ways
+        values = missed(around)
+        best = int(np.argmin(values))
+        if values[best] < least:
+            least, x = float(values[best]), around[best]
         else:
             step *= 0.5
     return least, x
 
 
-def _explained(M: Array, v: Array) -> float:
-    """The most of a square that columns with these products explain without a negative share."""
-    unit = float(np.trace(M)) / max(len(M), 1)
-    if not unit > 0.0:
-        return 0.0
-    return float(v @ nonnegative(M + _RIDGE * unit * np.eye(len(M)), v))
+def _explained(M: Array, v: Array) -> Array:
+    """The most of a square, (...), that columns with these products (..., n, n), and these with it (..., n), explain
+    without a negative share.
+    """
+    n = v.shape[-1]
+    unit = np.trace(M, axis1=-2, axis2=-1) / max(n, 1)
+    some = unit > 0.0
+    ridge = np.where(some, _RIDGE * unit, 1.0)[..., None, None] * np.eye(n)
+    return np.asarray(np.where(some, np.sum(v * nonnegative(M + ridge, v), axis=-1), 0.0))
 
 
 def _all_explained(A: Array, v: Array) -> float:
