@@ -117,6 +117,7 @@ def identify(
     reject: bool = True,
     most: int | None = None,
     hopeless: Callable[[Model, float], bool] | None = None,
+    spread: bool = True,
 ) -> Fit:
     """The fit of these parameters, and of the model's effects with them, about this model, to the samples.
 
@@ -124,7 +125,7 @@ def identify(
     begin: values of the parameters to begin from; zero by default. reject: give samples far outside no weight at all;
     otherwise, where wrong ones have been left out already, they only count less. most: iterations, where fewer than
     usual are enough. hopeless: asked after each step, of the model and the step's length in standard deviations; ends
-    the fit.
+    the fit. spread: find how well values are known; otherwise covariance and standard deviations are zero.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -138,7 +139,7 @@ def identify(
         some = samples.select(slice(None, None, len(samples) // few))
         values = _minimum(start, some, parameters, distances, limit, (), tolerance, values, rough=True).values
     at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values, False, most, hopeless)
-    covariance = Curvature.of(at.H).inverse()
+    covariance = Curvature.of(at.H).inverse() if spread else np.zeros_like(at.H)
     return Fit(
         _model_at(start, parameters, fitted, at.values, np.sqrt(np.diag(covariance)[P:])),
         start,

@@ -92,7 +92,7 @@ class Anchor:
         whole = space.parts[0]
         along = [part.sign * (part.Q @ np.einsum("cNp,cN->p", part.Q, residual[:rows])) for part in (whole, *changes)]
         residual[:rows] -= np.sum(along, axis=0)
-        return replace(space, residual=residual, freedom=free, whole=whole, changes=changes)
+        return replace(space, residual=residual, freedom=free, whole=whole, changes=changes, weighed={}, alone={})
 
     def _changes(self, gone: tuple[int, ...], come: list[Effect], drivers: Drivers) -> tuple[Directions, ...] | None:
         """Directions of the columns that go and of the effects that come; None where these bring none of their own."""

@@ -14,8 +14,9 @@ import numpy as np
 from modcal_core.calibration.identify import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.family import FREE, USUAL
+from modcal_core.effects.family import FREE
 from modcal_core.effects.registry import complexity, family
+from modcal_core.geometry.so3 import Array
 
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
 _NEARLY = 0.93  # share of a free shape's explanation; its further amplitudes take some per cent of pure noise (sweep)
@@ -52,22 +53,21 @@ def choose(
     incumbent: an effect that stands already, which another must beat by more than a tie.
     """
     allowed = np.ones(len(evidence.effects), bool)
-    if refused:
-        allowed = np.array([e.key not in refused for e in evidence.effects])
+    for key in refused:
+        allowed[scanner.numbers_of(key)] = False
     if not (allowed & (evidence.score > 0.0)).any():
         return None
     plain = allowed & (evidence.complexity < FREE)
     if incumbent is not None and complexity(incumbent) < FREE and plain.any():
         allowed = plain  # a plain cause is not given up for a free shape
     score = np.where(allowed, evidence.score, -1.0)
-    tie = _TIE * evidence.inflation
     top = int(np.argmax(score))
     if not plain[top] and plain.any():
         best_plain = int(np.argmax(np.where(plain, score, -1.0)))
         if _explain_together(evidence, best_plain, scanner, fit, plain, _NEARLY * float(evidence.explained[top])):
             top = best_plain
     pool = plain if plain[top] else allowed
-    alike = np.flatnonzero(pool & (score >= score[top] - tie)).tolist()
+    alike = np.flatnonzero(pool & near(score, top, evidence.inflation)).tolist()
     if incumbent is not None and any(evidence.effects[i].key == incumbent.key for i in alike):
         return None
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
@@ -82,6 +82,12 @@ def choose(
     share = float(evidence.explained[best])
     started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MAX_RIVALS])
     return EffectChoice(chosen, evidence.p_value, names[:_MAX_NAMED], share, started, evidence.flips)
+
+
+def near(score: Array, top: int | None = None, inflation: float = 1.0) -> np.ndarray:
+    """Which of scores (C,) are no more than a tie below one of them, by default the best. inflation: of scores."""
+    best = float(score.max(initial=0.0)) if top is None else float(score[top])
+    return np.asarray(score >= best - _TIE * inflation)
 
 
 def _simplicity(effect: Effect) -> tuple[float, ...]:
@@ -109,17 +115,15 @@ def _explain_together(
     evidence: Evidence, first: int, scanner: Scanner, fit: Fit, plain: np.ndarray, enough: float
 ) -> bool:
     """Whether a few plain causes, taken one after the other, explain as large a share."""
-    left = 1.0 - float(evidence.explained[first])
-    chosen = evidence.effects[first]
-    for _ in range(_LOOK_AHEAD - 1):
-        if 1.0 - left >= enough:
-            return True
-        started = chosen.started(scanner.amplitudes(fit, chosen))
-        fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, started)))
-        now = scanner.evidence(fit, most=USUAL)  # curves take no part
-        best = int(np.argmax(np.where(plain, now.score, -1.0)))
-        left *= 1.0 - float(now.explained[best])
-        chosen = now.effects[best]
+    left, chosen = 1.0, evidence.effects[first]
+    for more in reversed(range(_LOOK_AHEAD)):
+        amplitudes, share = scanner.alone(fit, chosen)
+        left *= 1.0 - share
+        if 1.0 - left >= enough or not more:
+            break
+        fit = replace(fit, model=fit.model.with_effects((*fit.model.effects, chosen.started(amplitudes))))
+        now = scanner.beyond(fit, evidence, plain=True)
+        chosen = evidence.effects[int(np.argmax(np.where(plain, now.score, -1.0)))]
     return 1.0 - left >= enough
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.diagnosis.evidence import Evidence
+from modcal_core.effects.drivers import public_driver
 from modcal_core.effects.effect import LENGTH, SHIFT
 from modcal_core.geometry.so3 import Array
 
@@ -36,17 +37,16 @@ class EvidenceMap:
 
 def evidence_map(evidence: Evidence, joints: Sequence[str]) -> EvidenceMap:
     """The map of a scan. joints: in the order of the chain, which rows and columns follow, base first, tool last."""
+    alike: dict[tuple[str, str, str], int] = {}  # thousands of candidates share a few hundred of these
+    which = [alike.setdefault((e.place, e.direction, e.driver), len(alike)) for e in evidence.effects]
+    most = np.zeros(len(alike))
+    np.maximum.at(most, which, evidence.explained)
     best: dict[tuple[str, str], dict[str, float]] = {}
-    named: dict[tuple[str, str, str], tuple[tuple[str, str], str]] = {}
-    for effect, share in zip(evidence.effects, evidence.explained.tolist(), strict=True):
-        raw = (effect.place, effect.direction, effect.driver)
-        if raw not in named:  # thousands of candidates share a few hundred of these
-            manner = SHIFT if effect.direction in _SHIFTS else effect.direction
-            named[raw] = ((effect.place, manner), effect.public_driver)
-        row, driver = named[raw]
-        cells = best.setdefault(row, {})
-        cells[driver] = max(share, cells.get(driver, 0.0))
-    drivers = tuple(dict.fromkeys(driver for _, driver in named.values()))
+    for (at, direction, follows), most_of in zip(alike, most.tolist(), strict=True):
+        cells = best.setdefault((at, SHIFT if direction in _SHIFTS else direction), {})
+        driver = public_driver(follows)
+        cells[driver] = max(most_of, cells.get(driver, 0.0))
+    drivers = tuple(dict.fromkeys(public_driver(driver) for _, _, driver in alike))
     place = {name: k for k, name in enumerate(("base", *joints, "tool", "tracker"))}
     drivers = tuple(sorted(drivers, key=lambda d: (*_kind(d), place.get(d.partition(":")[2], 0), d)))
     rows = tuple(sorted(best, key=lambda row: place.get(row[0], len(place))))

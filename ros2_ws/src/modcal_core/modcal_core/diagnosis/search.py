@@ -15,7 +15,6 @@ import numpy as np
 from modcal_core.calibration.distances import AnyDistance
 from modcal_core.calibration.identify import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.readmitted import uncontradicted
 from modcal_core.calibration.removal import without
 from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.uncertainty import uncertainty
@@ -24,14 +23,15 @@ from modcal_core.diagnosis.chance import FLIPS
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import MIN_FREEDOM, Evidence, Scanner
 from modcal_core.diagnosis.evidence_map import evidence_map
+from modcal_core.diagnosis.exchange import better_choice
 from modcal_core.diagnosis.forms import other_forms
-from modcal_core.diagnosis.outliers import isolated_outliers
+from modcal_core.diagnosis.outliers import isolated_outliers, rejected_share, with_uncontradicted
 from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN, joint_size, needless
 from modcal_core.diagnosis.rounds import chosen_together, surely_worth
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.family import FREE, USUAL
-from modcal_core.effects.registry import candidates, complexity, family
+from modcal_core.effects.family import nothing_plainer
+from modcal_core.effects.registry import candidates, family
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 
@@ -75,18 +75,13 @@ def diagnose(
     Then nothing is rejected while searching, if what is found that way leaves less to be rejected.
     """
     rest = train, explain, rng, distances, progress, suspects, known, least_freedom
-    many = _rejected(fit)
+    many = rejected_share(fit)
     if many > _MAX_SINGLE and not known:
         whole = identify(fit.start, train, fit.parameters, distances, begin=fit.values, reject=False)
         found = _searched(whole, *rest, reject=False)
-        if found.causes and _rejected(found.fit) <= min(_HALVED * many, _MAX_SINGLE):
+        if found.causes and rejected_share(found.fit) <= min(_HALVED * many, _MAX_SINGLE):
             return found
     return _searched(fit, *rest)
-
-
-def _rejected(fit: Fit) -> float:
-    """Share of the samples that a fit gives no weight."""
-    return float(np.mean(fit.weights == 0.0))
 
 
 def _searched(
@@ -145,30 +140,12 @@ def _searched(
     if final.model.effects:
         start = fit.start.with_effects(final.model.effects)
         final = identify(start, train, fit.parameters, distances, tolerance=FITTED, begin=final.values)
-        taken_in, again = _with_uncontradicted(final, train, distances)
+        taken_in, again = with_uncontradicted(final, train, distances)
         final = search.prune(taken_in, train)
     effects = final.model.effects
     causes = tuple(replace(c, effect=e) for c, e in zip(search.causes, effects, strict=False))
     maps = tuple(evidence_map(scan, fit.model.chain.names) for scan in scans)
     return Diagnosis(final, causes, left, maps, again)
-
-
-def _with_uncontradicted(final: Fit, train: Samples, distances: Sequence[AnyDistance]) -> tuple[Fit, np.ndarray | None]:
-    """The fit with rejected samples taken in that nothing speaks against, if then fewer are rejected, and which these
-    are, (N,); None where there are none.
-    """
-    rejected = final.weights == 0.0
-    alone = uncontradicted(final.model, train, rejected)
-    if not alone.any():
-        return final, None
-    start = final.start.with_effects(final.model.effects)
-    some = train.select(~rejected | alone)
-    bent = identify(start, some, final.parameters, distances, tolerance=FITTED, begin=final.values, reject=False)
-    start = final.start.with_effects(bent.model.effects)
-    again = identify(start, train, final.parameters, distances, tolerance=FITTED, begin=bent.values)
-    if _rejected(again) >= _rejected(final):
-        return final, None
-    return again, alone & (again.weights > 0.0)
 
 
 @dataclass
@@ -192,6 +169,7 @@ class _EffectSearch:
         must = MIN_GAIN * rows  # what an effect must take of the squares
         self._tolerance = max(_TOLERANCE, float(np.sqrt(_LEFT * must)))
         self._clear = min(float(np.sqrt(_LITTLE * must)), _NO_CHANCE * must)
+        self._weighs = len(self.scanner.drivers) <= _MAX_REVISITED
         self._stale = False  # whether the causes' own fits are those of another order
 
     def add(self, choice: EffectChoice) -> bool:
@@ -203,7 +181,7 @@ class _EffectSearch:
         same = tuple(name for name in choice.same_as if name != effect.label)
         self.causes.append(Cause(effect, choice.p_value, same, rivals, self.fit, choice.flips))
         better = self._mean_square(self.fit) < (1.0 - MIN_GAIN) * missed
-        if better and len(self.causes) > 1 + len(self.known) and len(self.scanner.drivers) <= _MAX_REVISITED:
+        if better and len(self.causes) > 1 + len(self.known) and self._weighs:
             self.make_plainer()
             if self._weakest() == (len(self.causes) - 1, True):  # nothing beside the others, it would be taken out
                 self.fit, self.causes = before, causes
@@ -220,7 +198,7 @@ class _EffectSearch:
         """Whether effects that a scan shows together, fitted at once, each surely predict *explain* better beside those
         before them. Those of which that is not sure are left to another round.
         """
-        if len(self.scanner.drivers) <= _MAX_REVISITED:  # there each is weighed against all before it
+        if self._weighs:  # there each is weighed against all before it
             return False
         most = MAX_EFFECTS - len(self.causes)
         chosen = chosen_together(first, evidence, self.scanner, self.fit, refused, most)
@@ -268,8 +246,13 @@ class _EffectSearch:
         return self._refit(fit, (*fit.model.effects, started), hopeless if np.isfinite(missed) else None)
 
     def _refit(
-        self, fit: Fit, effects: tuple[Effect, ...], hopeless: Callable[[Model, float], bool] | None = None
+        self,
+        fit: Fit,
+        effects: tuple[Effect, ...],
+        hopeless: Callable[[Model, float], bool] | None = None,
+        spread: bool = False,
     ) -> Fit:
+        """The fit of these effects. spread: with how well they are known, where nobody asks for that in between."""
         # about the same start as ever, so that priors keep their meaning
         start = self._geometric.start.with_effects(effects)
         return identify(
@@ -282,20 +265,17 @@ class _EffectSearch:
             reject=self.reject,
             most=_MAX_STEPS,
             hopeless=hopeless,
+            spread=spread or self._weighs,
         )
 
     def _exchange(self) -> None:
         """Weigh every earlier effect against the candidates again, with the later ones known."""
         for i in range(len(self.known), len(self.causes) - 1):
             effects = self.fit.model.effects
-            without = replace(self.fit, model=self.fit.model.with_effects(effects[:i] + effects[i + 1 :]))
-            # a plain cause is not given up for a curve
-            most = USUAL if complexity(effects[i]) < FREE else None
-            evidence = self.scanner.evidence(without, most=most)
-            better = choose(evidence, self.scanner, without, set(), incumbent=effects[i])
-            if better is None or better.effect.key == effects[i].key:
+            found = better_choice(i, self.fit, self.scanner)
+            if found is None:
                 continue
-            started = better.effect.started(self.scanner.amplitudes(without, better.effect))
+            better, started = found
             new = self._refit(self.fit, (*effects[:i], started, *effects[i + 1 :]))
             if self._mean_square(new) < self._mean_square(self.fit):
                 self.fit = new
@@ -340,6 +320,9 @@ class _EffectSearch:
 
     def make_plainer(self) -> None:
         """Put a family's plainer effect in the place of each that is not needed in full."""
+        effects = self.fit.model.effects
+        if not self._weighs and any(family(e.family).plainer is not nothing_plainer for e in effects):
+            self.fit = self._refit(self.fit, effects, spread=True)  # by how well each is known
         while self._made_plainer():
             pass
 
@@ -349,7 +332,7 @@ class _EffectSearch:
         for i, effect in enumerate(effects):
             plain = family(effect.family).plainer(effect)
             if plain is not None:
-                self.fit = self._refit(self.fit, (*effects[:i], plain, *effects[i + 1 :]))
+                self.fit = self._refit(self.fit, (*effects[:i], plain, *effects[i + 1 :]), spread=True)
                 self.causes[i] = replace(self.causes[i], effect=plain)
                 self._stale = True
                 return True

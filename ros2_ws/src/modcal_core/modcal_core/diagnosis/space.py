@@ -17,6 +17,7 @@ from modcal_core.calibration.linearise import RowView, linearise
 from modcal_core.calibration.noise import Groups
 from modcal_core.diagnosis.known_sums import Key, KnownSums
 from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import Effect
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 
@@ -79,6 +80,16 @@ class Directions:
 
 
 @dataclass(frozen=True)
+class Weighed:
+    """What C candidates of m columns each are in the rows of a fit. inverse: of the products of their columns, the
+    fitted projected out, (C, m, m). sizes: numbers of new directions, (C,).
+    """
+
+    inverse: Array
+    sizes: np.ndarray
+
+
+@dataclass(frozen=True)
 class DirectionFactor:
     """How the directions of a space come from P columns at unit size: ``Q = (L⁻¹ J[seen])[kept]``.
 
@@ -106,6 +117,8 @@ class Space:
     each to stay and are left out here: without them a direction that the readings hardly show would explain anything.
     rows: those that may not be zero. squares: of banks, by their number, the products of their columns with each other.
     whole, changes: of a space beside another the directions of Q, and those that come on top or go (:mod:`anchor`).
+    weighed: groups of candidates, by their number. alone: effects, by their identity, with the amplitudes and the share
+    of the residual that each has alone.
     """
 
     view: RowView
@@ -118,6 +131,8 @@ class Space:
     squares: dict[int, Array] = field(default_factory=dict)
     whole: Directions | None = None
     changes: tuple[Directions, ...] = ()
+    weighed: dict[int, Weighed] = field(default_factory=dict)
+    alone: dict[int, tuple[Effect, Array, float]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Space:
@@ -162,6 +177,11 @@ class Space:
     def column(self, place: int, direction: int) -> Array:
         """Motion of the tool per unit of a direction at a place, weighted, (6, N)."""
         return by_sample(self.view.unit_column(place, direction), self.view) * self.weight
+
+    @cached_property
+    def unsigned(self) -> SignTrials:
+        """The residual as it is, which every question about it begins with."""
+        return self.trials(np.ones((1, self.residual.shape[1])))
 
     def trials(self, signs: Array) -> SignTrials:
         """The residual under signs (trials, N)."""
