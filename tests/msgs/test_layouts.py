@@ -185,6 +185,45 @@ def test_nothing_is_left_free_before_an_empty_sequence(frame: str) -> None:
     assert layout.numbers(rows, "effort").tolist() == [message.effort.tolist()]
 
 
+@pytest.mark.parametrize("kind", sorted(set(TYPES.values())))
+@pytest.mark.parametrize("frame", ["", "four", "longer"])
+def test_rows_that_fit_at_one_look_fit_byte_by_byte(kind: str, frame: str) -> None:
+    """Whichever byte of whichever row is another: that all fit is said only where they do."""
+    rng = np.random.default_rng(0)
+    said = [bytes(jazzy().serialize_cdr(filled(kind, rng, 2, frame), kind)) for _ in range(3)]
+    described = fields.fields_of(kind, {})
+    assert described is not None
+    layout = MessageLayout.of(described, said[0])
+    assert layout is not None
+    padded = [message.ljust(layout.width, b"\0") for message in said]
+    content = np.frombuffer(bytes(8) + b"".join(padded) + bytes(8), np.uint8)
+    rows = layout.rows(content, 8 + layout.width * np.arange(3))
+    assert layout.fits(rows).all()
+    assert layout.fit_all(rows)
+    unfit = 0
+    for i in range(3):
+        for at in range(rows.shape[1]):
+            other = rows.copy()
+            other[i, at] ^= 0x20
+            fits = bool(layout.fits(other).all())
+            assert fits or not layout.fit_all(other)
+            unfit += not fits
+    assert unfit >= 3 * 2  # how the rest is encoded, at the least
+
+
+def test_what_stands_between_texts_may_differ(rng: np.random.Generator) -> None:
+    """Encoders leave there what was in memory; it makes no layout of its own."""
+    kind = TYPES["/joint_states"]
+    said = bytes(jazzy().serialize_cdr(filled(kind, rng, 3, "f"), kind))
+    layout = MessageLayout.of(fields.KNOWN[kind], said)
+    assert layout is not None
+    rows = np.repeat(layout.rows(np.frombuffer(bytes(8) + said + bytes(16), np.uint8), np.array([8])), 4, axis=0)
+    assert said[18:20] == b"\0\0"  # behind "f" and its end
+    rows[2, 4 + 18] = 7
+    assert layout.fits(rows).all()
+    assert not layout.fit_all(rows)
+
+
 def test_a_message_that_is_cut_costs_itself(tmp_path: Path, rng: np.random.Generator) -> None:
     kind = TYPES["/joint_states"]
     path = tmp_path / "bad.mcap"

@@ -75,11 +75,11 @@ def _unpacked(file: Path, out: Path) -> Path:
 def message_unpacked(block: Block) -> tuple[Block, int]:
     """The block with its messages unpacked, where single messages were packed, and how many could not be."""
     content = np.frombuffer(block.content, np.uint8)
-    if not len(block.starts) or (block.stops - block.starts < len(ZSTD)).all():
-        return block, 0
     starts = np.minimum(block.starts, len(content) - len(ZSTD))
+    if not (content[starts] == ZSTD[0]).any():  # CDR begins with a zero
+        return block, 0
     packed = (content[starts[:, None] + np.arange(len(ZSTD))] == np.frombuffer(ZSTD, np.uint8)).all(axis=1)
-    if not packed.any():  # CDR begins with a zero
+    if not packed.any() or (block.stops - block.starts < len(ZSTD)).all():
         return block, 0
     rows, lost = [], 0
     room = _FREE + _MAX_RATIO * len(content)

@@ -87,7 +87,7 @@ class Commands:
     def forget_before(self, received: float) -> None:
         """Forget what was received before this time [s], but for the last of each, which may hold still."""
         for rows in self._points.values():
-            last = np.array(rows.received[-1:])
+            last = rows.columns()[1][-1:]
             rows.forget_before(min(received, float(last[0])) if len(last) else received)
         for key, plans in self._plans.items():
             late = [plan for plan in plans if plan[0] >= received]

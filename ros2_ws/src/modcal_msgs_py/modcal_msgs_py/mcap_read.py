@@ -67,7 +67,7 @@ def read_pieces(
     packed, notes = bag_files(path)
     with unpacked(packed) as files:
         roles = resolve(_listed(files), topics, path.name)
-        builder = RecordingBuilder(str(path), roles)
+        builder = RecordingBuilder(str(path), roles, longest=None if most is None else most + most // 8)
         warnings = list(notes)
         total, since = 0, -np.inf
         for i, name in enumerate(files):
@@ -80,9 +80,11 @@ def read_pieces(
                     if most is not None and builder.joint_states >= most:
                         recording = builder.recording()
                         if (border := _border(recording)) is not None:
-                            yield Stretch(recording, since, border.stamp)
-                            since = border.stamp
+                            stretch, since = Stretch(recording, since, border.stamp), border.stamp
                             builder.forget_before(border.received - OVERLAP)
+                            del recording  # not to be held beside the next
+                            yield stretch
+                            del stretch
             except BadRecording as error:
                 # the last of several files may have been begun and no more
                 if len(files) == 1 or file.count:
@@ -268,8 +270,10 @@ def _sorted(block: Block, which: NDArray[np.int64], fields: Fields, met: list[Me
         same = left[sizes[left] == met[i].size]
         if len(same):
             rows = met[i].rows(content, starts[same])
+            if len(same) == len(which) and met[i].fit_all(rows):  # nearly always
+                return [_LayoutRun(met[i], which, rows)]
             fits = met[i].fits(rows)
-            if len(same) == len(which) and fits.all():  # nearly always
+            if len(same) == len(which) and fits.all():
                 return [_LayoutRun(met[i], which, rows)]
             number[same[fits]] = i
             left = left[number[left] < 0]

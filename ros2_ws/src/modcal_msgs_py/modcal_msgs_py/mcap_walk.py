@@ -105,6 +105,7 @@ class McapFile:
     known: dict[int, tuple[str, str]] = field(default_factory=dict)
     share: float = 0.0
     _unpacked: int = 0
+    _is_known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1 << 16, bool))
 
     def messages(self) -> Iterator[RawMessage]:
         """Every whole message, in the order of the file. Raises BadRecording for a file that is not MCAP."""
@@ -144,12 +145,12 @@ class McapFile:
                 self.cut = f"{size - at} bytes at the end are an unfinished record"
                 if opcode == Opcode.CHUNK:
                     none = np.empty(0, np.int64)
-                    yield from self._chunk(data[body:size], none, whole=False, room=self._room(size))
+                    yield from self._chunk(data, body, size, none, whole=False, room=self._room(size))
                 return
             at_next = body + length
             if opcode == Opcode.CHUNK:
                 offsets, at_next = _message_indexes(data, at_next, size)
-                yield from self._chunk(data[body : body + length], offsets, whole=True, room=self._room(at_next))
+                yield from self._chunk(data, body, body + length, offsets, whole=True, room=self._room(at_next))
             elif opcode in _LOOSE_RECORDS:
                 at_next = _end_of_loose(data, at, size)
                 yield from self._records(data[at:at_next] + PADDING, np.empty(0, np.int64))
@@ -166,16 +167,21 @@ class McapFile:
         """Bytes that may still be unpacked when so many bytes of the file have been read."""
         return max(0, min(_MAX_CHUNK, _FREE + _MAX_RATIO * read - self._unpacked))
 
-    def _chunk(self, body: bytes, offsets: NDArray[np.int64], whole: bool, room: int) -> Iterator[Block]:
+    def _chunk(
+        self, data: mmap.mmap, body: int, end: int, offsets: NDArray[np.int64], whole: bool, room: int
+    ) -> Iterator[Block]:
+        """The messages of a chunk whose record's content stands between these bytes of the file."""
         try:
-            _, _, unpacked_size, crc = _CHUNK.unpack_from(body)
-            (name_length,) = struct.unpack_from("<I", body, _CHUNK.size)
-            start = _CHUNK.size + 4 + name_length + 8
-            compression = body[_CHUNK.size + 4 : _CHUNK.size + 4 + name_length].decode()
+            head = data[body : min(end, body + _CHUNK.size + 4)]
+            _, _, unpacked_size, crc = _CHUNK.unpack_from(head)
+            (name_length,) = struct.unpack_from("<I", head, _CHUNK.size)
+            name = body + len(head)
+            start = name + name_length + 8
+            compression = data[name : min(end, name + name_length)].decode()
             if unpacked_size > room and whole:
-                self.cut = f"a chunk of {len(body)} bytes declares {unpacked_size}, {room} is the limit"
+                self.cut = f"a chunk of {end - body} bytes declares {unpacked_size}, {room} is the limit"
                 return
-            content = _unpacked(compression, body[start:], min(unpacked_size, room))
+            content = _unpacked(compression, data, min(start, end), end, min(unpacked_size, room))
         except (struct.error, UnicodeDecodeError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError) as error:
             # of a chunk that is cut already, this says nothing new
             if whole:
@@ -195,14 +201,16 @@ class McapFile:
         offsets: where an index says that they are; it may be wrong, or say nothing.
         """
         runs = _runs(content, offsets)
-        found: list[NDArray[np.int64]] = []
+        found: list[tuple[NDArray[np.int64], NDArray[np.void]]] = []  # places and heads
         single: list[int] = []
         at, size = 0, len(content) - len(PADDING)
         while at + _RECORD.size <= size:
             if at in runs:
-                run, at = runs[at]
-                found += [np.array(single, np.int64), run]
-                single.clear()
+                run, heads, at = runs[at]
+                if single:
+                    found.append(_placed(content, single))
+                    single.clear()
+                found.append((run, heads))
                 continue
             opcode, length = _RECORD.unpack_from(content, at)
             body = at + _RECORD.size
@@ -221,15 +229,15 @@ class McapFile:
                     self.cut = self.cut or f"the description of a topic is damaged ({type(error).__name__})"
                     break
             at = body + length
-        places = np.concatenate([*found, np.array(single, np.int64)])
-        heads = _heads(content, places)
-        known = np.zeros(1 << 16, bool)
-        known[list(self.known)] = True
-        known = known[heads["channel"]]
-        if known.any():
-            heads, starts = heads[known], places[known] + HEAD.itemsize
-            stops = starts + heads["length"].astype(np.int64) - _MESSAGE_HEAD
-            yield Block(content, heads, starts, stops)
+        if single or not found:
+            found.append(_placed(content, single))
+        places, heads = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
+        known = self._is_known[heads["channel"]]
+        if not known.all():
+            places, heads = places[known], heads[known]
+        if len(places):
+            starts = places + HEAD.itemsize
+            yield Block(content, heads, starts, starts + heads["length"].astype(np.int64) - _MESSAGE_HEAD)
 
     def _learn(self, opcode: int, record: bytes) -> None:
         stream = ReadDataStream(BytesIO(record))
@@ -245,6 +253,7 @@ class McapFile:
         self.topics[channel.topic] = schema_name
         if channel.message_encoding == "cdr" or not self.cdr_only:
             self.known[channel.id] = (channel.topic, schema_name)
+            self._is_known[channel.id] = True
 
 
 def _message_indexes(data: mmap.mmap, at: int, size: int) -> tuple[NDArray[np.int64], int]:
@@ -257,8 +266,8 @@ def _message_indexes(data: mmap.mmap, at: int, size: int) -> tuple[NDArray[np.in
             break
         found.append(np.frombuffer(data[body + 6 : body + length - (length - 6) % _INDEX.itemsize], _INDEX)["offset"])
         at = body + length
-    # as signed numbers, so that an offset beyond all bounds comes first and is seen
-    return np.sort(np.concatenate(found).astype(np.int64)) if found else np.empty(0, np.int64), at
+    # as signed numbers, so that an offset beyond all bounds comes first and is seen; parts that are in order are merged
+    return np.sort(np.concatenate(found).astype(np.int64), kind="stable") if found else np.empty(0, np.int64), at
 
 
 def _end_of_loose(data: mmap.mmap, at: int, size: int) -> int:
@@ -280,8 +289,14 @@ def _heads(content: Content, places: NDArray[np.int64]) -> NDArray[np.void]:
     return everywhere[places].view(HEAD)
 
 
-def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray[np.int64], int]]:
-    """Messages that stand where an index says, one behind the other: by the first one's place, all, and their end.
+def _placed(content: Content, places: list[int]) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """These places of messages, and their heads."""
+    where = np.array(places, np.int64)
+    return where, _heads(content, where)
+
+
+def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArray[np.int64], NDArray[np.void], int]]:
+    """Messages that stand where an index says, one behind the other, by the first one's place: places, heads, end.
 
     None at all, if any of them does not.
     """
@@ -292,31 +307,34 @@ def _runs(content: Content, offsets: NDArray[np.int64]) -> dict[int, tuple[NDArr
     ends = offsets + _RECORD.size + length
     if (
         (heads["opcode"] != Opcode.MESSAGE).any()
-        or (length < _MESSAGE_HEAD).any()
-        or (length > len(content)).any()
+        or length.min() < _MESSAGE_HEAD
+        or length.max() > len(content)
         or ends[-1] > len(content) - len(PADDING)
     ):
         return {}
-    if (ends[:-1] > offsets[1:]).any():
+    gaps = offsets[1:] - ends[:-1]
+    if len(gaps) and gaps.min() < 0:
         return {}
-    begins = np.flatnonzero(np.r_[True, ends[:-1] != offsets[1:]])
-    stops = np.r_[begins[1:], len(offsets)]
+    begins = [0, *(np.flatnonzero(gaps) + 1).tolist()]
     return {
-        int(offsets[i]): (offsets[i:j], int(ends[j - 1])) for i, j in zip(begins.tolist(), stops.tolist(), strict=True)
+        int(offsets[i]): (offsets[i:j], heads[i:j], int(ends[j - 1]))
+        for i, j in zip(begins, [*begins[1:], len(offsets)], strict=True)
     }
 
 
-def _unpacked(compression: str, content: bytes, size: int) -> Content:
+def _unpacked(compression: str, data: mmap.mmap, start: int, end: int, size: int) -> Content:
     """The content of a chunk with PADDING behind it; of one that is cut, as much as can be had.
 
-    size: that it should have; of what is longer, at most one byte more is unpacked, so that it is noticed.
+    start, end: where its packed bytes stand in the file. size: that it should have; of what is longer, at most one
+    byte more is unpacked, so that it is noticed.
     """
     if compression == "":
-        return content + PADDING
+        with memoryview(data) as whole, whole[start:end] as content:
+            return b"".join((content, PADDING))
     if compression == "zstd":
-        return _unpacked_at_once(content, size)
+        return _unpacked_at_once(data[start:end], size)
     if compression == "lz4":
-        return lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size + 1) + PADDING
+        return lz4.frame.LZ4FrameDecompressor().decompress(data[start:end], max_length=size + 1) + PADDING
     raise RuntimeError(f"unknown compression {compression[:20]!r}")
 
 

@@ -51,12 +51,15 @@ class RecordingBuilder:
     A topic that stands at the contract's own name is preferred to one of the same role in a namespace.
     """
 
-    def __init__(self, source: str = "recording", roles: Roles | None = None) -> None:
+    def __init__(self, source: str = "recording", roles: Roles | None = None, longest: int | None = None) -> None:
         """Start with nothing; ``source`` names the recording in messages to people.
 
-        roles: of the topics; None: those of the contract's names.
+        roles: of the topics; None: those of the contract's names. longest: messages of a topic that are kept at a time,
+        as far as the caller knows.
         """
         self._source, self._roles = source, roles
+        counts = {one.topic: one.count or 0 for one in (() if roles is None else roles.listed)}
+        self._expected = {topic: n if longest is None else min(n, longest) for topic, n in counts.items()}
         self._transforms = None if roles is None or roles.tf is None else Transforms(*roles.tf)
         self._joints: dict[tuple[str, tuple[str, ...]], TrackRows] = {}
         self._readings: dict[tuple[str, str, str], TrackRows] = {}
@@ -117,7 +120,7 @@ class RecordingBuilder:
         role = self.role(topic, type_name)
 
         def column(path: str) -> Array:
-            return layout.numbers(rows, path).astype(float)
+            return layout.numbers(rows, path).astype(float, copy=False)
 
         stamps = received
         if "header/stamp/sec" in layout.columns:
@@ -138,14 +141,14 @@ class RecordingBuilder:
         elif role in READINGS:
             kind = READINGS[role]
             values = columns_of(kind, type_name, layout, column)
-            own = stated_in(type_name, len(values), column)
-            self._reading_rows(topic, kind, frame).extend(stamps, received, np.hstack([values, own]))
+            own = stated_in(type_name, len(stamps), column)
+            self._reading_rows(topic, kind, frame).extend(stamps, received, *values, own)
         elif role == ROBOT_DESCRIPTION:
             self._descriptions.add(topic, layout.texts["data"])
         elif role == NOTES:
             self._notes += [layout.texts["data"]] * len(rows)
         elif role == TEMPERATURE:
-            self._signals_at(topic, f"temperature:{frame}", stamps, received, column("temperature"))
+            self._signals_at(topic, f"temperature:{frame}", stamps, received, column("temperature")[:, 0])
         else:
             numbers = list(numeric_paths(layout))
             for path, i in numbers:
@@ -156,7 +159,7 @@ class RecordingBuilder:
     @property
     def joint_states(self) -> int:
         """How many joint states of one publisher there are, of that with most."""
-        return max((len(rows.stamps) for rows in self._joints.values()), default=0)
+        return max((len(rows) for rows in self._joints.values()), default=0)
 
     def forget_before(self, received: float) -> None:
         """Forget what was received before this time [s], but for robot descriptions."""
@@ -249,7 +252,14 @@ class RecordingBuilder:
 
     def _joint_rows(self, topic: str, names: tuple[str, ...], n: int) -> TrackRows:
         """The rows of a track of n joints."""
-        return self._joints.setdefault((topic, names), TrackRows(3 * n))
+        rows = self._joints.get((topic, names))
+        if rows is None:
+            rows = self._joints[topic, names] = self._rows(topic, 3 * n)
+        return rows
+
+    def _rows(self, topic: str, width: int) -> TrackRows:
+        """Rows of a new track of this topic."""
+        return TrackRows(width, self._expected.get(topic, 0))
 
     def _add_joint_rows(
         self, topic: str, layout: MessageLayout, stamps: Array, received: Array, columns: list[Array]
@@ -257,7 +267,7 @@ class RecordingBuilder:
         names = tuple(layout.texts[f"name[{i}]"] for i in range(layout.counts["name"]))
         n = _require_joints(topic, names, columns[0].shape[1], float(stamps[0]))
         known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
-        self._joint_rows(topic, names, n).extend(stamps, received, np.hstack(known))
+        self._joint_rows(topic, names, n).extend(stamps, received, *known)
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
         rows = self._reading_rows(topic, kind, str(message.header.frame_id))
@@ -268,7 +278,7 @@ class RecordingBuilder:
         """The rows of a track: its numbers, and what is stated of the error of position and orientation."""
         rows = self._readings.get((topic, kind, frame))
         if rows is None:
-            rows = self._readings[topic, kind, frame] = TrackRows(kinds()[kind].width + 2)
+            rows = self._readings[topic, kind, frame] = self._rows(topic, kinds()[kind].width + 2)
         return rows
 
     def _add_transforms(self, topic: str, message: Any, received: float) -> None:
@@ -306,10 +316,16 @@ class RecordingBuilder:
             )
 
     def _signals_at(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
-        self._signals.setdefault((topic, name), TrackRows(1)).extend(stamps, received, values)
+        self._signal_rows(topic, name, 1).extend(stamps, received, values[:, None])
 
     def _signal(self, topic: str, name: str, stamp: float, received: float, values: list[float]) -> None:
-        self._signals.setdefault((topic, name), TrackRows(len(values))).append(stamp, received, values)
+        self._signal_rows(topic, name, len(values)).append(stamp, received, values)
+
+    def _signal_rows(self, topic: str, name: str, width: int) -> TrackRows:
+        rows = self._signals.get((topic, name))
+        if rows is None:
+            rows = self._signals[topic, name] = self._rows(topic, width)
+        return rows
 
     def _stamp(self, topic: str, message: Any, received: float) -> float:
         header = getattr(message, "header", None)

@@ -52,15 +52,15 @@ _NUMBERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
 READING = {name: _NUMBERS[kind.message] for name, kind in kinds().items()}
 
 
-def columns_of(kind: str, type_name: str, layout: MessageLayout, column: Callable[[str], Array]) -> Array:
-    """Readings (n, width) of a kind, out of messages of this type."""
+def columns_of(kind: str, type_name: str, layout: MessageLayout, column: Callable[[str], Array]) -> list[Array]:
+    """The columns, (n, 1) each, of readings of a kind, out of messages of this type."""
     if type_name not in _PARTS:
-        return np.hstack([column(path) for path in _PATHS[type_name]])
+        return [column(path) for path in _PATHS[type_name]]
     p, q = _PARTS[type_name]
     paths = [f"{p}/{a}" for a in "xyz"]
     if kinds()[kind].message in POSES:
         paths += [f"{q}/{a}" for a in "xyzw"]
-    return np.hstack([column(path) for path in paths])
+    return [column(path) for path in paths]
 
 
 def stated_by(message: Any) -> Array:

@@ -3,52 +3,97 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, SignalTrack
 
+_MAX_GROWTH = 16  # times the rows that there are, where more are expected: an index that lies fills no memory
 
-@dataclass
+
 class TrackRows:
-    """Growing columns of one track, eight bytes a number, however long a node listens."""
+    """Growing columns of one track, eight bytes a number, however long a node listens.
 
-    width: int
-    stamps: array[float] = field(default_factory=lambda: array("d"))
-    received: array[float] = field(default_factory=lambda: array("d"))
-    values: array[float] = field(default_factory=lambda: array("d"))
+    What was handed out of them stays as it is: later rows are written behind it, or to a larger copy.
+    """
+
+    def __init__(self, width: int, expected: int = 0) -> None:
+        """Rows of ``width`` numbers. expected: how many rows there may be, where that is known; it may be wrong."""
+        self.width = width
+        self._expected = expected
+        self._waiting = array("d"), array("d"), array("d")  # stamps, received and values that came one by one
+        self._forget()
+
+    def __len__(self) -> int:
+        """How many rows there are."""
+        return self._count + len(self._waiting[0])
 
     def append(self, stamp: float, received: float, values: Any) -> None:
         """Add one row of ``width`` numbers."""
-        self.stamps.append(stamp)
-        self.received.append(received)
+        stamps, times, numbers = self._waiting
+        stamps.append(stamp)
+        times.append(received)
         if isinstance(values, array):
-            self.values.extend(values)
+            numbers.extend(values)
         else:
-            self.values.frombytes(np.asarray(values, dtype=float).tobytes())
+            numbers.frombytes(np.asarray(values, dtype=float).tobytes())
 
-    def extend(self, stamps: Array, received: Array, values: Array) -> None:
-        """Add many rows: stamps and received (n,), values (n, width)."""
-        for column, new in ((self.stamps, stamps), (self.received, received), (self.values, values)):
-            column.frombytes(np.ascontiguousarray(new, dtype=float).tobytes())
+    def extend(self, stamps: Array, received: Array, *values: NDArray[Any]) -> None:
+        """Add many rows: stamps and received (n,), and numbers side by side, (n, k) each and ``width`` together."""
+        self._settle()
+        self._write(stamps, received, values)
 
     def forget_before(self, received: float) -> None:
         """Forget all rows but those since the first that was received at this time or later."""
-        late = np.flatnonzero(np.array(self.received) >= received)
-        first = int(late[0]) if len(late) else len(self.received)
-        self.stamps, self.received = self.stamps[first:], self.received[first:]
-        self.values = self.values[first * self.width :]
+        stamps, times, values = self.columns()
+        late = np.flatnonzero(times >= received)
+        first = int(late[0]) if len(late) else len(times)
+        self._forget()
+        self._write(stamps[first:], times[first:], (values[first:],))
 
     def columns(self) -> tuple[Array, Array, Array]:
-        """(stamps (N,), received (N,), values (N, width)), copied."""
-        return (
-            np.array(self.stamps),
-            np.array(self.received),
-            np.array(self.values).reshape(len(self.stamps), self.width),
-        )
+        """(stamps (N,), received (N,), values (N, width)) of the rows so far."""
+        self._settle()
+        return self._stamps[: self._count], self._received[: self._count], self._values[: self._count]
+
+    def _forget(self) -> None:
+        self._count = 0
+        self._stamps, self._received, self._values = np.empty(0), np.empty(0), np.empty((0, self.width))
+
+    def _settle(self) -> None:
+        """Write the rows that came one by one behind the others."""
+        n = len(self._waiting[0])
+        if n:
+            stamps, received, values = (np.frombuffer(numbers) if numbers else np.empty(0) for numbers in self._waiting)
+            self._waiting = array("d"), array("d"), array("d")
+            self._write(stamps, received, (values.reshape(n, self.width),))
+
+    def _write(self, stamps: Array, received: Array, values: tuple[NDArray[Any], ...]) -> None:
+        begin, end = self._count, self._count + len(stamps)
+        if end > len(self._stamps):
+            room = max(2 * end, min(self._expected, _MAX_GROWTH * end))
+            self._stamps = _with_room(self._stamps[:begin], room)
+            self._received = _with_room(self._received[:begin], room)
+            self._values = _with_room(self._values[:begin], room)
+        self._stamps[begin:end] = stamps
+        self._received[begin:end] = received
+        left = 0
+        for numbers in values:
+            right = left + numbers.shape[1]
+            self._values[begin:end, left:right] = numbers
+            left = right
+        assert left == self.width
+        self._count = end
+
+
+def _with_room(rows: Array, room: int) -> Array:
+    """A copy of the rows with room for so many in all; what is not written yet takes no memory."""
+    out = np.empty((room, *rows.shape[1:]))
+    out[: len(rows)] = rows
+    return out
 
 
 def joint_track(topic: str, names: tuple[str, ...], rows: TrackRows) -> JointTrack:
