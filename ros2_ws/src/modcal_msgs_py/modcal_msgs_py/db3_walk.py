@@ -26,18 +26,20 @@ class Db3File:
     count: int = 0
     cut: str | None = None
     share: float = 0.0
+    _reader: Any = None  # kept for the walk: opening counts all messages
 
     def topics(self) -> dict[tuple[str, str], int]:
         """How many messages there are by topic and type. Raises BadRecording for a file that is no bag."""
-        with closing(self._opened()) as reader:
-            out: dict[tuple[str, str], int] = {}
-            for c in _named(reader):
-                out[c.topic, c.msgtype] = out.get((c.topic, c.msgtype), 0) + c.msgcount
-            return out
+        self._reader = self._reader or self._opened()
+        out: dict[tuple[str, str], int] = {}
+        for c in _named(self._reader):
+            out[c.topic, c.msgtype] = out.get((c.topic, c.msgtype), 0) + c.msgcount
+        return out
 
     def blocks(self) -> Iterator[Block]:
         """Every message, many at once, in the order of reception. Raises BadRecording for a file that is no bag."""
-        with closing(self._opened()) as reader:
+        opened, self._reader = self._reader or self._opened(), None
+        with closing(opened) as reader:
             connections = [c for c in _named(reader) if c.ext.serialization_format == "cdr"]
             number = {c.id: i for i, c in enumerate(connections[: 1 << 16])}
             self.known = {i: (connections[i].topic, connections[i].msgtype) for i in number.values()}

@@ -66,12 +66,13 @@ def read_pieces(
     """
     packed, notes = bag_files(path)
     with unpacked(packed) as files:
-        roles = resolve(_listed(files), topics, path.name)
+        waiting = [bag_file(name) for name in files]
+        roles = resolve(_listed(waiting), topics, path.name)
         builder = RecordingBuilder(str(path), roles, longest=None if most is None else most + most // 8)
         warnings = list(notes)
         total, since = 0, -np.inf
         for i, name in enumerate(files):
-            file = bag_file(name)
+            file = waiting.pop(0)
             try:
                 reader = _Reader(file, builder, layouts)
                 for block in gathered(file.blocks()):
@@ -104,15 +105,15 @@ def read_pieces(
 def list_topics(path: Path) -> tuple[Listed, ...]:
     """The topics of a bag, with the number of their messages. Raises BadRecording for what is no bag."""
     with unpacked(bag_files(path)[0]) as files:
-        return _listed(files)
+        return _listed([bag_file(name) for name in files])
 
 
-def _listed(files: list[Path]) -> tuple[Listed, ...]:
+def _listed(files: list[BagFile]) -> tuple[Listed, ...]:
     """The topics of the files of a bag; of a file that is none, as far as others tell, nothing."""
     counts: dict[tuple[str, str], int] = {}
-    for name in files:
+    for file in files:
         try:
-            found = topics_of(bag_file(name))
+            found = topics_of(file)
         except BadRecording:
             continue  # said when it is read
         for key, count in found.items():
