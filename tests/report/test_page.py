@@ -15,6 +15,7 @@ from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
 from modcal_core.calibration.score import Errors
 from modcal_core.calibration.split import Split
 from modcal_core.measurements.kinds.rows import indirect_rows
+from modcal_core.measurements.returns import SAME
 from modcal_core.report import page as module
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import FILES, MAX_BYTES, _page, to_html
@@ -225,12 +226,17 @@ def test_a_page_with_many_effects_stays_small_and_says_so() -> None:
 
 
 def repeated(report: Report, times: int) -> Report:
-    """The same recording over and over, each time later and at stations of its own."""
+    """The same recording over and over, each time later and at stations of its own, a little beside the last ones."""
     n = len(report.samples)
     long = report.samples.select(np.tile(np.arange(n), times))
     later = np.repeat(np.arange(times), n)
     span, most = float(np.ptp(long.stamps)) + 1.0, int(long.station.max()) + 1
-    samples = replace(long, stamps=long.stamps + span * later, station=long.station + most * later)
+    samples = replace(
+        long,
+        stamps=long.stamps + span * later,
+        station=long.station + most * later,
+        q=long.q + 2.0 * SAME * later[:, None],
+    )
 
     def rows(part: np.ndarray) -> np.ndarray:
         return (part + n * np.arange(times)[:, None]).ravel()

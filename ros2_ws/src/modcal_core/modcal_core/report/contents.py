@@ -117,6 +117,10 @@ class ReportContents:
 
     def units(self) -> np.ndarray:
         """Numbers of the scored samples, (N,): the same for those whose errors may be alike."""
+        return self._units
+
+    @cached_property
+    def _units(self) -> np.ndarray:
         rows = self.sets.held_out
         unit = independent_units(self.samples, rows, self.sets.unit == "block")
         return unit if self.counts_rejected else unit[~self.wrong[rows]]
