@@ -46,12 +46,17 @@ class Consensus:
 
     def placed(self, A: Array, samples: Samples) -> Placed:
         """Base and tool from these stations."""
+        return self._placed_by_each(A[None], samples.R[None], samples.reading[None])[0]
+
+    def _placed_by_each(self, A: Array, R: Array, position: Array) -> list[Placed]:
+        """Base and tool from each of C sets of stations: A (C, N, 4, 4), R (C, N, 3, 3), positions (C, N, 3)."""
         if self.poses:
-            Y, X = base_and_tool_turns(A[:, :3, :3], samples.R)
+            Y, X = base_and_tool_turns(A[..., :3, :3], R)
         else:
-            Y, X = base_by_positions(A[None], samples.reading[None])[0], np.eye(3)
-        _, x, t = tool_and_place(Y, A, samples.reading)
-        return Placed(Y, X, x, t)
+            Y = base_by_positions(A, position)
+            X = np.tile(np.eye(3), (len(Y), 1, 1))
+        _, x, t = tool_and_place(Y, A, position)
+        return [Placed(*each) for each in zip(Y, X, x, t, strict=True)]
 
     def largest(self, rows: np.ndarray) -> tuple[Placed | None, np.ndarray]:
         """Base and tool that most of these stations agree on, and which of them do, (rows,)."""
@@ -60,13 +65,9 @@ class Consensus:
         drawn = _DRAWN if self.poses else _DRAWN + 3
         if len(rows) < drawn + 2:
             return best, agree
-        for k in range(_DRAWS if self.poses else _DRAWS // 4):
-            if k % 2:
-                some = self.rng.choice(len(rows), drawn, replace=False)
-            else:  # what changes at a time leaves neighbours alike
-                first = int(self.rng.integers(max(len(rows) - 2 * drawn, 1)))
-                some = first + self.rng.choice(min(2 * drawn, len(rows)), drawn, replace=False)
-            placed = self.placed(A[some], samples.select(some))
+        draws = range(_DRAWS if self.poses else _DRAWS // 4)
+        some = np.stack([self._drawn(len(rows), drawn, apart=bool(k % 2)) for k in draws])
+        for placed in self._placed_by_each(A[some], samples.R[some], samples.reading[some]):
             inside = self.within(placed, A, samples, CLEARLY)
             if inside.sum() > agree.sum():
                 best, agree = placed, inside
@@ -75,6 +76,13 @@ class Consensus:
                 best = self.placed(A[agree], samples.select(np.flatnonzero(agree)))
                 agree = self.within(best, A, samples)
         return best, agree
+
+    def _drawn(self, among: int, count: int, apart: bool) -> np.ndarray:
+        """So many of these stations, from anywhere or, as what changes at a time leaves neighbours alike, neighbours."""
+        if apart:
+            return self.rng.choice(among, count, replace=False)
+        first = int(self.rng.integers(max(among - 2 * count, 1)))
+        return first + self.rng.choice(min(2 * count, among), count, replace=False)
 
     def stations(self, rows: np.ndarray) -> str:
         """These rows in words: runs of station numbers, or how many they are."""
