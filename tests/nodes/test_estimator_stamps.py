@@ -1,4 +1,4 @@
-"""What the estimator makes of stamps that leap and of poses that do not come: in the test's process, over DDS."""
+"""Stamps that leap, poses that do not come, poses of another convention: in the test's process, over DDS."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ class Shown:
         rng = np.random.default_rng(2)
         seen = noisy(ideal("prismatic", np.linspace(0.0, 0.3, 31), rng), rng, 2e-4, 1e-3)
         self.poses = se3.transform(seen.rotations, seen.positions)
+        seen = noisy(ideal("revolute", np.linspace(0.0, 1.3, 120), rng, 0.5), rng, 2e-4, 2e-3)
+        self.door = se3.transform(seen.rotations, seen.positions)
         pair.wait(
             lambda: self._publisher.get_subscription_count() and pair.node.count_subscribers(self._told.topic), 10.0
         )
@@ -77,6 +79,19 @@ def test_one_pose_stamped_ten_seconds_ahead_wipes_nothing(shown: Shown) -> None:
     shown.show(27, BEGIN + STEP * 27)
     shown.taken(27)
     assert (shown.status["trusted"], shown.status["kind"]) == ("true", "prismatic")
+
+
+def test_a_left_handed_frame_is_said_by_name_and_nothing_is_trusted(shown: Shown) -> None:
+    shown.poses = shown.door
+    shown.poses[:, 1, 3] *= -1.0
+    for i in range(len(shown.poses)):
+        shown.show(i, BEGIN + STEP * i)
+        shown.taken(i + 1)
+    level, said = shown.pair.wait(lambda: "left-handed" in shown.object()[1] and shown.object(), 8.0)
+    assert level == DiagnosticStatus.WARN
+    assert "with the sign of y reversed (a left-handed frame) a revolute one: correct the sign of y" in said
+    assert shown.status["trusted"] == "false"
+    assert "sign of y" in shown.status["written"]
 
 
 def test_poses_that_stop_coming_are_said(shown: Shown) -> None:

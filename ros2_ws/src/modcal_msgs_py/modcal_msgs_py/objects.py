@@ -70,6 +70,7 @@ def status_values(state: TrackerState) -> dict[str, str]:
         "apart_m": f"{state.apart_m:.6f}",
         "path_m": f"{state.path_m:.6f}",
         "rotations": "handle" if state.follows else "grasp",
+        "written": str(state.written or "as expected"),
         **{f"probability_{kind}": f"{p:.4f}" for kind, p in state.probabilities.items()},
     }
 

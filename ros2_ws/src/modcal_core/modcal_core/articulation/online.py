@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.bend_check import BendCheck
+from modcal_core.articulation.convention_check import ConventionCheck
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.misfit import NONE, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
@@ -25,6 +26,7 @@ from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.nodes import FEWEST_NODES, Nodes
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
+from modcal_core.articulation.rotation_convention import OtherConvention
 from modcal_core.articulation.share_check import ShareCheck
 from modcal_core.articulation.track import FARTHEST, RIGID, Track
 from modcal_core.articulation.travel import Travel
@@ -66,6 +68,7 @@ class TrackerState:
     follows: whether rotations are the object's; else they are the grasp's. apart_m: way from one pose to the next, the
     usual one [m]; sparse: whether that is too much to learn from. left: what the best kind leaves of the path so far
     (m, rad), nan before it is known. path_m: length of the path that was seen since the start, or since it was left.
+    written: in which other convention the poses seem to be written, None in none; nothing is trusted then.
     """
 
     kind: Kind
@@ -82,6 +85,7 @@ class TrackerState:
     sparse: bool = False
     left: tuple[float, float] = (math.nan, math.nan)
     path_m: float = 0.0
+    written: OtherConvention | None = None
 
     @property
     def silent(self) -> bool:
@@ -106,11 +110,16 @@ _HELD = 20  # poses for which a model that was trusted lately is not bent by wha
 
 
 class Tracker:
-    """Takes poses as they come. oriented: whether rotations come too; None: as the first pose has it."""
+    """Takes poses as they come. oriented: whether rotations come too; None: as the first pose has it.
 
-    def __init__(self, settings: TrackerSettings | None = None, oriented: bool | None = None) -> None:
+    measured: whether somebody else wrote the poses, maybe in another convention; those of an arm's joints are not.
+    """
+
+    def __init__(
+        self, settings: TrackerSettings | None = None, oriented: bool | None = None, measured: bool = True
+    ) -> None:
         self.settings = TrackerSettings() if settings is None else settings
-        self._wanted = oriented
+        self._wanted, self._measured = oriented, measured
         self.reset()
 
     def reset(self, changes: int = 0) -> None:
@@ -121,6 +130,7 @@ class Tracker:
         self._selector = ModelSelector()
         self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)
         self._share = ShareCheck(chosen.tolerance_m)
+        self._convention = ConventionCheck()
         self._bend = BendCheck(self._share.stretches)
         self._travel = Travel()
         self._two = TwoMotions()
@@ -215,6 +225,7 @@ class Tracker:
             self._two.advance(self._selector.scale[0])
         if steps:
             self._bend.come(motion)
+            self._convention.advance()
 
     # what the selected model says of this pose
 
@@ -269,8 +280,10 @@ class Tracker:
         """Start over from here: what came before was another object, another grasp, or no joint."""
         samples, stamp, oriented, latest = self._samples, self._stamp, self._oriented, list(self._recent)
         two = self._two  # the whole path counts there: two joints, one after the other, are no joint
+        convention = self._convention  # and there: another object's poses are written as this one's
         self.reset(self._changes + 1)
-        self._samples, self._stamp, self._oriented, self._two = samples, stamp, oriented, two
+        self._samples, self._stamp, self._oriented = samples, stamp, oriented
+        self._two, self._convention = two, convention
         self._recent.extend(latest)
         self._first, self._nodes = latest[0][0], Nodes(bool(oriented), self.settings.nodes)
 
@@ -293,6 +306,8 @@ class Tracker:
             return
         self._judged = rounds
         follows = self._selector.follows
+        if track.oriented and self._measured:
+            self._convention.begin(track, self._selector.scale)
         seen = track if follows else Track.trusted(track.positions)
         e = motion.residuals(seen, motion.configurations(seen, (1e-2, 0.05 if follows else 1e9)))
         turn = rms(np.linalg.norm(e[:, 3:], axis=1)) if e.shape[1] == 6 else math.nan
@@ -317,15 +332,15 @@ class Tracker:
         selector, ahead = self._selector, self._check.error
         probabilities = dict(selector.probabilities)
         motion = selector.motion
-        left = self._left
+        left, written = self._left, self._convention.written
         apart = self._travel.step[0]
         sparse, path = apart > _SPARSE * self.settings.ahead_m, self._share.stretches.path
         if motion is None or selector.kind == STILL.name:
             return TrackerState(STILL.name, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         apart_m=apart, sparse=sparse, left=left, path_m=path)  # fmt: skip
+                         apart_m=apart, sparse=sparse, left=left, path_m=path, written=written)  # fmt: skip
         if self._none:
             return TrackerState(NONE, probabilities, None, 0.0, False, ahead, off, event, self._samples,
-                         selector.follows, apart, sparse, left, path)  # fmt: skip
+                         selector.follows, apart, sparse, left, path, written)  # fmt: skip
         if self._zero is None or self._zero[0] is not motion:
             assert self._first is not None
             begin = motion.placed(self._first, None, POSITIONS)[0]
@@ -334,10 +349,10 @@ class Tracker:
         if R is not None and selector.follows:
             seen = posed(R, p)
         trusted = self._check.trusted and not (self._share.fails or self._bend.found)
-        trusted = trusted and path >= self.settings.trust_after_m
+        trusted = trusted and path >= self.settings.trust_after_m and self._convention.written is None
         a = float(model.configuration(seen))
         return TrackerState(selector.kind, probabilities, model, a, trusted, ahead, off, event, self._samples,
-                     selector.follows, apart, sparse, left, path)  # fmt: skip
+                     selector.follows, apart, sparse, left, path, written)  # fmt: skip
 
 
 def _went_on(

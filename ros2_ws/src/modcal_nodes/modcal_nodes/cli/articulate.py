@@ -111,8 +111,9 @@ def articulate_command(
         watch("weighing the kinds of joint")
         rng = np.random.default_rng(seed)
         choice = choose(track, rng)
-        with about(str(bag)):
-            require_convention(track, choice, rng)
+        if not read.arm:  # else the poses are the arm's by its joints, which nobody else wrote
+            with about(str(bag)):
+                require_convention(track, choice, rng)
     found = Articulation(bag.name, read.frame, track, choice)
     out = out or Path(f"{bag.resolve().stem}_articulation")
     data, files, said = write_articulation(found, out)

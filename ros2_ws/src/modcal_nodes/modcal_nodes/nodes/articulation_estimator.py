@@ -42,6 +42,7 @@ _POSES: dict[str, type] = {
     "tracker/pose": PoseStamped,
     "tracker/point": PointStamped,
 }
+_MEASURED = ("tracker/pose", "tracker/point")
 _JOINTS = "joint_states"
 _HANDLE = "object_handle"
 _REST = 0.004  # s
@@ -64,7 +65,8 @@ class ArticulationEstimator(GuardedNode):
         self._tracker = Tracker(
             TrackerSettings(
                 tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"], trust_after_m=chosen["trust_after_m"]
-            )
+            ),
+            measured=chosen["input"] in _MEASURED,
         )
         self._chain: Chain | None = None
         self._joints: JointInput | None = None
@@ -213,8 +215,11 @@ class ArticulationEstimator(GuardedNode):
         """Take one pose, and publish the estimate after it."""
         self._turned = R
         state = self._tracker.update(p, R, stamp, self._force > self._chosen["pull_n"])
+        before = None if self._state is None else self._state.written
         self._state, self._frame, self._last = state, frame, stamp
-        if state.event is not None:
+        if state.written not in (None, before):
+            self.get_logger().warning(f"{self._chosen['input']}, {state.written}")
+        if state.event is not None or state.written != before:
             self._health.publish_if_changed()
         self._publish_status(state, stamp)
         if state.model is None:
@@ -257,7 +262,7 @@ class ArticulationEstimator(GuardedNode):
     def _publish_status(self, state: TrackerState, stamp: float) -> None:
         told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]
         status = DiagnosticStatus(
-            level=WARN if state.event else OK,
+            level=WARN if state.event or state.written else OK,
             name=f"{self.get_fully_qualified_name()}: object",
             hardware_id="modcal",
             message=_said(state),
@@ -282,7 +287,7 @@ class ArticulationEstimator(GuardedNode):
             lines.append(Status("object", WARN, "waiting for poses"))
         else:
             said, starved = _said(self._state), self._starved(self._state)
-            level = WARN if self._state.event or starved else OK
+            level = WARN if self._state.event or self._state.written or starved else OK
             lines.append(Status("object", level, "; ".join(filter(None, (said, starved))), status_values(self._state)))
         return lines
 
@@ -306,6 +311,8 @@ def _said(state: TrackerState) -> str:
     """The estimate, for a person."""
     if state.event:
         return state.event
+    if state.written is not None:
+        return str(state.written)
     if state.kind == NONE:
         turn = "" if np.isnan(state.left[1]) else f" and {np.degrees(state.left[1]):.0f}°"
         return f"none of these: the best joint type leaves {1e3 * state.left[0]:.0f} mm{turn} of the path so far"
