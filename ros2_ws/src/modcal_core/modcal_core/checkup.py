@@ -21,7 +21,6 @@ from modcal_core.checking.looked_at import spread_out
 from modcal_core.checking.naming import named
 from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, Status
 from modcal_core.checking.placed import new_frames, placed_anew, with_new_frames
-from modcal_core.checking.recognise import recognised
 from modcal_core.checking.repair import repaired
 from modcal_core.checking.search import FoundChanges, search
 from modcal_core.checking.state import CheckState
@@ -29,6 +28,7 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.plausibility.recognise import recognised
 from modcal_core.report.notes import own_note, unseen_note
 from modcal_core.report.report import Report
 from modcal_core.verdict.not_applied import Applied, applicable

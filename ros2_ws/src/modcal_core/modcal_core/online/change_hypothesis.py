@@ -21,8 +21,10 @@ _AS_GOOD = 10.0  # difference of the criterion below which two hypotheses are no
 
 @dataclass(frozen=True)
 class ChangeHypothesis:
-    """place, direction, driver: as in reports. since: [s]. size: RMS of how far the tool is moved [m]. same_as: what
-    would explain it as well. gain: of squared standard deviations that it takes away, of ``total``.
+    """place, direction, driver: as in reports. since: [s]. size: RMS of how far the tool is moved [m], turn: and
+    turned [rad, nan without orientations]. same_as: what
+    would explain it as well. gain: of squared standard deviations that it takes away, of ``total``. mistake: what
+    the readings look like instead, and the remedy, where nothing has changed but how they are written.
     """
 
     place: str
@@ -30,9 +32,11 @@ class ChangeHypothesis:
     driver: str
     since: float
     size: float
+    turn: float
     gain: float
     total: float
     same_as: tuple[str, ...]
+    mistake: str = ""
 
     @property
     def label(self) -> str:
@@ -42,7 +46,11 @@ class ChangeHypothesis:
     @property
     def sentence(self) -> str:
         """For a person."""
+        if self.mistake:
+            return self.mistake
         text = f"{self.place} ({self.direction}, by {self.driver}) has changed by {1e3 * self.size:.2f} mm"
+        if np.isfinite(self.turn):
+            text += f" and {np.degrees(self.turn):.3g}°"
         return text + (f"; it may as well be {', '.join(self.same_as)}" if self.same_as else "")
 
 
@@ -52,7 +60,7 @@ class _Hypothesis:
     direction: str
     driver: str
     columns: Array  # (m, k, 6): whitened motions at m samples
-    lengths: Array  # (m, k, 3): the same in metres, of the tool
+    lengths: Array  # (m, k, 3 or 6): the same in m and rad, of the tool
 
     @property
     def label(self) -> str:
@@ -70,20 +78,21 @@ def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
         values = np.linalg.lstsq(A, residual.ravel(), rcond=1e-8)[0]
         gain = total - float(np.sum((residual.ravel() - A @ values) ** 2))
         moved = np.einsum("mki,k->mi", hypothesis.lengths, values)
-        size = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+        size, turn = (float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in (moved[:, :3], moved[:, 3:]))
         cost = A.shape[1] * np.log(residual.size)
-        judged.append((gain - cost, hypothesis, gain, size))
+        judged.append((gain - cost, hypothesis, gain, size, turn if moved.shape[1] == 6 else np.nan))
     judged.sort(key=lambda j: -j[0])
-    score, best, gain, size = judged[0]
-    rivals = tuple(h.label for s, h, _, _ in judged[1:] if s > score - _AS_GOOD)
-    return ChangeHypothesis(best.place, best.direction, best.driver, since, size, gain, total, rivals)
+    score, best, gain, size, turn = judged[0]
+    rivals = tuple(h.label for s, h, *_ in judged[1:] if s > score - _AS_GOOD)
+    return ChangeHypothesis(best.place, best.direction, best.driver, since, size, turn, gain, total, rivals)
 
 
 def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
     chain = detector.model.chain
     n, F = chain.tool_place, len(detector.model.frames)
     motions = np.stack([s.motions for s in seen])  # (m, 6, C)
-    lengths = np.stack([s.unwhitened[:3] for s in seen])  # (m, 3, C)
+    rows = min(len(s.unwhitened) for s in seen)
+    lengths = np.stack([s.unwhitened[:rows] for s in seen])  # (m, 3 or 6, C)
     columns = {(p.place, p.direction, p.frame): i for i, p in enumerate(detector.directions)}
     t = np.array([s.stamp for s in seen])
     growing = (t - t[0]) / max(float(np.ptp(t)), 1e-9)

@@ -10,6 +10,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.online.change_detector import ChangeDetector
 from modcal_core.online.change_hypothesis import ChangeHypothesis, find_change
 from modcal_core.online.estimator import Estimator, RandomWalk
+from modcal_core.online.misread import or_misread
 
 _RIDGE = 1e-12  # of each variance; a covariance that was written down may have lost its last digits
 
@@ -52,4 +53,8 @@ class Live:
         self.since += 1
         # asked again as samples come in: the first answer rests on very few
         if self.hypothesis is None or (self.since & (self.since - 1)) == 0:
-            self.hypothesis = find_change(self.detector, min(self.changed, self.detector.seen[-1].stamp))
+            self.hypothesis = self._asked(min(self.changed, self.detector.seen[-1].stamp))
+
+    def _asked(self, since: float) -> ChangeHypothesis:
+        rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
+        return or_misread(find_change(self.detector, since), self.detector.model, rows, self.calibration.noise)

@@ -86,7 +86,9 @@ class Supervisor:
         """Whether it is time to calibrate again."""
         if self.live is None:
             return 0 < self._wait <= self.stations and self.candidate is None
-        return self.hypothesis is not None and 0 < self._wait <= self.live.since
+        if self.hypothesis is None or self.hypothesis.mistake:  # of readings that are written wrongly nothing is solved
+            return False
+        return 0 < self._wait <= self.live.since
 
     def solved(self, calibration: Calibration, better: bool) -> bool:
         """Take a result; returns whether it is trusted from now on."""

@@ -194,7 +194,7 @@ def mirror_image() -> Mistake:
     return Mistake(
         "the arm looks like the mirror image of its URDF (a left arm's description for a right one, or a left-handed "
         "frame)",
-        "give the URDF of this arm",
+        "give the URDF of this arm, or readings in a right-handed frame",
         lambda s: replace(s, reading=s.reading @ mirror, R=mirror @ s.R @ mirror),
         "reading",
     )

@@ -87,6 +87,10 @@ def collected(supervisor: Supervisor) -> str:
     """How far collecting is."""
     policy = supervisor.policy
     if supervisor.live is not None:
+        if supervisor.hypothesis is not None and supervisor.hypothesis.mistake:
+            return (
+                f"{supervisor.live.since} stations whose readings are written wrongly: correct that, then call ~/reset"
+            )
         if supervisor.hypothesis is not None and policy.after_change:
             return (
                 f"{supervisor.live.since} of {policy.after_change} stations since the change, then it is solved again"

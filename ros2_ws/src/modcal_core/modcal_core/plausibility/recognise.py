@@ -1,10 +1,10 @@
-"""Whether a small recording is one of the calibrated robot at all, in the convention of the calibration.
+"""Whether a small recording, or what comes live, is one of the calibrated robot, in the convention of the calibration.
 
 A base or a tool that was moved by any amount leaves a recording that the calibrated arm still explains, with base and
 tool fitted again. One in other units or in another convention does not, and is refused where undoing the mistake
 explains it: a change that is fitted to it would be calm and wrong. What then still misses by far is doubted: it is of
-another robot, unless the search finds changes that explain it (:mod:`accounted`). An inverse pose is
-undone, as calibrate does.
+another robot, unless the search finds changes that explain it (``checking/accounted``). An inverse
+pose is undone, as calibrate does.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from modcal_core.plausibility.conventions import match, points_match, rough_scor
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
+    mirror_image,
     of_axes,
     of_joints,
     of_rotations,
@@ -33,7 +34,7 @@ from modcal_core.robots.mechanism import is_serial_arm
 
 INVERTED = "pose inverted"
 MIN = 6  # readings of a frame, from which base and tool of an arm that is known leave enough to judge it by
-_OF_THIS_ARM = 0.01  # of the reach: what misses by more with base and tool fitted again is another arm, or not metres
+MISREAD = 0.01  # of the reach: what misses by more with base and tool fitted again is another arm, or not metres
 _CANDIDATES = 6  # the likeliest by closed form, which are then fitted
 _NEAR = 20.0  # standard deviations, within which nothing has to be asked
 _OURS = 0.2  # of the miss as it is, by what is meant once a mistake is undone
@@ -112,12 +113,12 @@ def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | BadRecording
     if poses:
         # orientations that fit mean what they should: to free them would only let positions have a base of their own
         turned = of_rotations(None) if as_is.rotation > ANGLE else ()
-        mistakes = [inverse_pose(), *turned, *mistakes]
+        mistakes = [inverse_pose(), mirror_image(), *turned, *mistakes]
         rough = rough_scores(part, chain, mistakes)[1:]
         mistakes = [mistakes[i] for i in np.argsort(rough)[::-1][:_CANDIDATES]]
     found = [(_miss(model, mistake.undone(part), poses).size(reach), i) for i, mistake in enumerate(mistakes)]
     best, i = min(found)
-    if best < _OURS * as_is.size(reach) and best < _OF_THIS_ARM * reach:
+    if best < _OURS * as_is.size(reach) and best < MISREAD * reach:
         mistake = mistakes[i]
         if mistake.offender == inverse_pose().offender:
             return mistake
@@ -126,11 +127,11 @@ def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | BadRecording
             f"base and tool fitted again, with that undone by {1e3 * best:.3g} mm in all"
         )
         raise BadRecording(f"readings in frame '{frame}': {mistake.offender}", said, mistake.remedy)
-    if as_is.size(reach) < _OF_THIS_ARM * reach:
+    if as_is.size(reach) < MISREAD * reach:
         return None
     said = (
         f"the calibrated arm misses them by {1e3 * as_is.position:.3g} mm and {np.degrees(as_is.rotation):.3g}° at the "
-        f"median with base and tool fitted again, {1e3 * _OF_THIS_ARM * reach:.3g} mm in all is allowed, and no change "
+        f"median with base and tool fitted again, {1e3 * MISREAD * reach:.3g} mm in all is allowed, and no change "
         "of a joint or two explains it"
     )
     return BadRecording(
