@@ -78,7 +78,7 @@ class Consensus:
         return best, agree
 
     def _drawn(self, among: int, count: int, apart: bool) -> np.ndarray:
-        """So many of these stations, from anywhere or, as what changes at a time leaves neighbours alike, neighbours."""
+        """So many of these stations, from anywhere, or neighbours, which what changes at a time leaves alike."""
         if apart:
             return self.rng.choice(among, count, replace=False)
         first = int(self.rng.integers(max(among - 2 * count, 1)))
