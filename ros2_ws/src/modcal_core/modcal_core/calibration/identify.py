@@ -125,7 +125,7 @@ def identify(
     begin: values of the parameters to begin from; zero by default. reject: give samples far outside no weight at all;
     otherwise, where wrong ones have been left out already, they only count less. most: iterations, where fewer than
     usual are enough. hopeless: asked after each step, of the model and the step's length in standard deviations; ends
-    the fit. spread: find how well values are known; otherwise covariance and standard deviations are zero.
+    the fit. spread: find how well values are known; otherwise covariance and standard deviations are NaN.
 
     Raises NotEnoughData when the readings are too few for the parameters.
     """
@@ -139,7 +139,7 @@ def identify(
         some = samples.select(slice(None, None, len(samples) // few))
         values = _minimum(start, some, parameters, distances, limit, (), tolerance, values, rough=True).values
     at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values, False, most, hopeless)
-    covariance = Curvature.of(at.H).inverse() if spread else np.zeros_like(at.H)
+    covariance = Curvature.of(at.H).inverse() if spread else np.full_like(at.H, np.nan)
     return Fit(
         _model_at(start, parameters, fitted, at.values, np.sqrt(np.diag(covariance)[P:])),
         start,
