@@ -27,7 +27,7 @@ from modcal_core.measurements.thinning import spread_rows
 from modcal_core.verdict.by_instrument import by_instrument
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.features import groups, on_the_way, single_waves
-from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Regressor, Ridge
+from modcal_core.verdict.ridge import FOLDS, Baseline, Layout, Regressor, Ridge, single
 from modcal_core.verdict.sparse import SparseRegressor
 from modcal_core.verdict.verdict import Share
 
@@ -82,7 +82,7 @@ def predictable(case: Case) -> Predictable:
     changed = on_the_way(case.model, samples, weight, J * weight)
     apart = by_instrument(case.model, samples, weight, J * weight)
     for group in (*groups(case.model, samples, weight), changed, *apart):
-        columns = layout.flat(group.columns)
+        columns = layout.flat(single(group.columns))
         before = np.sqrt(np.einsum("dr,dr->d", columns, columns))
         columns = baseline.without(columns)
         size = np.sqrt(np.einsum("dr,dr->d", columns, columns))

@@ -1,10 +1,14 @@
-"""Ridge regression judged out of fold: every part of a vector is predicted from the others."""
+"""Ridge regression judged out of fold: every part of a vector is predicted from the others.
+
+The parameters are solved for in double precision, and regressors on unit columns in single: ridges hold them to a
+condition of some thousands, so predictions are right to a ten-thousandth of the noise that judges them.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -13,6 +17,11 @@ from modcal_core.geometry.so3 import Array
 
 FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
 _EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected to explain: sets the ridge
+
+
+def single(x: Array) -> Array:
+    """The same numbers in single precision."""
+    return cast(Array, x.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -60,24 +69,21 @@ class Baseline:
     """The parameters as regressors with unit variance, prepared for every fold.
 
     directions: orthonormal ones that they move a residual along, (K, R). shared: products of these over each fold,
-    (FOLDS, K, K), which add up to the identity.
+    (FOLDS, K, K), which add up to the identity. predicted: what of each direction the parameters predict when fitted to
+    all of it, (K,). All for columns in single precision.
     """
 
     def __init__(self, U: Array, layout: Layout) -> None:
         """U: (K, R), of which there may be none."""
         value, vector = np.linalg.eigh(U @ U.T)
         keep = value > 1e-12 * value.max(initial=1e-300)
-        self.layout, self._value, self._root = layout, value[keep], np.sqrt(value[keep])
-        self.directions = (vector[:, keep] / self._root).T @ U
-        parts = [self.directions[:, a:b] for a, b in layout.spans]
-        self.shared = np.stack([part @ part.T for part in parts])
+        value = value[keep]
+        self.layout, self._root, self._predicted = layout, np.sqrt(value), value / (1.0 + value)
+        self._directions = (vector[:, keep] / self._root).T @ U
+        shared = np.stack([part @ part.T for part in (self._directions[:, a:b] for a, b in layout.spans)])
         both = np.outer(self._root, self._root)
-        self._factors = [np.linalg.cholesky(np.diag(1.0 + self._value) - both * own) for own in self.shared]
-
-    @property
-    def predicted(self) -> Array:
-        """What of each direction the parameters predict when fitted to all of it, (K,)."""
-        return np.asarray(self._value / (1.0 + self._value))
+        self._factors = [np.linalg.cholesky(np.diag(1.0 + value) - both * own) for own in shared]
+        self.directions, self.shared, self.predicted = map(single, (self._directions, shared, self._predicted))
 
     def without(self, x: Array) -> Array:
         """Columns (D, R) less what the parameters predict of them."""
@@ -86,14 +92,15 @@ class Baseline:
 
     def trials(self, r: Array) -> Trials:
         """The trials of residuals (R, m)."""
-        Q = self.directions
+        Q = self._directions
         seen = np.stack([Q[:, a:b] @ r[a:b] for a, b in self.layout.spans])
         whole, root = seen.sum(axis=0), self._root[:, None]
         moved = [
             root * cho_solve((factor, True), root * (whole - own), check_finite=False)
             for own, factor in zip(seen, self._factors, strict=True)
         ]
-        return Trials(r, r - Q.T @ (self.predicted[:, None] * whole), seen, np.stack(moved))
+        left = r - Q.T @ (self._predicted[:, None] * whole)
+        return Trials(single(r), single(left), single(seen), single(np.stack(moved)))
 
 
 class Regressor(Protocol):
@@ -109,7 +116,7 @@ class Regressor(Protocol):
 
 @dataclass(frozen=True)
 class Ridge:
-    """Ridge regression on columns (D, R) of unit length, prepared for every fold and for ridges of several sizes.
+    """Ridge regression on columns (D, R) of unit length, in single precision, prepared for each fold and several ridges.
 
     With as many columns as D, none of them special, and a share s of R unit variances expected to be explained, each
     coefficient has a variance of s R / D, and the ridge is its inverse. along: products with the parameters' directions
@@ -129,9 +136,9 @@ class Ridge:
         spans, Q = baseline.layout.spans, baseline.directions
         parts = [columns[:, a:b] for a, b in spans]
         grams = [part @ part.T for part in parts]
-        whole = np.sum(grams, axis=0)
+        others, one = np.sum(grams, axis=0) - np.stack(grams), np.eye(D, dtype=columns.dtype)
         ridges = [D / (share * R) for share in _EXPECTED]
-        factors = [[cho_factor(whole - g + ridge * np.eye(D), check_finite=False) for g in grams] for ridge in ridges]
+        factors = [[cho_factor(gram + ridge * one, check_finite=False) for gram in others] for ridge in ridges]
         own = np.stack([part @ Q[:, a:b].T for part, (a, b) in zip(parts, spans, strict=True)])
         return cls(name, columns, baseline.layout, own.sum(axis=0) - own, factors)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.verdict.features import Waves
-from modcal_core.verdict.ridge import Baseline, Layout, Trials
+from modcal_core.verdict.ridge import Baseline, Layout, Trials, single
 
 _ALIKE = 0.1  # ridge in units of a column's square; columns that are nearly the same share what they explain
 _COUNTS = (2, 8)  # columns at a time
@@ -44,6 +44,7 @@ class SparseRegressor:
 
         None where they leave nothing.
         """
+        waves = Waves(tuple(map(single, waves.motions)), tuple(map(single, waves.numbers)))
         squares = waves.squares()
         own = _products(waves, baseline.layout, baseline.directions.T)
         seen = own.sum(axis=0)
@@ -76,7 +77,7 @@ class SparseRegressor:
             target = np.take_along_axis(own, top, 0).T
             for prediction, count in zip(out, _COUNTS, strict=True):
                 n = min(count, most)
-                held = gram[:, :n, :n] + _ALIKE * np.eye(n)
+                held = gram[:, :n, :n] + _ALIKE * np.eye(n, dtype=gram.dtype)
                 solution = np.linalg.solve(held, target[:, :n, None])
                 prediction[a:b] = (solution.transpose(0, 2, 1) @ here[:, :n])[:, 0].T
         return out
@@ -109,7 +110,7 @@ def _largest(size: Array, most: int) -> np.ndarray:
 def _products(waves: Waves, layout: Layout, x: Array) -> Array:
     """Products of all columns with x (R, m) over each fold, (FOLDS, D, m)."""
     m = x.shape[1]
-    grid = np.zeros((len(waves.numbers[0][0]), 6, m))
+    grid = np.zeros((len(waves.numbers[0][0]), 6, m), x.dtype)
     grid[layout.sample, layout.component] = x
     out = []
     for motions, numbers in zip(waves.motions, waves.numbers, strict=True):
