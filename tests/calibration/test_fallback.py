@@ -193,3 +193,7 @@ def test_what_a_doubt_goes_by_is_what_a_fit_goes_by(made: Calibration) -> None:
     expected = linearise(replace(model, fallback=None), parameters, values, samples).J[:, :21]
     assert np.abs(expected[: len(there)]).max() > 0.1
     np.testing.assert_allclose(doubt._rows(samples), expected, rtol=0.0, atol=1e-12)
+    blended = replace(doubt, alone=1e3)
+    share = blended.share(samples)
+    assert ((share > 0.0) & (share < 1.0)).any()
+    np.testing.assert_allclose(blended.share(samples, model.drivers(samples)), share, rtol=1e-12)

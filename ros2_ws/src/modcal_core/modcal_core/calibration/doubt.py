@@ -14,13 +14,14 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.typical import outside_drivers
 from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.effects.effect import all_columns
+from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import all_columns, motion
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.robots.mechanism import is_serial_arm, tool_frames
 
 # Of the squares that geometry alone leaves: what a covariance says of a model is too little by several times where
 # the model is not quite right, so that at a fifth in RMS the better of the two is no longer known.
@@ -38,26 +39,34 @@ class Doubt:
     known: Uncertainty
     alone: float
 
-    def share(self, samples: Samples) -> Array:
-        """How much geometry alone should count for that reason at these samples, in [0, 1], (N,)."""
+    def share(self, samples: Samples, drivers: Drivers | None = None) -> Array:
+        """How much geometry alone should count for that reason at these samples, in [0, 1], (N,).
+
+        drivers: of the samples and of this model's arm, where they are known already.
+        """
         of = np.array([self.model.frames.index(f) if f in self.model.frames else 0 for f in samples.frames])
         N = len(samples)
+        if drivers is not None and self._told.places is not None and N <= _CHUNK:
+            return self._doubted(self._variance(self._moved(samples, of[samples.frame], drivers)))
         seen = replace(
             samples, frames=self.model.frames, frame=of[samples.frame], sockets=(),
             kind=np.full(N, POINT, dtype=KIND_NAMES), reading=np.zeros((N, 3)),
         )  # fmt: skip
         rows = [slice(k, min(k + _CHUNK, N)) for k in range(0, N, _CHUNK)]
-        parts = [self._variance(seen if len(rows) == 1 else seen.select(chunk)) for chunk in rows]
-        doubted = np.concatenate([np.zeros(0), *parts]) / (UNSURE * self.alone)
-        u = np.clip(doubted, 0.0, 1.0)
+        parts = [self._variance(self._rows(seen if len(rows) == 1 else seen.select(chunk))) for chunk in rows]
+        return self._doubted(np.concatenate([np.zeros(0), *parts]))
+
+    def _doubted(self, variance: Array) -> Array:
+        """What share of geometry alone a variance of predicted positions (N,) [m²] calls for."""
+        u = np.clip(variance / (UNSURE * self.alone), 0.0, 1.0)
         return np.asarray(u * u * (3.0 - 2.0 * u))
 
-    def _variance(self, samples: Samples) -> Array:
-        """Of predicted positions, (N,) [m²]: of all that postures alone tell.
+    def _variance(self, J: Array) -> Array:
+        """Of predicted positions, (N,) [m²], by their derivatives: of all that postures alone tell.
 
         What a free curve itself is not known there counts nothing, for geometry alone lacks it as well.
         """
-        of, J = self._told, self._rows(samples)
+        of = self._told
         return np.minimum(_spread(J, of.covariance), _spread(J[of.stated], of.covariance_stated))
 
     def _rows(self, samples: Samples) -> Array:
@@ -65,12 +74,19 @@ class Doubt:
         of, N = self._told, len(samples)
         if of.places is None:
             return linearise(of.model, of.parameters, of.values, samples).J[:, : 3 * N]
+        return self._moved(samples, samples.frame, of.model.drivers(samples))
+
+    def _moved(self, samples: Samples, frame: np.ndarray, at: Drivers) -> Array:
+        """The same of samples whose readings and orientations do not count. frame: each one's in the model, (N,)."""
         # one posture a hundred times a second: all directions at once, of a model that need not be made anew
-        at = of.model.drivers(samples)
-        view = RowView.of(of.model, samples, at)
+        of, N = self._told, len(samples)
+        assert of.places is not None
+        twists, _ = motion(of.model.effects, at)
+        f = tool_frames(of.model.chain, of.model.T_tip_tool, samples.q, twists)
+        view = RowView(samples, np.empty(0, int), f, np.zeros((3, N)), np.zeros((3, 0)), np.zeros((3, N)))
         axis = view.f.axes[of.places, of.directions % 3].transpose(1, 0, 2)  # (3, parameters, N)
         arm = (view.f.p[-1] - view.f.p[of.places]).transpose(1, 0, 2)
-        moved = np.where(of.directions[:, None] < 3, axis, so3.cross(axis, arm)) * of.frames[:, samples.frame]
+        moved = np.where(of.directions[:, None] < 3, axis, so3.cross(axis, arm)) * of.frames[:, frame]
         J, P = np.empty((len(of.values), 3 * N)), len(of.places)
         J[:P] = moved.transpose(1, 0, 2).reshape(P, 3 * N)
         if len(J) > P:

@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.registry import claimed
 from modcal_core.geometry import se3
@@ -34,8 +35,11 @@ class Predicting(Protocol):
 class Doubting(Protocol):
     """Says how much a model should be doubted."""
 
-    def share(self, samples: Samples) -> Array:
-        """How much geometry alone should count instead at these samples, in [0, 1], (N,)."""
+    def share(self, samples: Samples, drivers: Drivers | None = None) -> Array:
+        """How much geometry alone should count instead at these samples, in [0, 1], (N,).
+
+        drivers: of the samples, where they are known already.
+        """
         ...
 
 
@@ -53,14 +57,19 @@ class Fallback:
     curved: np.ndarray
     doubt: Doubting | None = None
 
-    def share(self, samples: Samples) -> Array:
-        """How much of it counts at samples, in [0, 1], (N,): none inside, from BLEND beyond as much as is doubted."""
+    def share(self, samples: Samples, drivers: Drivers | None = None) -> Array:
+        """How much of it counts at samples, in [0, 1], (N,): none inside, from BLEND beyond as much as is doubted.
+
+        drivers: of the samples, where they are known already.
+        """
         beyond = np.maximum(np.maximum(self.low - samples.q, samples.q - self.high), 0.0)[:, self.curved]
         u = np.clip(beyond.max(axis=1, initial=0.0) / BLEND, 0.0, 1.0)
         out = np.asarray(u * u * (3.0 - 2.0 * u))
         rows = np.flatnonzero(out > 0.0)
         if self.doubt is not None and len(rows):
-            out[rows] *= self.doubt.share(samples.select(rows))
+            everywhere = len(rows) == len(out)
+            some = (samples, drivers) if everywhere else (samples.select(rows), None)
+            out[rows] *= self.doubt.share(*some)
         return out
 
     def blended(self, T: Array, samples: Samples) -> Array:

@@ -28,7 +28,7 @@ from modcal_core.effects.axis_curves import AxisCurves
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import JOINTS, PAIRS, READING, Effect, Term, columns, motion, shape_columns
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.geometry.twists import error_transform
 from modcal_core.measurements.recording import SignalTrack
@@ -95,7 +95,7 @@ class Correction:
         T = self._full.poses(postures, around, target, self.base_in(frame) if frame else None)
         if self._fallback is None:
             return T
-        share = self._fallback.share(around.samples)
+        share = self._fallback.share(around.samples, around)
         rows = np.flatnonzero(share > 0.0)
         if not len(rows):
             return T
@@ -136,7 +136,7 @@ class Correction:
         """Where the joints truly stand when they report q (n,): with what effects turn them about their own axes."""
         around = self._around(q[None], at)
         out = self._full.joints(q, around)
-        if self._fallback is not None and (share := float(self._fallback.share(around.samples)[0])) > 0.0:
+        if self._fallback is not None and (share := float(self._fallback.share(around.samples, around)[0])) > 0.0:
             out += share * (self._outside.joints(q, around) - out)
         return out
 
@@ -151,7 +151,7 @@ class Correction:
         f = frames(self.chain, at.q[None], twists)
         T = self._full.behind(f.transform(-1), around, target)
         C, q = self._of_serial(f, around, T[0], target), self._full.turned(at.q, twists)
-        share = np.zeros(1) if self._fallback is None else self._fallback.share(around.samples)
+        share = np.zeros(1) if self._fallback is None else self._fallback.share(around.samples, around)
         if share[0] > 0.0:
             T = between(T, np.arange(1), share, self._poses_outside(at.q[None], around, target))
             q += share[0] * (self._outside.joints(at.q, around) - q)
@@ -183,8 +183,7 @@ class Correction:
         n = self.chain.n
         units = _unit_motions(f, n, end)
         rows = np.zeros((6, len(self._covariance)))
-        for place in range(1, n):
-            rows[:, 6 * (place - 1) : 6 * place] = units[place]
+        rows[:, : 6 * (n - 1)] = units[1:n].transpose(1, 0, 2).reshape(6, -1)
         if target == "tool":
             rows[:, 6 * (n - 1) : 6 * n] = units[n]
         full = self._full
@@ -343,7 +342,7 @@ def _unit_motions(f: Frames, n: int, end: Array) -> Array:
     out = np.zeros((n + 1, 6, 6))
     R, p = f.axes[:n, :, :, 0].transpose(0, 2, 1), f.p[:n, :, 0]
     out[:n, :3, :3] = out[:n, 3:, 3:] = R
-    out[:n, :3, 3:] = np.cross(R, (end[:3, 3] - p)[:, :, None], axisa=1, axisb=1, axisc=1)
+    out[:n, :3, 3:] = so3.hat(p - end[:3, 3]) @ R
     out[n, :3, :3] = out[n, 3:, 3:] = end[:3, :3]
     return out
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -93,6 +94,17 @@ class Effect:
         """Names of the settings that are fitted with the amplitudes."""
         return self.shape.refined
 
+    @cached_property
+    def stepped(self) -> tuple[tuple[float, Effect, Effect], ...]:
+        """For each refined setting a small step, and the effect with the setting that much above and below."""
+        out = []
+        for name in self.refined:
+            value = self.shape.settings[name]
+            step = 1e-4 * max(abs(value), 1e-3)
+            above, below = (self.shape.with_settings({name: value + side}) for side in (step, -step))
+            out.append((step, replace(self, shape=above), replace(self, shape=below)))
+        return tuple(out)
+
     @property
     def held(self) -> float | None:
         """How large its amplitudes are likely to be [rad or m], by the samples themselves; None where nobody asked."""
@@ -172,19 +184,15 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
 def shape_columns(effect: Effect, drivers: Drivers) -> Iterator[list[Term]]:
     """For each refined setting its terms: the change of the whole effect per unit of the setting."""
     amplitudes = effect.amplitudes
-    for name in effect.refined:
+    for i, name in enumerate(effect.refined):
         slope = effect.shape.of_kind.slopes.get(name)
         if slope is not None and _has_one_basis(effect):
             x = drivers.values(effect.driver, effect.lag)
             functions = slope(x, effect.shape.settings, drivers.basis(effect.driver, effect.lag, effect.shape))
             yield list(_sums(effect, drivers, lambda each, by=functions: each @ by))  # type: ignore[misc]
             continue
-        value = effect.shape.settings[name]
-        step = 1e-4 * max(abs(value), 1e-3)
-        sides = [
-            columns(replace(effect, shape=effect.shape.with_settings({name: value + sign * step})), drivers)
-            for sign in (1.0, -1.0)
-        ]
+        step, above, below = effect.stepped[i]
+        sides = columns(above, drivers), columns(below, drivers)
         yield [
             Term(up.place, up.direction, a * (up.size - down.size) / (2.0 * step))
             for a, ups, downs in zip(amplitudes, *sides, strict=True)

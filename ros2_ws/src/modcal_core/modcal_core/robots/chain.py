@@ -176,6 +176,18 @@ class Chain:
         other.__dict__["joint_basis"] = self.joint_basis  # depends on the axes only, and is asked for at every step
         return other
 
+    def from_root_to(self, T_tip_tool: Array) -> Chain:
+        """The same robot seen from the root, with the tool for its tip. The last one is kept, for at every moment of an
+        arm that is corrected the same one is asked for.
+        """
+        kept: tuple[Array, Chain] | None = self.__dict__.get("_last_tool")
+        if kept is None or not np.array_equal(kept[0], T_tip_tool):
+            origins = np.array(self.origins)
+            origins[0] = se3.inverse(se3.transform(self.joint_basis[0]))
+            origins[-1] = origins[-1] @ T_tip_tool
+            kept = self.__dict__["_last_tool"] = np.array(T_tip_tool), self.with_origins(origins)
+        return kept[1]
+
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Chain:
         """The same robot with other limits of its joints [rad or m], (n,) each."""
         return replace(self, lower=_read_only(lower), upper=_read_only(upper))

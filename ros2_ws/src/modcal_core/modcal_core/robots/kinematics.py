@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.geometry import se3, so3
-from modcal_core.geometry.single import crossed_rows
+from modcal_core.geometry.single import crossed_rows, tool_from
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 
@@ -129,7 +129,10 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     twists: small motions (6, N) [m, rad] put in at places 0 … n, each in the frame of its place.
     """
     twists = twists or {}
-    q = np.ascontiguousarray(np.asarray(q, dtype=float).T)
+    q = np.asarray(q, dtype=float)
+    if len(q) == 1:
+        return _frames_of_one(chain, q[0], twists)
+    q = np.ascontiguousarray(q.T)
     n, N = q.shape
     M = chain.along_z
     c, s = _cos_sin(q)
@@ -158,6 +161,17 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
     if n in twists:
         moved_frame(axes[n], p[n], twists[n])
     return Frames(axes, p)
+
+
+def _frames_of_one(chain: Chain, q: Array, twists: Mapping[int, Array]) -> Frames:
+    """The same of one posture (n,), in a third of the time."""
+    out = np.empty((chain.n + 1, 4, 4))
+    T = chain.along_z[0]
+    for k, link in enumerate([*_links(chain, q), None]):
+        out[k] = T if k not in twists else tool_from(T, twists[k][:6, 0])
+        if link is not None:
+            T = out[k] @ link
+    return Frames(out[:, :3, :3].transpose(0, 2, 1).copy()[..., None], out[:, :3, 3, None].copy())
 
 
 def _cos_sin(q: Array) -> tuple[Array, Array]:
@@ -245,7 +259,17 @@ def place_jacobian(chain: Chain, q: ArrayLike, place: int) -> Array:
 
 def posture_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Frames before each joint, its axis as z, (n, 4, 4), and the tip (4, 4), in the base; q: (n,) [rad, m]."""
-    M = chain.along_z
+    links = _links(chain, q)
+    out = np.empty((chain.n, 4, 4))
+    T = chain.along_z[0]
+    for k in range(chain.n):
+        out[k] = T
+        T = T @ links[k]
+    return out, T
+
+
+def _links(chain: Chain, q: Array) -> Array:
+    """From before each joint to before the next, or to the tip, (n, 4, 4); q: (n,) [rad, m]."""
     motion = np.zeros((chain.n, 4, 4))
     angle = q * chain.revolute
     motion[:, 0, 0] = motion[:, 1, 1] = np.cos(angle)
@@ -253,13 +277,7 @@ def posture_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     motion[:, 0, 1] = -motion[:, 1, 0]
     motion[:, 2, 2] = motion[:, 3, 3] = 1.0
     motion[:, 2, 3] = q - angle
-    links = motion @ M[1:]
-    out = np.empty((chain.n, 4, 4))
-    T = M[0]
-    for k in range(chain.n):
-        out[k] = T
-        T = T @ links[k]
-    return out, T
+    return motion @ chain.along_z[1:]
 
 
 def joint_motions(chain: Chain, before: Array, tip: Array) -> tuple[Array, Array]:

@@ -13,7 +13,6 @@ from typing import Protocol, Self, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots import delta_kinematics, gravity, kinematics
 from modcal_core.robots.chain import Chain
@@ -127,10 +126,7 @@ def _(robot: Delta, T_tip_tool: Array, q: ArrayLike, twists: Mapping[int, Array]
 
 @tool_frames.register
 def _(robot: Chain, T_tip_tool: Array, q: ArrayLike, twists: Mapping[int, Array] | None = None) -> Frames:
-    rooted = np.array(robot.origins)
-    rooted[0] = se3.inverse(se3.transform(robot.joint_basis[0]))
-    rooted[-1] = rooted[-1] @ T_tip_tool
-    return kinematics.frames(robot.with_origins(rooted), q, twists)
+    return kinematics.frames(robot.from_root_to(T_tip_tool), q, twists)
 
 
 @singledispatch
