@@ -116,7 +116,7 @@ class Regressor(Protocol):
 
 @dataclass(frozen=True)
 class Ridge:
-    """Ridge regression on columns (D, R) of unit length, in single precision, prepared for each fold and several ridges.
+    """Ridge regression on columns (D, R) of unit length, in single precision, for every fold and several ridges.
 
     With as many columns as D, none of them special, and a share s of R unit variances expected to be explained, each
     coefficient has a variance of s R / D, and the ridge is its inverse. along: products with the parameters' directions
