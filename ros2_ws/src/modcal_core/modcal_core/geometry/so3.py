@@ -182,12 +182,12 @@ def to_quaternion(R: ArrayLike) -> Array:
     Of the four ways to write q from R, the one with the largest divisor is taken, so no angle loses digits.
     """
     R = np.asarray(R, dtype=float)
-    K = (R.reshape(*R.shape[:-2], 9) @ _PRODUCTS).reshape(*R.shape[:-2], 4, 4)
-    squares = K.reshape(*R.shape[:-2], 16)[..., ::5]
+    K = R.reshape(-1, 9) @ _PRODUCTS
+    squares = K[:, ::5]
     squares += 1.0
-    best = np.argmax(squares, axis=-1)
-    q = np.take_along_axis(K, best[..., None, None], axis=-2)[..., 0, :]
-    return np.asarray(q / np.sqrt(np.einsum("...i,...i->...", q, q))[..., None])
+    q = K.reshape(-1, 4, 4)[np.arange(len(K)), squares.argmax(axis=1)]
+    q /= np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]
+    return q.reshape(*R.shape[:-2], 4)
 
 
 def from_rpy(rpy: ArrayLike) -> Array:
