@@ -83,6 +83,7 @@ def fit_camera(
     sizes as they are. begin: a state to begin with instead.
     """
     state = begin or CameraState(poses.start, 0.0, lens, prior.shape)
+    afar = sizes == START
     if arm is not None:
         sizes = replace(sizes, arm=arm)
     converged = False
@@ -91,7 +92,8 @@ def fit_camera(
         state, equations, converged = _descend(table, poses, prior, state, sizes)
         if fixed_sizes:
             break
-        new = likeliest(equations, sizes, arm)
+        new = likeliest(equations, sizes, arm, afar=afar)
+        afar = False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
         if settled:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from modcal_core.camera.downhill import downhill
 from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
 from modcal_core.geometry.so3 import Array
 
@@ -24,8 +25,9 @@ _FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
 _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
 _ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
-_EVALUATIONS = 400
-_MET = 0.02  # of −2 log likelihood, which moves by 1 at a standard deviation
+_EVALUATIONS = 400  # many times what a search takes
+_MET = 0.005  # of −2 log likelihood, which moves by 1 at a standard deviation
+_ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
 
 
 def usual(sizes: Sizes) -> float:
@@ -39,10 +41,13 @@ def likeliest(
     start: Sizes,
     arm: float | None = None,
     misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
+    afar: bool = False,
 ) -> Sizes:
     """The sizes that make the data likeliest.
 
     arm: size of the arm's faults where it is stated. misfit_of: −2 log likelihood of the equations with their sizes.
+    afar: start where nothing is known of them. A size that is far too small is nowhere seen to matter, so slopes alone
+    may leave it there.
     """
     begin = start if arm is None else replace(start, arm=arm)
     unknown = [0, 1, 2]
@@ -66,6 +71,13 @@ def likeliest(
         return misfit_of(equations.solve(sizes)) + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
-    simplex = np.vstack([first, first + np.eye(len(first))])
-    options: Any = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "fatol": _MET, "xatol": 0.02}
-    return Sizes.of_logs(inside(minimize(misfit, first, method="Nelder-Mead", options=options).x))
+    around = np.vstack([first, first + np.eye(len(first))])
+    if afar:
+        options: Any = {"initial_simplex": around, "maxfev": _EVALUATIONS, "fatol": _ROUGH, "xatol": _ROUGHLY}
+        first = minimize(misfit, first, method="Nelder-Mead", options=options).x
+    else:
+        first = min(around, key=misfit)
+    bounds = _MIN[unknown], _MAX[unknown]
+    # where the data say nothing of a size, what is usual still does
+    found = downhill(misfit, first, *bounds, 2.0 / _FACTOR[unknown] ** 2, _MET, _EVALUATIONS)
+    return Sizes.of_logs(inside(found))

@@ -13,6 +13,7 @@ a share of postures that lies below the largest one seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -141,14 +142,20 @@ def _interval_of_mean(x: Array, rows_of: np.ndarray) -> tuple[float, float]:
     (own,), (error,) = log_and_error(np.ones((1, count)))
     t = np.array([_NORMAL, -_NORMAL])
     if count <= _MANY:
-        rng = np.random.default_rng(0)  # the same report gives the same bytes
-        times = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)
-        drawn, errors = log_and_error(times)
+        drawn, errors = log_and_error(_drawn_again(count))
         kept = errors > 1e-3 * error  # a draw of one unit again and again has no error
         if kept.any():
             t = np.quantile((drawn[kept] - own) / errors[kept], (1.0 - _TAIL, _TAIL))
     low, high = np.exp(own - t * error)
     return float(low), float(high)
+
+
+@lru_cache(maxsize=2)  # every stage of a report has as many units
+def _drawn_again(count: int) -> Array:
+    """How often each of so many units is drawn, (draws, count): the same report gives the same bytes."""
+    times = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)
+    times.flags.writeable = False
+    return times
 
 
 def _interval_of_p95(ordered: Array, count: int) -> tuple[float, float]:
