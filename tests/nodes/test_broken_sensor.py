@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from nodes.pulling import PANDA
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.simulation.furniture import draw
+from modcal_nodes.simulation.furniture import Furniture, draw
 from modcal_nodes.simulation.furniture_mjcf import Servo
 from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
@@ -61,13 +62,18 @@ class Unconnected:
         return self._first + self._rng.normal(0.0, [0.2] * 3 + [0.01] * 3)
 
 
+@cache
+def scene(seed: int, kind: str, grasp: str, stop: float) -> Furniture:
+    """A door or drawer, drawn once for all sensors: to find one that the arm can follow takes as long as a pull."""
+    return draw(CHAIN, np.random.default_rng(seed), {"kind": kind, "grasp": grasp, "stop": stop})
+
+
 def pulled(
-    sensed: Callable[[Array], Array], seed: int, servo: float = 4000.0, stated: float = 100e3, **chosen: object
+    sensed: Callable[[Array], Array], drawn: Furniture, servo: float = 4000.0, stated: float = 100e3
 ) -> tuple[Pull, float]:
     """A pull at a door or drawer, and the force that is left in the hand [N]. servo: of the joints [N m/rad]."""
-    scene = draw(CHAIN, np.random.default_rng(seed), chosen)
     servos = Servo(effort_limits(URDF, CHAIN.names), servo)
-    world = Pulling.of(URDF, CHAIN, scene, np.random.default_rng(1), servos)
+    world = Pulling.of(URDF, CHAIN, drawn, np.random.default_rng(1), servos)
     done = pull(world, URDF, sensed, arm_stiffness_n_m=stated)
     for _ in range(50):  # as the arm stands where it was sent last
         world.forget()
@@ -88,7 +94,7 @@ def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
     kind: str, grasp: str, seed: int, sensed: Callable[[Array], Array]
 ) -> None:
     """Nothing is stated of the arm: the drawer is pulled along an outstretched one, three to five times as stiff."""
-    done, left = pulled(copy.deepcopy(sensed), seed, kind=kind, grasp=grasp, stop=0.0)
+    done, left = pulled(copy.deepcopy(sensed), scene(seed, kind, grasp, 0.0))
     assert LEADS.match(done.said), done.said
     assert done.peak < 60.0
     assert left < 10.0
@@ -99,7 +105,7 @@ def test_what_is_locked_is_let_go_below_60_n_whatever_the_sensor_says(
 @pytest.mark.parametrize("sensed", [Stuck(0.0), StuckWithNoise(3.0), Unconnected()])
 def test_servos_three_times_as_stiff_let_go_below_60_n_where_that_is_stated(sensed: Callable[[Array], Array]) -> None:
     """Along an outstretched arm; 228 N where neither was stated nor learned how little it yields."""
-    done, left = pulled(copy.deepcopy(sensed), 1, 12e3, 300e3, kind="drawer", grasp="weld", stop=0.0)
+    done, left = pulled(copy.deepcopy(sensed), scene(1, "drawer", "weld", 0.0), 12e3, 300e3)
     assert LEADS.match(done.said), done.said
     assert done.peak < 60.0
     assert left < 15.0
@@ -107,7 +113,7 @@ def test_servos_three_times_as_stiff_let_go_below_60_n_where_that_is_stated(sens
 
 @pytest.mark.slow
 def test_a_drawer_that_jams_is_let_go_by_a_sensor_that_is_stuck() -> None:
-    done, left = pulled(Stuck(0.0), 1, kind="drawer", grasp="weld", stop=0.12)
+    done, left = pulled(Stuck(0.0), scene(1, "drawer", "weld", 0.12))
     assert LEADS.match(done.said), done.said
     assert done.opened == pytest.approx(0.12, abs=2e-3)
     assert done.peak < 60.0

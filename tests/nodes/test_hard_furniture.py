@@ -5,6 +5,8 @@ The core's operation and tracker beside the physics, in this process; some secon
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from nodes.own_pull import pull
@@ -13,7 +15,7 @@ from nodes.pulling import PANDA
 
 from modcal_core.errors import BadTable
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.simulation.furniture import draw
+from modcal_nodes.simulation.furniture import Furniture, draw
 from modcal_nodes.simulation.pulling import Pulling
 from modcal_nodes.simulation.resistance import KNOWN, resistance
 
@@ -21,15 +23,20 @@ URDF = PANDA.read_text()
 CHAIN = read_chain(URDF)
 
 
+@cache
+def door(seed: int, **chosen: object) -> Furniture:
+    return draw(CHAIN, np.random.default_rng(seed), {"kind": "door", "spring": 0.0, **chosen})
+
+
 def pulled(seed: int, stated: float = 50.0, **chosen: object) -> Pull:
-    scene = draw(CHAIN, np.random.default_rng(seed), {"spring": 0.0, **chosen})
+    scene = door(seed, friction=0.5, mass_kg=40.0, **chosen)
     return pull(Pulling.of(URDF, CHAIN, scene, np.random.default_rng(seed)), URDF, max_force_n=stated)
 
 
 @pytest.mark.slow
 def test_a_heavy_door_with_a_closer_held_by_a_ball_is_opened() -> None:
     """The hand turns by a tenth of what the door does: together they look like a circle of three metres."""
-    done = pulled(1000, kind="door", grasp="ball", friction=0.5, mass_kg=40.0, resistance="closer 10")
+    done = pulled(1000, grasp="ball", resistance="closer 10")
     assert done.done, done
     assert done.peak < 25.0
 
@@ -37,8 +44,7 @@ def test_a_heavy_door_with_a_closer_held_by_a_ball_is_opened() -> None:
 @pytest.mark.slow
 def test_what_is_stated_is_the_one_number_that_decides_how_hard_is_pulled() -> None:
     """A gasket that takes 31 N: not with 25, but with 80."""
-    fridge = {"kind": "door", "grasp": "weld", "friction": 0.5, "mass_kg": 40.0, "resistance": "gasket 30"}
-    gentle, firm = pulled(1013, 25.0, **fridge), pulled(1013, 80.0, **fridge)
+    gentle, firm = (pulled(1013, stated, grasp="weld", resistance="gasket 30") for stated in (25.0, 80.0))
     assert not gentle.done
     assert "does not move" in gentle.said
     assert gentle.peak < 1.2 * 25.0
