@@ -90,8 +90,7 @@ class Anchor:
             return None
         free = space.freedom - round(sum(part.sign * float(np.sum(part.Q**2)) for part in changes))
         whole = space.parts[0]
-        along = [part.sign * (part.Q @ np.einsum("cNp,cN->p", part.Q, residual[:rows])) for part in (whole, *changes)]
-        residual[:rows] -= np.sum(along, axis=0)
+        residual[:rows] -= np.sum([part.along(residual[:rows])[0] for part in (whole, *changes)], axis=0)
         return replace(space, residual=residual, freedom=free, whole=whole, changes=changes, weighed={}, alone={})
 
     def _changes(self, gone: tuple[int, ...], come: list[Effect], drivers: Drivers) -> tuple[Directions, ...] | None:

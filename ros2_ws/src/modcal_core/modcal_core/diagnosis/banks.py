@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -83,10 +84,13 @@ class WaveBank:
     def sums(self, of: Mapping[Key, Array], known: KnownSums, rows: slice = ALL) -> Array:
         """See :class:`Bank`."""
         waves = known.waves(self.spectrum, of[self.key])
-        which = self.which[rows]
-        if which.shape[1] == 1:
-            return waves[_range(which[:, 0])]
-        return np.asarray(waves[which].reshape(len(which), self.width, -1))
+        each = [waves[_part(among, rows)] for among in self._ranges]
+        return each[0] if len(each) == 1 else np.concatenate(each, axis=1)
+
+    @cached_property
+    def _ranges(self) -> list[slice | np.ndarray]:
+        """Where the waves of each candidate's first, second, … number are, (C,) each."""
+        return [_range(which) for which in self.which.T]
 
     def gram(self, columns: Mapping[Key, Array]) -> Array:
         """See :class:`Bank`."""
@@ -96,12 +100,11 @@ class WaveBank:
         """See :class:`Bank`."""
         squares = known.squares(self.spectrum, of[self.key])
         out = np.empty((len(self.which), self.width, self.width))
-        for a in range(self.which.shape[1]):
-            rows = _range(self.which[:, a])
+        for a, rows in enumerate(self._ranges):
             out[:, 2 * a, 2 * a], out[:, 2 * a + 1, 2 * a + 1] = squares.sine[rows], squares.cosine[rows]
             out[:, 2 * a, 2 * a + 1] = out[:, 2 * a + 1, 2 * a] = squares.both[rows]
         if self.which.shape[1] > 1:  # of a wave and that of twice as many cycles
-            out[:, :2, 2:] = squares.doubled[:, :, _range(self.which[:, 0])].transpose(2, 0, 1)
+            out[:, :2, 2:] = squares.doubled[:, :, self._ranges[0]].transpose(2, 0, 1)
             out[:, 2:, :2] = out[:, :2, 2:].transpose(0, 2, 1)
         return out
 
@@ -157,6 +160,14 @@ def _range(rows: np.ndarray) -> slice | np.ndarray:
     step = int(rows[1] - rows[0]) if len(rows) > 1 else 1
     even = step > 0 and bool((np.diff(rows) == step).all())
     return slice(int(rows[0]), int(rows[-1]) + 1, step) if even else rows
+
+
+def _part(among: slice | np.ndarray, rows: slice) -> slice | np.ndarray:
+    """Some rows of those."""
+    if isinstance(among, np.ndarray):
+        return among[rows]
+    some = range(among.start, among.stop, among.step)[rows]
+    return slice(some.start, some.stop, some.step)
 
 
 class SpectraOfDrivers:

@@ -13,7 +13,7 @@ from modcal_core.diagnosis.banks import Bank, SpectraOfDrivers, StepBank, WaveBa
 from modcal_core.diagnosis.known_sums import Key, Parts
 from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, NumberPool, gathered
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index
+from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index, plain_columns
 from modcal_core.effects.family import USUAL
 from modcal_core.effects.registry import complexity
 from modcal_core.effects.shapes import PERIODIC, periodic
@@ -85,6 +85,8 @@ class BankedCandidates:
 
     def _factor(self, effect: Effect) -> tuple[tuple[Key, ...], Array]:
         """The directions at places of an effect's columns, and their numbers (m, N)."""
+        if (plain := plain_columns(effect, self.drivers)) is not None:
+            return tuple(plain[0]), plain[1]
         terms = columns(effect, self.drivers)
         if all(len(t) == 1 for t in terms):
             return tuple((t[0].place, t[0].direction) for t in terms), np.stack([t[0].size for t in terms])

@@ -126,7 +126,7 @@ class Scanner(BankedCandidates):
             signs = rng.choice([-1.0, 1.0], (flips, self.unit.max() + 1))
             for some in (signs[:FIRST_FLIPS], signs[FIRST_FLIPS:]):
                 if len(some) and (len(best) == 1 or not is_clear(best)):
-                    trials = space.lean_trials(some[:, self.unit])
+                    trials = space.trials(some[:, self.unit])
                     best = np.concatenate([best, self._explained(asked, space, space, trials, tables)[1]])
         share = squares / whole.total[0]
         p_value, inflation = against_noise(best, len(self.effects))
@@ -247,7 +247,8 @@ class Scanner(BankedCandidates):
                 squares[group.rows][rows] = of_trials[:, 0]
                 sizes = weighed.sizes[rows]
                 for m in set(sizes.tolist()) & most.keys():
-                    np.maximum(most[m], of_trials[sizes == m].max(axis=0), out=most[m])
+                    alike = of_trials if weighed.even else of_trials[sizes == m]
+                    np.maximum(most[m], alike.max(axis=0), out=most[m])
         # more explained is a better score: of candidates alike in size only the best in a trial is asked for
         scores = [np.interp(so_far / trials.total, *tables[m]) for m, so_far in most.items()]  # type: ignore[misc]
         return squares, np.max(scores, axis=0, initial=0.0)

@@ -65,6 +65,12 @@ class Directions:
     grams: dict[int, Array] = field(default_factory=dict)
     sums: KnownSums = field(default_factory=KnownSums)
 
+    def along(self, residual: Array) -> tuple[Array, float]:
+        """What of a residual (rows, N) lies along them, with their sign, and its square."""
+        flat = self.Q.reshape(-1, self.Q.shape[2])
+        seen = residual.ravel() @ flat
+        return (flat @ (self.sign * seen)).reshape(residual.shape), self.sign * float(seen @ seen)
+
     def contract(self, columns: Mapping[Key, Array]) -> dict[Key, Array]:
         """Contractions of columns (6, N) with the directions, sample by sample, (N, P) each.
 
@@ -87,6 +93,11 @@ class Weighed:
 
     inverse: Array
     sizes: np.ndarray
+
+    @cached_property
+    def even(self) -> bool:
+        """Whether all have as many new directions."""
+        return bool((self.sizes == self.sizes[:1]).all())
 
 
 @dataclass(frozen=True)
@@ -181,21 +192,15 @@ class Space:
     @cached_property
     def unsigned(self) -> SignTrials:
         """The residual as it is, which every question about it begins with."""
-        return self.trials(np.ones((1, self.residual.shape[1])))
+        residual = self.residual[: self.rows]
+        along, squares = zip(*(part.along(residual) for part in self.parts), strict=True)
+        left = residual - np.sum(along, axis=0)
+        return SignTrials(left[:, :, None], np.array([np.sum(residual**2) - sum(squares)]))
 
     def trials(self, signs: Array) -> SignTrials:
-        """The residual under signs (trials, N)."""
-        residual = self.residual[: self.rows]
-        left = residual[:, :, None] * signs.T
-        total = np.full(len(signs), np.sum(residual**2))
-        for part, of_samples in zip(self.parts, self._along, strict=True):
-            seen = signs @ of_samples
-            left -= part.Q @ (part.sign * seen.T)
-            total -= part.sign * np.sum(seen**2, axis=1)
-        return SignTrials(left, total)
-
-    def lean_trials(self, signs: Array) -> SignTrials:
-        """The same in single precision: of noise, whose best is known to a few per cent, that is more than enough."""
+        """The residual under signs (trials, N), in single precision: of noise, whose best is known to a few per cent,
+        that is more than enough.
+        """
         residual = self.residual[: self.rows].astype(np.float32)
         left = residual.T[:, :, None] * signs.T.astype(np.float32)[:, None]
         total = np.full(len(signs), np.sum(self.residual**2))

@@ -50,6 +50,9 @@ class Spectrum:
     def __init__(self, angle: Array, step: float, most: int) -> None:
         """angle: (N,) [rad]. step: cycles a turn between neighbouring waves. most: the number of the highest wave."""
         self._angle, self._step, self.most = angle, step, most
+        self._weight: tuple[Array, tuple[Array, Array]] | None = (
+            None  # that products were asked with last, and its sums
+        )
 
     def sums(self, columns: Array) -> Array:
         """Sums with the sine and the cosine of each wave, (most + 1, 2, m), of columns (N, m)."""
@@ -83,7 +86,9 @@ class Spectrum:
 
         A product of two waves is a wave of their sum and one of their difference.
         """
-        sine, cosine = _Grid(self._angle, self._step, 2 * self.most).sums(weight, 2 * self.most)
+        if self._weight is None or not np.array_equal(weight, self._weight[0]):  # of waves and of double ones the same
+            self._weight = weight, self._wide_grid.sums(weight, 2 * self.most)
+        sine, cosine = self._weight[1]
         C, w = which.shape
         out = np.empty((C, 2 * w, 2 * w))
         for a in range(w):
@@ -116,6 +121,11 @@ class Spectrum:
     @cached_property
     def _grid(self) -> _Grid:
         return _Grid(self._angle, self._step, self.most)
+
+    @cached_property
+    def _wide_grid(self) -> _Grid:
+        """That of waves of twice as many cycles."""
+        return _Grid(self._angle, self._step, 2 * self.most)
 
     @cached_property
     def _lean_grid(self) -> _Grid:

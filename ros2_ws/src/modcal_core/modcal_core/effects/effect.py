@@ -181,6 +181,19 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
     return found
 
 
+def plain_columns(effect: Effect, drivers: Drivers) -> tuple[list[tuple[int, int]], Array] | None:
+    """For each amplitude of the effect its place and direction, and its sizes (m, N), where each has one term and that
+    is a function of the shape: what :func:`columns` says, without a term for each. None of other effects.
+    """
+    composed = effect.direction in (JOINTS, PAIRS, LENGTH) or effect.driver.startswith("moment:")
+    if composed or effect.driver == "velocity":
+        return None
+    k = place_index(effect.place, drivers.arm.chain)
+    basis = drivers.basis(effect.driver, effect.lag, effect.shape)
+    towards = [direction for ((direction, _),) in _directions(effect.direction, drivers.arm.chain, k)]
+    return [(k, direction) for direction in towards for _ in basis], np.concatenate([basis] * len(towards))
+
+
 def shape_columns(effect: Effect, drivers: Drivers) -> Iterator[list[Term]]:
     """For each refined setting its terms: the change of the whole effect per unit of the setting."""
     amplitudes = effect.amplitudes

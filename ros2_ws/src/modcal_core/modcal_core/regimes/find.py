@@ -13,7 +13,7 @@ that the model's base and tool are those that hold in the end.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 
@@ -140,6 +140,7 @@ class _RegimeSearch:
     parameters: Sequence[ModelParameter]
     cell: Cell
     places: set[str]
+    _fits: dict[tuple[Move, ...], Fit] = field(default_factory=dict)
 
     def cuts(self, arms: Sequence[Model]) -> tuple[float, ...]:
         """Times [s] between stretches with a base or tool of their own, as these arms show them, fitted in between."""
@@ -152,7 +153,7 @@ class _RegimeSearch:
         for _ in range(_ROUNDS):
             if not found:
                 return ()
-            fit = self.fit(self.start([Move(at, "both") for at in found]), self.samples)
+            fit = self.fit_of([Move(at, "both") for at in found])
             sights = SetupReadings.of(fit.model, self.samples)
             again = self._times(stretches(sights), sights)
             if again == found or not again:
@@ -210,6 +211,13 @@ class _RegimeSearch:
         """The fit of arm and moves, or of others' effects, to these samples."""
         return identify_moved(start, samples, self.parameters, self.cell.distances, tolerance)
 
+    def fit_of(self, moves: Sequence[Move]) -> Fit:
+        """The fit of arm and moves to all samples, made once."""
+        key = tuple(moves)
+        if key not in self._fits:
+            self._fits[key] = self.fit(self.start(moves), self.samples)
+        return self._fits[key]
+
     def decided(self, moves: list[Move], stated: tuple[Move, ...]) -> list[Move]:
         """The moves that do better on unseen stations than none, each of what it must be of."""
         moves = [m for m in moves if not any(self._same(m.at, t.at) for t in stated)]
@@ -248,8 +256,7 @@ class _Score:
     moves: list[Move]
 
     def __post_init__(self) -> None:
-        fit = self.search.fit(self.search.start(self.moves), self.search.samples)
-        self.noise: NoiseModel = fit.noise
+        self.noise: NoiseModel = self.search.fit_of(self.moves).noise
         self.unit = independent_unit(self.search.samples)
         samples = self.search.samples
         self.half = in_order_of_time(samples.station, samples.stamps) % 2
