@@ -27,3 +27,14 @@ def test_the_least_without_negative_values(rng: np.random.Generator, count: int,
 
 def test_where_all_want_to_be_negative_all_are_zero() -> None:
     np.testing.assert_array_equal(nonnegative(np.eye(3), np.array([-1.0, -2.0, 0.0])), np.zeros(3))
+
+
+def test_many_at_once_are_as_each_alone(rng: np.random.Generator) -> None:
+    X, r = rng.normal(size=(40, 3, 30, 5)), rng.normal(size=(40, 3, 30))
+    X[:, 1, :, 1:] *= -1.0
+    r[0, 0] = -X[0, 0].sum(axis=1)
+    A, v = np.swapaxes(X, -1, -2) @ X, np.einsum("wtki,wtk->wti", X, r)
+    x = nonnegative(A, v)
+    assert x.shape == v.shape
+    for i, j in np.ndindex(40, 3):
+        np.testing.assert_allclose(x[i, j], nnls(X[i, j], r[i, j])[0], rtol=1e-7, atol=1e-9)

@@ -16,6 +16,7 @@ from modcal_core.diagnosis.known_sums import KnownSums
 from modcal_core.diagnosis.number_banks import GatheredBank
 from modcal_core.diagnosis.spectra import Spectrum
 from modcal_core.effects.drivers import Drivers
+from modcal_core.effects.effect import columns, plain_columns
 from modcal_core.effects.registry import candidates
 
 
@@ -95,6 +96,18 @@ def test_each_bank_sums_as_its_numbers_do(fitted: tuple[Fit, Drivers], rng: np.r
             np.testing.assert_allclose(bank.sums(asked, KnownSums(), slice(i, i + 1))[0], expected, atol=1e-7 * size)
             np.testing.assert_allclose(squares[i], expected @ expected.T, atol=1e-6 * size**2)
             np.testing.assert_allclose(gram[i], np.einsum("acN,bcN->ab", columns, columns), atol=1e-6 * size)
+
+
+def test_columns_without_terms_are_those_with(fitted: tuple[Fit, Drivers]) -> None:
+    """Place, direction and sizes of each amplitude of every candidate that has no more of it."""
+    _, drivers = fitted
+    asked = {(e.family, e.direction, e.driver, e.shape.kind): e for e in candidates(drivers)}.values()
+    found = [(e, plain) for e in asked if (plain := plain_columns(e, drivers)) is not None]
+    assert {e.direction for e, _ in found} >= {"axis", "across", "all"}
+    for effect, (keys, sizes) in found:
+        terms = columns(effect, drivers)
+        assert keys == [(t.place, t.direction) for (t,) in terms]
+        np.testing.assert_array_equal(sizes, [t.size for (t,) in terms])
 
 
 def test_a_scan_explains_what_regressions_do(fitted: tuple[Fit, Drivers]) -> None:

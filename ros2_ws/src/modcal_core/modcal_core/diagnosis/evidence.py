@@ -159,22 +159,24 @@ class Scanner(BankedCandidates):
         p_value = against_noise(np.r_[best, scan.noise], len(self.effects))[0]
         return replace(scan, explained=share, score=score, p_value=p_value)
 
-    def at_most(self, fit: Fit, beside: Fit) -> tuple[Array, np.ndarray]:
-        """Scores (C,) of this fit's residual, of waves as large as they may be, and which are not only that, (C,).
+    def at_most(self, fit: Fit, beside: Fit) -> tuple[Array, np.ndarray] | None:
+        """Scores (C,) of this fit's residual, of waves as large as they may be, and which are not only that, (C,); None
+        where some direction of a wave is not new beside the other fit, for that says nothing of it then.
 
-        beside: the fit with one effect more. Free shapes score nothing, waves of which some direction is not new beside
-        it without end.
+        beside: the fit with one effect more. Free shapes score nothing.
         """
-        space, wider = self.space_of(fit), self.space_of(beside)
+        asked, wider = self._asked(plain=True), self.space_of(beside)
+        waves = [i for i in asked if self._groups[i].waves]
+        if any((known.sizes < known.inverse.shape[1]).any() for known in (self._weighed(i, wider) for i in waves)):
+            return None
+        space = self.space_of(fit)
         score, exact = np.zeros(len(self.effects)), np.ones(len(self.effects), bool)
-        for waves, of in ((False, space), (True, wider)):
-            asked = [i for i in self._asked(plain=True) if self._groups[i].waves == waves]
-            tables = self._tables(asked, of, space.freedom)
-            squares, _ = self._explained(asked, of, space, space.unsigned, tables)
-            score += self._scores(asked, of, squares / space.unsigned.total[0], tables)
-            for group, weighed in ((self._groups[i], self._weighed(i, of)) for i in asked if waves):
-                exact[group.rows] = False
-                score[group.rows][weighed.sizes < weighed.inverse.shape[1]] = np.inf
+        for some, of in (([i for i in asked if i not in waves], space), (waves, wider)):
+            tables = self._tables(some, of, space.freedom)
+            squares, _ = self._explained(some, of, space, space.unsigned, tables)
+            score += self._scores(some, of, squares / space.unsigned.total[0], tables)
+        for i in waves:
+            exact[self._groups[i].rows] = False
         return score, exact
 
     def enough(self, fit: Fit, least: int = MIN_FREEDOM) -> bool:

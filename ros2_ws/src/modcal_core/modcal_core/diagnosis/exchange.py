@@ -27,7 +27,7 @@ def better_choice(number: int, fit: Fit, scanner: Scanner) -> tuple[EffectChoice
     old = effects[number]
     without = replace(fit, model=fit.model.with_effects(effects[:number] + effects[number + 1 :]))
     plain = complexity(old) < FREE  # a plain cause is not given up for a curve
-    if plain and _stands(old, without, fit, scanner):
+    if plain and not old.refined and _stands(old, without, fit, scanner):  # what waves explain is not known then
         return None
     evidence = scanner.evidence(without, plain=plain)
     better = choose(evidence, scanner, without, set(), incumbent=old)
@@ -38,6 +38,9 @@ def better_choice(number: int, fit: Fit, scanner: Scanner) -> tuple[EffectChoice
 
 def _stands(effect: Effect, without: Fit, beside: Fit, scanner: Scanner) -> bool:
     """Whether it is among those that explain most, whatever waves explain."""
-    score, exact = scanner.at_most(without, beside)
+    found = scanner.at_most(without, beside)
+    if found is None:
+        return False
+    score, exact = found
     alike = near(np.where(scanner.complexity < FREE, score, -1.0))
     return any(exact[i] and alike[i] for i in scanner.numbers_of(effect.key))

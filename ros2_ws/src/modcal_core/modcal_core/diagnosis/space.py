@@ -67,7 +67,7 @@ class Directions:
 
     def along(self, residual: Array) -> tuple[Array, float]:
         """What of a residual (rows, N) lies along them, with their sign, and its square."""
-        flat = self.Q.reshape(-1, self.Q.shape[2])
+        flat = self.Q.reshape(residual.size, self.Q.shape[2])
         seen = residual.ravel() @ flat
         return (flat @ (self.sign * seen)).reshape(residual.shape), self.sign * float(seen @ seen)
 
