@@ -21,10 +21,10 @@ _AS_GOOD = 10.0  # difference of the criterion below which two hypotheses are no
 
 @dataclass(frozen=True)
 class ChangeHypothesis:
-    """place, direction, driver: as in reports. since: [s]. size: RMS of how far the tool is moved [m], turn: and
-    turned [rad, nan without orientations]. same_as: what
-    would explain it as well. gain: of squared standard deviations that it takes away, of ``total``. mistake: what
-    the readings look like instead, and the remedy, where nothing has changed but how they are written.
+    """place, direction, driver: as in reports. since: [s]. size, turn: RMS of how far the tool is moved [m] and turned
+    [rad], NaN without orientations. same_as: what would explain it as well. gain: of squared standard deviations that
+    it takes away, of ``total``. mistake: what the readings look like instead, and the remedy, where nothing has changed
+    but how they are written.
     """
 
     place: str
