@@ -136,16 +136,17 @@ class Ridge:
         spans, Q = baseline.layout.spans, baseline.directions
         parts = [columns[:, a:b] for a, b in spans]
         grams = [part @ part.T for part in parts]
-        others, one = np.sum(grams, axis=0) - np.stack(grams), np.eye(D, dtype=columns.dtype)
+        whole = np.sum(grams, axis=0)
         ridges = [D / (share * R) for share in _EXPECTED]
-        factors = [[cho_factor(gram + ridge * one, check_finite=False) for gram in others] for ridge in ridges]
+        factors = [[_factored(whole - gram, ridge) for gram in grams] for ridge in ridges]
         own = np.stack([part @ Q[:, a:b].T for part, (a, b) in zip(parts, spans, strict=True)])
         return cls(name, columns, baseline.layout, own.sum(axis=0) - own, factors)
 
     def predictions(self, trials: Trials) -> list[Array]:
         """Predictions (R, m) of what is left in the trials, one for each size of ridge."""
         own = np.stack([self.columns[:, a:b] @ trials.residual[a:b] for a, b in self.layout.spans])
-        products = own.sum(axis=0) - own - self.along @ trials.moved
+        products = np.subtract(own.sum(axis=0), own, out=own)
+        products -= self.along @ trials.moved
         out = []
         for factors in self.factors:
             prediction = np.empty_like(trials.left)
@@ -153,3 +154,9 @@ class Ridge:
                 prediction[a:b] = self.columns[:, a:b].T @ cho_solve(factor, target, check_finite=False)
             out.append(prediction)
         return out
+
+
+def _factored(gram: Array, ridge: float) -> tuple[Array, bool]:
+    """Cholesky factor of a symmetric matrix (D, D) with a ridge on its diagonal; the matrix is overwritten."""
+    gram.flat[:: len(gram) + 1] += ridge
+    return cast(tuple[Array, bool], cho_factor(gram.T, overwrite_a=True, check_finite=False))  # of columns: no copy

@@ -84,12 +84,14 @@ class SparseRegressor:
 
     def trained(self, trials: Trials) -> Array:
         """Products with what each fold's regressors are trained on, (FOLDS, D, m)."""
-        own = _products(self.waves, self.baseline.layout, trials.residual)[:, self.which]
+        own = _products(self.waves, self.baseline.layout, trials.residual)
+        own = own if len(self.which) == own.shape[1] else own[:, self.which]
         moved = trials.moved
         others = trials.seen.sum(axis=0) - trials.seen - (moved - self.baseline.shared @ moved)
         folds, K, m = others.shape
         known = self.predicted @ others.transpose(1, 0, 2).reshape(K, folds * m)
-        out = own.sum(axis=0) - own - self.along @ moved
+        out = np.subtract(own.sum(axis=0), own, out=own)
+        out -= self.along @ moved
         out -= known.reshape(len(known), folds, m).transpose(1, 0, 2)
         out /= self.size[:, None]
         return np.asarray(out)
