@@ -125,7 +125,7 @@ def _drawn(products: Array, seen: Array, rng: np.random.Generator) -> Array:
     some = rng.integers(N, size=(_DRAWS, N)) + N * np.arange(_DRAWS)[:, None]
     times = np.bincount(some.ravel(), minlength=_DRAWS * N).reshape(_DRAWS, N).astype(float)
     whole, met = (times @ products.reshape(N, J * J)).reshape(_DRAWS, J, J), times @ seen
-    return np.stack([_variances(*sums) for sums in zip(whole, met, strict=True)])
+    return _variances(whole, met)
 
 
 def _apart(drawn: Array, power: Array, loose: list[int], alike: list[int]) -> tuple[float, list[int]] | None:
@@ -180,7 +180,7 @@ def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Ar
 
 
 def _variances(products: Array, seen: Array) -> Array:
-    """Variances that are not negative, by least squares over all elements of the outer products."""
-    size = np.sqrt(np.maximum(np.diag(products), 1e-300))
-    G = products / np.outer(size, size)
-    return nonnegative(G + 1e-9 * np.eye(len(G)), seen / size) / size
+    """Variances (..., J) that are not negative, by least squares over all elements of the outer products."""
+    size = np.sqrt(np.maximum(np.einsum("...jj->...j", products), 1e-300))
+    G = products / (size[..., :, None] * size[..., None, :])
+    return nonnegative(G + 1e-9 * np.eye(G.shape[-1]), seen / size) / size
