@@ -6,6 +6,7 @@ import importlib
 import json
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,16 @@ PAGE = ROOT / "docs" / "constants.md"
 SWEPT = ROOT / "bench" / "constants" / "constants.json"
 
 
+@cache
+def numbers() -> list[module_numbers.Number]:
+    """Those of all files, which take seconds to read."""
+    return module_numbers.numbers()
+
+
 @pytest.mark.slow
 def test_every_number_at_the_top_of_a_file_has_a_comment() -> None:
-    numbers = module_numbers.numbers()
-    assert len(numbers) > 400
-    assert not [f"{n.file}:{n.line} {n.name}" for n in numbers if not n.comment]
+    assert len(numbers()) > 400
+    assert not [f"{n.file}:{n.line} {n.name}" for n in numbers() if not n.comment]
 
 
 @pytest.mark.parametrize(
@@ -50,7 +56,7 @@ def test_what_is_no_number_is_not_listed() -> None:
 
 @pytest.mark.slow
 def test_the_page_of_those_that_decide_says_what_the_code_says() -> None:
-    values = {f"{n.file.removesuffix('.py').replace('/', '.')}.{n.name}": n.value for n in module_numbers.numbers()}
+    values = {f"{n.file.removesuffix('.py').replace('/', '.')}.{n.name}": n.value for n in numbers()}
     rows = re.findall(r"^\| `([\w.]+)` \| `([^`]+)` \|", PAGE.read_text("utf-8"), re.MULTILINE)
     assert len(rows) > 30
     wrong = [(name, said, values.get(name)) for name, said in rows if values.get(name) != said]
