@@ -15,12 +15,11 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.score import usual_miss
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.listed import explaining, missed_angle
+from modcal_core.plausibility.listed import NO_HELP, explaining, missed_angle
 from modcal_core.plausibility.mistakes import left_handed
 from modcal_core.robots.mechanism import Mechanism, forward
 
 EVERYTHING = "joint states and readings"  # the offender of a refusal that can name none
-_NO_HELP = 0.5  # rad; orientations that a nominal arm misses by more agree with no posture of it
 _FAR = 10.0  # times as far apart as any two flange positions can be, from which readings are not in metres
 _LIKE = 3.0  # times, by which the extent in the right unit may be another than that of the flange
 _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}  # m
@@ -59,7 +58,7 @@ def hidden_by_readings(few: Samples, chain: Mechanism, limit: float, refuse: Ref
     """
     if not bool(np.all(few.is_pose | (few.kind == "point"))):
         return None
-    if few.is_pose.any() and missed_angle(fit_cell(chain, few, Cell()).model, few) >= _NO_HELP:
+    if few.is_pose.any() and missed_angle(fit_cell(chain, few, Cell()).model, few) >= NO_HELP:
         points = _points(few)  # what the order of all rows shows has been asked
         found = _told(points, points, chain, limit, refuse)
         if found is None:
