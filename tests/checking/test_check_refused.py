@@ -50,6 +50,30 @@ def test_another_convention_is_refused(cell: tuple[Recorded, Calibration], wrong
         check(cell[1], samples)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ("x reversed", "positions look mirrored (a left-handed frame: two columns swapped, or one of the other sign)"),
+        ("y and z swapped", "positions look mirrored (a left-handed frame: two columns swapped, or one of the other"),
+        ("a joint stands", "joint elbow_joint: stands at the same position at all 10 stations"),
+    ],
+)
+def test_points_are_refused_for_what_they_show(cell: tuple[Recorded, Calibration], wrong: str, words: str) -> None:
+    """Of a left-handed frame points alone do not show which sign or which columns, so neither is claimed."""
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-2.5, 2.5, (10, 6))
+    p = cell[0].world.tool_in_tracker(q)[:, :3, 3]
+    if wrong == "x reversed":
+        p[:, 0] *= -1.0
+    if wrong == "y and z swapped":
+        p = p[:, [0, 2, 1]]
+    if wrong == "a joint stands":
+        q[:, 2] = q[0, 2]
+    with pytest.raises(BadRecording) as refused:
+        check(cell[1], Samples.from_arrays(q, points=p, names=ur10().names))
+    assert words in str(refused.value)
+
+
 def test_inverse_poses_are_undone(cell: tuple[Recorded, Calibration]) -> None:
     rng = np.random.default_rng(2)
     q = rng.uniform(-2.5, 2.5, (10, 6))

@@ -42,6 +42,10 @@ def millimetres(s: Samples) -> tuple[Array, Array]:
     return 1e3 * s.reading, s.R
 
 
+def inches(s: Samples) -> tuple[Array, Array]:
+    return s.reading / 0.0254, s.R
+
+
 def followed(samples: Samples) -> Supervisor:
     supervisor = Supervisor(Policy(after_change=20))
     supervisor.trust(calibrated())
@@ -58,6 +62,7 @@ def followed(samples: Samples) -> Supervisor:
         (left_handed, "positions look mirrored (sign of y, a left-handed frame)"),
         (left_handed_in_all, "or a left-handed frame"),
         (millimetres, "positions look like millimetres"),
+        (inches, "positions look like inches"),
     ],
 )
 def test_what_is_written_in_another_way_is_named_and_not_solved(written, words: str) -> None:  # type: ignore[no-untyped-def]

@@ -156,6 +156,18 @@ def of_units() -> Iterator[Mistake]:
         )
 
 
+def of_rarer_units() -> Iterator[Mistake]:
+    """Positions in centimetres or inches where metres are meant."""
+    for unit, scale in (("centimetres", 1e-2), ("inches", 0.0254)):
+        yield Mistake(
+            f"positions look like {unit}",
+            "record metres",
+            lambda s, scale=scale: replace(s, reading=scale * s.reading),  # type: ignore[misc]
+            "reading",
+            3.0 * float(np.log(scale)),
+        )
+
+
 def of_axes() -> Iterator[Mistake]:
     """Positions in a left-handed frame: one coordinate of the other sign, or two columns swapped."""
     for i, axis in enumerate("xyz"):

@@ -24,12 +24,15 @@ from modcal_core.plausibility.conventions import match, points_match, rough_scor
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
+    left_handed,
     mirror_image,
     of_axes,
     of_joints,
+    of_rarer_units,
     of_rotations,
     of_units,
 )
+from modcal_core.plausibility.standing import standing
 from modcal_core.robots.mechanism import is_serial_arm
 
 INVERTED = "pose inverted"
@@ -109,7 +112,9 @@ def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | BadRecording
     as_is = _miss(model, part, poses)
     if as_is.size(reach) < _AT_MIN * reach:
         return None
-    mistakes = [*of_units(), *of_axes(), *of_joints(part.names)]
+    # of points alone every left-handed frame is each other one, seen from another side
+    axes = of_axes() if poses else (left_handed(),)
+    mistakes = [*of_units(), *of_rarer_units(), *axes, *of_joints(part.names)]
     if poses:
         # orientations that fit mean what they should: to free them would only let positions have a base of their own
         turned = of_rotations(None) if as_is.rotation > ANGLE else ()
@@ -134,7 +139,7 @@ def _mistaken(model: Model, part: Samples, frame: str) -> Mistake | BadRecording
         f"median with base and tool fitted again, {1e3 * MISREAD * reach:.3g} mm in all is allowed, and no change "
         "of a joint or two explains it"
     )
-    return BadRecording(
+    return standing(part, said) or BadRecording(
         f"readings in frame '{frame}'", said, "check that this is the calibrated robot, and calibrate it again if so"
     )
 

@@ -33,6 +33,7 @@ from modcal_core.plausibility.listed import explaining
 from modcal_core.plausibility.of_a_part import part_apart
 from modcal_core.plausibility.pairing import mispaired
 from modcal_core.plausibility.placements import several_placements
+from modcal_core.plausibility.standing import standing
 from modcal_core.plausibility.stated_distances import wrong_distances
 from modcal_core.plausibility.two_mistakes import EVERYTHING, another_unit, hidden_by_readings
 from modcal_core.plausibility.wrong_links import wrong_link
@@ -125,12 +126,8 @@ def refuse(
             "and tip",
             "give --tip (or --base) as the link that carries the target (or the arm)",
         )
-    if stand := [name for name, extent in zip(samples.names, np.ptp(samples.q, axis=0), strict=True) if extent == 0.0]:
-        raise BadRecording(
-            f"joint {' and '.join(stand)}",
-            f"{'stands' if len(stand) == 1 else 'stand'} at the same position at all {len(samples)} stations; {said}",
-            "see whether it truly did; else its position is not recorded: check how it gets into joint_states",
-        )
+    if (still := standing(samples, said)) is not None:
+        raise still
     if (hidden := hidden_by_readings(few, chain, limit, again)) is not None:
         raise hidden
     raise BadRecording(
