@@ -23,6 +23,7 @@ from modcal_core.measurements.dwells import StationRules
 from modcal_core.measurements.hung import hung
 from modcal_core.measurements.kinds.registry import is_direct
 from modcal_core.measurements.other_joints import other_joints
+from modcal_core.measurements.out_of_time import out_of_time
 from modcal_core.measurements.recording import Recording, Stretch
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.stations import cut_stations
@@ -81,7 +82,8 @@ def prepare(
     samples = replace(samples, signals=(*samples.signals, *other_joints(aligned, samples)))
     unused = dropped(aligned, samples, rules, since, until)
     own = own_statement(aligned, chain.names, rules)
-    doubts = (*clean.doubts, *repeated.doubts, *_flickering(aligned, dict(unused), since, until))
+    elsewhere = out_of_time(aligned, chain.names, since, until)
+    doubts = (*clean.doubts, *repeated.doubts, *_flickering(aligned, dict(unused), since, until), *elsewhere)
     lost = together([clean.lost, unused, repeated.dropped])
     return Prepared(
         samples, recording.warnings + clean.notes + repeated.notes + notes + own.notes, lost, own.stated, doubts

@@ -12,6 +12,7 @@ from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import cleaned
 from modcal_core.measurements.dwells import StationRules, find_dwells
 from modcal_core.measurements.kinds.registry import kinds
+from modcal_core.measurements.out_of_time import out_of_time
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
 from modcal_core.measurements.returns import MIN_RETURNS, returns
 from modcal_core.robots.mechanism import Mechanism
@@ -74,7 +75,8 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
         except ModcalError as error:
             findings.append(f"Cannot be used for calibration: {error}.")
         else:
-            findings += [*clean.notes, *_returns_finding(clean.recording, chain)]
+            elsewhere = out_of_time(clean.recording, chain.names)
+            findings += [*clean.notes, *elsewhere, *_returns_finding(clean.recording, chain)]
             recording = clean.recording
     return Inspection(tuple(facts), _uses(recording, chain), tuple(findings))
 
