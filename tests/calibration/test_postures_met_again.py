@@ -7,9 +7,11 @@ import pytest
 from cells import record, samples_of, ur10
 
 from modcal_core.calibration.identify import require_enough
+from modcal_core.calibration.runs import independent_unit
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.split import distinct, split, units_of_stations
 from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.intervals import independent_units
@@ -84,3 +86,21 @@ def scored_and_true(seed: int) -> tuple[float, float]:
     held_out = errors(made.scored.model, samples.select(made.report.sets.held_out)).position_norm.mean()
     new = errors(made.scored.model, seen(rng.uniform(-2.5, 2.5, (400, 6)))).position_norm.mean()
     return float(held_out), float(new)
+
+
+def test_readings_of_one_stop_share_their_noise_and_those_of_a_later_one_do_not() -> None:
+    rows = np.r_[np.repeat(np.arange(40), 4), 7, 7, 3]
+    expected = np.cumsum(np.r_[0, np.diff(rows) != 0])
+    assert (independent_unit(taken(rows)) == expected).all()
+    assert (independent_unit(taken(np.tile(np.arange(40), 3))) == np.arange(120)).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sound_arm_that_is_read_five_times_at_each_stop_has_no_effects(seed: int) -> None:
+    """What the arm does not repeat is the same in all five, and had been taken for gears, steps and drifts."""
+    once = record(seed, 50, noise_m=4e-5, noise_rad=4e-5).samples
+    rows = np.repeat(np.arange(50), 5)
+    T = se3.transform(once.R[rows], once.reading[rows] + rng_of(seed).normal(0, 5e-6, (len(rows), 3)))
+    made = calibrate(samples_of(ur10(), once.q[rows], T), ur10(), rng_of(0))
+    assert made.report.effects == ()
+    assert made.report.grounds.regimes == ()

@@ -7,6 +7,7 @@ from math import exp, lgamma
 
 import numpy as np
 
+from modcal_core.measurements.returns import posture_numbers
 from modcal_core.measurements.samples import Samples
 
 MIN_RUN = 3  # neighbours
@@ -30,10 +31,19 @@ class RejectedPlace:
 def independent_unit(samples: Samples) -> np.ndarray:
     """For each sample the number of the unit whose noise is independent of the others', (N,).
 
-    A station; in motion, where noise has a memory, all samples of half a second.
+    A station, with those after it in the same posture: several readings of one stop share what the arm does not repeat.
+    In motion, where noise has a memory, all samples of half a second.
     """
-    key = np.where(samples.moving, np.floor(samples.stamps / _MEMORY), samples.station)
+    key = np.where(samples.moving, np.floor(samples.stamps / _MEMORY), _stops(samples))
     return np.unique(np.stack([samples.moving, key]), axis=1, return_inverse=True)[1].ravel()
+
+
+def _stops(samples: Samples) -> np.ndarray:
+    """For each sample the number of the stop that its station belongs to: stations in sequence in one posture, (N,)."""
+    number = station_numbers(samples)
+    first = np.unique(number, return_index=True)[1]
+    posture = posture_numbers(samples.q[first])
+    return np.asarray(np.cumsum(np.r_[0, np.diff(posture) != 0])[number])
 
 
 def station_numbers(samples: Samples) -> np.ndarray:

@@ -259,7 +259,7 @@ class _Score:
         self.noise: NoiseModel = self.search.fit_of(self.moves).noise
         self.unit = independent_unit(self.search.samples)
         samples = self.search.samples
-        self.half = in_order_of_time(samples.station, samples.stamps) % 2
+        self.half = in_order_of_time(self.unit, samples.stamps) % 2
         self._known: dict[str, float] = {}
         self.now = self.of(self.moves)
 
