@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from cells import record, samples_of, ur10
 
-from modcal_core.calibration.identify import require_enough
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.identify import identify, require_enough
 from modcal_core.calibration.runs import independent_unit
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.split import distinct, split, units_of_stations
+from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import se3
+from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.intervals import independent_units
@@ -104,3 +107,28 @@ def test_a_sound_arm_that_is_read_five_times_at_each_stop_has_no_effects(seed: i
     made = calibrate(samples_of(ur10(), once.q[rows], T), ur10(), rng_of(0))
     assert made.report.effects == ()
     assert made.report.grounds.regimes == ()
+
+
+def five_times(seed: int, apart: float) -> Samples:
+    """Fifty stops, each read five times: by an arm that stops a little beside, and an instrument that scatters."""
+    once = record(seed, 50, noise_m=4e-5, noise_rad=4e-5).samples
+    rows = np.repeat(np.arange(50), 5)
+    turned = so3.exp(rng_of(seed).normal(0, apart, (len(rows), 3)))
+    moved = once.reading[rows] + rng_of(seed + 100).normal(0, apart, (len(rows), 3))
+    return samples_of(ur10(), once.q[rows], se3.transform(once.R[rows] @ turned, moved))
+
+
+@pytest.mark.parametrize(("apart", "worth"), [(5e-6, 1.0), (4e-4, 5.0)])
+def test_parameters_are_known_as_well_as_the_stops_tell(apart: float, worth: float) -> None:
+    """Where the arm's own scatter rules, five readings are worth one; where the instrument's does, five."""
+    ratios = []
+    for seed in range(8):
+        many = five_times(seed, apart)
+        start = fit_cell(ur10(), many, Cell()).model
+        parameters = choose_parameters(start, views_of(many)).parameters
+        all_of_them = identify(start, many, parameters)
+        once = identify(start, many.select(slice(None, None, 5)), parameters)
+        known = uncertainty(all_of_them.model, many, parameters, all_of_them)
+        np.testing.assert_allclose(known.std, all_of_them.std, rtol=0.02)
+        ratios.append(np.median(once.covariance.diagonal() / all_of_them.covariance.diagonal()))
+    assert np.median(ratios) == pytest.approx(worth, rel=0.25)

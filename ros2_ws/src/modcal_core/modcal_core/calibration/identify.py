@@ -21,6 +21,7 @@ from modcal_core.calibration.linearise import Linearised, apply_deviations, devi
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z, Groups, NoiseModel
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.shared_noise import has_shared_noise, shared_noise
 from modcal_core.calibration.split import distinct
 from modcal_core.calibration.system import system_of
 from modcal_core.calibration.weights import known_sigma, of_rows, weigh
@@ -295,6 +296,9 @@ def _minimum(
         if distances:
             rows = distance_rows(start, parameters, values, distances)
             H_data = H_data + (rows.J / rows.std**2) @ rows.J.T
+        H = H_data + known
+    if not rough and has_shared_noise(samples):
+        H_data = H_data / shared_noise(samples, at, row_weight)
         H = H_data + known
     # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be
     # so long that where in it the values are is nothing that the readings show

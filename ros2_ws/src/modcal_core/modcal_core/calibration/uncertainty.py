@@ -16,9 +16,11 @@ import scipy
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import blocks_at, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.shared_noise import has_shared_noise, shared_noise
 from modcal_core.calibration.triangle import inverse_of_triangle
 from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import prior_stds
@@ -61,6 +63,9 @@ def uncertainty(
     prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
     weight = row_weights(fit.weights, fit.noise, samples)
     H, _ = normal_equations(model, parameters, values, samples, weight, blocks_at(samples, around))
+    if has_shared_noise(samples):
+        left = linearise(model, parameters, values, samples, jacobian=False, drivers=around)
+        H /= shared_noise(samples, left, weight)
     if distances:
         rows = distance_rows(model, parameters, values, distances)
         H += (rows.J / rows.std**2) @ rows.J.T
