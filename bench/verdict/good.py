@@ -62,6 +62,26 @@ def clean_few_wrong_readings(w: Works, rng: np.random.Generator) -> Case:
     return good(replace(session, p=p))
 
 
+@kind("good")
+def clean_read_five_times(w: Works, rng: np.random.Generator) -> Case:
+    """Every stop is read five times in sequence, by an instrument that is far finer than the arm repeats."""
+    return good(_five_times(w.clean(70, noise_mm=0.004, noise_mrad=0.005), rng))
+
+
+@kind("good")
+def gear_read_five_times(w: Works, rng: np.random.Generator) -> Case:
+    """The same of an arm with a gear that errs."""
+    (fault,) = plant(w.cell, SCENARIOS["gear_harmonic"], rng, 120 * PERIOD)
+    return good(_five_times(w.clean(120, fault.bend, noise_mm=0.004, noise_mrad=0.005), rng))
+
+
+def _five_times(session: Session, rng: np.random.Generator) -> Session:
+    """Each row five times, a fifth of a period apart, with more scatter of the instrument."""
+    often = session.only(np.repeat(np.arange(len(session)), 5))
+    later = np.tile(0.1 * PERIOD * np.arange(5), len(session))
+    return replace(often, t=often.t + later, p=often.p + rng.normal(0, 4e-6, often.p.shape))
+
+
 def _planted(name: str, scenario: str, count: int = 160) -> None:
     def maker(w: Works, rng: np.random.Generator) -> Case:
         faults = plant(w.cell, SCENARIOS[scenario], rng, count * PERIOD)
