@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 from diagnosis.test_diagnosis import at_joint, nothing, recorded, report_of
 from modcal_core.calibration.store import from_data, to_data
-from modcal_core.diagnosis.evidence import columns
+from modcal_core.effects.effect import columns
 from modcal_core.loop import calibrate
 from modcal_core.report.as_json import to_json_data
 from cells import ur10
