@@ -1,4 +1,4 @@
-"""An effect gives way to what explains more in its place, and what waves explain at most decides where it stands."""
+"""An effect is exchanged for what explains more in its place; what waves explain at most decides whether it stays."""
 
 from __future__ import annotations
 

@@ -182,29 +182,6 @@ def geometry_rows(
     return J
 
 
-def geometry_gradient(
-    view: RowView, model: Model, parameters: Sequence[ModelParameter], values: Array, weighted: Array
-) -> Array:
-    """``Jᵀ w``, (P,), of the geometry's parameters at these values. weighted: w, (3 N + 3 M,).
-
-    Of a serial arm in plain sight the force and torque that w is at a place is all that its parameters ask for.
-    """
-    if model.instruments or view.f.loops:
-        return np.asarray(geometry_rows(view, model, parameters, values) @ weighted)
-    errors = deviations(model, parameters, values[: len(parameters)])
-    of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
-    wrenches: dict[tuple[int, int], Array] = {}
-    out = np.empty(len(parameters))
-    for j, parameter in enumerate(parameters):
-        key = parameter.place, parameter.frame
-        if key not in wrenches:
-            several = parameter.place == 0 and len(model.frames) > 1
-            wrenches[key] = view.wrench(key[0], weighted, model.frames_led_by(parameter.frame) if several else ())
-        twist = (of_places[parameter.place - 1] if parameter.place else of_frames[parameter.frame])[parameter.direction]
-        out[j] = twist @ wrenches[key]
-    return out
-
-
 def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
     """The effects with their shares of a vector of values."""
     ends = np.cumsum([len(e.values) for e in effects])

@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.curves import Curve, curves_of, product
-from modcal_core.calibration.linearise import RowView, geometry_gradient, geometry_rows, model_at
+from modcal_core.calibration.linearise import RowView, deviations, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import all_columns
 from modcal_core.geometry.so3 import Array
+from modcal_core.geometry.twists import local_twists
 from modcal_core.measurements.samples import Samples
 
 BLOCK = 4000  # samples
@@ -169,7 +170,7 @@ def gradient(
     P = len(parameters)
     weighted = np.concatenate([view.position.ravel(), view.rotation.ravel()]) * row_weight
     g = np.zeros(len(values))
-    g[:P] = geometry_gradient(view, start, parameters, values, weighted)
+    g[:P] = _geometry_gradient(view, start, parameters, values, weighted)
     if len(values) == P:
         return g
     seen: dict[tuple[int, int], Array] = {}
@@ -187,3 +188,26 @@ def gradient(
     for curve in curves:
         g[P:][curve.at] = curve.functions @ along(*curve.key)
     return g
+
+
+def _geometry_gradient(
+    view: RowView, model: Model, parameters: Sequence[ModelParameter], values: Array, weighted: Array
+) -> Array:
+    """``Jᵀ w``, (P,), of the geometry's parameters at these values. weighted: w, (3 N + 3 M,).
+
+    Of a serial arm in plain sight the force and torque that w is at a place is all that its parameters ask for.
+    """
+    if model.instruments or view.f.loops:
+        return np.asarray(geometry_rows(view, model, parameters, values) @ weighted)
+    errors = deviations(model, parameters, values[: len(parameters)])
+    of_frames, of_places = local_twists(errors.frames), local_twists(errors.places)
+    wrenches: dict[tuple[int, int], Array] = {}
+    out = np.empty(len(parameters))
+    for j, parameter in enumerate(parameters):
+        key = parameter.place, parameter.frame
+        if key not in wrenches:
+            several = parameter.place == 0 and len(model.frames) > 1
+            wrenches[key] = view.wrench(key[0], weighted, model.frames_led_by(parameter.frame) if several else ())
+        twist = (of_places[parameter.place - 1] if parameter.place else of_frames[parameter.frame])[parameter.direction]
+        out[j] = twist @ wrenches[key]
+    return out
