@@ -15,7 +15,7 @@ from modcal_core.calibration.adjoint import identify_twists
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import identify
 from modcal_core.calibration.model import Model, place_model
-from modcal_core.calibration.structure import choose_parameters, random_postures, views_of
+from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import NotEnoughData, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -25,6 +25,7 @@ from modcal_core.modules.poe import chain_of
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import from_dh, to_dh
 from modcal_core.robots.kinematics import forward
+from modcal_core.robots.mechanism import random_postures
 
 PARALLEL = Assembly.build(  # joints 2, 3 and 4 are parallel
     (0, 0),

@@ -10,7 +10,6 @@ from cells import slider_arm, ur10
 from planning.arms import irb1410
 from planning.sites import HALL, ground, hall
 
-from modcal_core.calibration.structure import random_postures
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.posture_pool import one_turn, survey, with_limits
@@ -18,6 +17,7 @@ from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import forward, frames
+from modcal_core.robots.mechanism import random_postures
 
 
 def site(**parts: Any) -> Any:

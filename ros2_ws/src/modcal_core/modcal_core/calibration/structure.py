@@ -26,8 +26,7 @@ from modcal_core.measurements.recording import POSE
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import spatial_jacobian
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
-from modcal_core.robots.mechanism import random_postures as random_postures
+from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm, random_postures
 
 _SEED = 20  # postures must be general, not new: the same robot always gets the same parameters
 

@@ -26,7 +26,7 @@ from modcal_core.diagnosis.load_step import by_weight, step_of
 from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.effects.families.compliance import KILOGRAMS, carrying
+from modcal_core.effects.families import compliance
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
@@ -99,7 +99,9 @@ def weighed(
         return search(geometric), None
     at = _Weighing(geometric, train, explain, search, cell.distances)
     best: Diagnosis | None = None
-    told = [track.name for track in train.signals if track.name.endswith(KILOGRAMS)]  # topics say what is carried
+    told = [
+        track.name for track in train.signals if track.name.endswith(compliance.KILOGRAMS)
+    ]  # topics say what is carried
     stated = {True: cell.gravity is not None, False: bool(cell.payloads or told)}
     kept = LoadHypothesis(arm, until=cell.between)
     for tilts in (True, False):
@@ -188,7 +190,7 @@ class _Weighing:
 
         It is asked of them all with one centre in place of what each joint would have of it.
         """
-        effects = carrying(best.fit.model.effects)
+        effects = compliance.carrying(best.fit.model.effects)
         if not any(e.shape.kind == "carried" for e in effects):
             return None
         # with the centre at the tip whole recordings may be far off: they must count, or nothing shows where it is

@@ -18,12 +18,13 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import ModelParameter, View
 from modcal_core.calibration.score import FINEST
 from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.structure import choose_parameters, general_samples, random_postures
+from modcal_core.calibration.structure import choose_parameters, general_samples
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect, all_columns, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.mechanism import random_postures
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
 _SAME = 0.0025  # of the squares, 5 % of the size: what differs by less is as good as one (that of a scan's candidates)

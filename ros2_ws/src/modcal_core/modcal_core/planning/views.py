@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.structure import random_postures
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.site import Cone, Site
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.inverse_batch import inverse_batch
+from modcal_core.robots.mechanism import random_postures
 
 _AROUND = Cone(np.array([0.0, 0.0, 1.0]), np.pi)  # every direction
 

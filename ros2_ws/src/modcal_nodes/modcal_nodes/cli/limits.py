@@ -10,7 +10,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from modcal_core.calibration.structure import random_postures
 from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry.so3 import Array
@@ -21,6 +20,7 @@ from modcal_core.report.limits_page import to_html
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.inertia import Payload
 from modcal_core.robots.loaded_arm import LoadedArm
+from modcal_core.robots.mechanism import random_postures
 from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
