@@ -102,7 +102,7 @@ def test_the_site_has_every_page(site: Path) -> None:
     assert pages
     assert pages <= menu
     assert {"reference/messages.html", "reference/refusals.html", "reference/api/calibrate.html"} <= menu
-    assert "Motion capture" in home.text_content()
+    assert "motion capture" in home.text_content()
 
 
 @pytest.mark.slow
