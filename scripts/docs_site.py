@@ -1,8 +1,8 @@
 """Hooks of mkdocs: the README is the first page, links that leave docs/ become plain names, code is coloured twice.
 
 Pages of the reference that git does not hold are read from ``extra: reference`` of mkdocs.yml, where ``make docs``
-writes them. What lies outside docs/ (sources, examples) is not part of the site: of such a link the name of the file is left. The
-search is one that works from disk (docs_search.js).
+writes them. What lies outside docs/ (sources, examples) is not part of the site: such a link becomes the name of the
+file. The search works from disk (docs_search.js).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Write the reference pages from the code: ``python scripts/reference``, as ``make docs`` does.
 
-The pages of ``TRACKED`` stand in docs/reference and are committed. Those of ``BUILT`` go into a build folder, from which
-mkdocs takes them (docs_site.py). With ``--check`` nothing is written, and the command fails when a tracked page differs
-from what the code says.
+The pages of ``TRACKED`` stand in docs/reference and are committed. Those of ``BUILT`` go into a build folder, from
+which mkdocs takes them (docs_site.py). With ``--check`` nothing is written, and the command fails when a tracked page
+differs from what the code says.
 """
 
 from __future__ import annotations

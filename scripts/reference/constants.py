@@ -7,7 +7,7 @@ from module_numbers import WHERE, numbers
 
 INTRODUCTION = """# Constants
 
-Every number at the top of a file of these packages, with the comment beside it, which gives its reason or its source."""
+Every number at the top of a file of these packages, with the comment that gives its reason or its source."""
 _LONGEST = 70  # characters of a value that a table shows
 
 

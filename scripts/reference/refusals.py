@@ -23,12 +23,13 @@ KINDS = {
 
 INTRODUCTION = f"""# Refusals
 
-Every refusal is one line, *offender: limit: remedy*. It appears on stderr with exit code 2, in the log and on `/diagnostics` of a
-node, or as a `modcal.ModcalError` in Python with these three parts. Here are all of them; {GAP} stands for a value, and a vertical bar
-separates alternatives. Search for the words of your line. The usual mistakes are in [bad_input.md](../bad_input.md), what nodes do in
-[faults.md](../faults.md).
+Every refusal is one line, *offender: limit: remedy*. It appears on stderr with exit code 2, in the log and on
+`/diagnostics` of a node, or as a `modcal.ModcalError` in Python with these three parts. Here are all of them; {GAP}
+stands for a value, and a vertical bar separates alternatives. Search for the words of your line. The usual mistakes are
+in [bad_input.md](../bad_input.md), what nodes do in [faults.md](../faults.md).
 
-Exit codes of `modcal`: 0 done; 1 a fault of modcal itself; 2 refused; 3 done, but the tolerance asked for is not met, or it cannot be told."""
+Exit codes of `modcal`: 0 done; 1 a fault of modcal itself; 2 refused; 3 done, but the tolerance asked for is not met,
+or it cannot be told."""
 
 
 @dataclass(frozen=True, order=True)

@@ -9,10 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import modcal
 import pytest
 import yaml
 
+import modcal
 from modcal_nodes.cli.main import VERBS, run
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -52,5 +52,5 @@ class SignalsHeard:
         return tuple(out)
 
     def silent(self, names: tuple[str, ...], now: float) -> tuple[str, ...]:
-        """Those of these names that were heard, but not of late."""
+        """Those of the names that were received once, but not recently."""
         return tuple(n for n in names if self._values.get(n) and abs(now - self._values[n][-1][0]) > _SILENT)

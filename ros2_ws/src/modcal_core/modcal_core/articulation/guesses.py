@@ -77,7 +77,7 @@ def frame(e: Array) -> Array:
 
 
 def middle_rotation(rotations: Array) -> Array:
-    """Of the rotations, one that is near most: outliers cannot pull it."""
+    """The rotation with the smallest median distance to the others: a median that outliers do not move."""
     some = rotations[np.unique(np.linspace(0, len(rotations) - 1, _PAIRS * 3).round().astype(int))]
     apart = np.linalg.norm(some[:, None] - some[None], axis=(2, 3))
     return some[int(np.argmin(np.median(apart, axis=1)))]

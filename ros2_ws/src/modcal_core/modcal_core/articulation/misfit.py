@@ -45,7 +45,7 @@ class Misfit:
 
     @property
     def fails(self) -> bool:
-        """Whether this is no such joint."""
+        """Whether the track is not described by this kind of joint."""
         return too_much(self.position, self.rotation, self.white) or self.off > OUTLIERS
 
     @property
@@ -113,7 +113,7 @@ def scales(found: JointFit) -> tuple[float, float]:
 
 
 def rms(sizes: Array) -> float:
-    """Of the nine tenths of sizes (n,) that are smallest."""
+    """RMS of the smallest nine tenths of sizes (n,)."""
     best = np.sort(sizes)[: max(1, int(np.ceil(_COUNTED * len(sizes))))]
     return float(np.sqrt(np.mean(best**2)))
 

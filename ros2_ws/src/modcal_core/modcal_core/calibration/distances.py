@@ -120,7 +120,7 @@ def _origins(model: Model, parameters: Sequence[ModelParameter], values: Array) 
 
 
 def _motions(model: Model, parameters: Sequence[ModelParameter], values: Array, origin: Array) -> Array:
-    """How these origins move per unit of every value, (F, K, 3)."""
+    """Derivatives of frame origins by every value, (F, K, 3)."""
     out = np.zeros((len(model.frames), len(values), 3))
     of_frames = [j for j, p in enumerate(parameters) if p.place == 0]
     if not of_frames:

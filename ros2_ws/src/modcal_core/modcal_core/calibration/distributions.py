@@ -29,17 +29,17 @@ def as_normal(square: float, freedom: int) -> float:
 
 
 def median_chi2(freedom: int) -> float:
-    """What the sum of so many squared standard normal numbers exceeds half of the time."""
+    """Median of the chi-square distribution."""
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, 0.5))
 
 
 def quantile_chi2(share: float, freedom: float) -> float:
-    """What the sum of so many squared standard normal numbers stays below with this chance."""
+    """Quantile of the chi-square distribution: stays below it with probability ``share``."""
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, share))
 
 
 def exceeded_chi2(chance: float, freedom: int) -> float:
-    """What the sum of so many squared standard normal numbers exceeds with this chance, which may be tiny."""
+    """Quantile of the chi-square distribution that is exceeded with a probability, which may be tiny."""
     return float(scipy.special.chdtri(freedom, chance))
 
 

@@ -300,8 +300,8 @@ def _minimum(
     if not rough and has_shared_noise(samples):
         H_data = H_data / shared_noise(samples, at, row_weight)
         H = H_data + known
-    # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be
-    # so long that where in it the values are is nothing that the readings show
+    # robust weights may oscillate without moving any value that matters, and the minimum may be a valley along which
+    # the readings do not determine the values
     return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or flat or length <= FITTED)
 
 

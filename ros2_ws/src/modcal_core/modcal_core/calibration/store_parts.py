@@ -79,7 +79,7 @@ def typical_to_data(typical: TypicalDriver | None) -> dict[str, Any]:
 
 
 def typical_from_data(data: Any) -> TypicalDriver | None:
-    """What stands under ``usual``, or None."""
+    """Typical driver from the entry ``usual``; None where there is none."""
     return None if data is None else TypicalDriver(_vector(data["mean"]), float(data["cost_m2"]))
 
 

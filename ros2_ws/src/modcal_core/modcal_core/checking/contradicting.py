@@ -133,7 +133,7 @@ class _Readings:
         return self.left(rows, *self.tool_at(rows))
 
     def placed(self, Y: Array, y: Array, X: Array, x: Array) -> _Readings:
-        """The same with base and tool there."""
+        """The same readings with base (Y, y) and tool (X, x) applied."""
         at, tool = np.eye(4), np.eye(4)
         at[:3, :3], at[:3, 3], tool[:3, :3], tool[:3, 3] = Y, y, X, x
         return replace(self, T=at @ self.T @ tool)

@@ -59,7 +59,7 @@ def of_each_joint(model: Model, samples: Samples, view: RowView, rows: RowKinds)
 
 
 def of_all_joints(model: Model, samples: Samples, view: RowView, rows: RowKinds) -> tuple[Array, Array]:
-    """The same of joints that repeat badly, each at every station anew and with an equal share of the spread."""
+    """Covariance pattern of joints that repeat badly: independent at every station, with equal shares of the spread."""
     same = samples.station[rows.sample][:, None] == samples.station[rows.sample]
     each = [_scaled(np.outer(g, g) * same, rows)[0] for _, g in _turning(model, view)]
     return _scaled(np.sum(each, axis=0), rows) if each else (np.zeros((len(rows.sample),) * 2), np.zeros(2))

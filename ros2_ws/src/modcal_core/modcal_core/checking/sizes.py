@@ -26,7 +26,7 @@ class SizeCovariance:
 
     @classmethod
     def none(cls, known: FrozenKnowledge) -> SizeCovariance:
-        """Of no change."""
+        """Covariance without any change."""
         return cls(np.empty((0, 0)), np.empty((len(known.covariance), 0)))
 
 

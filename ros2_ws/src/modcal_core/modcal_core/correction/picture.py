@@ -43,7 +43,7 @@ class Residuals:
 
     @property
     def size(self) -> Array:
-        """How long the misses are, (N,) [m]."""
+        """Length of each residual, (N,) [m]."""
         return np.asarray(np.linalg.norm(self.residual, axis=1))
 
 

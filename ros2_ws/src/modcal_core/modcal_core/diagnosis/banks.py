@@ -186,7 +186,7 @@ class SpectraOfDrivers:
             self._most[key] = max(self._most.get(key, 0), round(float(cycles.max() / step)) * int(multiples.max()))
 
     def of(self, driver: str, step: float) -> Spectrum:
-        """That of a driver."""
+        """Spectrum of a driver."""
         key = driver, round(step, 12)
         if key not in self._made:
             self._made[key] = Spectrum(self._drivers.values(driver), step, self._most[key])

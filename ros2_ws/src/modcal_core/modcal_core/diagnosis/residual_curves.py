@@ -123,7 +123,7 @@ class _Equations:
     def of(
         cls, fit: Fit, effects: tuple[Effect, ...], samples: Samples, distances: Sequence[AnyDistance]
     ) -> _Equations:
-        """Those of a fit with these effects, at samples that are not wrong."""
+        """Normal equations of a fit with these effects, at samples that are not rejected."""
         start, N = fit.start.with_effects(effects), len(samples)
         values = np.concatenate([fit.values, *(e.values for e in effects)])
         around = start.drivers(samples)

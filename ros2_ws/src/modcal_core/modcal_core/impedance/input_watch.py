@@ -16,7 +16,9 @@ NO_STATUS = "object_status: no recent message: check that articulation_estimator
 
 
 class InputWatch:
-    """Of one pull. timeout: oldest input that is used [s]. pending: why to let go once joint states return, or ""."""
+    """Watch over the inputs of one pull. timeout: oldest input that is used [s]. pending: why to let go once joint
+    states return, or "".
+    """
 
     def __init__(self, timeout: float) -> None:
         """Nothing is late yet."""

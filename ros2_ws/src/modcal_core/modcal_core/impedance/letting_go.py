@@ -13,7 +13,7 @@ _STANDS = 2e-5  # m by which it then still moves at most: what 8 N do that unwin
 
 
 class LettingGo:
-    """Of one release. A stiff arm on soft fingers unwinds slowly: where the tool still moves, it takes longer."""
+    """End of a release. A stiff arm on soft fingers unwinds slowly, so it takes longer while the tool still moves."""
 
     def __init__(self) -> None:
         self._past: deque[tuple[float, Array]] = deque()

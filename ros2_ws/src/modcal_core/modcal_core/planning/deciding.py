@@ -52,7 +52,7 @@ class DecidingStations:
 
     @property
     def decides(self) -> bool:
-        """Whether recording these stations settles it."""
+        """Whether recording these stations distinguishes the two explanations."""
         return self.separation >= DECIDES
 
     @property
@@ -117,7 +117,7 @@ def _by_effort(*effects: Effect) -> bool:
 
 
 def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> str:
-    """What keeps postures from telling an effect from a rival, "" where nothing does: the driver, and what to do."""
+    """Why postures cannot distinguish an effect from a rival, with the remedy; "" where they can."""
     model = calibration.calibrated
     both = model.effects[effect], calibration.rivals[effect][rival]
     kinds = {part.partition(":")[0] for e in both for part in e.driver.split(",")}

@@ -68,7 +68,7 @@ def account(rows: tuple[Row, ...], unit: str, floor: float | None) -> Account:
 
 
 def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
-    """Those of position and orientation, as far as there are any."""
+    """Accounts of position and orientation, where there are any."""
     if verdict is None:
         return ()
     both = (("mm", verdict.account_mm2, verdict.floor_mm), ("deg", verdict.account_deg2, verdict.floor_deg))

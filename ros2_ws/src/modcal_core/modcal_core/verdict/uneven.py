@@ -75,7 +75,7 @@ def uneven(case: Case) -> Uneven | None:
 
 
 def _largest(square: Array) -> tuple[Array, Array, Array] | None:
-    """Of rows of squares (R, S): how high the highest window is, where it begins and how many stations it has."""
+    """For each row of squares (R, S), height, first station and length of the highest window."""
     R, S = square.shape
     total = np.concatenate([np.zeros((R, 1)), np.cumsum(square, axis=1)], axis=1)
     spread = max(float(square[0].std()), 1e-300)

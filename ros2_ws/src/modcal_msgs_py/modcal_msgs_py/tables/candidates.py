@@ -98,7 +98,7 @@ class Body:
 
     @property
     def posed(self) -> bool:
-        """Whether it has an orientation."""
+        """Whether the body has an orientation."""
         return self.turned is not None or bool(self.points)
 
 

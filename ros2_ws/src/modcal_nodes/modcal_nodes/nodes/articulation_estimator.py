@@ -170,7 +170,7 @@ class ArticulationEstimator(GuardedNode):
             self._follow(p, R, stamp, message.header.frame_id)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
-        """How hard somebody pulls: the force beyond what the sensor showed in the beginning, and the tool's weight."""
+        """Take a wrench: the pull is the force beyond the initial reading and the weight of the tool."""
         w = wrench_numbers(message)
         if not np.isfinite(w).all():
             raise BadCommand("wrench", "is not finite", "check the sensor")

@@ -132,7 +132,7 @@ class TopicRecorder:
             self._spares += [(offer, self._subscribe(offer)) for offer in self._inputs]
 
     def _settle(self) -> None:
-        """Of the subscriptions of one kind keep the one that hears most now.
+        """Keep the subscription of each kind that receives most.
 
         The one that was heard first may have got a single message of those that the publisher keeps, and be matched
         seconds later.

@@ -45,7 +45,7 @@ class JointSoftness:
 
     @property
     def said(self) -> str:
-        """By what a force that the sensor hides is bounded, for a person."""
+        """Which signals limit a force that the sensor hides, as text."""
         if self.unknown:
             return f"the lead of the tool alone ({self.unknown})"
         least, most = np.nanmin(self.least), np.nanmax(self.least)
