@@ -1,4 +1,4 @@
-"""Commanded joints out of messages: joint states of commands, trajectories, and what a controller says of itself."""
+"""Commanded joints out of messages: joint states of commands, trajectories, and what a controller reports."""
 
 from __future__ import annotations
 

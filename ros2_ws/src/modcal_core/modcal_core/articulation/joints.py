@@ -96,7 +96,7 @@ class JointModel:
 
     @classmethod
     def trusted(cls, start: Array, axis: Array, point: Array, pitch: float = 0.0, oriented: bool = True) -> Self:
-        """A joint of numbers known to be sound, not looked at again: one made anew with every pose has no time."""
+        """A joint from valid numbers, without checks, because one is made with every pose."""
         joint = cls.__new__(cls)
         for name, value in (("start", start), ("axis", axis), ("point", point)):
             value.flags.writeable = False

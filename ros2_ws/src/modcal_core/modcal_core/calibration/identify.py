@@ -4,7 +4,7 @@ Gauss–Newton on the minimal parameters, damped when a step fails (Levenberg–
 length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as
 wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every
 step (see :mod:`modcal_core.calibration.noise`). Many samples are begun with a few of them, so that all are gone through
-but two or three times; and near the end only the gradient is computed anew, which alone decides where that is. The end
+but two or three times; and near the end only the gradient is computed again, which alone decides where that is. The end
 is reached when the next step would be too short, going by how much shorter the last was than the one before it.
 """
 

@@ -21,7 +21,7 @@ class ArmState:
 
     stamp: [s]. q: where the joints were reported (n,), which efforts belong to. velocity: (n,) [rad/s, m/s]. approach:
     direction each joint last moved in, −1, 0 (unknown) or 1, (n,). effort: (n,) [N m, N], NaN where unknown. signals:
-    what was heard of everything else, up to now.
+    what was received of everything else, up to now.
     """
 
     stamp: float

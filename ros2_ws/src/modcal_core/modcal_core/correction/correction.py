@@ -328,7 +328,7 @@ def _tip(chain: Mechanism, postures: Array, twists: Mapping[int, Array]) -> Arra
 
 
 def _lasting(track: SignalTrack) -> SignalTrack:
-    """A track of at least two values: what was heard once stays as it was."""
+    """A track of at least two values: what was received once stays as it was."""
     stamps, values = track.stamps, track.values
     if len(stamps) == 1:
         stamps, values = np.r_[stamps - 1.0, stamps], np.repeat(values, 2, axis=0)

@@ -1,4 +1,4 @@
-"""Which channels of a recording go along with the robot, each judged by itself, and what the others look like.
+"""Which channels of a recording follow the robot, each judged by itself, and what the others look like.
 
 Where a model misses by far, one thing may be wrong and all the rest right: a column of the readings, the orientations,
 the row in which a reading stands. Lists of mistakes find what is on them.

@@ -63,7 +63,7 @@ class SightMatch:
 
 
 def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volume: float = 0.0) -> SightMatch:
-    """How well readings taken at postures q (N, n) fit, every instrument placed anew and one tool for all of them.
+    """How well readings taken at postures q (N, n) fit, every instrument placed again and one tool for all of them.
 
     log_volume: of one row, by how much the readings' volume was shrunk to have them in m and rad, in logarithm.
     """

@@ -1,4 +1,4 @@
-"""The arm whose joints are heard: read off the description as soon as it and the joints' names are known."""
+"""The arm whose joints are received: read off the description as soon as it and the joints' names are known."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ class ArticulationEstimator(GuardedNode):
             self._forget()
 
     def _recognise(self, names: frozenset[str]) -> None:
-        """Read the arm off its description, once there is one, or when other joints are heard of."""
+        """Read the arm off its description, once there is one, or when other joints are received."""
         if not self._urdf or (names <= self._names and (self._chain or self._refusal)):
             return
         self._names |= names

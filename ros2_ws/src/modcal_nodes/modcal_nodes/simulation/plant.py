@@ -120,7 +120,7 @@ class Plant:
         self._program.reset(start, legs)
 
     def _missed(self, legs: list[tuple[float, Array]], q: Array, miss: Array) -> list[tuple[float, Array]]:
-        """By how much each posture is missed (n,): anew wherever the arm arrives."""
+        """By how much each posture is missed (n,): again wherever the arm arrives."""
         out = []
         for at, goal in legs:
             if np.abs(goal - q).max() > _AWAY:

@@ -1,4 +1,4 @@
-"""What was heard of the nodes of a cell, and one snapshot of it: plain values in, plain data out."""
+"""What was received of the nodes of a cell, and one snapshot of it: plain values in, plain data out."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Heard:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Full names of the nodes that were heard."""
+        """Full names of the nodes that were received."""
         return tuple(sorted(self._nodes))
 
     def status(self, name: str, hardware: str, level: int, message: str, facts: Mapping[str, str], at: float) -> None:
