@@ -73,7 +73,7 @@ class _Worker:
             self.connection.send(task)
 
     def take(self) -> Outcome | None:
-        """Outcome of the task; None where the process has ended."""
+        """What became of the task; None where the process has ended."""
         self.busy = False
         try:
             outcome: Outcome = self.connection.recv()
