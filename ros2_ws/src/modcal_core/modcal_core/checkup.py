@@ -80,12 +80,12 @@ class Checked:
 
     @property
     def alike(self) -> bool:
-        """Whether the stations say less than half of what as many far apart would."""
+        """Whether the stations count as less than half of their number."""
         return 2.0 * self.far_apart < self.stations
 
     @property
     def sentence(self) -> str:
-        """The answer, for a person."""
+        """The answer as a sentence."""
         seen = f"{self.stations} station{'s' if self.stations != 1 else ''}"
         if self.status == "unchanged" and self.alike:
             return f"No change is seen, by {seen} that say as much as {self.far_apart:.1f} far apart."

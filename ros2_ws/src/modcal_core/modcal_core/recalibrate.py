@@ -134,7 +134,7 @@ def compared(before: Array, after: Array) -> ModelComparison:
 
 
 def thinned(samples: Samples, most: int) -> Samples:
-    """At most so many samples: the newest half as they are, the older ones evenly fewer."""
+    """At most ``most`` samples: the newest half in full, the older ones thinned evenly."""
     if len(samples) <= most:
         return samples
     recent = most // 2

@@ -118,7 +118,7 @@ class JointInput:
         self.complete = self.complete or not self.missing()
 
     def missing(self) -> tuple[str, ...]:
-        """Joints never heard of."""
+        """Joints without any message so far."""
         return tuple(name for name, stamp in zip(self.names, self.stamps, strict=True) if stamp == -math.inf)
 
     def require_fresh(self, now: float, stale: float) -> None:

@@ -58,7 +58,7 @@ def some_three(track: Track, rng: np.random.Generator) -> Iterator[tuple[int, ND
 
 
 def far_apart(track: Track) -> tuple[int, int, int]:
-    """Rows of the two samples that lie farthest apart, with one between them in the middle."""
+    """Rows of the two samples that are farthest apart, with one between them in the middle."""
     p = track.positions
     middle = p - p.mean(axis=0)
     first = int(np.argmax((middle * middle).sum(axis=1)))

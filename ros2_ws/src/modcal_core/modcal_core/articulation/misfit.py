@@ -50,7 +50,7 @@ class Misfit:
 
     @property
     def said(self) -> str:
-        """For a person: what is left, what would be much, and where."""
+        """Reason as text: what remains, what would be too much, and where."""
         left, much = f"{1e3 * self.position:.0f} mm", f"{1e3 * self.much[0]:.0f} mm"
         if self.rotation > self.much[1]:
             left += f" and {np.degrees(self.rotation):.0f}°"
@@ -107,7 +107,7 @@ def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
 
 
 def scales(found: JointFit) -> tuple[float, float]:
-    """Scatter of one sample [m, rad], 1 rad where no rotations were seen; never 0, as that of samples all alike is."""
+    """Scatter of one sample [m, rad], 1 rad without rotations; never 0."""
     turn = found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
     return max(found.sigma_position, _NOTHING), max(turn, _NOTHING)
 

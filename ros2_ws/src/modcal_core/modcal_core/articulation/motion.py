@@ -53,7 +53,7 @@ class Motion(ABC):
 
     @abstractmethod
     def moved(self, z: Array) -> Motion:
-        """The motion with its parameters changed by z (size,), kept within what can be told."""
+        """Motion with its parameters changed by z (size,), limited to plausible values."""
 
     @abstractmethod
     def configurations(self, track: Track, sigma: tuple[float, float] = (1.0, 1.0)) -> Array:

@@ -26,7 +26,7 @@ _NEAR = 0.5  # s between a stamp that is stated and the station that it means
 
 @dataclass(frozen=True)
 class Distance:
-    """The origins of two frames are this far apart. between: frame names; distance, std: [m]."""
+    """Known distance between the origins of two frames. between: frame names; distance, std: [m]."""
 
     between: tuple[str, str]
     distance: float

@@ -18,12 +18,12 @@ def beyond_normal(z: float) -> float:
 
 
 def beyond_chi2(x: float, freedom: int) -> float:
-    """The chance that the sum of so many squared standard normal numbers is greater than x."""
+    """Survival function of the chi-square distribution: the chance of a value greater than x."""
     return float(scipy.special.chdtrc(freedom, x))
 
 
 def as_normal(square: float, freedom: int) -> float:
-    """The size of a standard normal number that is exceeded, either way, as seldom as this sum of so many squares."""
+    """Two-sided standard normal quantile with the same chance as a chi-square value."""
     chance = beyond_chi2(square, freedom)
     return float(-scipy.special.ndtri(0.5 * chance)) if chance > 1e-300 else float(np.sqrt(square))
 

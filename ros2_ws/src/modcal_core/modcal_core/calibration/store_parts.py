@@ -235,7 +235,7 @@ def inertias_from_data(data: Any) -> Inertias | None:
 
 
 def model_to_data(model: Model) -> dict[str, Any]:
-    """Mechanism, frames, tool and instruments; the effects stand apart."""
+    """Mechanism, frames, tool and instruments, without the effects."""
     chain = model.chain
     cell = {
         "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},

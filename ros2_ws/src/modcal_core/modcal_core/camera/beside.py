@@ -81,7 +81,7 @@ class ReadingsBeside:
 
     @property
     def label(self) -> str:
-        """What they are, for a person."""
+        """Description of the readings as text."""
         return ", ".join(f"{kind} in {frame}" for kind, frame in sorted(self._kinds()))
 
     def _kinds(self) -> set[tuple[str, str]]:

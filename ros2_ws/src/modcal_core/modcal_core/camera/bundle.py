@@ -48,7 +48,7 @@ class BundleMarker:
 
     @property
     def label(self) -> str:
-        """The marker for a person."""
+        """The marker as text."""
         return f"{'marker' if self.size else 'point'} {self.id}"
 
 
@@ -129,7 +129,7 @@ class MarkerBundle:
 
     @property
     def label(self) -> str:
-        """The target for a person, such as "body of 20 markers"."""
+        """The target as text, such as "body of 20 markers"."""
         what = "markers" if any(m.size for m in self.markers) else "points"
         return f"{self.name or 'body'} of {len(self.markers)} {what}"
 

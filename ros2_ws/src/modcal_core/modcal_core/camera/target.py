@@ -62,7 +62,7 @@ class CalibrationTarget(Protocol):
 
     @property
     def label(self) -> str:
-        """The target for a person."""
+        """The target as text."""
         ...
 
     @property
@@ -150,7 +150,7 @@ class PrintedTarget:
 
     @property
     def label(self) -> str:
-        """The target for a person, such as "ChArUco board of 7 × 5 squares of 30 mm"."""
+        """The target as text, such as "ChArUco board of 7 × 5 squares of 30 mm"."""
         names = {CHARUCO: "ChArUco board", CHESSBOARD: "chessboard", ARUCO_GRID: "ArUco grid", APRIL_GRID: "AprilGrid"}
         if self.kind == TAG:
             return f"tag {self.first_id} of {1e3 * self.square:g} mm"

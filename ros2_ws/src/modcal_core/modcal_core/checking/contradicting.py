@@ -84,7 +84,7 @@ class _Readings:
 
     @classmethod
     def of(cls, model: Model, samples: Samples, position: float, rotation: float) -> _Readings:
-        """position, rotation: standard deviations per axis [m, rad]; no rotation is looked at where that is 0."""
+        """position, rotation: standard deviations per axis [m, rad]; with 0, rotations are not compared."""
         turned = samples.R if bool(samples.is_pose.all()) and rotation > 0.0 else None
         T = model.predict_samples(samples)
         return cls(T, samples.reading, turned, (max(position, FINEST), rotation), samples.station + 1)

@@ -35,7 +35,7 @@ class JointPattern:
 
 
 def witnesses(samples: Samples) -> float:
-    """How many stations far apart these stand for, from one to their number."""
+    """Number of independent stations that these count as, from one to their number."""
     first = np.unique(samples.station, return_index=True)[1]
     return len(first) ** 2 / float(_alike(samples.q[first]).sum())
 
@@ -72,7 +72,7 @@ def varying(q: Array, revolute: bool) -> Array:
 
 
 def _curve(q: Array, length: float) -> Array:
-    """Correlation (n, n) of a periodic curve that is another one after so many radians."""
+    """Correlation (n, n) of a smooth periodic curve with this correlation length [rad]."""
     return np.asarray(np.exp(-2.0 * (np.sin(0.5 * (q[:, None] - q)) / length) ** 2))
 
 

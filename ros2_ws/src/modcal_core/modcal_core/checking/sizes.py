@@ -1,4 +1,4 @@
-"""What is known of the sizes of all changes together, once it is settled what they are."""
+"""Joint uncertainty of the sizes of all named changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes on beside the posture, at one moment, that an effect may depend on."""
+"""Everything beside the posture that an effect may depend on, at one moment."""
 
 from __future__ import annotations
 

@@ -230,7 +230,7 @@ class Correction:
         return np.asarray(rows @ known.covariance @ rows.T)
 
     def unseen(self, q: Array) -> tuple[str, ...]:
-        """Names of the joints that are where the calibration has never seen them; no learned curve goes on there."""
+        """Names of joints outside the calibrated range, where no learned curve is used."""
         low, high = self.calibration.seen
         margin = _MARGIN * (high - low)
         out = (q < low - margin) | (q > high + margin)

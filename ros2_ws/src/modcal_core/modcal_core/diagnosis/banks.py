@@ -179,7 +179,7 @@ class SpectraOfDrivers:
         self._made: dict[tuple[str, float], Spectrum] = {}
 
     def foresee(self, driver: str, cycles: Array, multiples: np.ndarray) -> None:
-        """These cycles a turn will be asked for, and so many times as many."""
+        """Note that these cycles a turn will be asked for, and that many multiples."""
         step = wave_step(cycles)
         if step is not None:
             key = driver, round(step, 12)

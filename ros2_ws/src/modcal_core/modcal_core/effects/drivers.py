@@ -69,7 +69,7 @@ def public_driver(driver: str) -> str:
 
 
 class Kept:
-    """Arrays that were computed already, by what they are of: a fit asks for the same at every step."""
+    """Cache of arrays by what they are computed from: a fit asks for the same ones at every step."""
 
     def __init__(self) -> None:
         self._arrays: dict[Hashable, Array] = {}

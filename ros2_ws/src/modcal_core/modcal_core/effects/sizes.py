@@ -1,4 +1,4 @@
-"""How large an effect is, for a person: named quantities with their units."""
+"""Sizes of an effect as named quantities with units."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class ArmSetpoint:
     """What an arm is told. pose (4, 4): of the tool in ``frame``. q, velocity (n,): of the joints ``names``.
 
     wrench (6,): to be exerted on top of it. stiffness (6,): of the stack that follows, along and about the tool's axes.
-    why: what the arm is doing, for a person.
+    why: what the arm is doing, as text.
     """
 
     frame: str
@@ -95,7 +95,7 @@ class SensorReadings:
 
 
 class LateInput(BadCommand):
-    """An input that is too old: nothing may be said now, but a moment later again."""
+    """An input is too old: send nothing now; a moment later it may be possible again."""
 
 
 @dataclass
@@ -204,7 +204,7 @@ class SafetyMonitor:
             raise refused
 
     def overload(self, wrench: Array) -> BadCommand | None:
-        """What is said of a force and moment (6,) on the tool that lie beyond their limits; None of any other."""
+        """Refusal of a force and moment (6,) on the tool beyond their limits; None within them."""
         force, moment = _norm(wrench[:3]), _norm(wrench[3:])
         if not force <= self.limits.force:
             said = f"{force:.1f} N, {self.limits.force:g} N is the limit"

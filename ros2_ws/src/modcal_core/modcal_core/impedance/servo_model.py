@@ -106,6 +106,6 @@ class ServoModel:
         return np.maximum(np.einsum("ni,nij,nj->n", a, squares, a) - (mean * a).sum(axis=1) ** 2, 0.0)
 
     def unsure(self, change: Array) -> Array:
-        """Variance (m,) of what is said of a change (m, 4) of the four."""
+        """Variance (m,) of the prediction for a change (m, 4) of the four inputs."""
         z = change[:, :3]
         return np.einsum("ni,nij,nj->n", z, self._covariance, z)

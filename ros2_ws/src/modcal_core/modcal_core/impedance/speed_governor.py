@@ -58,7 +58,7 @@ class GovernorSettings:
 
 
 class ForcePrediction:
-    """What a force will have come to when all that is under way has been done."""
+    """Force expected once all motion under way has ended."""
 
     def __init__(self) -> None:
         """Nothing felt yet."""

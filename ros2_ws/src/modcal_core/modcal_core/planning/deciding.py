@@ -139,7 +139,7 @@ def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> s
 def _candidates(
     calibration: Calibration, seen: View, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
 ) -> Samples:
-    """What was recorded, then random postures in and around it that are allowed, each come to from either side."""
+    """Recorded postures, then random allowed ones in and around their range, each approached from either side."""
     model = calibration.calibrated
     low, high = calibration.seen
     room = np.maximum(_BEYOND * (high - low), 0.5)

@@ -135,7 +135,7 @@ class Chosen:
 
 
 def chosen_stations(pool: PosturePool, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> Chosen:
-    """The best set of so many stations: by exchange, then refined."""
+    """Best set of a number of stations: by exchange, then refined."""
     found = exchange(pool.rows, count, good, rng, starts, given=pool.given)
     q, rows, value = refined(pool, found, good, rng)
     accuracy = pool.accuracy(rows)

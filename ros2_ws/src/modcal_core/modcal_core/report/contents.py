@@ -116,7 +116,7 @@ class ReportContents:
         return self.errors[stage].size_deg() if stage in self.errors else None
 
     def units(self) -> np.ndarray:
-        """Numbers of the scored samples, (N,): the same for those whose errors may be alike."""
+        """Unit numbers of the scored samples, (N,): equal where errors may be correlated."""
         return self._units
 
     @cached_property

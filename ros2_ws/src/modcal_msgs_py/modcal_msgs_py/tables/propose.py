@@ -166,7 +166,7 @@ def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Seque
 
 
 def _covers(known: Body, body: Body) -> bool:
-    """Whether a body's columns are told already by another one."""
+    """Whether another body already uses this body's columns."""
     return (
         (known.away, known.sign) == (body.away, body.sign)
         and bool(set(known.position) & set(body.position))

@@ -292,7 +292,7 @@ class ArticulationEstimator(GuardedNode):
         return lines
 
     def _starved(self, state: TrackerState) -> str:
-        """What is lacking of poses, for a person; empty where nothing is."""
+        """What is lacking of poses, as text; empty where nothing is."""
         topic, silent = self._chosen["input"], time.monotonic() - self._heard
         if silent > _SILENT:
             return f"{topic}: no usable pose for {silent:.0f} s, what is said of the object is as old"
@@ -308,7 +308,7 @@ class ArticulationEstimator(GuardedNode):
 
 
 def _said(state: TrackerState) -> str:
-    """The estimate, for a person."""
+    """The estimate, as text."""
     if state.event:
         return state.event
     if state.written is not None:

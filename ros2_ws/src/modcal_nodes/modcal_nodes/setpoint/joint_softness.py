@@ -27,7 +27,7 @@ class JointSoftness:
     def of(cls, urdf: str, chain: Chain, max_lead: float, held: str = "") -> JointSoftness:
         """For servos that lead by so much [rad] at most under the effort of a URDF.
 
-        held: why it is not joints that are held, for a person, where that is known.
+        held: why it is not joints that are held, as text, where that is known.
         """
         unknown = np.full(chain.n, np.nan)
         if held or not max_lead > 0.0:

@@ -39,7 +39,7 @@ class _Node:
 
 
 class Heard:
-    """Everything that was said by the nodes below a namespace. Times are those of one steady clock [s]."""
+    """Everything that the nodes below a namespace published. Times are of one steady clock [s]."""
 
     def __init__(self, namespace: str = "") -> None:
         """namespace: only nodes below it are listened to; empty: all."""

@@ -88,7 +88,7 @@ class AxisMotion(Motion):
         return np.array([[0.0, -rise], [1.0, 0.0], [0.0, run]])
 
     def moved(self, z: Array) -> AxisMotion:
-        """The motion with its parameters changed by z (size,), radius and pitch kept within what can be told."""
+        """Motion with its parameters changed by z (size,); radius and pitch are limited to plausible values."""
         k = self.frame_turns
         across = self.across
         j = k + across.shape[1]

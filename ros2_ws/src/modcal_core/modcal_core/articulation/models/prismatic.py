@@ -108,7 +108,7 @@ class Prismatic(AxisModel):
         return robust(lines(), some, PrismaticMotion)
 
     def quick_guess(self, track: Track, known: Mapping[Kind, Motion], turn: int) -> Motion | None:
-        """The line through the two samples that lie farthest apart."""
+        """Line through the two samples that are farthest apart."""
         return line(PrismaticMotion, track)
 
 

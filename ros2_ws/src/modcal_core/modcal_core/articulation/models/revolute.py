@@ -220,7 +220,7 @@ class Revolute(AxisModel):
         return robust(circles(some, rng), some, RevoluteMotion)
 
     def quick_guess(self, track: Track, known: Mapping[Kind, Motion], turn: int) -> Motion | None:
-        """The circle through the two samples that lie farthest apart and one between, or between their poses."""
+        """Circle through the two samples that are farthest apart and one between, or from their poses."""
         first, between, last = far_apart(track)
         p, R = track.positions, track.rotations
         # guesses of hinges come every other turn, so that half of them are of points
