@@ -19,7 +19,7 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 	VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: help setup setup-test build demo week test suite quick fleet-workers fuzz mutants lint ruff mypy format bench undeclared imports verdict camera checks constants closed-loop \
-	soak chaos kills live long-bag doors hard-doors pull-kills wrong-sensor articulation control-tick synthesis modular planning measure limits delta real-arms outside docs reference wheel lock clean
+	soak chaos kills live long-bag doors hard-doors pull-kills wrong-sensor articulation control-tick synthesis modular planning measure limits delta real-arms outside docs wheel lock clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name what; do \
@@ -158,12 +158,10 @@ delta: setup-test build  ## a Delta by simulated annealing and by least squares,
 fuzz: setup-test build  ## hostile and damaged input by the thousand, five minutes; FUZZ_ARGS="--only mcap --cases 30000"
 	@$(PY) bench/fuzz/run.py $(FUZZ_ARGS)
 
-docs: setup-test reference  ## the documentation as a site that needs no network: site/index.html
+docs: setup-test build  ## renew docs/reference from the code; the documentation as a site: site/index.html
+	@$(PY) scripts/reference
 	@$(PY) -m mkdocs --quiet build --clean
 	@echo "Documentation: site/index.html"
-
-reference: build  ## write docs/reference from the code
-	@$(PY) scripts/reference
 
 wheel: setup  ## the distribution modcal for pip, which needs no ROS: dist/*.whl
 	@scripts/wheel.sh

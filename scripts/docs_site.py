@@ -1,7 +1,8 @@
 """Hooks of mkdocs: the README is the first page, links that leave docs/ become plain names, code is coloured twice.
 
-What lies outside docs/ (sources, examples) is not part of the site: of such a link the name of the file is left. The
-search is one that works from disk (docs_search.js).
+Pages of the reference that git does not hold are read from ``extra: reference`` of mkdocs.yml, where ``make docs``
+writes them. What lies outside docs/ (sources, examples) is not part of the site: such a link becomes the name of the
+file. The search works from disk (docs_search.js).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import re
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from pygments.formatters.html import HtmlFormatter
@@ -57,7 +59,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """The files, with the README as index.md and colours for code."""
+    """The files, with the README as index.md, the built reference, and colours for code."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, "index.md", content=re.sub(r"(\]\(|src=\")docs/", r"\1", readme)))
     rules = [
@@ -66,6 +68,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for rule in HtmlFormatter(style=style).get_style_defs(f"[data-bs-theme={scheme}] .codehilite").splitlines()
         if rule.startswith("[data-bs-theme") and ".linenos" not in rule
     ]
+    built = ROOT / config.extra["reference"]
+    if not built.is_dir():
+        raise PluginError(f"{built}: no such folder: run make docs, which writes the reference there")
+    for page in sorted(built.rglob("*.md")):
+        name = f"reference/{page.relative_to(built).as_posix()}"
+        files.append(File.generated(config, name, content=page.read_text(encoding="utf-8")))
     files.append(File.generated(config, "site.css", content=LINKS + WIDE + "\n".join(rules) + "\n" + READABLE))
     return files
 

@@ -1,6 +1,8 @@
-"""Writes the pages of docs/reference from the code: ``python scripts/reference``, as ``make reference`` does.
+"""Write the reference pages from the code: ``python scripts/reference``, as ``make docs`` does.
 
-With ``--check`` it writes nothing, and fails when a page is not what the code says.
+The pages of ``TRACKED`` stand in docs/reference and are committed. Those of ``BUILT`` go into a build folder, from
+which mkdocs takes them (docs_site.py). With ``--check`` nothing is written, and the command fails when a tracked page
+differs from what the code says.
 """
 
 from __future__ import annotations
@@ -22,17 +24,19 @@ from modcal_core.files import to_json
 from modcal_msgs_py.tables.schema import json_schema
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES: dict[str, Callable[[], str]] = {
+TRACKED: dict[str, Callable[[], str]] = {
     "cli.md": verbs.page,
     "parameters.md": settings.page,
     "topics.md": graph.page,
+    "import_mapping.schema.json": lambda: to_json(json_schema()),  # editors read it beside a mapping
+}
+BUILT: dict[str, Callable[[], str]] = {
     "messages.md": messages.page,
     "refusals.md": refusals.page,
     "constants.md": constants.page,
     **api.pages(),
-    "import_mapping.schema.json": lambda: to_json(json_schema()),
 }
-HEADER = "<!-- Made by `make reference` from {}; change it there. -->\n\n"
+HEADER = "<!-- Made by `make docs` from {}; change it there. -->\n\n"
 SOURCES = {
     "cli.md": "modcal_nodes/cli",
     "parameters.md": "modcal_nodes/ros/parameters.py",
@@ -45,25 +49,35 @@ SOURCES = {
 
 
 def main() -> int:
-    """Exit code: 0, or 1 with the names of the pages that are out of date."""
+    """Exit code: 0, or 1 after the names of the tracked pages that are out of date."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="compare only")
-    parser.add_argument("--folder", type=Path, default=ROOT / "docs" / "reference", help="where the pages are")
+    parser.add_argument("--check", action="store_true", help="compare the tracked pages and write nothing")
+    parser.add_argument("--folder", type=Path, default=ROOT / "docs" / "reference", help="of the tracked pages")
+    parser.add_argument("--built", type=Path, default=ROOT / "build" / "reference", help="of the pages for the site")
     chosen = parser.parse_args()
-    stale = []
-    for name, page in PAGES.items():
-        head = HEADER.format(SOURCES[name]) if name in SOURCES else ""  # JSON has no comments
-        file, text = chosen.folder / name, head + page()
-        if not file.is_file() or file.read_text(encoding="utf-8") != text:
-            stale.append(name)
-            if not chosen.check:
-                file.parent.mkdir(parents=True, exist_ok=True)
-                file.write_text(text, encoding="utf-8")
-    if stale and chosen.check:
-        print(f"out of date: {', '.join(stale)}: run make reference", file=sys.stderr)
-        return 1
-    print(f"written: {', '.join(stale)}" if stale else f"{', '.join(PAGES)}: as the code says")
+    tracked = {chosen.folder / name: text(name, page) for name, page in TRACKED.items()}
+    stale = [file for file, wanted in tracked.items() if not file.is_file() or file.read_text("utf-8") != wanted]
+    if chosen.check:
+        if stale:
+            print(f"out of date: {', '.join(file.name for file in stale)}: run make docs", file=sys.stderr)
+        return int(bool(stale))
+    for file in stale:
+        write(file, tracked[file])
+    for name, page in BUILT.items():
+        write(chosen.built / name, text(name, page))
+    print(f"written: {', '.join(file.name for file in stale)}" if stale else f"{', '.join(TRACKED)}: up to date")
     return 0
+
+
+def text(name: str, page: Callable[[], str]) -> str:
+    """Text of a page with the comment that says where it comes from; JSON has no comments."""
+    return (HEADER.format(SOURCES[name]) if name in SOURCES else "") + page()
+
+
+def write(file: Path, content: str) -> None:
+    """Write a file, and the folders above it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(content, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,9 +7,7 @@ from module_numbers import WHERE, numbers
 
 INTRODUCTION = """# Constants
 
-Every number that stands at the top of a file of these packages, with the comment beside it. Those that decide what is
-believed, rejected, named or refused, and how a verdict comes out, are on [a page of their own](../constants.md), with
-their reasons."""
+Every number at the top of a file of these packages, with the comment that gives its reason or its source."""
 _LONGEST = 70  # characters of a value that a table shows
 
 

@@ -23,11 +23,10 @@ KINDS = {
 
 INTRODUCTION = f"""# Refusals
 
-What cannot be used is refused in one line, *what: its limit: what to do*: on stderr with exit code 2, in the log and on
-`/diagnostics` of a node, or as a `modcal.ModcalError` in Python, whose `offender`, `limit` and `remedy` are the three
-parts. Here are all of them as they stand in the sources; {GAP} stands for a name, a number or a text of the moment, a
-vertical bar is between texts of which one is said. Search for the words of your line. What the checks are for is in
-[bad_input.md](../bad_input.md) and [faults.md](../faults.md).
+Every refusal is one line, *offender: limit: remedy*. It appears on stderr with exit code 2, in the log and on
+`/diagnostics` of a node, or as a `modcal.ModcalError` in Python with these three parts. Here are all of them; {GAP}
+stands for a value, and a vertical bar separates alternatives. Search for the words of your line. The usual mistakes are
+in [bad_input.md](../bad_input.md), what nodes do in [faults.md](../faults.md).
 
 Exit codes of `modcal`: 0 done; 1 a fault of modcal itself; 2 refused; 3 done, but the tolerance asked for is not met,
 or it cannot be told."""

@@ -1,4 +1,4 @@
-"""Sentences that a person meets use the field's words: none of these phrases stands in a string, a template or a page."""
+"""Sentences use the field's words: none of these phrases stands in a string, a docstring, a template or a page."""
 
 import ast
 import re
@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
-# What stands there instead. Only phrases that have no technical use; docstrings count where they become help or a page.
+# What stands there instead. Only phrases that have no technical use.
 INSTEAD = {
     r"\bg(?:i|a)ves? way\b": "is compliant, deflects, is replaced by",
     r"\banew\b": "again, restart",
@@ -23,6 +23,7 @@ INSTEAD = {
     r"\b(?:is|are) told to\b": "is asked to",
     r"\bsee to (?:it|that|the)\b": "check, clear the cause",
     r"\bnot said what\b": "unknown",
+    r"\bwhat it brought\b": "its gain, its result",
 }
 PHRASE = re.compile("|".join(INSTEAD), re.IGNORECASE)
 PAGES = (
@@ -56,19 +57,19 @@ def strings(source: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.value
 
 
-def commands(source: Path) -> Iterator[tuple[int, str]]:
-    """Line and docstring of each function of a module with a decorator: of commands it is the help."""
+def docstrings(source: Path) -> Iterator[tuple[int, str]]:
+    """Line and text of each docstring of a module."""
     for node in ast.walk(ast.parse(source.read_text())):
-        if isinstance(node, ast.FunctionDef) and node.decorator_list:
-            yield node.lineno, ast.get_docstring(node) or ""
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            yield getattr(node, "lineno", 1), ast.get_docstring(node) or ""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("package", ["modcal_core", "modcal_msgs_py", "modcal_nodes"])
-def test_no_message_has_a_banned_phrase(package: str) -> None:
+def test_no_message_or_docstring_has_a_banned_phrase(package: str) -> None:
     found = []
     for source in sorted((ROOT / "ros2_ws/src" / package).rglob("*.py")):
-        texts = [*strings(source), *(commands(source) if "cli" in source.parts else ())]
+        texts = [*strings(source), *docstrings(source)]
         found += [
             f"{source.relative_to(ROOT)}:{line}: {', '.join(said)}" for line, text in texts if (said := phrases(text))
         ]

@@ -42,17 +42,19 @@ MAX = 48  # stations of a longer recording that are looked at
 
 @dataclass(frozen=True)
 class Checked:
-    """The outcome of a check.
+    """Outcome of a check.
 
-    changes: that were named. chance: that as much is named while nothing has changed (an upper bound). before, after:
-    RMS of position [mm] and orientation [deg] at the stations by the frozen and by the repaired model; expected: what
-    the frozen one should show while nothing has changed. aside: numbers of the stations set aside as wrong. noticed:
-    what would have been noticed. repaired: the frozen model with only what changed put in; None where nothing did or
-    it cannot be. report: of the frozen or, where there is one, the repaired model at these stations, each of them
-    predicted by the others. joints: names, in the order of the stations' columns. station_errors: distances [m] before
-    and with what changed, of every reading that was used. accuracy: how well the repaired model is known; None without.
-    far_apart: how many stations far apart say as much. placed: frames that the calibration does not know, which were
-    placed by these stations. beyond: how many stand where the calibration was not made.
+    - changes: the named changes. chance: upper bound of the probability of such a result without any change.
+    - before, after: RMS position [mm] and orientation [deg] at the stations by the frozen and the repaired model.
+    - expected: what the frozen model should show without a change. noticed: smallest changes that would be found.
+    - aside: numbers of stations set aside as wrong. beyond: how many stand outside the calibrated ranges.
+    - repaired: the frozen model with only the named changes; None without changes, or where repair is not possible.
+    - report: of the repaired model, or else the frozen one, at these stations, each predicted from the others.
+    - joints: names, in the order of the stations' columns.
+    - station_errors: distances [m] of every reading before and after the repair.
+    - accuracy: how well the repaired model is known; None without one.
+    - far_apart: number of independent stations that these count as.
+    - placed: frames unknown to the calibration, which these stations placed.
     """
 
     status: Status
@@ -78,12 +80,12 @@ class Checked:
 
     @property
     def alike(self) -> bool:
-        """Whether the stations say less than half of what as many far apart would."""
+        """Whether the stations count as less than half of their number."""
         return 2.0 * self.far_apart < self.stations
 
     @property
     def sentence(self) -> str:
-        """The answer, for a person."""
+        """The answer as a sentence."""
         seen = f"{self.stations} station{'s' if self.stations != 1 else ''}"
         if self.status == "unchanged" and self.alike:
             return f"No change is seen, by {seen} that say as much as {self.far_apart:.1f} far apart."

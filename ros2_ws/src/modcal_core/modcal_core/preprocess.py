@@ -91,7 +91,7 @@ def prepare(
 
 
 def _flickering(recording: Recording, unused: dict[str, int], since: float, until: float) -> tuple[str, ...]:
-    """What makes a verdict open where more than single readings lie far from the others of their station."""
+    """Reasons for an open verdict: more than single readings are far from the others of their station."""
     wrong = unused.get(GLITCHES, 0)
     count = sum(int(np.sum((track.stamps >= since) & (track.stamps < until))) for track in recording.readings)
     at_rest = count - sum(n for reason, n in unused.items() if reason != GLITCHES)

@@ -56,16 +56,18 @@ def calibrate(
     tolerance_of: str = "p95",
     progress: Callable[[str], None] = quiet,
 ) -> Result:
-    """The calibration of a robot from samples: geometry, then what else the samples show, and a verdict.
+    """Calibrate a robot from samples: geometry, effects that the samples show, and a verdict.
 
-    A part of the samples fits, another chooses effects, and the rest, which neither has seen, scores; the same seed
-    gives the same split. cell: what is known of the surroundings and stated of arm and instrument. fixed: parameters or
-    places that stay as they are, such as ``tool``. geometry_only: look for no effects. block: stations that the split
-    keeps together; None: decided by the data. tolerance_mm: the error allowed, of the statistic tolerance_of ("mean",
-    "rms", "p95" or "max"), which the report then judges. progress: called with each stage.
+    One part of the samples fits, another chooses effects, a held-out part scores. The same seed gives the same split.
 
-    Raises ModcalError: BadRecording for samples that cannot be of this robot or in these units, NotEnoughData for too
-    few of them, BadTable for what is stated and cannot be.
+    - cell: what is known of the surroundings, of arm and instrument.
+    - fixed: parameters or places that stay nominal, such as ``tool``. geometry_only: look for no effects.
+    - block: number of stations that the split keeps together; None: chosen from the data.
+    - tolerance_mm: allowed error, of the statistic tolerance_of ("mean", "rms", "p95" or "max"); the report judges it.
+    - progress: called with each stage.
+
+    Raises BadRecording for samples of another robot or in other units, NotEnoughData for too few of them, and BadTable
+    for invalid statements; all are ModcalError.
     """
     asked = tolerance_asked(tolerance_mm, tolerance_of)
     samples = _met(samples, robot.mechanism)
@@ -102,10 +104,10 @@ def evaluate(
     tolerance_mm: float | None = None,
     tolerance_of: str = "p95",
 ) -> Report:
-    """How far a calibration, left as it is, misses on samples that it was not made from.
+    """Error of a frozen calibration on samples that it was not made from.
 
-    refit_base, refit_tool: find base or tool again on a part of the samples, where instrument, robot or tool
-    were moved since; the rest is then scored. The other arguments and errors are those of :func:`calibrate`.
+    refit_base, refit_tool: fit base or tool again on a part of the samples, where instrument, robot or tool were moved;
+    the rest is scored. The other arguments and errors are those of :func:`calibrate`.
     """
     asked = tolerance_asked(tolerance_mm, tolerance_of)
     samples = _met(samples, calibration.nominal.chain)

@@ -1,4 +1,4 @@
-"""Calibrate again from all that was heard, and compare with the model that is trusted.
+"""Calibrate again from all that was received, and compare with the model that is trusted.
 
 The comparison is made on stations that the new fit has not seen and, where something has changed, only on those since:
 before the change the trusted model was right.
@@ -95,7 +95,7 @@ class Recalibration:
 
 
 def recalibrate(job: Job) -> Recalibration:
-    """Calibrate anew and compare. Raises ModcalError for data that cannot carry a fit."""
+    """Calibrate again and compare. Raises ModcalError for data that cannot carry a fit."""
     samples, notes, lost = job.collected.prepared(job.chain, job.clock_limit)
     rng = np.random.default_rng(job.seed)
     result = calibrate(
@@ -134,7 +134,7 @@ def compared(before: Array, after: Array) -> ModelComparison:
 
 
 def thinned(samples: Samples, most: int) -> Samples:
-    """At most so many samples: the newest half as they are, the older ones evenly fewer."""
+    """At most ``most`` samples: the newest half in full, the older ones thinned evenly."""
     if len(samples) <= most:
         return samples
     recent = most // 2

@@ -27,11 +27,11 @@ Table = str | Path | Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Robot:
-    """A serial arm or a Delta as its maker drew it.
+    """Nominal serial arm or Delta.
 
-    mechanism: the kinematics, a Chain or a Delta. inertias: lumped bodies of the joints; None where nothing states
-    them. description: URDF text; None for a Delta. name: as reports have it. other_tips: where other arms of as many
-    joints end, which might have been meant as no tip was named.
+    mechanism: kinematics, a Chain or a Delta. inertias: lumped bodies of the joints; None where they are unknown.
+    description: URDF text; None for a Delta. name: used in reports. other_tips: other arms with as many joints, which
+    may have been meant where no tip was named.
     """
 
     mechanism: Mechanism

@@ -26,10 +26,10 @@ def _quiet(share: float) -> None:
 
 @dataclass(frozen=True)
 class Bag:
-    """A bag of joint states and readings, the beginning of which has been read.
+    """Bag of joint states and readings.
 
-    path: folder or file. topics: what was said of its topics. recording: the beginning, which says whose it is; the
-    whole of it where it is short. heard: is told the share of the bag that has been read.
+    path: folder or file. topics: topics stated for roles. recording: the beginning of the bag, or all of a short one.
+    heard: called with the share of the bag that has been read.
     """
 
     path: Path

@@ -105,7 +105,7 @@ def information(
     ros_distro: str = "jazzy",
     custom_data: dict[str, str] | None = None,
 ) -> dict[str, Any]:
-    """What stands under ``rosbag2_bagfile_information`` for these topics and files."""
+    """The entry ``rosbag2_bagfile_information`` for these topics and files."""
     filled = [file for file in files if file.count]
     whole = BagFile("", sum(file.count for file in filled))
     if filled:

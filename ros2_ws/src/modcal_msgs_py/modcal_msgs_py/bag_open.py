@@ -29,7 +29,7 @@ BagFile: TypeAlias = McapFile | Db3File
 
 
 def bag_file(path: Path) -> BagFile:
-    """A file of a bag, to be walked; told by its first bytes and its name."""
+    """A file of a bag, opened by its first bytes and its name."""
     with path.open("rb") as stream:
         start = stream.read(16)
     if path.suffix == ".db3" or start.startswith(b"SQLite format 3"):

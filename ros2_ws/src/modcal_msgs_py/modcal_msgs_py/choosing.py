@@ -130,7 +130,7 @@ def resolve(listed: Sequence[Listed], topics: Topics, source: str) -> Roles:
 
 
 def could_be(topic: str, type_name: str) -> tuple[str, ...]:
-    """The roles that a topic could play if somebody said so, by its type alone."""
+    """Roles that a topic could play, by its type alone."""
     if type_name == TRANSFORMS:
         return ("tf",) if topic in (TF, TF_STATIC) else ()
     if type_name in (TYPES[ROBOT_DESCRIPTION],):

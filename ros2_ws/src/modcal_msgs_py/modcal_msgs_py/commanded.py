@@ -1,4 +1,4 @@
-"""Commanded joints out of messages: joint states of commands, trajectories, and what a controller says of itself."""
+"""Commanded joints out of messages: joint states of commands, trajectories, and what a controller reports."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Commands:
 
 
 def _of_plans(topic: str, names: tuple[str, ...], plans: list[tuple[float, Array, Array]]) -> JointTrack:
-    """What trajectories ask for: each from where the one before had come to, until the next begins."""
+    """Commanded course of trajectories: each starts where the one before had arrived, and ends when the next begins."""
     plans = sorted(plans, key=lambda plan: float(plan[2][0, 0]))
     starts = [float(plan[2][0, 0]) for plan in plans]
     stamps: list[Array] = []

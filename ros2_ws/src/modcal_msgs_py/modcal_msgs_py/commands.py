@@ -118,11 +118,11 @@ class JointInput:
         self.complete = self.complete or not self.missing()
 
     def missing(self) -> tuple[str, ...]:
-        """Joints never heard of."""
+        """Joints without any message so far."""
         return tuple(name for name, stamp in zip(self.names, self.stamps, strict=True) if stamp == -math.inf)
 
     def require_fresh(self, now: float, stale: float) -> None:
-        """Raises BadCommand unless every joint was heard within ``stale`` seconds of ``now``."""
+        """Raises BadCommand unless every joint was received within ``stale`` seconds of ``now``."""
         if missing := self.missing():
             raise BadCommand(
                 "joint_states", f"do not contain {', '.join(missing)}", "publish every joint between base and tip"

@@ -151,12 +151,12 @@ def _packed(path: Path, topic: str) -> Iterator[tuple[float, tuple[str, str], by
 
 
 def _stamp(seconds: int, nanoseconds: int, received: float) -> float:
-    """Of a header [s]; when it was received, where nobody set it."""
+    """Stamp of a header [s], or the time of receipt where it is not set."""
     return float(seconds) + 1e-9 * float(nanoseconds) if seconds or nanoseconds else received
 
 
 def stamp_of(message: Any, received: float) -> float:
-    """Of a message's header [s]; when it was received, where nobody set it."""
+    """Stamp of a message's header [s], or the time of receipt where it is not set."""
     return _stamp(int(message.header.stamp.sec), int(message.header.stamp.nanosec), received)
 
 

@@ -26,7 +26,7 @@ _EMPTY = np.empty(0)
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """As builtin_interfaces/Time."""
+    """Same fields as builtin_interfaces/Time."""
 
     sec: int
     nanosec: int
@@ -34,7 +34,7 @@ class Stamp:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """As std_msgs/Header."""
+    """Same fields as std_msgs/Header."""
 
     stamp: Stamp
     frame_id: str
@@ -42,7 +42,7 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class JointStateView:
-    """As sensor_msgs/JointState; its arrays cannot be written. The names of alike messages are one tuple."""
+    """Same fields as sensor_msgs/JointState, with read-only arrays. Similar messages share one tuple of names."""
 
     header: Header
     name: tuple[str, ...]
@@ -90,7 +90,7 @@ class JointStateBytes:
         return JointStateView(Header(Stamp(*_STAMP.unpack_from(cdr, _BODY)), layout.frame), layout.names, q, v, e)
 
     def needed(self, told: Sequence[bytes], replaced: Callable[[float], bool]) -> list[bytes]:
-        """Of messages in order, those that must be read. replaced: whether one of this stamp [s] is of no use where a
+        """The messages that must be read, in order. replaced: whether a message with this stamp [s] is obsolete once a
         later one has the same joints.
         """
         out, later = list[bytes](), set[int]()

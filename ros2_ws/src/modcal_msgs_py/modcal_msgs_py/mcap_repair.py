@@ -169,7 +169,7 @@ def _index_fault(path: Path, count: int) -> str | None:
 def _rewritten(
     files: list[Path], stated: dict[str, Any], out: Path, count: int, heard: Callable[[float], None]
 ) -> dict[str, int]:
-    """Messages by topic in the bag ``out`` of so many messages."""
+    """Number of messages by topic in the repaired bag ``out``."""
     done = 0
     with appearing(out) as stage:
         stage.mkdir()

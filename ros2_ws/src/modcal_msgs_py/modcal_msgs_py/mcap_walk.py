@@ -164,7 +164,7 @@ class McapFile:
         self.cut = "it ends without an index"
 
     def _room(self, read: int) -> int:
-        """Bytes that may still be unpacked when so many bytes of the file have been read."""
+        """Bytes that may still be unpacked after this many bytes of the file."""
         return max(0, min(_MAX_CHUNK, _FREE + _MAX_RATIO * read - self._unpacked))
 
     def _chunk(

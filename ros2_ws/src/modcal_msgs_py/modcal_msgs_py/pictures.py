@@ -23,7 +23,7 @@ _GROWING = ((0.13, 0.44, 0.71), (0.98, 0.78, 0.18), (0.84, 0.15, 0.16))  # blue,
 
 
 def colour_of(share: float, solid: float = 1.0) -> Colour:
-    """From blue, for 0, by way of yellow to red, for 1 and more; told apart by most who see few colours."""
+    """Colour scale from blue (0) through yellow to red (1 and more), distinct for most colour-blind readers."""
     at = 2.0 * float(np.clip(share, 0.0, 1.0))
     low, high = _GROWING[int(at)], _GROWING[min(int(at) + 1, 2)]
     red, green, blue = (a + (at - int(at)) * (b - a) for a, b in zip(low, high, strict=True))

@@ -104,7 +104,7 @@ class ObjectInput:
 
     @property
     def elsewhere(self) -> str:
-        """For a person, that what was described is in another frame than the arm's base; empty where it is not."""
+        """As text, that what was described is in another frame than the arm's base; empty where it is not."""
         if self._model is None or not self._base or self._frame == self._base:
             return ""
         return f"is in frame '{self._frame}', the arm begins at '{self._base}'"

@@ -20,7 +20,7 @@ _SILENT = 60.0  # s without a value
 
 
 class SignalsHeard:
-    """What was heard of every temperature, thinned to one value a second."""
+    """What was received of every temperature, thinned to one value a second."""
 
     def __init__(self) -> None:
         self._values: dict[str, deque[tuple[float, float]]] = {}
@@ -43,7 +43,7 @@ class SignalsHeard:
         kept.append((stamp, value))
 
     def tracks(self, names: tuple[str, ...]) -> tuple[SignalTrack, ...]:
-        """Tracks of those of these names that were heard."""
+        """Tracks of those of these names that were received."""
         out = []
         for name in names:
             if kept := self._values.get(name):
@@ -52,5 +52,5 @@ class SignalsHeard:
         return tuple(out)
 
     def silent(self, names: tuple[str, ...], now: float) -> tuple[str, ...]:
-        """Those of these names that were heard, but not of late."""
+        """Those of the names that were received once, but not recently."""
         return tuple(n for n in names if self._values.get(n) and abs(now - self._values[n][-1][0]) > _SILENT)

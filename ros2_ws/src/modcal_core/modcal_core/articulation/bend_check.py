@@ -69,7 +69,7 @@ def _beside(waves: Array, e: Array) -> Array:
 
 
 def _alike(e: Array) -> float:
-    """How far neighbours of (n, 3) are alike: 1 wholly, 0 as in noise (von Neumann's ratio)."""
+    """Correlation of neighbouring rows of (n, 3): 1 for equal ones, 0 for noise (von Neumann's ratio)."""
     steps, sizes = np.diff(e, axis=0), e * e
     both = float(sizes[1:].sum() + sizes[:-1].sum())
     return 1.0 - float((steps * steps).sum()) / both if both > 0.0 else 0.0

@@ -24,7 +24,7 @@ CAP = 0.03  # m: samples farther off are outliers
 
 
 def bend_explains(track: Track, left: Array, along: Array) -> str:
-    """Why a smooth bend is to be considered, for a person; empty where it is not.
+    """Why a smooth bend is to be considered, as text; empty where it is not.
 
     left (n, 3): what the joint leaves of positions [m]. along (n,): configurations of the samples.
     """

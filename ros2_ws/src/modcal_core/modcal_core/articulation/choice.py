@@ -194,7 +194,7 @@ def _settled(
 
 
 def _curved(track: Track, found: JointFit, left: float) -> str:
-    """Why it may be another curve than the joint's, for a person: a bend explains what is left, or a hinge is far."""
+    """Why it may be another curve than the joint's, as text: a bend explains what is left, or a hinge is far."""
     a = found.motion.configurations(track, scales(found))
     bent = bend_explains(track, found.motion.residuals(track, a)[:, :3], a)
     return bent or unproved(found.motion, a) or hidden(found.motion, a, left)

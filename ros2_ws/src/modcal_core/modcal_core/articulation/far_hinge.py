@@ -27,7 +27,7 @@ _USUAL = math.hypot(math.exp(PLAY[0]), DISTORTION[0])  # m: what handles and cam
 
 
 def unproved(motion: Motion, a: Array) -> str:
-    """Why a hinge so far away is to be doubted, for a person; empty where it is not. a (n,): configurations."""
+    """Why a hinge so far away is to be doubted, as text; empty where it is not. a (n,): configurations."""
     if not (isinstance(motion, AxisMotion) and motion.turns) or motion.r <= FARTHEST:
         return ""
     turned = _span(a)
@@ -40,7 +40,7 @@ def unproved(motion: Motion, a: Array) -> str:
 
 
 def hidden(motion: Motion, a: Array, left: float) -> str:
-    """Why a line is to be doubted, for a person: it leaves so much [m] that a hinge would not be seen. a (n,): [m]."""
+    """Why a line is to be doubted, as text: it leaves so much [m] that a hinge would not be seen. a (n,): [m]."""
     bow = _OF_LINE * _span(a) ** 2 / math.exp(RADIUS[0])
     if motion.turns or not motion.flat or left <= bow:
         return ""

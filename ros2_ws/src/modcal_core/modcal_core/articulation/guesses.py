@@ -58,7 +58,7 @@ def some_three(track: Track, rng: np.random.Generator) -> Iterator[tuple[int, ND
 
 
 def far_apart(track: Track) -> tuple[int, int, int]:
-    """Rows of the two samples that lie farthest apart, with one between them in the middle."""
+    """Rows of the two samples that are farthest apart, with one between them in the middle."""
     p = track.positions
     middle = p - p.mean(axis=0)
     first = int(np.argmax((middle * middle).sum(axis=1)))
@@ -77,7 +77,7 @@ def frame(e: Array) -> Array:
 
 
 def middle_rotation(rotations: Array) -> Array:
-    """Of the rotations, one that is near most: outliers cannot pull it."""
+    """The rotation with the smallest median distance to the others: a median that outliers do not move."""
     some = rotations[np.unique(np.linspace(0, len(rotations) - 1, _PAIRS * 3).round().astype(int))]
     apart = np.linalg.norm(some[:, None] - some[None], axis=(2, 3))
     return some[int(np.argmin(np.median(apart, axis=1)))]

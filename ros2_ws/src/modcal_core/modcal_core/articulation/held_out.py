@@ -48,7 +48,7 @@ class Predicted:
 
     @property
     def doubt(self) -> str:
-        """Why the joint type is not to be relied on, for a person; empty where it predicts."""
+        """Why the joint type is not to be relied on, as text; empty where it predicts."""
         much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _NOISE * self.noise))
         if self.left > much:
             return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"

@@ -32,7 +32,7 @@ class PlacedJoint(Protocol):
 
     @property
     def unit(self) -> str:
-        """Of configurations."""
+        """Unit of configurations: rad, m or 1."""
 
     @property
     def oriented(self) -> bool:
@@ -96,7 +96,7 @@ class JointModel:
 
     @classmethod
     def trusted(cls, start: Array, axis: Array, point: Array, pitch: float = 0.0, oriented: bool = True) -> Self:
-        """A joint of numbers known to be sound, not looked at again: one made anew with every pose has no time."""
+        """A joint from valid numbers, without checks, because one is made with every pose."""
         joint = cls.__new__(cls)
         for name, value in (("start", start), ("axis", axis), ("point", point)):
             value.flags.writeable = False
@@ -107,7 +107,7 @@ class JointModel:
 
     @property
     def unit(self) -> str:
-        """Of configurations."""
+        """Unit of configurations: rad or m."""
         return "rad" if self.turns else "m"
 
     @property
@@ -134,7 +134,7 @@ class JointModel:
 
     @abstractmethod
     def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """As :meth:`Joint.sentence`."""
+        """Sentence for a report, see :meth:`Joint.sentence`."""
 
     def pose(self, a: ArrayLike) -> Array:
         """T_world_handle (..., 4, 4) at configurations a (...)."""
@@ -149,7 +149,9 @@ class JointModel:
         return self.point if self.turns and self.radius < 2.0 else None
 
     def data(self, a: Array, std: Mapping[str, float]) -> dict[str, Any]:
-        """As :meth:`Joint.data`: axis, point, radius and pitch, each None where it has none, and the start."""
+        """Data for JSON, see :meth:`Joint.data`: axis, point, radius and pitch (each None where it does not apply), and
+        the start.
+        """
         return {
             "axis": self.axis.tolist() if self.moves else None,
             "point": self.point.tolist() if self.turns else None,

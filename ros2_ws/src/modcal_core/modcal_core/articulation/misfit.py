@@ -45,12 +45,12 @@ class Misfit:
 
     @property
     def fails(self) -> bool:
-        """Whether this is no such joint."""
+        """Whether the track is not described by this kind of joint."""
         return too_much(self.position, self.rotation, self.white) or self.off > OUTLIERS
 
     @property
     def said(self) -> str:
-        """For a person: what is left, what would be much, and where."""
+        """Reason as text: what remains, what would be too much, and where."""
         left, much = f"{1e3 * self.position:.0f} mm", f"{1e3 * self.much[0]:.0f} mm"
         if self.rotation > self.much[1]:
             left += f" and {np.degrees(self.rotation):.0f}°"
@@ -107,13 +107,13 @@ def misfit(found: JointFit, track: Track, noise: tuple[float, float]) -> Misfit:
 
 
 def scales(found: JointFit) -> tuple[float, float]:
-    """Scatter of one sample [m, rad], 1 rad where no rotations were seen; never 0, as that of samples all alike is."""
+    """Scatter of one sample [m, rad], 1 rad without rotations; never 0."""
     turn = found.sigma_rotation if np.isfinite(found.sigma_rotation) else 1.0
     return max(found.sigma_position, _NOTHING), max(turn, _NOTHING)
 
 
 def rms(sizes: Array) -> float:
-    """Of the nine tenths of sizes (n,) that are smallest."""
+    """RMS of the smallest nine tenths of sizes (n,)."""
     best = np.sort(sizes)[: max(1, int(np.ceil(_COUNTED * len(sizes))))]
     return float(np.sqrt(np.mean(best**2)))
 

@@ -53,7 +53,7 @@ class Motion(ABC):
 
     @abstractmethod
     def moved(self, z: Array) -> Motion:
-        """The motion with its parameters changed by z (size,), kept within what can be told."""
+        """Motion with its parameters changed by z (size,), limited to plausible values."""
 
     @abstractmethod
     def configurations(self, track: Track, sigma: tuple[float, float] = (1.0, 1.0)) -> Array:
@@ -77,18 +77,20 @@ class Motion(ABC):
 
     @abstractmethod
     def covariance(self, parameters: Array) -> dict[str, Array]:
-        """Of what is named of the joint, from the covariance of the parameters (size, size)."""
+        """Covariances of the joint's named quantities, from the covariance of the parameters (size, size)."""
 
     def zero(self, a: Array) -> float:
         """Which configuration is called 0, of those of all samples (n,)."""
         return 0.0
 
     def counted(self, a: Array, sound: np.ndarray) -> Array:
-        """Configurations (n,) as a person counts them: more than a turn of what turns on. sound: no outliers."""
+        """Configurations (n,) counted beyond a full turn for a joint that turns on. sound: samples that are not
+        outliers.
+        """
         return a
 
     def sound(self) -> bool:
-        """Whether all its numbers are finite."""
+        """Whether all parameters are finite."""
         return True
 
     def rarity(self) -> float:

@@ -19,7 +19,7 @@ FEWEST_NODES = 6  # while more are coming: a circle in space has six parameters
 
 
 class Nodes:
-    """At most ``most`` pooled samples, in the order in which they were first met."""
+    """At most ``most`` pooled samples, in the order of their first sample."""
 
     def __init__(self, oriented: bool, most: int = 32, reach: float = _FIRST_REACH) -> None:
         self.oriented, self.most, self.reach = oriented, most, reach

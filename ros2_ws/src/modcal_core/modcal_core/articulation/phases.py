@@ -47,7 +47,7 @@ def _best_cut(track: Track) -> int | None:
 
 
 def two_explain(track: Track) -> str:
-    """Why two motions are to be considered where one line or circle was found, for a person; empty where one does."""
+    """Why two motions are to be considered where one line or circle was found, as text; empty where one does."""
     cut, n = best_cut(track), len(track)
     if cut is None or 2 * n <= 4 * _PARAMETERS:
         return ""

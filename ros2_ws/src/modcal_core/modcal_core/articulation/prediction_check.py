@@ -59,11 +59,11 @@ class PredictionCheck:
         self._range = [low + step, high - step]
 
     def lose(self) -> None:
-        """Trust no more, until predictions have earned it again."""
+        """Withdraw trust until predictions earn it again."""
         self.trusted, self._right = False, None
 
     def doubt(self, motion: AxisMotion, a: float) -> None:
-        """Trust no more; what is told from configuration a on will be asked again, either way."""
+        """Withdraw trust; predictions beyond configuration a, in either direction, are checked again."""
         self.trusted = False
         self._kept.clear()
         self._right = None

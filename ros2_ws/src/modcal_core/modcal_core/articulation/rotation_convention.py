@@ -64,7 +64,7 @@ class ReadOtherwise:
 
 @dataclass(frozen=True)
 class OtherConvention:
-    """What a track was written as, for a person: of what, what is said of it, and the remedy."""
+    """Texts of a refusal: offender, the convention in which a track seems to be written, and remedy."""
 
     offender: str
     said: str
@@ -86,7 +86,7 @@ def readings(track: Track) -> Iterator[ReadOtherwise]:
 
 
 def written(found: Sequence[ReadOtherwise], kind: Kind) -> OtherConvention:
-    """What is said where a joint of this kind is followed in each of these conventions, one at least."""
+    """Refusal where rotations follow a joint of this kind in one or more other conventions."""
     axes = [reading.axis for reading in found if reading.axis]
     offenders = list(dict.fromkeys(reading.offender for reading in found))
     ways = [_OTHERWISE[one] for one in offenders if one != MIRROR]

@@ -41,7 +41,7 @@ def telling(track: Track) -> _Rows:
 
 
 def lone(track: Track) -> NDArray[np.bool_]:
-    """Which samples (n,) lie apart from their neighbours before and after them."""
+    """Which samples (n,) are far from both their neighbours in time."""
     p, R = track.positions, track.rotations
     out = _apart(len(track), lambda i, j: np.linalg.norm(p[i] - p[j], axis=1), _LEAP * float(np.exp(PLAY[0])))
     if R is not None:
@@ -73,7 +73,7 @@ def white(positions: Array) -> float:
 
 
 def _without_rests(track: Track) -> _Rows:
-    """Rows of a track, of every place where it stays long only so many as is usual elsewhere."""
+    """Rows of a track with long stops thinned to the usual number of samples at one place."""
     p, R = track.positions, track.rotations
     reach = max(_PLACE, 3.0 * white(p))
     places, begin = [], 0

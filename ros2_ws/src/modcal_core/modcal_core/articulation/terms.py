@@ -31,7 +31,7 @@ class Terms(ABC):
     @classmethod
     @abstractmethod
     def of(cls, scene: NodeScene, motion: Motion, play: float) -> Self:
-        """Of all nodes, where the play is that [m]."""
+        """Terms of all nodes for a play [m]."""
 
     @abstractmethod
     def system(self, scene: NodeScene, play: float, column: int) -> tuple[float, Array, Array, float]:
@@ -44,7 +44,7 @@ class Terms(ABC):
         return 0.5 * float(total[0, 0]) + cost, total[0, 1:] + gradient, total[1:, 1:], log_det
 
     def cost(self, scene: NodeScene, play: float, column: int) -> float:
-        """What a step is to lower."""
+        """Objective that a step must lower."""
         squares, _, _, log_det = self.system(scene, play, column)
         return squares + log_det
 
@@ -71,7 +71,7 @@ class Terms(ABC):
 
 @dataclass(frozen=True)
 class UniformTerms(Terms):
-    """Of a motion about one axis: split by what noise they share, whitened as far as play alone decides."""
+    """Terms of a motion about one axis: split by the noise they share, whitened as far as play alone determines."""
 
     across: Array  # (1 + size, 1 + size) squares of what lies across the path, whitened
     log_det: float
@@ -81,7 +81,7 @@ class UniformTerms(Terms):
 
     @classmethod
     def of(cls, scene: NodeScene, motion: Motion, play: float) -> Self:
-        """Of all nodes, where the play is that."""
+        """Terms of all nodes for a play [m]."""
         assert isinstance(motion, AxisMotion)
         both, by_a = motion.expanded(scene.track, motion.configurations(scene.track, (1.0, 1e9)))
         position = motion.apart(both, by_a)

@@ -61,7 +61,7 @@ class Track:
 
     @classmethod
     def trusted(cls, positions: Array, rotations: Array | None = None) -> Track:
-        """A track of what has passed the door before, of any length, which is not looked at again."""
+        """Track of data that has been validated already, of any length; it is not checked again."""
         track = cls.__new__(cls)
         object.__setattr__(track, "positions", positions)
         object.__setattr__(track, "rotations", rotations)

@@ -49,7 +49,7 @@ class VaryingTerms(Terms):
 
     @classmethod
     def of(cls, scene: NodeScene, motion: Motion, play: float) -> Self:
-        """Of all nodes. play is felt in the system only."""
+        """Terms of all nodes. The play enters the linear system only."""
         assert isinstance(motion, ParametricMotion)
         track = scene.track
         a = motion.configurations(track, (1.0, 1e9))

@@ -26,7 +26,7 @@ class Curvature:
 
     @classmethod
     def of(cls, H: Array, damping: float = 0.0) -> Curvature:
-        """That of H (P, P), damping added along each value."""
+        """Factor of H (P, P), with damping added to its scaled diagonal."""
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         scaled = H * scale
         scaled *= scale[:, None]

@@ -94,7 +94,7 @@ def product(one: Curve, other: Curve, weight: Array, at: Drivers) -> Array:
 
 
 def _blocks(one: Knots, other: Knots) -> scipy.sparse.csc_array:
-    """What a weight of each sample is multiplied by, (b c, N)."""
+    """Matrix (b c, N) that maps sample weights to products of functions."""
     value = one.value[:, :, None] * other.value[:, None, :]
     at = one.at[:, :, None] * np.int32(len(other)) + other.at[:, None, :]
     each = value[0].size

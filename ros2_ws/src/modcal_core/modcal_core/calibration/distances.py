@@ -26,7 +26,7 @@ _NEAR = 0.5  # s between a stamp that is stated and the station that it means
 
 @dataclass(frozen=True)
 class Distance:
-    """The origins of two frames are this far apart. between: frame names; distance, std: [m]."""
+    """Known distance between the origins of two frames. between: frame names; distance, std: [m]."""
 
     between: tuple[str, str]
     distance: float
@@ -120,7 +120,7 @@ def _origins(model: Model, parameters: Sequence[ModelParameter], values: Array) 
 
 
 def _motions(model: Model, parameters: Sequence[ModelParameter], values: Array, origin: Array) -> Array:
-    """How these origins move per unit of every value, (F, K, 3)."""
+    """Derivatives of frame origins by every value, (F, K, 3)."""
     out = np.zeros((len(model.frames), len(values), 3))
     of_frames = [j for j, p in enumerate(parameters) if p.place == 0]
     if not of_frames:

@@ -18,28 +18,28 @@ def beyond_normal(z: float) -> float:
 
 
 def beyond_chi2(x: float, freedom: int) -> float:
-    """The chance that the sum of so many squared standard normal numbers is greater than x."""
+    """Survival function of the chi-square distribution: the chance of a value greater than x."""
     return float(scipy.special.chdtrc(freedom, x))
 
 
 def as_normal(square: float, freedom: int) -> float:
-    """The size of a standard normal number that is exceeded, either way, as seldom as this sum of so many squares."""
+    """Two-sided standard normal quantile with the same chance as a chi-square value."""
     chance = beyond_chi2(square, freedom)
     return float(-scipy.special.ndtri(0.5 * chance)) if chance > 1e-300 else float(np.sqrt(square))
 
 
 def median_chi2(freedom: int) -> float:
-    """What the sum of so many squared standard normal numbers exceeds half of the time."""
+    """Median of the chi-square distribution."""
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, 0.5))
 
 
 def quantile_chi2(share: float, freedom: float) -> float:
-    """What the sum of so many squared standard normal numbers stays below with this chance."""
+    """Quantile of the chi-square distribution: stays below it with probability ``share``."""
     return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, share))
 
 
 def exceeded_chi2(chance: float, freedom: int) -> float:
-    """What the sum of so many squared standard normal numbers exceeds with this chance, which may be tiny."""
+    """Quantile of the chi-square distribution that is exceeded with a probability, which may be tiny."""
     return float(scipy.special.chdtri(freedom, chance))
 
 

@@ -62,9 +62,9 @@ class Doubt:
         return np.asarray(u * u * (3.0 - 2.0 * u))
 
     def _variance(self, J: Array) -> Array:
-        """Of predicted positions, (N,) [m²], by their derivatives: of all that postures alone tell.
+        """Variance (N,) [m²] of predicted positions, from their derivatives J and what postures alone determine.
 
-        What a free curve itself is not known there counts nothing, for geometry alone lacks it as well.
+        The uncertainty of a free curve outside its samples does not count: geometry alone lacks the curve as well.
         """
         of = self._told
         return np.minimum(_spread(J, of.covariance), _spread(J[of.stated], of.covariance_stated))

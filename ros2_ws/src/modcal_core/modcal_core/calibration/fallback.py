@@ -73,7 +73,7 @@ class Fallback:
         return out
 
     def blended(self, T: Array, samples: Samples) -> Array:
-        """Poses (N, 4, 4) of the full model, replaced by this one as far as the samples lie outside."""
+        """Poses (N, 4, 4) of the full model, replaced by this one in proportion to how far outside the samples are."""
         share = self.share(samples)
         rows = np.flatnonzero(share > 0.0)
         if not len(rows):

@@ -4,7 +4,7 @@ Gauss–Newton on the minimal parameters, damped when a step fails (Levenberg–
 length, so the normal equations solved by Cholesky lose nothing that matters; a prior on the arm's own directions, as
 wide as robots are wrong, holds what the data does not show. Weights and the size of the noise are found again at every
 step (see :mod:`modcal_core.calibration.noise`). Many samples are begun with a few of them, so that all are gone through
-but two or three times; and near the end only the gradient is computed anew, which alone decides where that is. The end
+but two or three times; and near the end only the gradient is computed again, which alone decides where that is. The end
 is reached when the next step would be too short, going by how much shorter the last was than the one before it.
 """
 
@@ -300,8 +300,8 @@ def _minimum(
     if not rough and has_shared_noise(samples):
         H_data = H_data / shared_noise(samples, at, row_weight)
         H = H_data + known
-    # robust weights may go to and fro for ever, by which no value moves that anything depends on; and a valley may be
-    # so long that where in it the values are is nothing that the readings show
+    # robust weights may oscillate without moving any value that matters, and the minimum may be a valley along which
+    # the readings do not determine the values
     return _Minimum(values, H, H_data, weights, noise, iteration, ended or begun or flat or length <= FITTED)
 
 

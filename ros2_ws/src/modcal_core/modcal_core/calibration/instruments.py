@@ -66,7 +66,7 @@ class Instrument:
         return T_base_tool if self.target is None else T_base_tool @ se3.transform(p=self.target)
 
     def scene(self, T_root_frame: Array, f: Frames, rows: np.ndarray) -> Scene:
-        """Where its target is at these rows; f: frames of the chain from the root, the tool last."""
+        """Scene of the target at these rows. f: frames of the chain from the root, the tool last."""
         axes, tool = f.axes[-1][:, :, rows], f.p[-1][:, rows]
         target = tool if self.target is None else tool + np.einsum("dim,d->im", axes, self.target)
         return Scene(T_root_frame, target, tool, axes)

@@ -1,7 +1,7 @@
 """Where instruments stand whose readings are no positions, and where the tool is when nothing else tells.
 
 Each kind places itself in closed form once the tool is known. Where no instrument shows positions, the tool's three
-numbers are searched for such that the placed instruments meet their readings best, each trial placing them anew
+numbers are searched for such that the placed instruments meet their readings best, each trial placing them again
 (variable projection).
 """
 

@@ -36,7 +36,7 @@ class NoiseModel:
     others: dict[str, float] = field(default_factory=dict)
 
     def of(self, samples: Samples) -> Array | float:
-        """That of the position, or what stands in its place, of each sample, (N,), or one number for all."""
+        """Noise (N,) of each sample's position or scalar reading, or one number for all."""
         if not self.others:
             return self.position
         out = np.full(len(samples), self.position)

@@ -33,7 +33,7 @@ class OwnStatement:
 
 
 def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> OwnStatement:
-    """What the instruments of a recording on one clock say of themselves, as far as the data bear it out.
+    """Errors that the instruments of a recording on one clock report of their readings, as far as the data bear it out.
 
     Of several instruments the largest error counts.
     """

@@ -53,21 +53,21 @@ _ASSUMED = 1e-4  # m, rad; what usual instruments scatter by, where a calibratio
 
 @dataclass(frozen=True)
 class Calibration:
-    """A nominal model and the calibrated one, both with base frames and tool, and the fit's own uncertainty.
+    """Nominal and calibrated model, both with base frames and tool, and the uncertainty of the fit.
 
-    geometric: the best that geometry alone can do, to compare with. seen: smallest and largest joint positions it was
-    made from, (2, n); outside them it extrapolates.
-    parameters: (name, value, standard deviation, unit) of the fit, for people. rivals: for each effect others that
-    explain it as well. kind, postures, noise: of the readings, what was recorded (k, n), thinned, and how the readings
-    scatter about the model; from these further stations can be planned. uncertainty: of the calibrated model; None
-    where it was not kept. watched: first and last stamp [s] of the readings; what depends on time is known between.
-    clock: whether these are times. geometry_outside: whether the geometry alone counts where joints of curves go beyond
-    what was seen. left_alone: RMS [m] of the geometry alone on its own recording, by which the full model is doubted
-    there otherwise; 0 where that is not known. ranges: smallest and largest value of each temperature and signal that
-    effects depend on. typical: for each effect what it was on average, where a recording may lack its driver.
-    scatter: usual deviation of a reading's position [m] and orientation [rad] by itself, which is not in the noise; 0
-    where none was stated. converged: whether every fit reached its minimum. marks: of the samples it was made from, by
-    which they are known again; empty in older files.
+    - geometric: the best model with geometry alone, for comparison.
+    - seen: smallest and largest joint positions of the recording, (2, n); the model extrapolates outside.
+    - parameters: (name, value, standard deviation, unit). rivals: for each effect, others that explain as much.
+    - kind, postures, noise: kind of the readings, some recorded postures (k, n), and noise, to plan further stations.
+    - uncertainty: covariance of the calibrated model; None where it was not kept.
+    - watched: first and last stamp [s], between which effects of time are known. clock: whether stamps are times.
+    - geometry_outside: whether geometry alone is used outside the ranges of learned curves.
+    - left_alone: RMS [m] of geometry alone on its own recording, used to weigh both models outside; 0 where unknown.
+    - ranges: smallest and largest value of each temperature and signal that effects depend on.
+    - typical: average size of each effect, used where a recording lacks its driver.
+    - scatter: stated deviation of a reading's position [m] and orientation [rad] beyond the noise; 0 where not stated.
+    - converged: whether every fit reached its minimum.
+    - marks: fingerprints of the samples it was made from; empty where not kept.
     """
 
     nominal: Model
@@ -130,7 +130,7 @@ class Calibration:
         return self.calibrated.T_tip_tool
 
     def with_scatter(self, samples: Samples) -> Samples:
-        """The samples, those that state no deviation of their own with the one that was usual here."""
+        """The samples; those without a standard deviation of their own get the usual one of this calibration."""
         position, rotation = (
             np.where(np.isfinite(own), own, typical)
             for own, typical in zip((samples.sigma_position, samples.sigma_rotation), self.scatter, strict=True)

@@ -79,7 +79,7 @@ def typical_to_data(typical: TypicalDriver | None) -> dict[str, Any]:
 
 
 def typical_from_data(data: Any) -> TypicalDriver | None:
-    """What stands under ``usual``, or None."""
+    """Typical driver from the entry ``usual``; None where there is none."""
     return None if data is None else TypicalDriver(_vector(data["mean"]), float(data["cost_m2"]))
 
 
@@ -235,7 +235,7 @@ def inertias_from_data(data: Any) -> Inertias | None:
 
 
 def model_to_data(model: Model) -> dict[str, Any]:
-    """Mechanism, frames, tool and instruments; the effects stand apart."""
+    """Mechanism, frames, tool and instruments, without the effects."""
     chain = model.chain
     cell = {
         "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},

@@ -134,7 +134,7 @@ class ArmPoses:
 
     @property
     def prior_std(self) -> Array:
-        """How far from there, (P,) [m, rad]: of base and tool nothing is known; of the arm, ``faults`` says more."""
+        """Prior standard deviations (P,) [m, rad]. Base and tool are free; ``faults`` refines those of the arm."""
         own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
         effects = [prior_stds(e, self.drivers()) for e in self.model.effects]
         others = self.beside.prior_std if self.beside else np.empty(0)

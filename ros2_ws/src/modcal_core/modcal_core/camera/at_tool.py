@@ -21,7 +21,7 @@ def at_flange(T: Array, point: Array, motions: Array) -> Array:
 
 
 def frame_basis(at_frame: Array) -> Array:
-    """Orthonormal columns (3 M, 6) of how points (M, 3) go with their frame, which suits best where it is put anew."""
+    """Orthonormal columns (3 M, 6): how points (M, 3) move with a rigid motion of their frame."""
     M = len(at_frame)
     placed = np.concatenate([np.broadcast_to(np.eye(3), (M, 3, 3)), -so3.hat(at_frame)], axis=2)
     return np.asarray(np.linalg.qr(placed.reshape(3 * M, -1))[0])

@@ -49,7 +49,7 @@ class BesideRows:
     share: Array
 
     def variance(self, size: float) -> Array:
-        """Of each row, (R,)."""
+        """Variance of each row, (R,)."""
         return np.asarray(self.known + size**2 * self.unit)
 
 
@@ -70,18 +70,18 @@ class ReadingsBeside:
 
     @property
     def prior_std(self) -> Array:
-        """What is expected of them."""
+        """Prior standard deviations of the readings' own parameters."""
         placed = [_PLACED_RAD if p.turns else _PLACED_M for p in self.own]
         return np.array([p.prior_std if p.place == INSTRUMENT else s for p, s in zip(self.own, placed, strict=True)])
 
     @property
     def metric(self) -> bool:
-        """Whether they have a length: directions alone have none."""
+        """Whether the readings determine a length; directions alone do not."""
         return bool((self.samples.kind != BEARING).any())
 
     @property
     def label(self) -> str:
-        """What they are, for a person."""
+        """Description of the readings as text."""
         return ", ".join(f"{kind} in {frame}" for kind, frame in sorted(self._kinds()))
 
     def _kinds(self) -> set[tuple[str, str]]:

@@ -48,7 +48,7 @@ class BundleMarker:
 
     @property
     def label(self) -> str:
-        """The marker for a person."""
+        """The marker as text."""
         return f"{'marker' if self.size else 'point'} {self.id}"
 
 
@@ -97,7 +97,7 @@ class MarkerBundle:
 
     @cached_property
     def middles(self) -> Array:
-        """Of the markers, nominal, (K, 3) [m]."""
+        """Nominal centres of the markers, (K, 3) [m]."""
         return np.array([m.xyz for m in self.markers], dtype=float).reshape(-1, 3)
 
     @cached_property
@@ -124,23 +124,23 @@ class MarkerBundle:
 
     @property
     def normals(self) -> Array:
-        """Of the faces that points are on, out of the body, (C, 3); zero of bare points."""
+        """Outward normals of the faces of the points, (C, 3); zero for points without a face."""
         return self._layout[2]
 
     @property
     def label(self) -> str:
-        """The target for a person, such as "body of 20 markers"."""
+        """The target as text, such as "body of 20 markers"."""
         what = "markers" if any(m.size for m in self.markers) else "points"
         return f"{self.name or 'body'} of {len(self.markers)} {what}"
 
     @property
     def values_of_place(self) -> int:
-        """Of the place of a marker: three, and three more where its corners are read."""
+        """Number of values of a marker's place: 3, or 6 where its corners are read."""
         return 6 if self.turning else 3
 
     @property
     def marker_count(self) -> int:
-        """Of markers, each with a place of its own."""
+        """Number of markers, each with its own place."""
         return len(self.markers)
 
     def shape_modes(self) -> Array:

@@ -144,7 +144,7 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
 
 
 def _size_wrong(scale: PrintScale) -> float:
-    """Chance that a size is grossly another than stated, before an image is looked at."""
+    """Prior chance that a size is grossly different from what is stated."""
     if not scale.measured:
         return _WRONG
     if scale.unsaid:

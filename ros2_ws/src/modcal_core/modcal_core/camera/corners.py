@@ -98,7 +98,7 @@ class CornerTable:
         return replace(self, weight=weight)
 
     def select(self, views: np.ndarray) -> CornerTable:
-        """The corners of these images (mask (N,)), the images numbered anew."""
+        """The corners of these images (mask (N,)), the images renumbered."""
         keep = np.flatnonzero(views)
         rows = np.isin(self.view, keep)
         number = np.full(self.views, -1)

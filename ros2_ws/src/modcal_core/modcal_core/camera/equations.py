@@ -260,7 +260,7 @@ class SolvedEquations:
         return out
 
     def covariance(self) -> Array:
-        """Of all parameters, (K + 15 + Z, K + 15 + Z), zero for those held fixed."""
+        """Covariance of all parameters, (K + 15 + Z, K + 15 + Z); zero for fixed ones."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(self.H * np.outer(scale, scale)), np.eye(len(self.b)))
         out = np.zeros((self.count, self.count))

@@ -28,7 +28,9 @@ class ArmFaults:
     angles: Array
 
     def covariance(self, ratio: float = 1.0) -> Array:
-        """Of both, (A, A). ratio: size of the faults of lengths over that of angles."""
+        """Prior covariance of the arm's faults, (A, A). ratio: scale of the length faults over that of the angle
+        faults.
+        """
         return ratio**2 * self.lengths + self.angles
 
     def information(self, size: float, ratio: float) -> Array:

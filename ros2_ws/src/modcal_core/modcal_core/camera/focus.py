@@ -38,7 +38,7 @@ class UnsteadyFocus:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         return (
             f"The camera's focal length differs from image to image, by {100.0 * self.spread:.2g} % RMS: switch "
             "autofocus and digital zoom off, and take images again that are neither cropped nor scaled."

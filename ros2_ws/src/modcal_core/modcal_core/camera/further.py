@@ -118,7 +118,7 @@ def _of_first(common: Array, count: int) -> Array:
 
 
 def further_cameras(poses: ArmPoses) -> tuple[FurtherCamera, ...]:
-    """Those of a fit's poses."""
+    """Further cameras of a fit."""
     return cast(tuple[FurtherCamera, ...], poses.further)
 
 

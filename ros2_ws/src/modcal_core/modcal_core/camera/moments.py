@@ -31,7 +31,7 @@ class ImageMoments:
     stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
 
     def select(self, rows: np.ndarray) -> ImageMoments:
-        """Those of some of the images."""
+        """Moments of some of the images."""
         each = (self.stamps, self.approach, self.effort, self.stop)
         stamps, approach, effort, stop = (a[rows] if len(a) else a for a in each)
         return ImageMoments(stamps, approach, effort, self.signals, stop)

@@ -54,7 +54,7 @@ class Mounting:
 
     @property
     def label(self) -> str:
-        """The mounting for a person."""
+        """The mounting as text."""
         return ON_TIP if self.camera_on_tip else IN_WORLD
 
     @property
@@ -128,7 +128,7 @@ def _median(gap: Array) -> tuple[float, float]:
 
 
 def _range(A: Array) -> float:
-    """How far flange poses (N, 4, 4) lie apart, along the axis of which they do most [m]."""
+    """Largest spread of flange poses (N, 4, 4) along one axis [m]."""
     return max(float(np.ptp(A[:, :3, 3], axis=0).max()), 0.1)
 
 

@@ -30,7 +30,7 @@ class PlacePrior:
     held: Array
 
     def information(self, size: float) -> Array:
-        """Of the places, (Z, Z). size: of the offsets in units of the tolerances."""
+        """Information matrix of the marker places, (Z, Z). size: scale of the offsets in units of the tolerances."""
         return np.asarray(self.apart / size**2 + self.held)
 
 

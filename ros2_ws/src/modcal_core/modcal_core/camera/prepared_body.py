@@ -146,6 +146,6 @@ def _without_gross(ready: PreparedImages, arm: float | None) -> tuple[PreparedIm
 
 
 def _gross(off: Array) -> np.ndarray:
-    """Which corners (M,) are farther off, by these residuals (M, 2), than so many times the median."""
+    """Which corners (M,) have residuals (M, 2) above a multiple of the median."""
     size = np.linalg.norm(off, axis=1)
     return np.asarray(size > _GROSS * float(np.median(size)))

@@ -41,7 +41,7 @@ class CommonPrior:
 
     @property
     def shape(self) -> Array:
-        """Of the shape and the places of markers, (5 + Z,)."""
+        """Prior mean of shape and marker places, (5 + Z,)."""
         return shape_of(self.mean)
 
     def with_places(self, places: PlacePrior) -> CommonPrior:

@@ -67,8 +67,8 @@ def problems(
 
 
 def moved_sentence(fit: CameraFit, moved: MovedHalf, whose: str = "") -> str:
-    """That target or camera was moved, or the camera's focus, among the images of a fit. whose: of which camera, where
-    there are several.
+    """Sentence that target or camera was moved among the images of a fit, or that the focus changed. whose: suffix that
+    names the camera, where there are several.
     """
     name = fit.table.names[moved.at]
     if moved.focal:

@@ -41,7 +41,7 @@ class PrintScale:
 
     @property
     def covariance(self) -> Array:
-        """Of x and y, (2, 2)."""
+        """Covariance (2, 2) of the print scales along x and y."""
         shared, apart = self.std**2, (0.5 * self.std_apart) ** 2
         other = shared - apart
         return np.array([[shared + apart + self.leaning, other], [other, shared + apart - self.leaning]])
@@ -62,7 +62,7 @@ class CalibrationTarget(Protocol):
 
     @property
     def label(self) -> str:
-        """The target for a person."""
+        """The target as text."""
         ...
 
     @property
@@ -150,7 +150,7 @@ class PrintedTarget:
 
     @property
     def label(self) -> str:
-        """The target for a person, such as "ChArUco board of 7 × 5 squares of 30 mm"."""
+        """The target as text, such as "ChArUco board of 7 × 5 squares of 30 mm"."""
         names = {CHARUCO: "ChArUco board", CHESSBOARD: "chessboard", ARUCO_GRID: "ArUco grid", APRIL_GRID: "AprilGrid"}
         if self.kind == TAG:
             return f"tag {self.first_id} of {1e3 * self.square:g} mm"
@@ -159,12 +159,12 @@ class PrintedTarget:
 
     @property
     def values_of_place(self) -> int:
-        """Of the place of a marker: a sheet is printed in one."""
+        """Number of values of a marker's place: 0, because a sheet is printed in one piece."""
         return 0
 
     @property
     def marker_count(self) -> int:
-        """Of markers with a place of their own: none."""
+        """Number of markers with their own place: none."""
         return 0
 
     def shape_modes(self) -> Array:

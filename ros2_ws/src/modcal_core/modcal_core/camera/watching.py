@@ -50,7 +50,7 @@ class Moved:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         size = f"{np.degrees(self.turn_rad):.2f}°"
         if self.shift_m > 0.0:
             size = f"{1e3 * self.shift_m:.1f} mm and {size}"

@@ -78,7 +78,7 @@ class RestsOn:
     if_wrong_m: float
 
     def sentence(self, nominal_m: float, body: bool = False) -> str:
-        """For a person. nominal_m: error of the nominal arm. body: whether the target is one, and no sheet."""
+        """The findings as sentences. nominal_m: error of the nominal arm. body: whether the target is a body."""
         what, again = ("body", "across it") if body else ("sheet", "a square")
         return (
             f"All of this rests on the {what}'s stated size, which these images by themselves show to "

@@ -36,7 +36,7 @@ class RepairAccuracy:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         said = f"By its covariance the repaired model is known to {1e3 * self.repaired:.3f} mm RMS at the recorded "
         said += f"postures, the calibration before to {1e3 * self.before:.3f} mm."
         if self.more == 0:

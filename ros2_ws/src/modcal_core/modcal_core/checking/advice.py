@@ -1,4 +1,4 @@
-"""What to do about what changed, and where to measure next so that it can be told."""
+"""What to do about a change, and where to measure next to identify it."""
 
 from __future__ import annotations
 

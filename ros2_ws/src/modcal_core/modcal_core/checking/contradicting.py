@@ -84,7 +84,7 @@ class _Readings:
 
     @classmethod
     def of(cls, model: Model, samples: Samples, position: float, rotation: float) -> _Readings:
-        """position, rotation: standard deviations per axis [m, rad]; no rotation is looked at where that is 0."""
+        """position, rotation: standard deviations per axis [m, rad]; with 0, rotations are not compared."""
         turned = samples.R if bool(samples.is_pose.all()) and rotation > 0.0 else None
         T = model.predict_samples(samples)
         return cls(T, samples.reading, turned, (max(position, FINEST), rotation), samples.station + 1)
@@ -133,7 +133,7 @@ class _Readings:
         return self.left(rows, *self.tool_at(rows))
 
     def placed(self, Y: Array, y: Array, X: Array, x: Array) -> _Readings:
-        """The same with base and tool there."""
+        """The same readings with base (Y, y) and tool (X, x) applied."""
         at, tool = np.eye(4), np.eye(4)
         at[:3, :3], at[:3, 3], tool[:3, :3], tool[:3, 3] = Y, y, X, x
         return replace(self, T=at @ self.T @ tool)

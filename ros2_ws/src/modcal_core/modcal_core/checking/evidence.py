@@ -154,7 +154,7 @@ class ChangeJudge:
 
 
 def log_priors(hypotheses: Sequence[CellChange]) -> Array:
-    """Prior probability of each, (H,), as logarithms: every kind alike, divided among its members."""
+    """Log prior probability of each change, (H,): equal for every kind, divided among its members."""
     return _log_priors(tuple((h.kind, h.place) for h in hypotheses))
 
 

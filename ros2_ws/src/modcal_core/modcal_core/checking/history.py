@@ -62,7 +62,7 @@ class Series:
 
     @property
     def sentence(self) -> str:
-        """The trend, for a person; empty where there is none."""
+        """The trend, as text; empty where there is none."""
         t = self.trend
         if t is None:
             return ""

@@ -35,7 +35,7 @@ class JointPattern:
 
 
 def witnesses(samples: Samples) -> float:
-    """How many stations far apart these stand for, from one to their number."""
+    """Number of independent stations that these count as, from one to their number."""
     first = np.unique(samples.station, return_index=True)[1]
     return len(first) ** 2 / float(_alike(samples.q[first]).sum())
 
@@ -59,7 +59,7 @@ def of_each_joint(model: Model, samples: Samples, view: RowView, rows: RowKinds)
 
 
 def of_all_joints(model: Model, samples: Samples, view: RowView, rows: RowKinds) -> tuple[Array, Array]:
-    """The same of joints that repeat badly, each at every station anew and with an equal share of the spread."""
+    """Covariance pattern of joints that repeat badly: independent at every station, with equal shares of the spread."""
     same = samples.station[rows.sample][:, None] == samples.station[rows.sample]
     each = [_scaled(np.outer(g, g) * same, rows)[0] for _, g in _turning(model, view)]
     return _scaled(np.sum(each, axis=0), rows) if each else (np.zeros((len(rows.sample),) * 2), np.zeros(2))
@@ -72,7 +72,7 @@ def varying(q: Array, revolute: bool) -> Array:
 
 
 def _curve(q: Array, length: float) -> Array:
-    """Correlation (n, n) of a periodic curve that is another one after so many radians."""
+    """Correlation (n, n) of a smooth periodic curve with this correlation length [rad]."""
     return np.asarray(np.exp(-2.0 * (np.sin(0.5 * (q[:, None] - q)) / length) ** 2))
 
 

@@ -1,7 +1,7 @@
 """The repaired calibration: the frozen one with only what changed put in, and what is then known of it.
 
 The sizes of a change were fitted with the frozen model's own uncertainty as a part of the noise, so they are the best
-that the new readings and the old calibration say together. Their errors go along with those of the model that was kept:
+that the new readings and the old calibration give together. Their errors correlate with those of the kept model:
 ``c = G r`` with ``r = J_c c + J_θ θ + ε``, so cov(θ, c) = −Σ J_θᵀ Gᵀ.
 """
 

@@ -192,7 +192,7 @@ class _ChangeSearch:
 
     @property
     def weight(self) -> float:
-        """Of what the stations say together."""
+        """Weight of what the stations say together, m/n: they count as m independent ones of n."""
         return self.plain.judge.null.weight
 
     def beside(self, picked: Sequence[JudgedChange]) -> ChangedState:

@@ -1,4 +1,4 @@
-"""What is known of the sizes of all changes together, once it is settled what they are."""
+"""Joint uncertainty of the sizes of all named changes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SizeCovariance:
 
     @classmethod
     def none(cls, known: FrozenKnowledge) -> SizeCovariance:
-        """Of no change."""
+        """Covariance without any change."""
         return cls(np.empty((0, 0)), np.empty((len(known.covariance), 0)))
 
 

@@ -55,7 +55,7 @@ class CheckState:
 
     @property
     def residual(self) -> Array:
-        """Of the rows of a linearisation, (n,): what the readings miss the model by."""
+        """Residuals of the readings, (n,), in the rows of the linearisation."""
         out = np.concatenate([self.view.position.ravel(), self.view.rotation.ravel()])
         for joint, angles in self.curves.items():
             out = out + self.turned(joint) @ angles
@@ -71,7 +71,7 @@ class CheckState:
         return out
 
     def columns(self, hypothesis: CellChange) -> Array:
-        """Of a change, at this model; none of noise, which has no size."""
+        """Columns of a change at this model; none for noise, which has no size."""
         if hypothesis.kind == NOISE:
             return np.zeros((len(self.residual), 0))
         if hypothesis.curve >= 0:

@@ -1,4 +1,4 @@
-"""What goes on beside the posture, at one moment, that an effect may depend on."""
+"""Everything beside the posture that an effect may depend on, at one moment."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ArmState:
 
     stamp: [s]. q: where the joints were reported (n,), which efforts belong to. velocity: (n,) [rad/s, m/s]. approach:
     direction each joint last moved in, −1, 0 (unknown) or 1, (n,). effort: (n,) [N m, N], NaN where unknown. signals:
-    what was heard of everything else, up to now.
+    what was received of everything else, up to now.
     """
 
     stamp: float

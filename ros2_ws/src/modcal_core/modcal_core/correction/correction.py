@@ -230,7 +230,7 @@ class Correction:
         return np.asarray(rows @ known.covariance @ rows.T)
 
     def unseen(self, q: Array) -> tuple[str, ...]:
-        """Names of the joints that are where the calibration has never seen them; no learned curve goes on there."""
+        """Names of joints outside the calibrated range, where no learned curve is used."""
         low, high = self.calibration.seen
         margin = _MARGIN * (high - low)
         out = (q < low - margin) | (q > high + margin)
@@ -328,7 +328,7 @@ def _tip(chain: Mechanism, postures: Array, twists: Mapping[int, Array]) -> Arra
 
 
 def _lasting(track: SignalTrack) -> SignalTrack:
-    """A track of at least two values: what was heard once stays as it was."""
+    """A track of at least two values: what was received once stays as it was."""
     stamps, values = track.stamps, track.values
     if len(stamps) == 1:
         stamps, values = np.r_[stamps - 1.0, stamps], np.repeat(values, 2, axis=0)

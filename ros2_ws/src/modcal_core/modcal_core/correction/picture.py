@@ -43,7 +43,7 @@ class Residuals:
 
     @property
     def size(self) -> Array:
-        """How long the misses are, (N,) [m]."""
+        """Length of each residual, (N,) [m]."""
         return np.asarray(np.linalg.norm(self.residual, axis=1))
 
 
@@ -70,7 +70,7 @@ def residuals(model: Model, samples: Samples, noise: NoiseModel) -> Residuals:
 
 
 def arm_state_of(sample: Samples, signals: tuple[SignalTrack, ...] = ()) -> ArmState:
-    """The moment at which one sample (a row) was taken, with what was heard of everything else."""
+    """The moment at which one sample (a row) was taken, with what was received of everything else."""
     row = sample.q[0], sample.velocity[0], sample.approach[0], sample.effort[0]
     return ArmState(float(sample.stamps[0]), *row, signals)
 

@@ -62,7 +62,7 @@ class Bounds:
             )
 
     def seconds(self, q: Array, now: Array) -> float:
-        """How long the way from ``now`` to q (n,) takes at full speed [s]."""
+        """Time from ``now`` to q (n,) at full speed [s]."""
         return max(float((np.abs(q - now) / self.speed).max()), _MIN_SECONDS)
 
 

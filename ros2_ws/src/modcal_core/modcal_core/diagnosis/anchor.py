@@ -59,7 +59,7 @@ class Anchor:
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Anchor:
-        """That of a fit at these drivers' samples."""
+        """Anchor of a fit at the samples of these drivers."""
         return cls(fit, *Space.with_factor(fit, drivers))
 
     def beside(self, fit: Fit, drivers: Drivers) -> Space | None:
@@ -130,7 +130,7 @@ class Anchor:
         return bool(np.ptp(change) < _UNEVEN and np.abs(change).max() < _QUIETER)
 
     def _sizes(self, noise: NoiseModel) -> Array:
-        """Those of the rows that there are."""
+        """Noise of each kind of row."""
         rotation = [noise.rotation] if self.space.rows > 3 else []
         return np.array([noise.position, *rotation, *(noise.others[kind] for kind in sorted(noise.others))])
 
@@ -157,7 +157,7 @@ class Anchor:
 
 
 def _without(effects: list[Effect], some: Sequence[Effect]) -> list[Effect] | None:
-    """The effects but some; None where not all of these are among them."""
+    """Effects without ``some``; None where not all of these are among them."""
     left = list(effects)
     for one in some:
         same = next((i for i, other in enumerate(left) if _is_same(one, other)), None)

@@ -179,14 +179,14 @@ class SpectraOfDrivers:
         self._made: dict[tuple[str, float], Spectrum] = {}
 
     def foresee(self, driver: str, cycles: Array, multiples: np.ndarray) -> None:
-        """These cycles a turn will be asked for, and so many times as many."""
+        """Note that these cycles a turn will be asked for, and that many multiples."""
         step = wave_step(cycles)
         if step is not None:
             key = driver, round(step, 12)
             self._most[key] = max(self._most.get(key, 0), round(float(cycles.max() / step)) * int(multiples.max()))
 
     def of(self, driver: str, step: float) -> Spectrum:
-        """That of a driver."""
+        """Spectrum of a driver."""
         key = driver, round(step, 12)
         if key not in self._made:
             self._made[key] = Spectrum(self._drivers.values(driver), step, self._most[key])

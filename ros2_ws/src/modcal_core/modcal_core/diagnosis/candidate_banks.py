@@ -1,4 +1,4 @@
-"""The candidates of a scan set up in banks: those that are alike are summed at once."""
+"""Candidates of a scan in banks: similar ones are evaluated together."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class Dependence:
 
     @property
     def sentence(self) -> str:
-        """For a person, to follow "what is left ..."."""
+        """Text to follow "what is left ..."."""
         more = f"; as well: {'; '.join(self.rivals)}" if self.rivals else ""
         how = (
             f"correlates with {self.driver}, as an error of {self.place}"

@@ -160,8 +160,8 @@ class Scanner(BankedCandidates):
         return replace(scan, explained=share, score=score, p_value=p_value)
 
     def at_most(self, fit: Fit, beside: Fit) -> tuple[Array, np.ndarray] | None:
-        """Scores (C,) of this fit's residual, of waves as large as they may be, and which are not only that, (C,); None
-        where some direction of a wave is not new beside the other fit, for that says nothing of it then.
+        """Upper bounds of the scores (C,) of this fit's residual with waves unrestricted, and which are exact (C,).
+        None where a direction of a wave is already explained by ``beside``.
 
         beside: the fit with one effect more. Free shapes score nothing.
         """

@@ -293,7 +293,7 @@ class _Fitted:
         return self.x[each], self.std[each]
 
     def loads(self, asked: LoadHypothesis, samples: Samples) -> Loads:
-        """What is to be said of it."""
+        """The loads that the fit found, as reported."""
         arm = self.fit.model.arm
         assert arm is not None
         out = Loads(arm, asked.arm, relative=not asked.arm.weighed)

@@ -79,7 +79,7 @@ def with_residual_curves(
 
 
 def _held(model: Model, samples: Samples) -> tuple[Effect, ...]:
-    """The model's effects, curves among them held to what they are, and small ones behind them."""
+    """Effects of the model, curves among them with their prior sizes, followed by small curves."""
     found = (e.held_to(_usual(e)) if e.shape.kind == "spline" else e for e in model.effects)
     known = {e.key[1:] for e in model.effects if not e.shape.is_free}
     small = (e for e in residual.curves(model.drivers(samples)) if e.shape.is_free or e.key[1:] not in known)
@@ -123,7 +123,7 @@ class _Equations:
     def of(
         cls, fit: Fit, effects: tuple[Effect, ...], samples: Samples, distances: Sequence[AnyDistance]
     ) -> _Equations:
-        """Those of a fit with these effects, at samples that are not wrong."""
+        """Normal equations of a fit with these effects, at samples that are not rejected."""
         start, N = fit.start.with_effects(effects), len(samples)
         values = np.concatenate([fit.values, *(e.values for e in effects)])
         around = start.drivers(samples)
@@ -166,7 +166,9 @@ class _Equations:
         return np.asarray(Curvature.of(H).solve(self.g[:k] - J @ r))
 
     def sizes_of_effects(self, likely: GroupSizes) -> tuple[dict[int, float], dict[int, float]]:
-        """Sizes, and numbers told, of the effects that are held, by their number; no other size is more than 0."""
+        """Prior sizes of the held effects and the number of values that the data determine, by effect; other sizes are
+        0.
+        """
         sizes = np.minimum(likely.sizes, EXPECTED_ANGLE).tolist()
         return defaultdict(float, zip(self.groups, sizes, strict=True)), dict(
             zip(self.groups, likely.told, strict=True)

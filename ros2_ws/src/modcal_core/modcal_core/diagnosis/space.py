@@ -147,7 +147,7 @@ class Space:
 
     @classmethod
     def of(cls, fit: Fit, drivers: Drivers) -> Space:
-        """Those of a fit at these drivers' samples."""
+        """Space of a fit at the samples of these drivers."""
         return cls.with_factor(fit, drivers)[0]
 
     @classmethod
@@ -182,7 +182,7 @@ class Space:
 
     @cached_property
     def _along(self) -> list[Array]:
-        """Of each sample's residual what lies along the directions of each part, (N, p)."""
+        """Part of each sample's residual along the directions of each part, (N, p)."""
         return [np.einsum("cNp,cN->Np", part.Q, self.residual[: self.rows]) for part in self.parts]
 
     def column(self, place: int, direction: int) -> Array:

@@ -124,7 +124,7 @@ class Spectrum:
 
     @cached_property
     def _wide_grid(self) -> _Grid:
-        """That of waves of twice as many cycles."""
+        """Grid for waves of twice as many cycles."""
         return _Grid(self._angle, self._step, 2 * self.most)
 
     @cached_property
@@ -164,7 +164,7 @@ class _Grid:
 
     @cached_property
     def spread(self) -> scipy.sparse.csr_array:
-        """What takes columns (N, m) to the grid, (points, N)."""
+        """Matrix (points, N) that spreads columns (N, m) onto the grid."""
         begins = np.arange(0, self._value.size + 1, _WIDTH)
         shape = len(self._value), self.points
         return scipy.sparse.csr_array((self._value.ravel(), self._where.ravel(), begins), shape=shape).T.tocsr()
@@ -182,7 +182,7 @@ class _Squares:
         self._own, self._doubled = np.zeros((3, most + 1)), np.zeros((4, most // 2 + 1))
 
     def add(self, sine: Array, cosine: Array) -> None:
-        """Those of some columns, (most + 1, some)."""
+        """Add the squares of columns (most + 1, some)."""
         for out, one, other in zip(self._own, (sine, cosine, sine), (sine, cosine, cosine), strict=True):
             out += np.einsum("km,km->k", one, other)
         few = slice(self._doubled.shape[1])

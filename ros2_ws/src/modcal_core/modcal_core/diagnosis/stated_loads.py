@@ -25,7 +25,7 @@ def stated_arm(arm: NominalArm, cell: Cell) -> NominalArm:
 
 
 def with_stated(samples: Samples, cell: Cell, weighed: bool) -> Samples:
-    """Of an arm without masses the samples with the stated payload as a recorded number; else the same.
+    """Samples with the stated payload as a recorded signal, for an arm without masses; otherwise unchanged.
 
     Raises BadTable where payloads are stated for another number of recordings.
     """

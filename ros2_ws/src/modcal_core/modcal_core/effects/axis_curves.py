@@ -39,7 +39,7 @@ class AxisCurves:
 
     @classmethod
     def among(cls, effects: Sequence[Effect], chain: Mechanism) -> AxisCurves:
-        """Those among effects."""
+        """The curves about joint axes among the effects."""
         of = tuple(i for i, effect in enumerate(effects) if _is_curve(effect, chain))
         chosen = [effects[i] for i in of]
         place = np.array([place_index(e.place, chain) for e in chosen], dtype=int)

@@ -1,4 +1,4 @@
-"""What an arm carried in earlier recordings: differences to the load that it carries in the end."""
+"""Payloads of earlier recordings, as differences to the final one."""
 
 from __future__ import annotations
 

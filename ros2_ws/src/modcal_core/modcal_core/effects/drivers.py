@@ -69,7 +69,7 @@ def public_driver(driver: str) -> str:
 
 
 class Kept:
-    """Arrays that were computed already, by what they are of: a fit asks for the same at every step."""
+    """Cache of arrays by what they are computed from: a fit asks for the same ones at every step."""
 
     def __init__(self) -> None:
         self._arrays: dict[Hashable, Array] = {}
@@ -198,7 +198,7 @@ class Drivers:
 
     @property
     def _differing(self) -> Array:
-        """What the load at the tip weighed more than it does in the end, (n, 6, N)."""
+        """Wrench of the tip load beyond its final value at each joint, (n, 6, N)."""
         assert self.arm.earlier is not None
         mass, moment = self.arm.earlier.at(self.samples.stamps)
         unit = payload_wrench(self.arm.chain, self.samples.q, self._down, self._held)
@@ -265,7 +265,7 @@ def _time(drivers: Drivers, _: str) -> Array:
 
 
 def _velocity(drivers: Drivers, _: str) -> Array:
-    """Of all joints, (n, N)."""
+    """Velocities of all joints, (n, N)."""
     return np.asarray(np.nan_to_num(drivers.samples.velocity.T))
 
 
@@ -278,7 +278,9 @@ def _direction(drivers: Drivers, joint: str) -> Array:
 
 
 def _effort(drivers: Drivers, joint: str) -> Array:
-    """As reported; where it is not, of what weight asks for, or, of an arm without masses, the mean of the others."""
+    """Efforts of a joint. Missing ones are replaced by gravity's torque or, for an arm without masses, by the mean of
+    the others.
+    """
     effort = drivers.samples.effort[:, _column(drivers, joint)]
     known = np.isfinite(effort)
     if known.all():

@@ -24,7 +24,7 @@ PLAIN, USUAL, FREE = 0, 1, 2  # complexities: one plain cause, what takes more t
 
 
 def no_candidates(_: Drivers) -> Iterator[Effect]:
-    """Of a family that is named by other means than the scan."""
+    """No candidates, for a family that is not found by the scan."""
     yield from ()
 
 

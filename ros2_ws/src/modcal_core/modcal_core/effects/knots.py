@@ -29,7 +29,7 @@ class Knots:
 
     @classmethod
     def of(cls, numbers: Array) -> Knots | None:
-        """Those of a shape (b, N), None where many are not zero at some sample."""
+        """Sparse form of a shape's functions (b, N); None where too many are nonzero at some sample."""
         b, N = numbers.shape
         flat = np.flatnonzero(numbers != 0.0)
         begins = np.searchsorted(flat, N * np.arange(b + 1))
@@ -54,7 +54,7 @@ class Knots:
 
 
 def knots_of(functions: Array, at: Drivers) -> Knots | None:
-    """Those of a shape's functions (b, N) at these drivers, computed once; None where whole matrices are quicker."""
+    """Sparse form of a shape's functions (b, N), cached by these drivers; None where dense matrices are faster."""
     return at.made_of((functions,), Knots.of) if functions.size >= _MIN else None
 
 

@@ -84,7 +84,7 @@ class Shape:
         return self.kind in FREE
 
     def expected(self, name: str) -> float:
-        """How far a refined setting may lie from its value before its prior minds."""
+        """Prior standard deviation of a refined setting about its value from the scan."""
         stated = self.of_kind.refined[name].expected
         return max(0.5 * abs(self.settings[name]), 1e-3) if stated is None else stated
 
@@ -166,7 +166,7 @@ def step(x: Array, s: Settings) -> Array:
 
 
 def until(x: Array, s: Settings) -> Array:
-    """A step less 1, so that what holds in the end needs no effect."""
+    """A step that is zero at the end, so that the final state needs no effect."""
     return np.asarray(-(x < s["at"]).astype(float)[None])
 
 

@@ -1,4 +1,4 @@
-"""How large an effect is, for a person: named quantities with their units."""
+"""Sizes of an effect as named quantities with units."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def curve_sizes(effect: Effect, unit: str = "rad", companions: Sequence[Effect] 
 
 
 def _waves(effect: Effect, unit: str) -> Sizes:
-    """Of one wave, or of two of which the second repeats twice as often."""
+    """Amplitude and phase of one wave, or of two of which the second repeats twice as often."""
     v, s = effect.values, effect.std
     out = {**_wave(v[:2], s[:2], unit), **settings_of(effect)}
     if len(effect.amplitudes) == 4:

@@ -28,7 +28,7 @@ def sealed(value: T) -> T:
 
 
 def arrays_in(value: Any) -> list[np.ndarray]:
-    """Every array that a value holds; each object is looked at once."""
+    """Every array that a value contains; each object is visited once."""
     found: list[np.ndarray] = []
     seen: set[int] = set()
     waiting: list[Any] = [value]

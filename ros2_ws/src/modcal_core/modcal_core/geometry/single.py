@@ -61,7 +61,7 @@ def relative(T: Array, seen_from: Array, v: Array) -> Array:
 
 
 def speeds(before: Array, after: Array) -> tuple[float, float]:
-    """How far [m] and by how much [rad] two poses (4, 4) lie apart."""
+    """Distance [m] and angle [rad] between two poses (4, 4)."""
     d = after[:3, 3] - before[:3, 3]
     # |R − R'|² = 8 sin²(½ angle), which keeps small angles
     e = (after[:3, :3] - before[:3, :3]).ravel()

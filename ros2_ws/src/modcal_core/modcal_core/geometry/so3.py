@@ -95,7 +95,7 @@ def exp_rows(w: Array) -> tuple[tuple[Array, Array, Array], ...]:
 
 
 def exp_and_left_jacobian(w: ArrayLike) -> tuple[Array, Array]:
-    """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], for less than both apart."""
+    """(:func:`exp`, :func:`left_jacobian`) of the same rotation vectors (..., 3) [rad], cheaper than two calls."""
     w = np.asarray(w, dtype=float)
     a, b, c = rodrigues_coefficients(np.sqrt(np.einsum("...i,...i->...", w, w)))
     W = hat(w)

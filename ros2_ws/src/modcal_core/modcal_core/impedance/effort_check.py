@@ -57,7 +57,7 @@ class ArmEfforts:
 
 
 class EffortCheck:
-    """Take every tick. force: that the efforts surely show [N]; unusable: why they are not used, for a person."""
+    """Take every tick. force: that the efforts surely show [N]; unusable: why they are not used, as text."""
 
     def __init__(self, arm: ArmEfforts | None, down: Array) -> None:
         """Nothing was read yet. down (3,): gravity in the base, of any length."""

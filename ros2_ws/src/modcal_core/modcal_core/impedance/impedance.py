@@ -119,7 +119,7 @@ class Impedance:
     def step(self, F: Array, h: float, caution: float = 1.0) -> Array:
         """The new x (6,) after h seconds under a force and moment F (6,) on the tool [N, N m], seen from the tool.
 
-        caution: how many times the damping is taken, where forces are heard late.
+        caution: how many times the damping is taken, where forces arrive late.
         """
         if self._share < 1.0:
             self._share = min(1.0, self._share + h / self._blend) if self._blend > 0.0 else 1.0

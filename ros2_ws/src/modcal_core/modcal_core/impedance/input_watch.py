@@ -16,7 +16,9 @@ NO_STATUS = "object_status: no recent message: check that articulation_estimator
 
 
 class InputWatch:
-    """Of one pull. timeout: oldest input that is used [s]. pending: why to let go once joint states return, or ""."""
+    """Watch over the inputs of one pull. timeout: oldest input that is used [s]. pending: why to let go once joint
+    states return, or "".
+    """
 
     def __init__(self, timeout: float) -> None:
         """Nothing is late yet."""
@@ -34,7 +36,7 @@ class InputWatch:
         return abs(now - stamp) <= self.timeout
 
     def late(self, now: float, stamps: dict[str, float]) -> str:
-        """Which of the inputs, by name and stamp [s], is late, for a person; empty where none is."""
+        """Which of the inputs, by name and stamp [s], is late, as text; empty where none is."""
         for what, stamp in stamps.items():
             if not self.fresh(stamp, now):
                 return f"{what}: no message in the last {self.timeout:g} s: check that its publisher is alive"

@@ -59,7 +59,7 @@ class JointLeadCheck:
         self._late, self._heard = RecentMaximum(_REMEMBERED), math.inf  # by how much [s], and when the last came
 
     def heard(self, stamp: float, now: float) -> None:
-        """Note that the joints of ``stamp`` [s] are the newest now [s]: as late a reference may come to the servos."""
+        """Note that joints of ``stamp`` [s] are the newest now [s]; references may reach the servos as late."""
         if not self._judges:
             return
         self._late.add(now, max(now - stamp, now - self._heard - self._period, 0.0))

@@ -1,4 +1,4 @@
-"""How long a hand that lets go goes on to do so."""
+"""When a release ends."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _STANDS = 2e-5  # m by which it then still moves at most: what 8 N do that unwin
 
 
 class LettingGo:
-    """Of one release. A stiff arm on soft fingers unwinds slowly: where the tool still moves, it takes longer."""
+    """End of a release. A stiff arm on soft fingers unwinds slowly, so it takes longer while the tool still moves."""
 
     def __init__(self) -> None:
         self._past: deque[tuple[float, Array]] = deque()
 
     def over(self, seconds: float, tool: Array) -> bool:
-        """Whether it is over after so many seconds, with the tool measured here (3,) [m]."""
+        """Whether the release has ended after this time [s], with the tool measured here (3,) [m]."""
         self._past.append((seconds, tool))
         while self._past[0][0] < seconds - _LATELY:
             self._past.popleft()

@@ -332,7 +332,7 @@ class Operation:
         self._enter("release", now)
 
     def _believe(self, model: JointModel, T: Array) -> None:
-        """Expect what a model says from now on; nothing jumps, and a way that has changed is looked at anew."""
+        """Follow a model from now on. The setpoint does not jump, and a changed path is checked again."""
         before, self._at = self.expected, None
         if self.course is None:
             assert self._pull is not None

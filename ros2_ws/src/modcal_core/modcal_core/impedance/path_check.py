@@ -47,7 +47,7 @@ class Reach:
 
 
 class PathCheck:
-    """A walk along poses that goes on when told to."""
+    """Check along a path of poses, some steps for each call."""
 
     def __init__(
         self,

@@ -111,7 +111,7 @@ class PathModel:
         self.take(model, now)
 
     def take(self, model: JointModel, expected: Array) -> Array:
-        """The pose (4, 4) on a new model that is nearest to the one expected (4, 4) so far; its way goes on there."""
+        """Pose (4, 4) on a new model that is nearest to the expected one (4, 4); the path continues there."""
         self.per_unit = model.length_per_unit
         if not self.per_unit > 1e-3:
             said = f"a handle that moves {1e3 * self.per_unit:.3g} mm per unit cannot be opened"
@@ -166,7 +166,7 @@ class PathModel:
         return self.sign * (a - self.closed_at)
 
     def said(self, a: float) -> float:
-        """How far it is open at a configuration [rad, or m of what slides for all that can be told]."""
+        """Opening at a configuration [rad; m for what slides, or while the kind is unknown]."""
         return self.opened(a) if self.turns else self.opened(a) * self.per_unit
 
     def tangent(self) -> Array:

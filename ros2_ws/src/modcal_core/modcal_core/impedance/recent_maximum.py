@@ -1,4 +1,4 @@
-"""The largest of what was noted in the last moments, without looking through all of it."""
+"""Running maximum over a time window, in constant time per value."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ class RecentMaximum:
 
     @property
     def largest(self) -> float:
-        """Of the values that are not too old."""
+        """Maximum over the last ``seconds``; 0 where there is none."""
         return self._falling[0][1] if self._falling else 0.0

@@ -1,17 +1,15 @@
-"""The guard: the last thing that every setpoint passes, and that nothing passes which an arm must not do.
+"""Safety monitor: the last check of every setpoint before it is sent.
 
-It changes nothing. What is within all limits goes through, the rest does not; shaping a course so that
-it stays within them is done before (shaping.py, following.py). After a refusal that only means waiting (an input is
-late) the next good setpoint may follow from where the last one was; after any other the guard stays shut until it is
-opened anew.
+It changes no setpoint. A setpoint within all limits passes, any other is refused; speed_governor.py and path_model.py
+shape the motion beforehand so that it stays within the limits. A refusal for a late input only means waiting: the
+next good setpoint may follow from the last one. After any other refusal the monitor stays tripped until it is reset.
 
-A force or a moment beyond its limit shuts the guard as well, which leaves the last setpoint standing, and with it the
-spring that a servo has wound up between the tool and there. Whoever wants that let go says so
-(:meth:`SafetyMonitor.allow_release`): for a second forces are then no reason to stand still, nor is a wrench
-that is late or missing, and only what goes back towards the tool passes.
+A force or a moment beyond its limit trips the monitor as well. The last setpoint then stands, and with it the spring
+that the servo has wound up. :meth:`SafetyMonitor.allow_release` unwinds it: for a second only setpoints that go back
+towards the tool pass, whatever the force, and without a recent wrench.
 
-Speeds are steps between the setpoints that were let through, over the time between them; a longer pause counts as a
-stop, after which no more than one period's step is allowed.
+Speeds are steps between passed setpoints over the time between them. A longer pause counts as a stop, after which no
+more than one period's step is allowed.
 """
 
 from __future__ import annotations
@@ -68,7 +66,7 @@ class ArmSetpoint:
     """What an arm is told. pose (4, 4): of the tool in ``frame``. q, velocity (n,): of the joints ``names``.
 
     wrench (6,): to be exerted on top of it. stiffness (6,): of the stack that follows, along and about the tool's axes.
-    why: what the arm is doing, for a person.
+    why: what the arm is doing, as text.
     """
 
     frame: str
@@ -97,7 +95,7 @@ class SensorReadings:
 
 
 class LateInput(BadCommand):
-    """An input that is too old: nothing may be said now, but a moment later again."""
+    """An input is too old: send nothing now; a moment later it may be possible again."""
 
 
 @dataclass
@@ -144,7 +142,7 @@ class SafetyMonitor:
         self._now, self.tripped, self._let_go = now, "", math.nan
 
     def allow_release(self, now: float) -> None:
-        """For a second from ``now`` [s] on pass, whatever is felt, what goes back to the tool, and nothing else."""
+        """For a second from ``now`` [s], pass only setpoints that go back to the tool, whatever the force."""
         self._let_go = now
 
     def close(self, why: str) -> None:
@@ -152,7 +150,9 @@ class SafetyMonitor:
         self.tripped = self.tripped or why
 
     def check(self, setpoint: ArmSetpoint, sensors: SensorReadings, now: float) -> ArmSetpoint:
-        """The setpoint, if it may go out at time ``now`` [s]. Raises Late for a late input, BadCommand else."""
+        """The setpoint, if it may be sent at time ``now`` [s]. Raises LateInput for a late input and BadCommand for
+        anything else.
+        """
         if self.tripped or self._last is None:
             raise BadCommand(
                 "setpoint", f"the safety monitor has tripped ({self.tripped})", "clear the cause, then activate again"
@@ -204,7 +204,7 @@ class SafetyMonitor:
             raise refused
 
     def overload(self, wrench: Array) -> BadCommand | None:
-        """What is said of a force and moment (6,) on the tool that lie beyond their limits; None of any other."""
+        """Refusal of a force and moment (6,) on the tool beyond their limits; None within them."""
         force, moment = _norm(wrench[:3]), _norm(wrench[3:])
         if not force <= self.limits.force:
             said = f"{force:.1f} N, {self.limits.force:g} N is the limit"

@@ -26,7 +26,7 @@ _BEYOND = 1.15  # times as soft as may be: drives' friction and a lag that is no
 
 
 class SensorEvidence:
-    """Take every tick; ``told``: whether the sensor has told of a force with which the tool went on."""
+    """Call every tick. ``told``: whether the sensor has shown a force under which the tool moved on."""
 
     def __init__(self, known: bool) -> None:
         """Nothing was told yet. known: whether it is known by how much joints may yield."""
@@ -50,7 +50,7 @@ class SensorEvidence:
 
     @property
     def corroborated(self) -> bool:
-        """Whether the sensor has told of a force, and the servos' leads agree with it where they can be judged."""
+        """Whether the sensor has shown a force and agrees with the servos' leads where they can be judged."""
         if not self._known or self._softness is None:
             return self.told and not self._known
         share, unsure = self._softness
@@ -58,7 +58,7 @@ class SensorEvidence:
 
     @property
     def said(self) -> str:
-        """What the servos yield, for a person; empty while that is not known."""
+        """What the servos yield, as text; empty while that is not known."""
         if self._softness is None:
             return ""
         share, unsure = self._softness

@@ -70,7 +70,7 @@ class ServoModel:
 
     @property
     def lag(self) -> Array:
-        """Of every row (m,) [s]; as stated before anything is learned."""
+        """Lag of every row (m,) [s]; the stated one before anything is learned."""
         return self._x[:, 0]
 
     @property
@@ -84,10 +84,10 @@ class ServoModel:
         return self._x[:, 2]
 
     def softness(self, levers: Array, least: Array) -> tuple[float, float] | None:
-        """By how much the first rows yield as a share of what they may at most, and its standard deviation.
+        """Measured compliance of the first rows as a share of the largest possible one, and its standard deviation.
 
-        levers (n,): by which such a row moves the tool [m/rad]. least (n,): its stiffness at least [N m/rad], NaN where
-        that is not known; None where none is. Rows count by how far the loads that were learned from moved the tool.
+        levers (n,): tool motion per row [m/rad]. least (n,): smallest possible stiffness [N m/rad], NaN where unknown;
+        None where all are unknown. Rows are weighted by how far the loads of the learning phase moved the tool.
         """
         n = len(least)
         moved = np.where(np.isfinite(least), levers * np.sqrt(self._sums[:n, 1, 1]), 0.0)
@@ -106,6 +106,6 @@ class ServoModel:
         return np.maximum(np.einsum("ni,nij,nj->n", a, squares, a) - (mean * a).sum(axis=1) ** 2, 0.0)
 
     def unsure(self, change: Array) -> Array:
-        """Variance (m,) of what is said of a change (m, 4) of the four."""
+        """Variance (m,) of the prediction for a change (m, 4) of the four inputs."""
         z = change[:, :3]
         return np.einsum("ni,nij,nj->n", z, self._covariance, z)

@@ -58,7 +58,7 @@ class GovernorSettings:
 
 
 class ForcePrediction:
-    """What a force will have come to when all that is under way has been done."""
+    """Force expected once all motion under way has ended."""
 
     def __init__(self) -> None:
         """Nothing felt yet."""
@@ -93,7 +93,7 @@ class SpeedGovernor:
         self.caution = max(now, self.caution + (now - self.caution) * h / (h + _HEEDED))
 
     def step(self, wanted: float, most: float, F: Array, h: float) -> float:
-        """The way [m] to go on in h seconds, where a speed is wanted [m/s] and a force F (6,) is met.
+        """Distance [m] to advance in h seconds at a wanted speed [m/s] under the force F (6,).
 
         most: the speed :meth:`in_sight` [m/s]. What is slowed down for the force that is felt need not be slowed down
         again for what a hard stop would add to it.
@@ -103,7 +103,7 @@ class SpeedGovernor:
         return self.speed * h
 
     def in_sight(self, force: float, delay: float) -> float:
-        """The speed [m/s] at which a hard stop met now, at a force [N], comes to no more than the last that may be.
+        """Largest speed [m/s] at which a hard stop now, at this force [N], keeps the peak below the limit.
 
         delay: how long it goes on as it does before it brakes [s]. Solves F + K (v T + v²/2a) = F_last.
         """

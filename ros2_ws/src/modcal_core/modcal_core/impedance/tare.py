@@ -24,7 +24,7 @@ class Tare:
     """The offset of the sensor, as a mean while the arm stands still."""
 
     def __init__(self, seconds: float = 0.5, least: int = 25, noise: tuple[float, float] = (2.0, 0.2)) -> None:
-        """Take readings for some seconds, at least so many. noise: largest deviation of one [N, N m]."""
+        """Average readings for some seconds, at least a minimum number. noise: largest deviation of one [N, N m]."""
         self._seconds, self._least, self._noise = seconds, least, noise
         self._readings: list[Array] = []
         self._begun = math.nan

@@ -51,14 +51,14 @@ class JointPositions:
 
 @dataclass(frozen=True)
 class Wait:
-    """Nothing may be sent now. why: for a person."""
+    """Nothing may be sent now. why: reason as text."""
 
     why: str
 
 
 @dataclass(frozen=True)
 class Stop:
-    """The end. done: whether the goal was reached. why: for a person. opened: how far [rad or m]."""
+    """The end. done: whether the goal was reached. why: reason as text. opened: how far [rad or m]."""
 
     done: bool
     why: str

@@ -1,4 +1,4 @@
-"""Which force is on the tool, what it is about to be, and whether the force sensor can be believed."""
+"""Force on the tool, its prediction, and whether the force sensor can be trusted."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class ToolForce:
 
     @property
     def servos(self) -> str:
-        """By how much the joints' servos yield to the felt force, for a person; empty while that is not known."""
+        """By how much the joints' servos yield to the felt force, as text; empty while that is not known."""
         return self._evidence.said
 
     def _note(self, progress: float) -> None:

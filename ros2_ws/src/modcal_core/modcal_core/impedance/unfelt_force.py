@@ -80,7 +80,9 @@ class _Moment:
 
 
 class UnfeltForce:
-    """Take every tick; ``force`` [N] is what is not felt, ``sure`` [N] what of it no late message explains."""
+    """Force [N] that the sensor does not show, from the leads of the joints. ``sure``: the part that late messages
+    cannot explain. Call every tick.
+    """
 
     def __init__(self, joints: int, lag: float, period: float) -> None:
         """For a number of joints whose servos lag by about so much, with a reference every period [s]."""
@@ -112,8 +114,8 @@ class UnfeltForce:
 
     @property
     def servos(self) -> tuple[Array, Array, Array] | None:
-        """Lags (n,) [s] of the joints' servos, how unsure these are (n,) [s], and the leads (n,) [rad] that neither lag
-        nor load takes; None where nothing is learned yet.
+        """Servo lags (n,) [s], their standard deviations (n,) [s], and the leads at rest (n,) [rad]; None before
+        anything is learned.
         """
         if self.model.count < FEWEST:
             return None
@@ -326,7 +328,7 @@ class _MomentWindow:
         self.__init__(len(self._rows))  # type: ignore[misc]
 
     def means(self) -> tuple[Array, Array, Array]:
-        """Of the rows (m, 4), of their products (m, 4, 4), and of the felt force (3,)."""
+        """Means of the rows (m, 4), of their products (m, 4, 4), and of the felt force (3,)."""
         n = len(self._moments)
         return self._rows / n, self._squares / n, self._felt / n
 

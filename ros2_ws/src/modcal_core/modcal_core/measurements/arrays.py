@@ -19,7 +19,7 @@ _UNIT = 0.02  # by which the length of a quaternion may be off 1
 def joints_of(
     q: ArrayLike, names: Sequence[str] | None, stamps: ArrayLike | None, efforts: ArrayLike | None
 ) -> JointTrack:
-    """Joint states: one row a posture, APART seconds apart where no stamps are given. Raises BadRecording."""
+    """Joint states: one row a posture, APART seconds between them where no stamps are given. Raises BadRecording."""
     positions = _numbers("q", q, 2)
     N, n = positions.shape
     if N == 0:

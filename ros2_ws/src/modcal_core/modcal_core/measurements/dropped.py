@@ -77,7 +77,7 @@ def _rows_of(track: ReadingTrack, samples: Samples, since: float, until: float) 
 
 
 def _in_dwells(track: ReadingTrack, stamps: Array, dwells: Array) -> tuple[int, int]:
-    """How many of these stamps of a track lie in dwells (d, 2), and how many of those readings are in no mean."""
+    """Number of stamps of a track in dwells (d, 2), and number of those readings that are in no mean."""
     order = np.argsort(track.stamps, kind="stable")
     ordered, values, own = track.stamps[order], track.values[order, :3], np.sort(stamps)
     within, wrong = 0, 0

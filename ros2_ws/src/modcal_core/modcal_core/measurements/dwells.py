@@ -50,7 +50,9 @@ class _Stand:
     closes: bool
 
     def seconds(self, t: Array, window: float) -> float:
-        """How long it stood [s]: where it came to rest, half a window is not seen as standing yet."""
+        """Duration of the standstill [s]. Where it came to rest, half a window is added that is not detected as
+        standing.
+        """
         return float(t[self.last] - t[self.first]) + 0.5 * window * ((not self.opens) + (not self.closes))
 
 

@@ -29,7 +29,7 @@ _STUCK = 5  # identical readings in a row, of an instrument with noise
 
 @dataclass(frozen=True)
 class TrackFacts:
-    """One track: topic, what it is, number of messages, rate [Hz], largest gap [s], first and last stamp [s]."""
+    """One track: topic, role, number of messages, rate [Hz], largest gap [s], first and last stamp [s]."""
 
     topic: str
     what: str

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 class Origin:
     """The origin of samples; all of it unknown where nothing is stated.
 
-    title: name of the recording. notes: a sentence each, for a person. dropped: readings that are in no sample, by
+    title: name of the recording. notes: a sentence each, as text. dropped: readings that are in no sample, by
     reason. doubts: sentences on what was left out too often, which make a verdict open. began: first stamp of the
     recording [s]. sha256: of the bag. instrument: kind of reading, topic and frame. description: the recorded URDF.
     by_type: topics of readings that nobody named. instrument_mm, instrument_deg: what instruments state of their own

@@ -73,7 +73,7 @@ class Samples:
     origin: Origin = field(default_factory=Origin)
 
     def __post_init__(self) -> None:
-        """What is not given is unknown, and nothing can be written to."""
+        """Fill missing fields with unknown values, and make all arrays read-only."""
         for name, unknown in (("acceleration", 0.0), ("approach", 0.0), ("effort", np.nan), ("following", np.nan)):
             if getattr(self, name).shape != self.q.shape:
                 object.__setattr__(self, name, np.full(self.q.shape, unknown))

@@ -17,7 +17,7 @@ _BEHIND = 0.1  # s within which messages of one note follow each other, far belo
 
 
 def is_told(x: Array) -> bool:
-    """Whether values (m,) in the order of their stamps are round, and jump from message to message."""
+    """Whether values (m,) in the order of their stamps are round numbers that jump from message to message."""
     if len(x) < 2 or not np.ptp(x) > 0.0:
         return False
     known = np.abs(x[x != 0.0])
@@ -37,7 +37,7 @@ def told_at(t: Array, x: Array, stamps: Array, moving: np.ndarray) -> Array:
 
 
 def staircase(t: Array, x: Array, step: float) -> tuple[Array, Array]:
-    """The same as a course that rises within a step [s] before each message, stamps (2 m,) and values."""
+    """The same commands as a course that rises within a step [s] before each message, stamps (2 m,) and values."""
     before = np.maximum(t[1:] - step, t[:-1])
     return np.r_[t[0], np.stack([before, t[1:]], axis=1).ravel()], np.r_[
         x[0], np.stack([x[:-1], x[1:]], axis=1).ravel()

@@ -192,7 +192,7 @@ class Advisor:
         return Proof(left, look.expected, share(1.0 - self.goal.confidence, version), look.axes)
 
     def _axes(self, refitted: Refit) -> float:
-        """As in how many directions the errors vary, by the fit's own residuals."""
+        """Number of directions in which errors vary, from the fit's own residuals."""
         right = refitted.samples.select(~refitted.wrong)
         return axes_of(errors(refitted.calibration.calibrated, right).position_norm ** 2)
 

@@ -32,7 +32,7 @@ class TimedMotion:
         return np.asarray(self.q[-1])
 
     def at(self, t: float) -> Array:
-        """Where the joints should be (n,) so many seconds after it began."""
+        """Joint positions (n,) at a time [s] after the start."""
         return np.array([np.interp(t, self.t, column) for column in self.q.T])
 
 

@@ -13,7 +13,7 @@ somewhat larger, so that it does not cost many. ν, of at most three directions,
 for returns (verdict/floor.py), by how the fit's own residuals vary (Satterthwaite 1946). What no such law covers is an
 error that is rare and large, which no few stations can exclude.
 
-Each new model is proven anew on all of these stations, with a share of α of its own, so that all shares add up to α.
+Each new model is proven again on all of these stations, with a share of α of its own, so that all shares add up to α.
 They fall slowly, 1/k(k + 1) of what the first leaves: to fit again costs the proof a station or two.
 """
 

@@ -37,7 +37,7 @@ class Arms:
         return self.revolute.shape[1]
 
     def take(self, which: np.ndarray) -> Arms:
-        """Those with these indices, which may repeat."""
+        """Arms with these indices, which may repeat."""
         return Arms(self.origins[which], self.revolute[which], self.lower[which], self.upper[which])
 
 
@@ -172,7 +172,7 @@ class ModuleTables:
 
     @classmethod
     def of(cls, kind: ModuleType, size: int) -> ModuleTables:
-        """Of a module in the library."""
+        """Tables of a module of the library in one size."""
         whole = body(kind, size)
         return cls(kind.T_in_out[size], path(kind, size), kind.radius, whole.mass, whole.centre)
 

@@ -1,7 +1,7 @@
 """What is known of modules as plain data: for people and for the next assembly, and enough to learn on from.
 
 ``modules`` is what assembling reads: mean and covariance of every part of every physical module. ``assemblies`` is what
-it was learned from; learning on reads these, and solves for all modules anew.
+it was learned from; learning on reads these, and solves for all modules again.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
 
 @refusing
 def store_from_data(data: Any, library: Library, source: str) -> ModuleErrors:
-    """The store, with everything learned anew from its assemblies. Raises BadTable for what is no store."""
+    """The store, with everything learned again from its assemblies. Raises BadTable for what is no store."""
     if not isinstance(data, Mapping) or data.get("modcal_module_store") != FORMAT:
         raise BadTable(source, f"is not a store of modules (modcal_module_store: {FORMAT})", _FIX)
     if data.get("library") != library.name:

@@ -77,7 +77,7 @@ class Verdicts:
 
     @classmethod
     def joined(cls, parts: Sequence[Verdicts]) -> Verdicts:
-        """Those of several batches, one after the other."""
+        """Verdicts of several batches, concatenated."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
     def order(self) -> np.ndarray:

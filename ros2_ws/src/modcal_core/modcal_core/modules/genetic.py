@@ -71,7 +71,7 @@ class Archive:
 
     @property
     def judged(self) -> int:
-        """How many."""
+        """Number of candidates evaluated so far."""
         return len(self.genomes)
 
 
@@ -136,7 +136,7 @@ def _judged(archive: Archive | None, genomes: np.ndarray, verdicts: Verdicts) ->
 
 
 def _unseen(genomes: np.ndarray, seen: set[bytes]) -> np.ndarray:
-    """Those that are new, each once, in their order."""
+    """Genomes that are new, each once, in their order."""
     known = set(seen)
     keep = []
     for i, genome in enumerate(genomes):

@@ -56,7 +56,7 @@ class Piece:
 
     @property
     def is_interface(self) -> bool:
-        """Whether it is a pair of flanges, bolted anew in every assembly."""
+        """Whether it is a pair of flanges, which is bolted again in every assembly."""
         return self.part == "interface"
 
 

@@ -67,7 +67,7 @@ def described(candidate: Candidate, library: Library) -> list[str]:
 
 
 def to_markdown(result: Synthesis, library: Library) -> str:
-    """The ranking with reasons, for a person; lengths in mm, angles in degrees."""
+    """The ranking with reasons, as text; lengths in mm, angles in degrees."""
     best = result.ranking[0]
     terms = [u.name for u in result.task.uses if u.name in best.terms]
     lines = [f"# {result.task.name}: {best.assembly.n} joints", "", sentence(result), ""]

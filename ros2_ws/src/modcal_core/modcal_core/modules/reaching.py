@@ -45,7 +45,7 @@ def starts(arms: Arms, unit: Array) -> Array:
 
 
 def reach(arms: Arms, target: Target, q: Array, steps: int) -> Reached:
-    """Ends of descents from postures q (N, S, n), at most so many steps each."""
+    """Ends of descents from postures q (N, S, n), after a limited number of steps."""
     count, each, n = q.shape
     which = np.repeat(np.arange(count), each)
     fleet = _Fleet.of(arms, which)

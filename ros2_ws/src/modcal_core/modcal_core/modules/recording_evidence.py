@@ -4,7 +4,7 @@ The arm is fitted with its minimal parameters, like any other. The fit chooses w
 so what is kept are the six deviations of every inner constant M_1 … M_{n-1} together with their information JᵀWJ over
 all six directions, base frames and tool eliminated. It is singular along what the recording cannot tell, and so what
 was chosen there carries no weight. M_0 and M_n do not appear: they are one with where the base stands and where the
-instrument's target sits, which every set-up makes anew.
+instrument's target sits, which differs after every set-up.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Tally:
-    """What became of the candidates of so many joints: how many were judged, met everything, and broke what first."""
+    """Counts of the candidates with one number of joints: evaluated, feasible, and by first broken requirement."""
 
     joints: int
     judged: int

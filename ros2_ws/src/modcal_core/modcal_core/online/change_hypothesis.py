@@ -40,12 +40,12 @@ class ChangeHypothesis:
 
     @property
     def label(self) -> str:
-        """What it is said to be, without its size."""
+        """Name of the change without its size."""
         return f"{self.place} {self.direction} by {self.driver}"
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         if self.mistake:
             return self.mistake
         text = f"{self.place} ({self.direction}, by {self.driver}) has changed by {1e3 * self.size:.2f} mm"

@@ -94,7 +94,7 @@ def change_since(
     """How the arm differs in these samples from what the reference says of it; its effects are kept as they are.
 
     Base and tool are found again where this is asked for, or where the error is larger than an arm's: then something
-    was set up anew. Raises BadTable for a reference without covariance or of other instruments, NotEnoughData.
+    was set up again. Raises BadTable for a reference without covariance or of other instruments, NotEnoughData.
     """
     known = reference.uncertainty
     model = reference.calibrated

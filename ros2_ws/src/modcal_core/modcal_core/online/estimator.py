@@ -187,7 +187,7 @@ class Estimator:
         return np.array([position] * 3 + [rotation] * (rows - 3))
 
     def _judged(self, square: float, rows: int) -> tuple[float, float]:
-        """(standard score, weight) of so many rows that lay so far from what was expected."""
+        """(standard score, weight) of a number of rows with this squared distance from the prediction."""
         score = score_of_one(square, rows)
         inside = score <= HUBER_Z or not self._robust
         return score, 1.0 if inside else float(robust_weights(np.asarray(score)))

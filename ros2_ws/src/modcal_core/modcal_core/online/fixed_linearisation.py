@@ -1,6 +1,6 @@
 """A model held at one set of values, and what single samples say of it: the quick way to residual and derivatives.
 
-:func:`~modcal_core.calibration.linearise.linearise` puts the values in anew for every call, which pays for thousands of
+:func:`~modcal_core.calibration.linearise.linearise` inserts the values again in every call, which pays for thousands of
 samples at once. Here that is done once, and a sample costs one pass along the chain and a few small products.
 
 What a place does to the tool is first seen at the root's origin, for there it goes along the chain like the frames do:

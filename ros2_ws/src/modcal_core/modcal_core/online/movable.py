@@ -32,7 +32,7 @@ class Movable:
 
     @property
     def name(self) -> str:
-        """For a person, such as "base z"."""
+        """Name as text, such as "base z"."""
         return f"{self.place} {' '.join(self.directions)}"
 
     @property

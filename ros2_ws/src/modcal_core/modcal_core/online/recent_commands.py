@@ -1,4 +1,4 @@
-"""What an arm was told of late, to be compared with what it reports, in memory that does not grow."""
+"""Recent commands to an arm, to compare with reported positions, in bounded memory."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class _Readings:
 
 @dataclass(frozen=True)
 class _Ended:
-    """A stand that has just ended, at a stamp [s], and the directions (n,) in which joints had come to it."""
+    """A stand that has just ended, at a stamp [s], and the approach directions (n,) of the joints."""
 
     since: float
     stamp: float
@@ -229,7 +229,7 @@ class SampleStream:
             self._average(ended, np.inf)
 
     def _average(self, ended: _Ended, latest: float) -> None:
-        """Make a sample of each dwell of a stand, as a recording's are cut; of one that goes on, up to the latest."""
+        """Make a sample of each dwell of a stand, as for a recording; of one in progress up to the latest dwell."""
         first = self._first + int(np.searchsorted(self._t[self._first : self._end], ended.since - _BEFORE))
         t, q = self._t[first : self._end], self._q[first : self._end]
         for begin, until in find_dwells(t, q, self._rules, fitted=False):

@@ -53,7 +53,7 @@ class DecidingStations:
 
     @property
     def decides(self) -> bool:
-        """Whether recording these stations settles it."""
+        """Whether recording these stations distinguishes the two explanations."""
         return self.separation >= DECIDES
 
     @property
@@ -118,7 +118,7 @@ def _by_effort(*effects: Effect) -> bool:
 
 
 def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> str:
-    """What keeps postures from telling an effect from a rival, "" where nothing does: the driver, and what to do."""
+    """Why postures cannot distinguish an effect from a rival, with the remedy; "" where they can."""
     model = calibration.calibrated
     both = model.effects[effect], calibration.rivals[effect][rival]
     kinds = {part.partition(":")[0] for e in both for part in e.driver.split(",")}
@@ -140,7 +140,7 @@ def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> s
 def _candidates(
     calibration: Calibration, seen: View, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
 ) -> Samples:
-    """What was recorded, then random postures in and around it that are allowed, each come to from either side."""
+    """Recorded postures, then random allowed ones in and around their range, each approached from either side."""
     model = calibration.calibrated
     low, high = calibration.seen
     room = np.maximum(_BEYOND * (high - low), 0.5)

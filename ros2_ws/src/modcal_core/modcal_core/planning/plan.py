@@ -61,12 +61,13 @@ class PlanRequest:
 
 @dataclass(frozen=True)
 class Plan:
-    """Stations, and what is expected of them.
+    """Planned stations and their expected accuracy.
 
-    q: in the order of the way through them, (k, n) [rad, m], those visited twice twice. accuracy, indices: of the
-    calibration from the distinct ones.
-    random: accuracies of as many stations drawn at random from the same postures. curve: (number, accuracy) of the
-    sets that were tried while looking for the number. values: of the criterion, one a start, then when refined.
+    - q: postures in the order of the path, (k, n) [rad, m]; those visited twice appear twice.
+    - accuracy, indices: of a calibration from the distinct stations.
+    - random: accuracies of as many random stations from the same postures.
+    - curve: (number, accuracy) of the sets tried while the number was sought.
+    - values: criterion after each start, then after refinement.
     """
 
     request: PlanRequest
@@ -134,7 +135,7 @@ class Chosen:
 
 
 def chosen_stations(pool: PosturePool, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> Chosen:
-    """The best set of so many stations: by exchange, then refined."""
+    """Best set of a number of stations: by exchange, then refined."""
     found = exchange(pool.rows, count, good, rng, starts, given=pool.given)
     q, rows, value = refined(pool, found, good, rng)
     accuracy = pool.accuracy(rows)

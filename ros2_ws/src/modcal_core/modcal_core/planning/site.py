@@ -80,13 +80,14 @@ class Ball:
 
 @dataclass(frozen=True)
 class Site:
-    """Everything that a plan must heed.
+    """Surroundings of a plan.
 
-    tracker: None where everything can be seen. spheres: of the arm; where there are none, they are put along its
-    links with link_radius [m], or 4 % of its reach. margin: [m] that is kept free. floor: height [m] below which no
-    sphere of a moving link may be; None where there is none. obstacles, boxes: of the surroundings, boxes as
-    corners (2, 3). limits: narrower ones than the robot's, by joint [rad, m]. box: (2, 3) corners [m] between which
-    the target's accuracy counts; None: everywhere.
+    - tracker: the instrument; None where everything can be seen.
+    - spheres: of the arm; empty: along its links with link_radius [m], or 4 % of its reach. margin: clearance [m].
+    - floor: height [m] below which no moving sphere may be; None for no floor.
+    - obstacles, boxes: of the surroundings, boxes as corners (2, 3) [m].
+    - limits: limits by joint [rad, m] that are narrower than the robot's.
+    - box: corners (2, 3) [m] of the workspace in which accuracy counts; None: everywhere.
     """
 
     tracker: SiteTracker | None = None

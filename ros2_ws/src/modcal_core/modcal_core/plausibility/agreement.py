@@ -1,4 +1,4 @@
-"""Stations that agree with a nominal arm: on which base and tool, how closely, and what is said of the others."""
+"""Stations that agree with a nominal arm: base, tool and fit, and what is wrong with the other stations."""
 
 from __future__ import annotations
 

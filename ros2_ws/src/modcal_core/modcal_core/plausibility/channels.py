@@ -1,4 +1,4 @@
-"""Which channels of a recording go along with the robot, each judged by itself, and what the others look like.
+"""Which channels of a recording follow the robot, each judged by itself, and what the others look like.
 
 Where a model misses by far, one thing may be wrong and all the rest right: a column of the readings, the orientations,
 the row in which a reading stands. Lists of mistakes find what is on them.
@@ -118,7 +118,7 @@ class _Channels:
         return None
 
     def unrelated(self) -> Disagreement | None:
-        """Coordinates that go along with no posture, where the others go along with their own."""
+        """Coordinates that do not follow the posture, where the others do."""
         fits = self._agree(0)[:3]
         if fits.all() or fits.sum() < 2 - (self.poses and self.turns_agree):
             return None
@@ -137,7 +137,7 @@ class _Channels:
         return " and ".join([*said, *(["orientations"] if "orientations" in names else [])])
 
     def _agree(self, shift: int) -> np.ndarray:
-        """Whether x, y, z, and orientations if there are any, go along with the posture of so many stations before."""
+        """Whether x, y, z, and orientations if there are any, follow the posture ``shift`` stations earlier."""
         N = len(self.samples)
         here = np.arange(max(0, -shift), N - max(0, shift))
         there = here + shift

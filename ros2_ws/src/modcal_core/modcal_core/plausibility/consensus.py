@@ -40,7 +40,7 @@ class Consensus:
         self.rng = np.random.default_rng(0)
 
     def within(self, placed: Placed, A: Array, samples: Samples, times: float = 1.0) -> np.ndarray:
-        """Which samples, with flanges A (N, 4, 4), are within so many times both limits, (N,)."""
+        """Which samples, with flanges A (N, 4, 4), are within a multiple of both limits, (N,)."""
         angle, gap = placed.residual(A, samples)
         return (angle < times * self.limit[0]) & (gap < times * self.limit[1])
 
@@ -78,7 +78,7 @@ class Consensus:
         return best, agree
 
     def _drawn(self, among: int, count: int, apart: bool) -> np.ndarray:
-        """So many of these stations, from anywhere, or neighbours, which what changes at a time leaves alike."""
+        """A sample of these stations: random ones, or neighbours, which agree until something changes."""
         if apart:
             return self.rng.choice(among, count, replace=False)
         first = int(self.rng.integers(max(among - 2 * count, 1)))

@@ -196,7 +196,7 @@ def _all(names: tuple[str, ...], stated: str | None, turned: bool) -> Iterable[M
 
 
 def thinned(samples: Samples, most: int) -> Samples:
-    """No more than so many of the samples, evenly along the recording."""
+    """At most ``most`` samples, evenly along the recording."""
     order = np.argsort(samples.stamps, kind="stable")
     return samples.select(order[spread_rows(len(order), most)])
 
@@ -216,7 +216,7 @@ class _Scale:
         return cls(_NOMINAL_SHARE * reach, (4.0 * max(reach, float(np.ptp(position, axis=0).max()))) ** 3)
 
     def log_likelihood(self, turns: Array, gaps: Array) -> float:
-        """Of residuals (N, 3) of rotations and of positions."""
+        """Log-likelihood of rotation and position residuals (N, 3)."""
         return _log_likelihood(turns, self.rotation, self.turns) + _log_likelihood(gaps, self.position, self.extent)
 
 
@@ -294,7 +294,7 @@ def _rms(residual: Array) -> float:
 
 
 def _log_likelihood(residual: Array, floor: float, volume: float) -> float:
-    """Of residuals (N, 3) at the standard deviation per axis that makes it largest, no less than the floor.
+    """Log-likelihood of residuals (N, 3), maximised over the standard deviation per axis, which is at least ``floor``.
 
     A share of them is spread evenly over the volume.
     """

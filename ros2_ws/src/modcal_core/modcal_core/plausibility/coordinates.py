@@ -28,7 +28,8 @@ _MAX_TURN = 1.05  # times a half or a whole turn; angles are no larger
 
 
 def written_otherwise(samples: Samples, chain: Mechanism) -> Disagreement | None:
-    """As what the positions were written, where that brings them back to what a nominal arm misses by, else None.
+    """The convention in which the positions seem to be written, if undoing it brings the residual down to that of a
+    nominal arm; otherwise None.
 
     samples: all of them; in a frame of several, that with most readings is looked at.
     """

@@ -51,7 +51,7 @@ def filtered_readings(samples: Samples, chain: Mechanism) -> Disagreement | None
 
 
 def _kernels() -> list[tuple[str, Array]]:
-    """What is said of each filter, and its weights of the rows from some before to some after; none is the first."""
+    """Each filter with its description and its weights of neighbouring rows; the first is no filter."""
     rows = np.arange(-_BEFORE, _AFTER + 1)
     made = [("", (rows == 0).astype(float))]
     for half in range(1, _AFTER + 1):

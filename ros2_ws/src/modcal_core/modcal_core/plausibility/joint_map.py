@@ -226,7 +226,7 @@ def _left(samples: Samples, chain: Chain, state: _State, poses: bool) -> tuple[A
 
 
 def _said(fit: _Map, samples: Samples, chain: Chain) -> Disagreement | None:
-    """What is said of a map: the joints that it changes by more than errors of an arm, and how."""
+    """Refusal for a joint map: the joints that it changes by more than an arm's errors, and how."""
     names, q = samples.names or chain.names, samples.q
     least = _TURNED * ANGLE
     off = q @ (fit.M - np.eye(chain.n)).T

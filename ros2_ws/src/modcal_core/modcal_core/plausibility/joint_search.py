@@ -208,7 +208,7 @@ class JointSearch:
 
 
 def _spread(angle: Array) -> float:
-    """Circular deviation [rad] of angles (N,), of the nine tenths that lie closest together."""
+    """Circular deviation [rad] of the nine tenths of angles (N,) that are closest together."""
     off = np.angle(np.exp(1j * (angle - np.angle(np.mean(np.exp(1j * angle))))))
     off = np.sort(np.abs(off - np.median(off)))[: max(int(_CLOSEST * len(off)), 1)]
     return float(np.sqrt(np.mean(off**2)))

@@ -92,7 +92,7 @@ def _typical(vectors: Array) -> Array:
 
 
 def _sentence(chain: Chain, first: int, last: int, inverse: bool) -> tuple[str, str]:
-    """What is said of readings that follow link ``last`` seen from link ``first``."""
+    """Refusal of readings that follow link ``last`` as seen from link ``first``."""
     n, names, links = chain.n, chain.names, chain.links
     before = f"{links[first]}, " if first and len(links) == n else ""
     behind = f"{links[last]}, " if last < n and len(links) == n else ""

@@ -82,7 +82,7 @@ def _weighed(
 
 
 def _extent(chain: Mechanism, samples: Samples) -> float:
-    """How far apart the flange is between postures, RMS [m]: an arm that hardly moved returns to any socket."""
+    """RMS distance of the flange between postures [m]: an arm that hardly moved returns to any socket."""
     return float(np.sqrt(forward(chain, samples.q)[:, :3, 3].var(axis=0).sum()))
 
 

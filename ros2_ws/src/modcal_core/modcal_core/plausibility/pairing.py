@@ -76,7 +76,7 @@ def _orders(samples: Samples, chain: Chain) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _slipped(shift: int, of: int) -> str:
-    """What is said of readings that belong to the posture ``shift`` rows further on, or ``of - shift`` before."""
+    """Refusal of readings that belong to the posture ``shift`` rows later, or ``of - shift`` earlier."""
     if min(shift, of - shift) > 0.2 * of:
         return f"stand in two parts that are exchanged: the first row's belongs to row {shift + 1}"
     if 2 * shift < of:
@@ -124,7 +124,7 @@ def _too_close(places: Array, turns: Array, samples: Samples, limit: tuple[float
 
 
 def _of_rest(samples: Samples, rows: np.ndarray, same: np.ndarray, gap: Array) -> Disagreement:
-    """What is said of readings that belong to other postures. same, gap: of each to every posture, (rows, N)."""
+    """Refusal of readings that belong to other postures. same, gap: of each reading to every posture, (rows, N)."""
     offsets = Counter(int(k - i) for i, row in zip(rows, same, strict=True) for k in np.flatnonzero(row))
     offset, count = offsets.most_common(1)[0]
     concerned = np.zeros(len(samples), bool)

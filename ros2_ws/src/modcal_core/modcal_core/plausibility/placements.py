@@ -1,6 +1,6 @@
 """Readings of several parts, one after the other, each with a base or a tool of its own.
 
-A tracker that is set to zero after every break, or a target that is mounted anew, leaves no part in which most of the
+A tracker that is set to zero after every break, or a target that is remounted, leaves no part in which most of the
 stations agree. In order of time, the longest stretches that agree on one base and one tool are found one by one: a
 window is placed in closed form and grows as long as stations agree with it.
 """

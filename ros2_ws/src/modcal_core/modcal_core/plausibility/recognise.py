@@ -52,7 +52,7 @@ class ArmMiss:
     rotation: float
 
     def size(self, reach: float) -> float:
-        """As one length [m]: a turn counts by what it moves at the reach."""
+        """Size as one length [m]: position, and rotation times the reach."""
         return self.position + reach * self.rotation
 
 

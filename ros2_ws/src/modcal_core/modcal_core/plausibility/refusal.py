@@ -1,7 +1,7 @@
 """When even the fitted model misses by far, the input is wrong: find out in which way, and say it.
 
 The nominal arm is fitted again with each of the :mod:`mistakes` undone; the one that brings the error down several
-times is named. When none does, one channel of the recording may not go along with the rest
+times is named. When none does, one channel of the recording may not follow the rest
 (:mod:`channels`), or follow another link (:mod:`links`), or only a part of the stations, or one joint
 (:mod:`consistency`), or joints are mixed (:mod:`joint_map`), or a link of the description is another
 (:mod:`wrong_links`); else the robot or the pairing as a whole is wrong.

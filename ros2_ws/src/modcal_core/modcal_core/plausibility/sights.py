@@ -63,7 +63,7 @@ class SightMatch:
 
 
 def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volume: float = 0.0) -> SightMatch:
-    """How well readings taken at postures q (N, n) fit, every instrument placed anew and one tool for all of them.
+    """How well readings taken at postures q (N, n) fit, every instrument placed again and one tool for all of them.
 
     log_volume: of one row, by how much the readings' volume was shrunk to have them in m and rad, in logarithm.
     """
@@ -184,7 +184,9 @@ def _moved(state: _State, step: Array, samples: Samples) -> _State:
 
 
 def _log_likelihood(size: Array, floor: float, dimensions: int) -> float:
-    """Of residuals' lengths (N,) in so many directions, at the likeliest scatter, no less than the floor."""
+    """Log-likelihood of residual lengths (N,) in some dimensions, maximised over the scatter, which is at least
+    ``floor``.
+    """
     sigma = floor * 2.0 ** np.arange(_SCALES)
     largest = max(float(size.max()), floor)
     sigma = sigma[sigma <= 2.0 * largest][:, None]

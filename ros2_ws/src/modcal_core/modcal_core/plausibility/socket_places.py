@@ -53,7 +53,7 @@ def require_one_place(samples: Samples, chain: Mechanism) -> None:
 
 
 def _elsewhere(points: Array, limit: float) -> float:
-    """Share of points (N, 3) that lie farther from where most are than a limit [m]."""
+    """Share of points (N, 3) farther than a limit [m] from where most are."""
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1) > limit
     return float(apart.mean(axis=1).min())
 

@@ -9,7 +9,7 @@ from modcal_core.measurements.samples import Samples
 
 
 def standing(samples: Samples, said: str) -> BadRecording | None:
-    """The refusal of samples whose joints stand; None where all move. said: what an arm misses them by."""
+    """Refusal of samples whose joints do not move; None where all move. said: by how much an arm misses them."""
     spans = np.ptp(samples.q, axis=0)
     stand = [name for name, extent in zip(samples.names, spans, strict=True) if extent == 0.0]
     if not stand:

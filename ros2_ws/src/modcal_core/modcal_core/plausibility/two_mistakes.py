@@ -92,5 +92,5 @@ def _points(samples: Samples) -> Samples:
 
 
 def _extent(positions: np.ndarray) -> float:
-    """How far apart positions (N, 3) are, the tenth that lie farthest out left aside [m]."""
+    """Spread of positions (N, 3) without the outermost tenth [m]."""
     return 2.0 * float(np.quantile(np.linalg.norm(positions - np.median(positions, axis=0), axis=1), 0.9))

@@ -296,7 +296,7 @@ class _Score:
         self.now = best[2]
 
     def own(self, stated: Sequence[Move]) -> list[Move]:
-        """The moves that were found, not told."""
+        """The moves that were found and not stated."""
         return [move for move in self.moves if move not in stated]
 
     def needless(self, moves: Sequence[Move]) -> bool:

@@ -4,7 +4,7 @@ A move of base or tool changes all stations from there on, by any amount. A fit 
 meets most of them and takes the others for wrong readings, so nothing may be rejected before moves are looked for.
 Short windows in order of time are each given a base or a tool of their own, or both, in closed form; each such *setup*
 is tried on every station; and the cheapest sequence of setups is found by dynamic programming (Viterbi 1967), where a
-change costs as much as a few stations that are missed by far. The stretches are then given setups anew, and so on.
+change costs as much as a few stations that are missed by far. The stretches are then given setups again, and so on.
 """
 
 from __future__ import annotations

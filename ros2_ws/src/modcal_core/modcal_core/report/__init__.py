@@ -1,1 +1,1 @@
-"""What is said to people and programs: JSON, pictures, a page."""
+"""Output for people and programs: JSON, pictures, pages."""

@@ -61,14 +61,14 @@ class Account:
 
 
 def account(rows: tuple[Row, ...], unit: str, floor: float | None) -> Account:
-    """The account for a person. unit: mm or deg. floor: None where it is not known."""
+    """The account as text. unit: mm or deg. floor: None where it is not known."""
     total = sum(row.value for row in rows)
     lines = tuple(_line(row, total, floor is not None or row.what not in _OF_FLOOR) for row in rows)
     return Account(unit, total, lines)
 
 
 def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
-    """Those of position and orientation, as far as there are any."""
+    """Accounts of position and orientation, where there are any."""
     if verdict is None:
         return ()
     both = (("mm", verdict.account_mm2, verdict.floor_mm), ("deg", verdict.account_deg2, verdict.floor_deg))
@@ -76,7 +76,7 @@ def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
 
 
 def in_words(what: str) -> str:
-    """How a row is called for a person."""
+    """Name of a row as text."""
     if what.startswith(EFFECT):
         return what.removeprefix(EFFECT).replace(":", " of ")
     return _WORDS.get(what, (what.replace("_", " "), SOFT))[0]

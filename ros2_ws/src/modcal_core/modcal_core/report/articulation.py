@@ -144,7 +144,7 @@ def _trusted(fit: JointFit) -> np.ndarray:
 
 
 def _tables(data: dict[str, Any]) -> list[PageTable]:
-    """Where the joint lies and what is left over: lengths, angles and pure numbers apart."""
+    """Place of the joint and residual, as tables of lengths, angles and numbers."""
     joint, std = data["joint"], data["joint"]["std"]
     rows: dict[str, list[tuple[str, str, str]]] = {"mm": [], "°": [], "": []}
 

@@ -79,7 +79,7 @@ class EffectDifference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs. result: whether it matters. sentence: the same for a person. notes: what to know beside it."""
+    """What differs. result: whether it matters. sentence: the same in words. notes: what to know beside it."""
 
     sides: tuple[Side, Side]
     result: Result

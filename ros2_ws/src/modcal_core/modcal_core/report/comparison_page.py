@@ -124,7 +124,7 @@ def _groups(found: Comparison) -> list[dict[str, Any]]:
 
 
 def _charts(found: Comparison) -> list[Chart]:
-    """How far the two are apart over the workspace."""
+    """Table of the difference over the workspace."""
     tool = found.tool
     if tool is None:
         return []

@@ -47,20 +47,20 @@ class Step:
 
 @dataclass(frozen=True)
 class ReportContents:
-    """What the report of a calibration or an evaluation holds.
+    """Contents of the report of a calibration or an evaluation.
 
-    scored: the held-out samples less the outliers. errors: theirs by stage (nominal, geometric, final). rejected: how
-    many samples were left out as outliers. effects: what the diagnosis added. left: what stands out from noise still
-    but predicts nothing, None where the rest is noise. parameters: (name, value, standard deviation, unit). left_out:
-    parameters that say the same as others. notes: a sentence each, for a person.
-
-    steps: what is left after geometry, then after each added effect, in the order found. evidence: what the first scan
-    for effects saw and what the last one did; empty where nothing was looked for. model: the final one. residuals: how
-    far each of the samples lies from it [m], (N,). wrong: True for those left out as outliers, (N,). rejection: how
-    many, and the error with and without them. distances: every known distance as the fit has it. grounds: what else the
-    verdict has to know. judged: the verdict; None until it was made. offsets: of the joints, of the calibration that is
-    shipped or judged; None where they do not apply. loads: what pulls on the arm, where the data showed it. readmitted:
-    stations that were rejected first and fitted after all.
+    - scored: held-out samples without outliers. rejected: number of samples rejected as outliers.
+    - errors: errors of the scored samples by stage (nominal, geometric, final).
+    - effects: what the diagnosis added. left: the best candidate that is significant but does not predict, or None.
+    - parameters: (name, value, standard deviation, unit). left_out: parameters that are not independent of others.
+    - steps: what remains after geometry and after each added effect, in the order found.
+    - evidence: the first and the last scan for effects; empty where none was sought.
+    - model: the final model. residuals: distance of each sample from it [m], (N,). wrong: True for outliers, (N,).
+    - rejection: number of outliers, and the error with and without them. readmitted: stations rejected at first only.
+    - distances: known distances as fitted. loads: gravity and payloads that the data showed.
+    - grounds: further input of the verdict. judged: the verdict, None until there is one.
+    - offsets: joint offsets of the calibration that is written or judged; None where they do not apply.
+    - notes: sentences on the recording.
     """
 
     samples: Samples
@@ -116,7 +116,7 @@ class ReportContents:
         return self.errors[stage].size_deg() if stage in self.errors else None
 
     def units(self) -> np.ndarray:
-        """Numbers of the scored samples, (N,): the same for those whose errors may be alike."""
+        """Unit numbers of the scored samples, (N,): equal where errors may be correlated."""
         return self._units
 
     @cached_property

@@ -87,7 +87,7 @@ def _few_waves(size: Array) -> slice:
 
 
 def _limits(low: float, high: float) -> tuple[float, float]:
-    """Of an axis: a little more than what stands on it."""
+    """Limits of a chart axis with a small margin."""
     margin = 0.05 * max(high - low, 1e-9)
     return low - margin, high + margin
 

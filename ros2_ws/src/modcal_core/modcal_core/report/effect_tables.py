@@ -25,7 +25,7 @@ def scaled(unit: str) -> tuple[str, float]:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number of so many digits; large ones in full."""
+    """A number with a few digits; large ones in full."""
     if 1.0 <= abs(value) < _GROUPED[0]:
         rounded = float(f"{value:.{digits}g}")
         behind = max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)

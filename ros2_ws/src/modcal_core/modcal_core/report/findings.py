@@ -64,7 +64,7 @@ class Finding:
 
     @property
     def chance(self) -> str:
-        """The chance that noise looks as good: what sampling shows, and apart from it what is extrapolated."""
+        """Chance that noise looks as good, as text: what sampling shows, and what is extrapolated."""
         least = 1.0 / (self.sampled + 1)
         if not self.sampled or self.p_value >= least:
             return f"{self.p_value:.2g}"
@@ -164,7 +164,7 @@ def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
 
 
 def _certain(model: Model, samples: Samples) -> np.ndarray:
-    """False where it cannot be said how an effect acts, (N,), so that what is far off there need not be wrong."""
+    """False where it is unknown how an effect acts, (N,), so that a large residual there is no outlier."""
     drivers = model.drivers(samples)
     known = [family(effect.family).certain(effect, drivers) for effect in model.effects]
     return np.all([np.ones(len(samples), bool), *known], axis=0)

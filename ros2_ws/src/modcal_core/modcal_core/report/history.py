@@ -46,7 +46,7 @@ class History:
 
     @property
     def sentence(self) -> str:
-        """The answer, for a person."""
+        """The answer, as text."""
         seen = f"{len(self.entries)} calibrations and checks"
         return " ".join(self.trends) if self.trends else f"Nothing grows or falls beyond chance over {seen}."
 

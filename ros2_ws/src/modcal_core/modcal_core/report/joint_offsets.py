@@ -33,8 +33,8 @@ _TAKEN_UP = 1e-3  # of a joint's motion at the tool, that is left when base and 
 
 @dataclass(frozen=True)
 class JointOffset:
-    """Of one joint. value, std: with its standard deviation [rad; m of a sliding joint], over recordings of postures
-    like these; std None where the fit's uncertainty is not known.
+    """Offset of one joint with its standard deviation [rad; m for a sliding joint], over recordings of similar
+    postures; std is None where the fit's uncertainty is not known.
     """
 
     joint: str
@@ -60,14 +60,17 @@ class JointOffsets:
 
 
 def offsets_of(calibration: Calibration) -> JointOffsets | None:
-    """Of a calibration at the postures that it was made from: the same, wherever it is evaluated."""
+    """Joint offsets of a calibration at the postures it was made from, so they do not depend on what it is evaluated
+    on.
+    """
     return joint_offsets(
         calibration.calibrated, calibration.postures, calibration.kind == "pose", calibration.uncertainty
     )
 
 
 def joint_offsets(model: Model, q: Array, turns: bool, known: Uncertainty | None = None) -> JointOffsets | None:
-    """Of a calibrated model at postures q (N, n) [rad, m]; None for a Delta, or where the nominal arm is not known.
+    """Joint offsets of a calibrated model at postures q (N, n) [rad, m]; None for a Delta, or where the nominal arm is
+    not known.
 
     turns: whether the tool's orientation counts, as its position does. known: the uncertainty of the parameters.
     """

@@ -49,7 +49,7 @@ def to_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> str:
 
 
 def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
-    """What may be accelerated and what is needed to hold, turning and sliding joints apart."""
+    """Table of accelerations and holding torques, separate for revolute and prismatic joints."""
     chain, drives = found.arm.chain, found.arm.drives
     alone, together = found.window.equivalent(), found.coupled
     out = []

@@ -24,7 +24,7 @@ _NORMAL = 1.96  # deviations of a 95 % interval
 
 
 def load_notes(loads: Loads | None) -> tuple[str, ...]:
-    """Sentences for a person, with 95 % intervals."""
+    """Sentences on gravity and payloads, with 95 % intervals."""
     if loads is None:
         return ()
     out = []

@@ -101,7 +101,7 @@ def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0)
 
 
 def _spoken(samples: Samples, calibration: Calibration) -> str:
-    """What is done outside the ranges."""
+    """Note about what the model does outside the calibrated ranges."""
     instead = calibration.fallback(calibration.calibrated, calibration.geometric)
     count = 0 if instead is None else int((instead.share(samples) > 0.0).sum())
     if not count:

@@ -172,7 +172,7 @@ def _places(points: Array, between: str) -> str:
 
 
 def _simplified(points: Array) -> Array:
-    """Those of the points (N, 2) that a line needs so that it leaves none by more than _OFF (Douglas and Peucker)."""
+    """The points (N, 2) that a line needs to stay within _OFF of all of them (Douglas and Peucker)."""
     if len(points) < 3:
         return points
     kept = np.array([0, len(points) - 1])

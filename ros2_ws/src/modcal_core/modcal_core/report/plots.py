@@ -174,7 +174,7 @@ def _tidy(drawn: PlotSpec, name: str) -> tuple[str, float, float]:
 
 
 def _grouped(marks: str) -> str:
-    """Marks of which neighbours look alike, with what they have in common said once."""
+    """Marks of which neighbours look alike, as SVG with shared attributes stated once."""
     looks = [
         ("".join(sorted(re.findall(r' (?:fill|stroke|stroke-width)="[^"]*"', mark))), mark)
         for mark in re.findall(r"<[^>]*>", marks)

@@ -31,7 +31,7 @@ class Against:
 
 @dataclass(frozen=True)
 class ChartGroup:
-    """Charts of what one step took away, or of what is left in the end. opened: shown at once."""
+    """Charts of what one step removed, or of the final residual. opened: shown at once."""
 
     title: str
     text: str

@@ -180,7 +180,7 @@ def to_html(study: Study, title: str) -> str:
 
 
 def _tables(study: Study) -> tuple[PageTable, ...]:
-    """The strongest parameters, lengths and angles apart, with what each adds to the error."""
+    """Strongest parameters, lengths and angles separate, with what each adds to the error."""
     joint, out = study.joint, []
     order = [int(k) for k in np.argsort(-joint.before.share, kind="stable")]
     for title, lengths, unit in (("Angles", False, "mrad"), ("Lengths", True, "mm")):

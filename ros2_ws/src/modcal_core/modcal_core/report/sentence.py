@@ -90,7 +90,7 @@ def _where(report: ReportContents) -> str:
 
 
 def _before(report: ReportContents) -> list[tuple[str, str]]:
-    """Stages to compare with, and what they are called."""
+    """Stages to compare with, and their names."""
     named = report.searched is None or any(finding.effects for finding in report.effects)
     return [("nominal", "nominal model"), *([("geometric", "geometry alone")] if named else [])]
 

@@ -50,7 +50,7 @@ class ToolDifference:
 
 
 def tool_difference(first: Calibration, second: Calibration) -> ToolDifference | None:
-    """What the two predict differently at the tool; None where neither keeps the postures that it was made from."""
+    """Difference of two calibrations at the tool; None where neither keeps its postures."""
     kept = [c.postures for c in (first, second) if len(c.postures)]
     if not kept:
         return None

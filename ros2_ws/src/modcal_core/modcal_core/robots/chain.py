@@ -177,9 +177,7 @@ class Chain:
         return other
 
     def from_root_to(self, T_tip_tool: Array) -> Chain:
-        """The same robot seen from the root, with the tool for its tip. The last one is kept, for at every moment of an
-        arm that is corrected the same one is asked for.
-        """
+        """The same robot from the root, with the tool as its tip. The last result is cached for the corrector."""
         kept: tuple[Array, Chain] | None = self.__dict__.get("_last_tool")
         if kept is None or not np.array_equal(kept[0], T_tip_tool):
             origins = np.array(self.origins)

@@ -147,12 +147,12 @@ class Delta:
 
     @property
     def T_base_root(self) -> Array:
-        """Where errors of the whole robot's place are put in: at its base, (4, 4)."""
+        """Pose (4, 4) in the base at which errors of the whole robot are inserted: the base itself."""
         return np.eye(4)
 
     @property
     def joint_basis(self) -> Array:
-        """The directions x, y, z of the place in front of each joint, as plain names need them, (n, 3, 3)."""
+        """Directions x, y, z of the place before each joint, for parameter names, (n, 3, 3)."""
         return np.tile(np.eye(3), (self.n, 1, 1))
 
     @cached_property
@@ -189,7 +189,7 @@ class Delta:
         return self.moved(constants[:ARMS].T)
 
     def length_direction(self, k: int) -> Array:
-        """Unit vector of what leads to a shoulder, in the frame of place k, (3,); zero behind the arms."""
+        """Unit vector of the link to a shoulder, in the frame of place k, (3,); zero behind the arms."""
         return np.array([1.0, 0.0, 0.0]) if k <= ARMS else np.zeros(3)
 
     def digits(self) -> bytes:

@@ -54,7 +54,7 @@ def torque(
     acceleration: ArrayLike,
     gravity: ArrayLike = DOWN,
 ) -> Array:
-    """Drive torques (N, n) [N m; N] of a motion, friction apart: M q̈ + C q̇ + g. All arguments (N, n)."""
+    """Drive torques (N, n) [N m; N] of a motion without friction: M q̈ + C q̇ + g. All arguments (N, n)."""
     bodies = Bodies.at(chain, inertias, q)
     inertial = np.einsum("nij,nj->ni", bodies.matrix, np.asarray(acceleration, dtype=float))
     return inertial + bias_of(bodies, velocity, gravity)

@@ -33,14 +33,14 @@ class HeldWeight:
     """
 
     def __init__(self, chain: Chain, inertias: Inertias) -> None:
-        """Of the bodies of a chain."""
+        """Prepare the bodies of a chain."""
         self._chain, self._down = chain, inertias.down
         self._local = np.einsum("ki,kij->kj", inertias.com, chain.joint_basis)  # with the joints' axes as z [m]
         self._weight = (STANDARD_GRAVITY * inertias.mass)[:, None]
         self._beyond = np.cumsum(self._weight[::-1], axis=0)[::-1]  # of all bodies that a joint carries [N]
 
     def efforts(self, q: Array) -> Array:
-        """Of a posture q (n,), (n,) [N m; N]."""
+        """Torques (n,) [N m; N] that hold the arm at a posture q (n,)."""
         before, _ = posture_frames(self._chain, q)
         p = before[:, :3, 3]
         x, y, z = self._local.T

@@ -130,7 +130,7 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
 
 
 def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:
-    """The damped step (n,) within the limits: joints that it would push out stay at them, and the rest is done anew."""
+    """Damped step (n,) within the limits: joints it would push out are held there, and the rest is done again."""
     free = np.ones(chain.n, bool)
     for _ in range(chain.n):
         B = A * free

@@ -121,7 +121,7 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
 
 
 def _steps(chain: Chain, q: Array, A: Array, r: Array, damping: Array) -> Array:
-    """Damped steps (N, n) within the limits: joints they would push out are held there, and the rest is done anew."""
+    """Damped steps (N, n) within the limits: joints they would push out are held there, and the rest is done again."""
     free = np.ones(q.shape, bool)
     step = np.zeros_like(q)
     todo = np.arange(len(q))

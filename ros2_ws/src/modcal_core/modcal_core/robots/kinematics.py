@@ -164,7 +164,7 @@ def frames(chain: Chain, q: ArrayLike, twists: Mapping[int, Array] | None = None
 
 
 def _frames_of_one(chain: Chain, q: Array, twists: Mapping[int, Array]) -> Frames:
-    """The same of one posture (n,), in a third of the time."""
+    """Frames of one posture (n,), in a third of the time."""
     out = np.empty((chain.n + 1, 4, 4))
     T = chain.along_z[0]
     for k, link in enumerate([*_links(chain, q), None]):

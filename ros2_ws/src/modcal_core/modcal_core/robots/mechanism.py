@@ -167,7 +167,7 @@ gravity_wrench.register(Chain, gravity.gravity_wrench)
 
 @singledispatch
 def takes(robot: Mechanism, q: Array) -> np.ndarray:
-    """Which postures (N, n) the robot can take, its limits apart, (N,): a Delta's platform must fit its arms."""
+    """Which postures (N, n) the robot can take, apart from its limits, (N,): a Delta's platform must fit its arms."""
     return np.ones(len(q), dtype=bool)
 
 

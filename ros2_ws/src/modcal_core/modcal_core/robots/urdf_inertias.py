@@ -77,7 +77,7 @@ def held_behind(urdf_xml: str, inertias: Inertias, chain: Chain, joints: int, do
 
 
 def weightless(joints: int) -> Inertias:
-    """Bodies of a chain of so many joints of which no mass is known."""
+    """Massless bodies for a chain with this many joints."""
     return Inertias(np.zeros(joints), np.zeros((joints, 3)), np.zeros((joints, 3, 3)))
 
 

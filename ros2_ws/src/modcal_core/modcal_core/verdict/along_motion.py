@@ -35,7 +35,7 @@ class AlongMotion:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         return (
             f"Most of what is left while the arm moves ({self.share:.0%} of the squared position error) lies along the "
             f"direction of motion, {self.times:.2g} times what lies across it: as if the stamps of readings were off "

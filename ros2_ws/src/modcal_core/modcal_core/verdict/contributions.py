@@ -90,13 +90,13 @@ def resampled(square: Array, station: np.ndarray) -> tuple[float, Interval]:
 
 
 def _draws(count: int) -> np.ndarray:
-    """Which of so many are drawn each time, (DRAWS, count)."""
+    """Indices of the units drawn in each resample, (DRAWS, count)."""
     return np.random.default_rng(0).integers(count, size=(DRAWS, count))
 
 
 @lru_cache(maxsize=2)
 def _often(count: int) -> Array:
-    """How often each of so many is drawn each time, (DRAWS, count): effect after effect asks for the same."""
+    """How often each unit is drawn in each resample, (DRAWS, count); cached, because effects share it."""
     at = _draws(count) + count * np.arange(DRAWS)[:, None]
     return np.bincount(at.ravel(), minlength=DRAWS * count).reshape(DRAWS, count).astype(float)
 

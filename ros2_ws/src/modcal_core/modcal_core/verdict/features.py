@@ -100,7 +100,7 @@ def single_waves(model: Model, samples: Samples, weight: Array) -> Iterator[tupl
     """Every joint's axis with each wave of its own position, alone and times its load; all with waves of two joints.
     And base and tool with those of other joints that move beside the arm, whose weight may bend what both stand on.
 
-    With what they are called, for a person. weight: of the samples' six components, (6, N).
+    With what they are called, as text. weight: of the samples' six components, (6, N).
     """
     builder = _GroupBuilder(model, samples, weight)
     yield "single waves of the joint positions", builder.single_waves()

@@ -99,7 +99,7 @@ def visits(samples: Samples, rows: np.ndarray) -> list[np.ndarray]:
 
 
 def _same_side(group: np.ndarray, side: Array) -> np.ndarray:
-    """Of these visits those from the side that most of them came from; one from an unknown side counts with them."""
+    """Visits from the side that most of them came from; those from an unknown side are included."""
     unknown = ~(side[group] != 0.0).any(axis=1)
     if unknown.all():
         return group

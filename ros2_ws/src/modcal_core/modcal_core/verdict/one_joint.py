@@ -54,7 +54,7 @@ class OneJoint:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         unit = "mrad" if self.turns else "mm"
         one = len(self.names) == 1
         who = f"Joint {self.names[0]} scatters by" if one else f"Joints {' and '.join(self.names)} scatter by at least"

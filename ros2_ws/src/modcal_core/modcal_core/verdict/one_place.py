@@ -42,7 +42,7 @@ class OnePlace:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         return (
             f"Most of what is left ({self.share:.0%} of the squared position error) is scatter of {self.who}, which "
             f"stands elsewhere at each station ({1e3 * self.moved:.2g} mm and {np.degrees(self.turned):.2g}° RMS at "

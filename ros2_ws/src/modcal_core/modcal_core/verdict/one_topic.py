@@ -41,7 +41,7 @@ class OneTopic:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         more = f", which is {self.times:.2g} times that of the others," if self.times > 1.0 else ""
         return (
             f"What '{self.frame}' leaves{more} can be predicted from {self.on} ({self.share:.0%} of its squares), "

@@ -45,7 +45,7 @@ _DOUBT = 2.0  # times; a kept covariance assumes white noise, which an arm that 
 class Predictable:
     """Shares of the squared error that are predictable: both together (in variances), position, orientation.
 
-    source: what predicts it best, for a person.
+    source: what predicts it best, as text.
     """
 
     both: Share | None = None

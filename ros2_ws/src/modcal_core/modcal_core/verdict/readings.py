@@ -163,7 +163,7 @@ def _bits(x: np.ndarray) -> int:
 
 
 def _lattice(x: np.ndarray) -> float:
-    """The step that all of some numbers (N,) are apart by multiples of; 0 where it is below :data:`_FINEST_STEP`."""
+    """Common step of numbers (N,), all of which differ by multiples of it; 0 where it is below :data:`_FINEST_STEP`."""
     size = 0.0
     for gap in np.diff(np.unique(x)):
         a, b = max(size, float(gap)), min(size, float(gap))
@@ -278,7 +278,9 @@ def _same_everywhere(position: np.ndarray) -> tuple[np.ndarray, int] | None:
 
 
 def _in_runs(same: np.ndarray) -> int:
-    """How many samples stand in runs of at least so many alike; same: whether each is as the one before, (N - 1,)."""
+    """Number of samples in runs of at least a minimum length of equal ones. same: whether each equals the one before,
+    (N - 1,).
+    """
     edges = np.flatnonzero(np.diff(np.r_[False, same, False].astype(int)))
     runs = edges[1::2] - edges[::2] + 1
     return int(runs[runs >= _REPEATED].sum())

@@ -66,7 +66,7 @@ def _degrees(turn: Array) -> str:
 
 
 def _apart(case: Case) -> Iterator[str]:
-    """The quantity by which rejected readings are told from the others best."""
+    """Quantity that best separates rejected readings from the others."""
     samples, wrong = case.samples, case.wrong
     names = samples.names or tuple(f"joint {j + 1}" for j in range(samples.q.shape[1]))
     found: list[tuple[float, str]] = []

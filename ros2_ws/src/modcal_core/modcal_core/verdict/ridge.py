@@ -108,7 +108,7 @@ class Regressor(Protocol):
 
     @property
     def name(self) -> str:
-        """What from, for a person."""
+        """What from, as text."""
 
     def predictions(self, trials: Trials) -> list[Array]:
         """Predictions (R, m) of what is left in the trials, one for each way to set the regressor."""
@@ -131,7 +131,7 @@ class Ridge:
 
     @classmethod
     def of(cls, name: str, columns: Array, baseline: Baseline) -> Ridge:
-        """name: of the columns, for a person."""
+        """name: of the columns, as text."""
         D, R = columns.shape
         spans, Q = baseline.layout.spans, baseline.directions
         parts = [columns[:, a:b] for a, b in spans]

@@ -40,7 +40,7 @@ class SparseRegressor:
 
     @classmethod
     def of(cls, name: str, waves: Waves, baseline: Baseline, least_new: float) -> SparseRegressor | None:
-        """name: of the columns, for a person. least_new: share of a column's length that the parameters must leave.
+        """name: of the columns, as text. least_new: share of a column's length that the parameters must leave.
 
         None where they leave nothing.
         """

@@ -152,7 +152,7 @@ def _interval_of_mean(x: Array, rows_of: np.ndarray) -> tuple[float, float]:
 
 @lru_cache(maxsize=2)  # every stage of a report has as many units
 def _drawn_again(count: int) -> Array:
-    """How often each of so many units is drawn, (draws, count): the same report gives the same bytes."""
+    """How often each unit is drawn, (draws, count), by a fixed seed: the same report gives the same bytes."""
     times = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)
     times.flags.writeable = False
     return times

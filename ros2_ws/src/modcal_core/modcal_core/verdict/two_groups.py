@@ -37,7 +37,7 @@ _BIT = 0.03  # of its size, to which a step is taken for a bit of an encoder
 
 @dataclass(frozen=True)
 class TwoGroups:
-    """who: what seems to have two positions. apart: the size between them, for a person. few: samples of the smaller
+    """who: what seems to have two positions. apart: the size between them, as text. few: samples of the smaller
     group, of how many. share: of the squared error that the two groups explain.
     """
 
@@ -49,7 +49,7 @@ class TwoGroups:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         return (
             f"The residual falls into two groups of {self.few} and {self.of - self.few} stations, {self.apart} apart, "
             f"as if {self.who} had two positions ({self.share:.0%} of the squared error): that is not scatter."

@@ -26,7 +26,7 @@ _FARTHEST = 5.0  # times the median size; no station may rule alone
 
 @dataclass(frozen=True)
 class Uneven:
-    """Stations from first to last, where scatter is so many times that of the rest, RMS."""
+    """Stations first to last, whose scatter is a multiple of that of the rest, RMS."""
 
     first: int
     last: int
@@ -34,7 +34,7 @@ class Uneven:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """The finding as a sentence."""
         return (
             f"At stations {self.first} to {self.last} readings scatter {self.times:.2g} times as much as at the "
             "others: something shook or was loose then. See what went on in the cell, and leave these stations out."
@@ -75,7 +75,7 @@ def uneven(case: Case) -> Uneven | None:
 
 
 def _largest(square: Array) -> tuple[Array, Array, Array] | None:
-    """Of rows of squares (R, S): how high the highest window is, where it begins and how many stations it has."""
+    """For each row of squares (R, S), height, first station and length of the highest window."""
     R, S = square.shape
     total = np.concatenate([np.zeros((R, 1)), np.cumsum(square, axis=1)], axis=1)
     spread = max(float(square[0].std()), 1e-300)

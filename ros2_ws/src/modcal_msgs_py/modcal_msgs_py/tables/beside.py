@@ -267,7 +267,7 @@ def _signals(
     taken: set[int],
     of_joints: set[int],
 ) -> None:
-    """Everything else that has a label, changes, and is neither a counter nor what a reading says of itself."""
+    """Take every other labelled column that changes and is neither a counter nor a reading's own error as a signal."""
     for one in families:
         if set(one.columns) & (out.used | taken):
             continue

@@ -26,7 +26,7 @@ _MAX_BODIES = 48  # places of columns that are tried without labels
 class Numbers:
     """The columns of a file as numbers. values: (N, width), NaN where there is none. labels: of each column.
 
-    odd: texts in a column that stand where there is no number, besides those that are known to.
+    odd: texts in a column that stand where a number is missing, besides those that are known to.
     """
 
     sniffed: Sniffed
@@ -98,7 +98,7 @@ class Body:
 
     @property
     def posed(self) -> bool:
-        """Whether it has an orientation."""
+        """Whether the body has an orientation."""
         return self.turned is not None or bool(self.points)
 
 

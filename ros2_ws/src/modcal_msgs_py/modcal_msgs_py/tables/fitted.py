@@ -157,7 +157,7 @@ def _positions(judged: Judged) -> str:
 
 
 def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:
-    """In what another meaning differs from the best: what the best says, and what the other says."""
+    """Differences between the best meaning and another: pairs of words for the best and for the other."""
     a, b = best.meaning, other.meaning
     out = []
     if a.turning != b.turning:

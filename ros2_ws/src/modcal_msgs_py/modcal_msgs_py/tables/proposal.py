@@ -18,7 +18,7 @@ _WIDTH = 116  # of comments
 
 @dataclass(frozen=True)
 class Proposal:
-    """A mapping, and what is to be said of it. proved: what the data shows, with what came second. open: questions."""
+    """A proposed mapping. proved: what the data shows, with the second best. open: questions."""
 
     mapping: Mapping[str, Any]
     proved: tuple[str, ...]

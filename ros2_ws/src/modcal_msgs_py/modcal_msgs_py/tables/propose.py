@@ -129,7 +129,7 @@ def _every_fit(
         return any(f.best.explained(chain) and not f.computed for f in fits)
 
     def left(some: Sequence[Body]) -> list[Body]:
-        """Those that have no column of a pose that was computed from the joints."""
+        """Bodies that share no column with a pose computed from the joints."""
         gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
         return [b for b in some if not gone & {*b.position, *(b.turned or ())}]
 
@@ -166,7 +166,7 @@ def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Seque
 
 
 def _covers(known: Body, body: Body) -> bool:
-    """Whether a body's columns are told already by another one."""
+    """Whether another body already uses this body's columns."""
     return (
         (known.away, known.sign) == (body.away, body.sign)
         and bool(set(known.position) & set(body.position))

@@ -51,7 +51,7 @@ class Way:
     clockwise: bool = False
 
     def words(self, choices: Sequence[ColumnChoice]) -> str:
-        """It in words."""
+        """Description in words."""
         said = f"in {self.unit}" if self.unit else "as unit vectors"
         if self.unit in _ANGLES:
             said += f", {'zenith angles' if self.zenith else 'elevations'}, azimuths {self.turn}"

@@ -1,4 +1,4 @@
-"""The arm whose joints are heard: read off the description as soon as it and the joints' names are known."""
+"""The arm whose joints are received: read off the description as soon as it and the joints' names are known."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class KnownArm:
             self.stream.joint_state(seconds(message.header.stamp), position, effort)
 
     def command(self, type_name: str, message: Any, received: float) -> None:
-        """Hand a message of commands to the stream; joints that it does not name stay as they were told."""
+        """Add a message of commands to the stream; joints that it does not name keep their last command."""
         if self.stream is None or self.chain is None:
             return
         told = Commands()

@@ -143,7 +143,7 @@ class CornerIntake:
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Of all cameras."""
+        """Topics of all cameras."""
         return "corners", *(one.name for one in self.further)
 
     @property

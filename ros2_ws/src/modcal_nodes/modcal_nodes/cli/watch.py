@@ -1,4 +1,4 @@
-"""``modcal watch``: what the nodes of a cell say of themselves, in a terminal."""
+"""``modcal watch``: what the nodes of a cell report, in a terminal."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def read_particulars(path: Path | None) -> Particulars:
 
 
 def read_topics(path: Path | None, said: Topics) -> Topics:
-    """What is said of topics, and what a cell file says of roles that this says nothing of. Raises BadTable."""
+    """Topics by role: those given, and those of the cell file for all other roles. Raises BadTable."""
     if path is None:
         return said
     data = _read_cell(path)

@@ -27,7 +27,7 @@ class JointReports:
         self._received = time.monotonic()
 
     def require_fresh(self, stale: float) -> None:
-        """Raises BadCommand unless every joint was heard within so many seconds."""
+        """Raises BadCommand unless every joint was received within so many seconds."""
         self._joints.require_fresh(self._clock(), stale)
 
     @property

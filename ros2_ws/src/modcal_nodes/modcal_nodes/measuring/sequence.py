@@ -246,7 +246,7 @@ class StationSequence:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the joints, in the order of all postures; empty while the description is not known."""
+        """Names of the joints, in the order of all postures; empty while the description is not known."""
         return () if self._place is None else tuple(self._place.robot.names)
 
     @property

@@ -137,7 +137,7 @@ class ArticulationEstimator(GuardedNode):
             self._forget()
 
     def _recognise(self, names: frozenset[str]) -> None:
-        """Read the arm off its description, once there is one, or when other joints are heard of."""
+        """Read the arm off its description, once there is one, or when other joints are received."""
         if not self._urdf or (names <= self._names and (self._chain or self._refusal)):
             return
         self._names |= names
@@ -170,7 +170,7 @@ class ArticulationEstimator(GuardedNode):
             self._follow(p, R, stamp, message.header.frame_id)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
-        """How hard somebody pulls: the force beyond what the sensor showed in the beginning, and the tool's weight."""
+        """Take a wrench: the pull is the force beyond the initial reading and the weight of the tool."""
         w = wrench_numbers(message)
         if not np.isfinite(w).all():
             raise BadCommand("wrench", "is not finite", "check the sensor")
@@ -292,7 +292,7 @@ class ArticulationEstimator(GuardedNode):
         return lines
 
     def _starved(self, state: TrackerState) -> str:
-        """What is lacking of poses, for a person; empty where nothing is."""
+        """What is lacking of poses, as text; empty where nothing is."""
         topic, silent = self._chosen["input"], time.monotonic() - self._heard
         if silent > _SILENT:
             return f"{topic}: no usable pose for {silent:.0f} s, what is said of the object is as old"
@@ -308,7 +308,7 @@ class ArticulationEstimator(GuardedNode):
 
 
 def _said(state: TrackerState) -> str:
-    """The estimate, for a person."""
+    """The estimate, as text."""
     if state.event:
         return state.event
     if state.written is not None:

@@ -167,7 +167,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     @noted
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Listen no more, and forget what was heard."""
+        """Listen no more, and forget what was received."""
         self._forget()
         return super().on_cleanup(state)
 

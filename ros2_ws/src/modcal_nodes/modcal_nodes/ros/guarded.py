@@ -179,14 +179,16 @@ class GuardedNode(Node):
         return callback if _is_guarded(callback) else Guarded(self, place, callback)
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, *args: Any, **options: Any) -> Any:
-        """As of Node, with the QoS that parameters qos_overrides.TOPIC.publisher.POLICY state."""
+        """Same as Node.create_publisher, with the QoS of the parameters qos_overrides.TOPIC.publisher.POLICY."""
         qos_profile = self._overridden(topic, "publisher", qos_profile, options)
         return super().create_publisher(msg_type, topic, qos_profile, *args, **options)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, *args: Any, **options: Any
     ) -> Any:
-        """As of Node, guarded, with the QoS that parameters qos_overrides.TOPIC.subscription.POLICY state."""
+        """Same as Node.create_subscription, with a guarded callback and the QoS of the parameters
+        qos_overrides.TOPIC.subscription.POLICY.
+        """
         qos_profile = self._overridden(topic, "subscription", qos_profile, options)
         events = options.get("event_callbacks")
         for name in _EVENTS:
@@ -211,23 +213,23 @@ class GuardedNode(Node):
         return Guarded(self, topic, callback, again)
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **options: Any) -> Any:
-        """As of Node, guarded."""
+        """Same as in Node, with a guarded callback."""
         inner = getattr(callback, "func", callback)
         place = f"timer {getattr(inner, '__name__', type(inner).__name__).lstrip('_')}"
         return super().create_timer(timer_period_sec, self.guarded(place, callback), *args, **options)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, *args: Any, **options: Any) -> Any:
-        """As of Node, guarded: after a fault the caller is told, if the response has words for that."""
+        """Same as in Node, guarded: after a fault the caller is told, if the response has a field for it."""
         return super().create_service(srv_type, srv_name, self.guarded_service(srv_name, callback), *args, **options)
 
     def add_on_set_parameters_callback(self, callback: Any) -> None:
-        """As of Node, guarded: after a fault the parameters are refused."""
+        """Same as in Node, guarded: after a fault the parameters are refused."""
         super().add_on_set_parameters_callback(
             Guarded(self, "parameters", callback, lambda _, said: SetParametersResult(successful=False, reason=said))
         )
 
     def add_post_set_parameters_callback(self, callback: Any) -> None:
-        """As of Node, guarded."""
+        """Same as in Node, with a guarded callback."""
         super().add_post_set_parameters_callback(self.guarded("parameters", callback))
 
     def _overridden(self, topic: str, kind: str, qos: Any, options: dict[str, Any]) -> Any:

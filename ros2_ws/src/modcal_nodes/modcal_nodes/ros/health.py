@@ -1,4 +1,4 @@
-"""What a node says of itself on ``/diagnostics``, once a second and at once when it gets better or worse."""
+"""What a node reports on ``/diagnostics``, once a second and at once when it gets better or worse."""
 
 from __future__ import annotations
 

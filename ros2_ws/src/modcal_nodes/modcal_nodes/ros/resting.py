@@ -1,10 +1,10 @@
-"""An executor for nodes that hear a thousand messages a second and need not answer within a millisecond.
+"""Executor for nodes that receive a thousand messages a second and need not answer within a millisecond.
 
-Each look of rclpy's executor gathers every entity of the node anew, subscriptions, services and the events of each, 0.5
-to 1.5 ms of processor, and brings one message a topic. While messages come, they are taken from their subscriptions
-without it, every few milliseconds, and timers that are due are run and requests answered without it. It is asked four
-times a second for what is left: events of the middleware, and coroutines that wait. It waits once nothing has come for
-a while.
+Each call of rclpy's executor collects every entity of the node again (subscriptions, services, events). That takes 0.5
+to 1.5 ms of processor and yields one message a topic. While messages arrive, this executor takes them from their
+subscriptions directly, every few milliseconds; it also runs timers that are due and answers requests. rclpy's executor
+is called four times a second for the rest: events of the middleware, and waiting coroutines. It waits when nothing has
+arrived for a while.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ FRESH = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT, durabili
 
 
 def run(make: Callable[[], Node], rest: float = 0.0) -> None:
-    """Spin the node until it is told to stop (Ctrl-C, SIGTERM, shutdown), then close it, however often it is told.
+    """Spin the node until it is stopped (Ctrl-C, SIGTERM, shutdown), then close it, however often it is told.
 
     rest: seconds between two looks for messages, of a node that need not answer within a millisecond. A look of the
     executor costs as much as handling ten messages, so while messages come they are taken past it (see resting.py).

@@ -113,7 +113,7 @@ class MonitoredSubscription:
             self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
 
     def _settle_for_less(self, kind: QoSPolicyKind) -> None:
-        """Subscribe so that this publisher is heard as well."""
+        """Subscribe so that this publisher is received as well."""
         assert self._less is not None
         self._less.cancel()
         qos = QoSProfile(
@@ -157,7 +157,7 @@ def always(_: float) -> bool:
 
 
 def subscription_status(inputs: Iterable[MonitoredSubscription]) -> Status:
-    """What is heard and what is not, as one status."""
+    """What is received and what is not, as one status."""
     inputs = list(inputs)
     complaints = [complaint for subscription in inputs if (complaint := subscription.complaint()) is not None]
     level = max((level for level, _ in complaints), default=OK)
@@ -172,7 +172,7 @@ def subscription_status(inputs: Iterable[MonitoredSubscription]) -> Status:
 
 
 def tracker_status(hearing: Status, inputs: Iterable[MonitoredSubscription]) -> Status:
-    """The status of all that is heard; a warning where no instrument is, whichever it might be."""
+    """The status of all that is received; a warning where no instrument is, whichever it might be."""
     instruments = [subscription for subscription in inputs if "tracker/" in subscription.topic]
     if hearing.level != OK or any(subscription.count for subscription in instruments):
         return hearing

@@ -1,4 +1,4 @@
-"""One topic on its way into a bag: every publisher is heard, whatever its QoS, and every message is kept once.
+"""One topic on its way into a bag: every publisher is received, whatever its QoS, and every message is kept once.
 
 A subscription hears a publisher only if it asks for no more than that offers. One that asks for little hears everybody,
 but then a reliable publisher does not repeat what got lost, and a latched one does not tell what it said before. So
@@ -132,9 +132,9 @@ class TopicRecorder:
             self._spares += [(offer, self._subscribe(offer)) for offer in self._inputs]
 
     def _settle(self) -> None:
-        """Of the subscriptions of one kind keep the one that hears most now.
+        """Keep the subscription of each kind that receives most.
 
-        The one that was heard first may have got a single message of those that the publisher keeps, and be matched
+        The one that was received first may have got a single message of those that the publisher keeps, and be matched
         seconds later.
         """
         for offer, own in list(self._inputs.items()):

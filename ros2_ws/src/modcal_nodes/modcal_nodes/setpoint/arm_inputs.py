@@ -67,7 +67,7 @@ class ArmInputs:
         return JointPositions(self._joints.position.copy(), stamp, effort.copy() if np.isfinite(effort).all() else None)
 
     def require_fresh(self, now: float) -> None:
-        """Raises BadCommand unless everything that a pull needs was heard of late."""
+        """Raises BadCommand unless everything that a pull needs was received recently."""
         timeout = self._chosen["timeout_s"]
         self._joints.require_fresh(now, timeout)
         if not abs(now - self.sensor.stamp) <= timeout:

@@ -16,7 +16,7 @@ from modcal_core.robots.urdf_inertias import read_inertias
 
 @dataclass(frozen=True)
 class JointEfforts:
-    """arm: what is known, None where that is not enough. unknown: why not, for a person."""
+    """arm: what is known, None where that is not enough. unknown: why not, as text."""
 
     arm: ArmEfforts | None
     unknown: str = ""

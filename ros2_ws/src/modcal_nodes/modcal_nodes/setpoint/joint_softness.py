@@ -27,7 +27,7 @@ class JointSoftness:
     def of(cls, urdf: str, chain: Chain, max_lead: float, held: str = "") -> JointSoftness:
         """For servos that lead by so much [rad] at most under the effort of a URDF.
 
-        held: why it is not joints that are held, for a person, where that is known.
+        held: why it is not joints that are held, as text, where that is known.
         """
         unknown = np.full(chain.n, np.nan)
         if held or not max_lead > 0.0:
@@ -45,7 +45,7 @@ class JointSoftness:
 
     @property
     def said(self) -> str:
-        """By what a force that the sensor hides is bounded, for a person."""
+        """Which signals limit a force that the sensor hides, as text."""
         if self.unknown:
             return f"the lead of the tool alone ({self.unknown})"
         least, most = np.nanmin(self.least), np.nanmax(self.least)

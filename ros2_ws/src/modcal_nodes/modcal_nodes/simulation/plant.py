@@ -85,7 +85,7 @@ class Plant:
         self._go([(start + after, q) for after, q in self._own], start)
 
     def go(self, legs: list[tuple[float, Array]], start: float) -> None:
-        """Be at each posture (n,) by so many seconds after the start; what it did before is given up."""
+        """Reach each posture (n,) at its time after the start; the previous motion is dropped."""
         self._repeat, self._own = False, []
         self._go([(start + after, q) for after, q in legs], start)
 
@@ -120,7 +120,7 @@ class Plant:
         self._program.reset(start, legs)
 
     def _missed(self, legs: list[tuple[float, Array]], q: Array, miss: Array) -> list[tuple[float, Array]]:
-        """By how much each posture is missed (n,): anew wherever the arm arrives."""
+        """By how much each posture is missed (n,): again wherever the arm arrives."""
         out = []
         for at, goal in legs:
             if np.abs(goal - q).max() > _AWAY:

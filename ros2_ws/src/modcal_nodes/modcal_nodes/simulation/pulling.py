@@ -182,7 +182,7 @@ class Pulling:
         return self._sum / max(self._steps, 1)
 
     def forget(self) -> None:
-        """Begin peak and mean anew."""
+        """Restart peak and mean."""
         self._peak, self._peak_size, self._sum, self._steps = np.zeros(6), 0.0, 0.0, 0
 
     def object_state(self) -> tuple[Array, Array]:

@@ -83,7 +83,7 @@ KNOWN: dict[str, Callable[[float], Resistance]] = {
 
 
 def resistance(text: str) -> Resistance | None:
-    """Of a name and its force [N], as ``closer 25``; None of an empty text. Raises BadTable."""
+    """Resistance from its name and force [N], such as ``closer 25``; None for an empty text. Raises BadTable."""
     if not text.strip():
         return None
     name, _, size = text.strip().partition(" ")

@@ -87,7 +87,7 @@ def around_stations(shapes: Shapes, scale: float) -> list[Marker]:
 def uncertainty_picture(
     frame: str, at_stations: list[Marker], present: Shapes, scale: float, lifetime: float
 ) -> MarkerArray:
-    """Those ellipsoids, and the ones where the tool is now."""
+    """Ellipsoids at the stations and at the present tool, as one picture."""
     parts = ellipsoids(Marker, PRESENT, [(T, scale * half) for T, half in present], _NOW)
     return fill_picture(MarkerArray(), Marker, frame, [*at_stations, *parts], lifetime)
 

@@ -52,7 +52,7 @@ class ImagesWorth:
 
     @property
     def data(self) -> dict[str, Any]:
-        """As ``--json`` has it."""
+        """Data for ``--json``."""
         return asdict(self)
 
 
@@ -138,7 +138,7 @@ def _worth(
 
 
 def worth_line(worth: ImagesWorth) -> str:
-    """It all in a line."""
+    """One-line summary."""
     parts = [f"{worth.topic}: {worth.count} images, the target in {worth.found} of {worth.looked_at}"]
     if worth.edges_px is not None:
         parts.append(f"edges {worth.edges_px:.1f} px wide")

@@ -1,1 +1,1 @@
-"""What ``modcal watch`` is made of: what it has heard of a cell, what it listens to, and how that is shown."""
+"""Parts of ``modcal watch``: what it has received, what it listens to, and how that is shown."""

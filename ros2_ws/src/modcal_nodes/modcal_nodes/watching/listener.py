@@ -47,7 +47,7 @@ class Listener(Node):
             self.heard.status(s.name, s.hardware_id, int.from_bytes(s.level, "little"), s.message, facts, now)
 
     def follow(self) -> None:
-        """Subscribe to what the nodes that were heard publish beside /diagnostics, as soon as they do."""
+        """Subscribe to what the nodes that were received publish beside /diagnostics, as soon as they do."""
         for node in self.heard.names:
             for what, (kind, qos) in _TYPES.items():
                 topic = f"{node}/{what}"

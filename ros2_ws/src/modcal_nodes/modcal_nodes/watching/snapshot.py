@@ -1,4 +1,4 @@
-"""What was heard of the nodes of a cell, and one snapshot of it: plain values in, plain data out."""
+"""What was received of the nodes of a cell, and one snapshot of it: plain values in, plain data out."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class _Node:
 
 
 class Heard:
-    """Everything that was said by the nodes below a namespace. Times are those of one steady clock [s]."""
+    """Everything that the nodes below a namespace published. Times are of one steady clock [s]."""
 
     def __init__(self, namespace: str = "") -> None:
         """namespace: only nodes below it are listened to; empty: all."""
@@ -48,7 +48,7 @@ class Heard:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Full names of the nodes that were heard."""
+        """Full names of the nodes that were received."""
         return tuple(sorted(self._nodes))
 
     def status(self, name: str, hardware: str, level: int, message: str, facts: Mapping[str, str], at: float) -> None:

@@ -88,7 +88,7 @@ class AxisMotion(Motion):
         return np.array([[0.0, -rise], [1.0, 0.0], [0.0, run]])
 
     def moved(self, z: Array) -> AxisMotion:
-        """The motion with its parameters changed by z (size,), radius and pitch kept within what can be told."""
+        """Motion with its parameters changed by z (size,); radius and pitch are limited to plausible values."""
         k = self.frame_turns
         across = self.across
         j = k + across.shape[1]
@@ -181,11 +181,13 @@ class AxisMotion(Motion):
         return both[:, 1:3]
 
     def turns_apart(self, both: Array) -> tuple[Array, Array | None]:
-        """What rotations leave that no position tells of, and what is left about the axis against the position's."""
+        """Rotation residuals that are independent of positions, and those about the axis that are not (None where there
+        are none).
+        """
         return both[:, 3:], None
 
     def priors(self) -> list[tuple[float, tuple[float, float]]]:
-        """Of each size that is a parameter: its logarithm, and the mean and standard deviation known of it."""
+        """For each size that is a parameter, its logarithm, and mean and standard deviation of its prior."""
         return []
 
     def prior_terms(self) -> tuple[float, Array, Array]:
@@ -237,11 +239,13 @@ class AxisMotion(Motion):
         return {"axis": -so3.hat(self.axis) @ turn, "start": shift, **self.own_gradients(turn, shift)}
 
     def own_gradients(self, turn: Array, shift: Array) -> dict[str, Array]:
-        """Those of point and pitch."""
+        """Gradients of point and pitch by the parameters; none by default."""
         return {}
 
     def covariance(self, parameters: Array) -> dict[str, Array]:
-        """Of axis, start, point (also called centre) and pitch, from that of the parameters (size, size)."""
+        """Covariances of axis, start, point (also called centre) and pitch, from the covariance of the parameters
+        (size, size).
+        """
         named = {name: g @ parameters @ g.T for name, g in self.gradients().items()}
         if "point" in named:
             named["centre"] = named["point"]

@@ -51,5 +51,5 @@ class ArticulationModel(ABC):
         """The best few first guesses, best first, robust to gross outliers. rng: picks samples."""
 
     def quick_guess(self, track: Track, known: Mapping[Kind, Motion], turn: int) -> Motion | None:
-        """One quick guess, None where there is none. known: what other types have come to. turn: number of the try."""
+        """One quick guess, None where there is none. known: results of other types. turn: number of the attempt."""
         return None

@@ -65,7 +65,7 @@ def _places(track: Track, own: PathShape, rng: np.random.Generator) -> Iterator[
 
 
 def _triples(p: Array, rng: np.random.Generator) -> Iterator[Rows]:
-    """Rows (3,) of samples: the farthest apart with one between, and others by chance."""
+    """Rows (3,) of samples: the farthest apart with one between, and random ones."""
     first = int(np.argmax(((p - np.median(p, axis=0)) ** 2).sum(axis=1)))
     away = np.linalg.norm(p - p[first], axis=1)
     last = int(np.argmax(away))

@@ -183,7 +183,7 @@ class ParametricMotion(Motion):
         return PathJoint(self.kind, values, self.T, self.R is not None, self.model.unit, self)
 
     def covariance(self, parameters: Array) -> dict[str, Array]:
-        """Of each parameter of the shape (1, 1)."""
+        """Variance (1, 1) of each parameter of the shape."""
         _, std = self.model.prior
         own = (std**2 * np.diag(parameters)[self.size - self.model.size :]).tolist()
         return {p.name: np.array([[c]]) for p, c in zip(self.model.parameters, own, strict=True)}

@@ -43,7 +43,7 @@ class PrismaticJoint(JointModel):
         return (placed(seen)[0] - self.start[:3, 3]) @ self.axis
 
     def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """How far it slid."""
+        """Sentence with the distance along the line."""
         return f"slid {1e2 * span(a):.0f} cm along a line"
 
 
@@ -82,7 +82,7 @@ class PrismaticMotion(AxisMotion):
 
 
 class Prismatic(AxisModel):
-    """As often met as what turns."""
+    """Prismatic joint. Its prior probability equals that of a revolute joint."""
 
     name = "prismatic"
     share = 0.49
@@ -108,7 +108,7 @@ class Prismatic(AxisModel):
         return robust(lines(), some, PrismaticMotion)
 
     def quick_guess(self, track: Track, known: Mapping[Kind, Motion], turn: int) -> Motion | None:
-        """The line through the two samples that lie farthest apart."""
+        """Line through the two samples that are farthest apart."""
         return line(PrismaticMotion, track)
 
 

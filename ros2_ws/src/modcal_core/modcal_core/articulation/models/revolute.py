@@ -172,11 +172,11 @@ class RevoluteMotion(AxisMotion):
         return C
 
     def turns_apart(self, both: Array) -> tuple[Array, Array | None]:
-        """What no position tells of (k, 2, 1 + size), and what is left about the axis (k, 1, 1 + size)."""
+        """Rotation residuals across the axis (k, 2, 1 + size), and those about it (k, 1, 1 + size)."""
         return both[:, 3:5], both[:, 5:]
 
     def priors(self) -> list[tuple[float, tuple[float, float]]]:
-        """Of the radius."""
+        """Logarithm of the radius with its prior."""
         return [(math.log(self.r), furniture.RADIUS)]
 
     def log_prior(self) -> float:
@@ -196,7 +196,7 @@ class RevoluteMotion(AxisMotion):
         return p, point + rise, turn @ R if self.R is not None else R
 
     def own_gradients(self, turn: Array, shift: Array) -> dict[str, Array]:
-        """Of the point on the axis (3, size)."""
+        """Gradient of the point on the axis (3, size)."""
         arm = self.r * self.G[:, 1]
         point = shift - so3.hat(arm) @ turn
         point[:, self.start_turn + 3 * (self.R is not None)] += arm
@@ -204,7 +204,7 @@ class RevoluteMotion(AxisMotion):
 
 
 class Revolute(AxisModel):
-    """As often met as what slides."""
+    """Revolute joint. Its prior probability equals that of a prismatic joint."""
 
     name = "revolute"
     share = 0.49
@@ -220,7 +220,7 @@ class Revolute(AxisModel):
         return robust(circles(some, rng), some, RevoluteMotion)
 
     def quick_guess(self, track: Track, known: Mapping[Kind, Motion], turn: int) -> Motion | None:
-        """The circle through the two samples that lie farthest apart and one between, or between their poses."""
+        """Circle through the two samples that are farthest apart and one between, or from their poses."""
         first, between, last = far_apart(track)
         p, R = track.positions, track.rotations
         # guesses of hinges come every other turn, so that half of them are of points
@@ -243,7 +243,7 @@ def circles(track: Track, rng: np.random.Generator) -> Iterator[RevoluteMotion]:
 
 
 def best_circles(track: Track, rng: np.random.Generator, keep: int) -> list[RevoluteMotion]:
-    """The best so many."""
+    """The ``keep`` best of the circles through drawn samples."""
     return best_of(circles(track, rng), track, keep)
 
 

@@ -91,7 +91,7 @@ class RigidMotion(AxisMotion):
 
 
 class Rigid(AxisModel):
-    """Of what has a handle and does not move; how likely that is, is told by how far the handle came."""
+    """Object that does not move. Its probability follows from how far the handle came."""
 
     name = "rigid"
     share = 0.0

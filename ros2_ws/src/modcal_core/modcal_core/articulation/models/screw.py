@@ -50,7 +50,7 @@ class ScrewJoint(RevoluteJoint):
         return a
 
     def sentence(self, a: Array, extent: float, std: Mapping[str, float]) -> str:
-        """As of what turns, and the rise of a turn."""
+        """Sentence of a revolute joint, and the rise of a turn [mm]."""
         return f"{super().sentence(a, extent, std)}, rising {2e3 * np.pi * self.pitch:.0f} mm a turn"
 
 
@@ -102,7 +102,7 @@ class ScrewMotion(RevoluteMotion):
         return self.across.T @ both[:, :3]
 
     def priors(self) -> list[tuple[float, tuple[float, float]]]:
-        """Of radius and pitch."""
+        """Logarithms of radius and pitch with their priors."""
         return [*super().priors(), (math.log(abs(self.h)), furniture.PITCH)]
 
     def log_prior(self) -> float:
@@ -110,7 +110,7 @@ class ScrewMotion(RevoluteMotion):
         return super().log_prior() + (-math.log(furniture.PITCH[1]) - 0.5 * LOG_2PI - math.log(2.0))
 
     def own_gradients(self, turn: Array, shift: Array) -> dict[str, Array]:
-        """Of the point on the axis (3, size), and of the pitch (1, size)."""
+        """Gradients of the point on the axis (3, size) and of the pitch (1, size)."""
         pitch = np.zeros((1, self.size))
         pitch[0, -1] = self.h
         return {**super().own_gradients(turn, shift), "pitch": pitch}

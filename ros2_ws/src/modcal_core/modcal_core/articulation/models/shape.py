@@ -110,7 +110,9 @@ class PathShape(ABC):
         return out
 
     def checked_path(self, values: Array, count: int) -> tuple[Array, Array]:
-        """That many configurations over all it may have, and the poses there. Raises BadTable where none moves."""
+        """``count`` configurations over the whole range, and the poses there. Raises BadTable where the handle does not
+        move.
+        """
         a = np.linspace(self.lower, self.upper, count)
         T = self.checked_pose(values, a)
         if float(np.ptp(T[:, :3, 3], axis=0).max()) < 1e-6:

@@ -31,7 +31,7 @@ _REMEMBERED = 16  # joints whose waves are kept, a megabyte each: of the two arm
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
-    """Every joint that turned, with every number of cycles that its range can tell apart; then curves."""
+    """Every joint that turned, with every number of cycles that its range resolves; then whole curves."""
     for j, name in moving_joints(drivers):
         if drivers.arm.chain.revolute[j]:
             yield from _waves(name, _step(float(np.ptp(drivers.samples.q[:, j]))))
@@ -45,7 +45,7 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
 
 @lru_cache(maxsize=_REMEMBERED)
 def _waves(joint: str, step: float) -> tuple[Effect, ...]:
-    """The waves of a joint, with cycles that far apart: the same two thousand in every scan of an arm."""
+    """Waves of a joint with cycles at these spacings; the same two thousand for every scan of an arm."""
     out = list(whole(joint, WHOLE_CYCLES))
     for cycles in _grid(step).tolist():
         out.append(_wave(joint, "sine", cycles))
@@ -72,7 +72,7 @@ def cycle_grid(joint_range: float) -> Array:
 
 
 def _step(joint_range: float) -> float:
-    """How far they lie apart, over a range [rad]: one of two dozen numbers."""
+    """Spacing of the cycles for a range [rad]: one of two dozen values."""
     step = float(np.clip(_OF_A_PERIOD * 2.0 * np.pi / joint_range, _FINEST, _COARSEST))
     return float(_FIRST / np.ceil(_FIRST / step))  # so that all are multiples of it: a scan sums them by one FFT
 

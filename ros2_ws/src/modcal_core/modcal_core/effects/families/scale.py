@@ -16,7 +16,7 @@ NAME = "scale"
 
 
 def candidates(_: Drivers) -> Iterator[Effect]:
-    """One."""
+    """The scale of the tracker, the only candidate."""
     yield Effect(NAME, "tracker", RADIAL, "reading", Shape("linear"))
 
 

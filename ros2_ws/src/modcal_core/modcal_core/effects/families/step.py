@@ -34,7 +34,7 @@ def moved(place: str, direction: str, time: float) -> Effect:
 
 
 def same_as(effect: Effect, samples: Samples) -> tuple[str, ...]:
-    """Errors of joints that may be what it is, where the order of the stations correlates with their positions."""
+    """Joint errors that may explain a step, where the order of the stations correlates with joint positions."""
     return joints_instead(samples, effect.shape.settings["at"])
 
 

@@ -75,7 +75,7 @@ class Pose(Point):
 
 
 def _far_off(position: Array, far: float, spread: float) -> tuple[str, str]:
-    """What is said of positions that spread as an arm's do, but too far from their origin, as those of a site."""
+    """Refusal of positions that spread like an arm's but are too far from their origin, as in site coordinates."""
     said = f"positions spread over {spread:.2g} m as an arm's do, {far:.0f} m from the origin: coordinates of a site"
     if np.array_equal(position, position.astype(np.float32)):
         step = 1e3 * float(np.spacing(np.float32(far)))
