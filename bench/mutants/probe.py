@@ -23,11 +23,15 @@ _seen: set[tuple[str | None, ...]] = set()
 
 def reached(mutant: str) -> None:
     """Note once for each test that it came by this mark."""
+    _note("mutant", mutant)
+
+
+def _note(kind: str, what: str) -> None:
     get = os.environ.get
-    key = (mutant, get("PYTEST_CURRENT_TEST"), get(_SHARED), get(_FILE))
+    key = (kind, what, get("PYTEST_CURRENT_TEST"), get(_SHARED), get(_FILE))
     if key not in _seen:
         _seen.add(key)
-        _write({"mutant": mutant, "test": key[1], "shared": key[2], "file": key[3]})
+        _write({kind: what, "test": key[2], "shared": key[3], "file": key[4]})
 
 
 def _write(line: dict[str, Any]) -> None:
@@ -49,11 +53,9 @@ class _Set:
         os.environ.update(self.values)
 
     def __exit__(self, *_: object) -> None:
-        for name, value in self.before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in self.values:
+            os.environ.pop(name, None)
+        os.environ.update({name: value for name, value in self.before.items() if value is not None})
 
 
 def _noted(cache: Callable[..., Any]) -> Callable[..., Any]:
@@ -73,11 +75,7 @@ def _noted(cache: Callable[..., Any]) -> Callable[..., Any]:
 
         @functools.wraps(function)
         def used(*args: Any, **kwargs: Any) -> Any:
-            get = os.environ.get
-            key = (f"uses {name}", get("PYTEST_CURRENT_TEST"), get(_SHARED), get(_FILE))
-            if key not in _seen:
-                _seen.add(key)
-                _write({"uses": name, "test": key[1], "shared": key[2], "file": key[3]})
+            _note("uses", name)
             return kept(*args, **kwargs)
 
         return used
@@ -121,13 +119,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
     outcome = report.outcome if outcome == "passed" else outcome
     item.mutants = seconds + report.duration, outcome  # type: ignore[attr-defined]
     if report.when == "teardown":
-        _write(
-            {
-                "done": item.nodeid,
-                "outcome": outcome,
-                "seconds": round(seconds + report.duration, 3),
-                "fixtures": getattr(item, "fixturenames", []),
-                "waits": item.get_closest_marker("dds") is not None,
-            }
-        )
+        waits, fixtures = item.get_closest_marker("dds") is not None, getattr(item, "fixturenames", [])
+        took = round(seconds + report.duration, 3)
+        _write({"done": item.nodeid, "outcome": outcome, "seconds": took, "fixtures": fixtures, "waits": waits})
     return report
