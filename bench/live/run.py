@@ -1,6 +1,6 @@
-"""What each node costs at 1 kHz of joint states and 200 Hz of poses, above a node that takes and discards the same.
+"""What each node costs at 1 kHz of joint states and 200 Hz of poses, above a node that discards the same.
 
-    make live                      # BENCH_ARGS="--seconds 30 --only recorder" for one of them, "--only chain" for all
+    make bench NAME=live                           # ARGS="--seconds 30 --only recorder"; chain: all of them at once
 
 Each node runs beside two bare ones: one that ``rclpy.spin`` serves, and one that takes all that waits at once and rests
 between two looks. Times are of the processor, of the process and its children.
@@ -10,97 +10,104 @@ bare ones that are spun, then as many that rest. Of each it is measured how old 
 the stamp that the cell should have sent it with, and how many of the published messages were heard. Nobody listens to
 /diagnostics but once, when the cell has ended. ``--beside`` adds a bare node to modcal's nodes.
 
-Ends with exit code 1 where a node costs more than five points of a core above the bare node that is spun, or where of
-the poses of modcal's chain a hundredth is older than 50 ms, and older than that of the bare chain.
+Exit code 1 where a node costs more than five points of a core above the bare node that is spun, or where of the poses
+of modcal's chain a hundredth is older than 50 ms, and older than that of the bare chain.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import harness
 
-import argparse  # noqa: E402
-import contextlib  # noqa: E402
-import json  # noqa: E402
-import re  # noqa: E402
-import signal  # noqa: E402
-import subprocess  # noqa: E402
-import sys  # noqa: E402
-import tempfile  # noqa: E402
-import time  # noqa: E402
-from collections.abc import Iterator  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
+harness.use("tests")
+import conftest  # noqa: F401 (finds the install tree)
+import numpy as np
+from nodes.cell import Said
+from nodes.processes import EXECUTABLES, environment, fresh_domain, listener
 
-import numpy as np  # noqa: E402
-
-ROOT = Path(__file__).resolve().parents[2]
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(ROOT / "tests"))
-
-import conftest  # noqa: E402, F401 (finds the install tree)
-from nodes.cell import Said  # noqa: E402
-from nodes.processes import EXECUTABLES, environment, fresh_domain, listener  # noqa: E402
-
+PARTS = Path(__file__).with_name("parts.py")
 ABOVE = 5.0  # points of a core
 LATE_MS = 50.0
-BEGINNING, SETTLING = 6.0, 15.0  # s before the source begins, and before it is measured
-TOPICS = ("/joint_states", "/tracker/pose")
-FIGURES = ("median", "p99")
-URDF = ROOT / "examples" / "robots" / "ur10.urdf"
-NODES = (
-    "recorder", "calibrator", "corrector", "acceleration_limits", "impedance_setpoint", "articulation_estimator",
-)  # fmt: skip
+BEGINNING, SETTLING, CHAIN = 6.0, 15.0, "chain"  # s before the source begins, and before it is measured
+TOPICS, FIGURES = ("/joint_states", "/tracker/pose"), ("median", "p99")
+URDF = harness.ROOT / "examples" / "robots" / "ur10.urdf"
+NODES: dict[str, dict[str, str]] = {  # with what each is started
+    "recorder": {"out": "{folder}/bag"},
+    "calibrator": {},
+    "corrector": {"calibration": "{folder}/../calibration"},
+    "acceleration_limits": {},
+    "impedance_setpoint": {"autostart": "True"},
+    "articulation_estimator": {},
+}
+CELL = {"urdf": str(URDF), "seed": "3", "stations": "100", "repeat": "True", "joint_rate_hz": "1000.0",
+        "tracker_rate_hz": "200.0"}  # fmt: skip
+Popen = subprocess.Popen[bytes]
 
 
-def parameters(name: str, folder: Path) -> dict[str, Any]:
-    """What a node is started with."""
-    return {
-        "recorder": {"out": folder / "bag"},
-        "corrector": {"calibration": folder.parent / "calibration"},
-        "impedance_setpoint": {"autostart": True},
-    }.get(name, {})
+class Beside:
+    """Processes of one DDS domain, started as a user starts them and ended with the block; a folder for their files."""
 
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        self.folder, self.domain = folder, fresh_domain()
+        self.stack = contextlib.ExitStack()
 
-@contextlib.contextmanager
-def started(words: list[str], domain: int, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A process as a user starts it, ended at the end."""
-    with (folder / f"{Path(words[-1]).name}-{time.monotonic_ns()}.log").open("wb") as log:
-        process = subprocess.Popen(words, env=environment(domain) | {"ROS_PYTHON_CHECK_FIELDS": "0"}, stdout=log,
-                                   stderr=subprocess.STDOUT, cwd=folder)  # fmt: skip
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGINT)
+    def __enter__(self) -> Beside:
+        self.stack.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.stack.__exit__(*error)
+
+    @contextlib.contextmanager
+    def running(self, *words: str) -> Iterator[Popen]:
+        """A process, ended at the end."""
+        with (self.folder / f"{Path(words[0]).name}-{time.monotonic_ns()}.log").open("wb") as log:
+            process = subprocess.Popen(words, env=environment(self.domain) | {"ROS_PYTHON_CHECK_FIELDS": "0"},
+                                       stdout=log, stderr=subprocess.STDOUT, cwd=self.folder)  # fmt: skip
             try:
-                process.wait(30.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+                yield process
+            finally:
+                process.send_signal(signal.SIGINT)
+                try:
+                    process.wait(30.0)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
 
+    def node(self, name: str, parameters: dict[str, str]) -> contextlib.AbstractContextManager[Popen]:
+        """One of modcal's nodes."""
+        words = [w for k, v in parameters.items() for w in ("-p", f"{k}:={v.format(folder=self.folder)}")]
+        return self.running(str(EXECUTABLES / name), *(["--ros-args", *words] if words else []))
 
-def node(name: str, domain: int, folder: Path) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
-    """One of modcal's nodes."""
-    settings = [word for k, v in parameters(name, folder).items() for word in ("-p", f"{k}:={v}")]
-    return started([str(EXECUTABLES / name), *(["--ros-args", *settings] if settings else [])], domain, folder)
+    def bare(self, way: str, name: str) -> Popen:
+        """A bare node, for as long as the block; what it took is in NAME.json when it has ended."""
+        return self.stack.enter_context(
+            self.running(sys.executable, str(PARTS), way, str(self.folder / f"{name}.json"))
+        )
 
+    def told(self, name: str) -> dict[str, Any]:
+        """What a bare node took, and how late."""
+        return dict(json.loads((self.folder / f"{name}.json").read_text()))
 
-def script(name: str, *words: str, domain: int, folder: Path) -> contextlib.AbstractContextManager[Any]:
-    """One of the scripts beside this one."""
-    return started([sys.executable, str(HERE / f"{name}.py"), *words], domain, folder)
-
-
-@contextlib.contextmanager
-def source(domain: int, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The driver and the tracker, once they speak."""
-    begun = folder / "begun"
-    with script("source", str(URDF), str(begun), domain=domain, folder=folder) as process:
-        while not begun.exists():
-            assert process.poll() is None
-            time.sleep(0.1)
-        yield process
+    def published(self) -> list[int]:
+        """Joint states and poses that the cell says it has published, when it has ended."""
+        said = "".join(log.read_text() for log in self.folder.glob("*.log"))
+        found = re.search(r"published (\d+) /joint_states, (\d+) /tracker/pose", said)
+        assert found is not None, said
+        return [int(count) for count in found.groups()]
 
 
 def cpu(pid: int) -> float:
@@ -114,7 +121,7 @@ def cpu(pid: int) -> float:
     return out
 
 
-def shares(processes: dict[str, subprocess.Popen[bytes]], settle: float, seconds: float) -> dict[str, float]:
+def shares(processes: dict[str, Popen], settle: float, seconds: float) -> dict[str, float]:
     """Percent of a core that each uses."""
     time.sleep(settle)
     began, before = time.monotonic(), {key: cpu(p.pid) for key, p in processes.items()}
@@ -125,136 +132,86 @@ def shares(processes: dict[str, subprocess.Popen[bytes]], settle: float, seconds
 
 def cost(name: str, seconds: float, folder: Path) -> dict[str, float]:
     """Shares of a node, of the bare ones and of the source, in one run."""
-    domain = fresh_domain()
-    folder.mkdir()
-    with contextlib.ExitStack() as stack:
-        processes = {"node": stack.enter_context(node(name, domain, folder))}
-        for way in ("spin", "rest"):
-            words = (way, str(folder / f"{way}.json"))
-            processes[way] = stack.enter_context(script("bare", *words, domain=domain, folder=folder))
+    with Beside(folder) as beside:
+        processes = {"node": beside.stack.enter_context(beside.node(name, NODES[name]))}
+        processes |= {way: beside.bare(way, way) for way in ("spin", "rest")}
         time.sleep(4.0)
-        processes["source"] = stack.enter_context(source(domain, folder))
+        begun = folder / "begun"
+        words = (sys.executable, str(PARTS), "source", str(URDF), str(begun))
+        processes["source"] = beside.stack.enter_context(beside.running(*words))
+        while not begun.exists():
+            assert processes["source"].poll() is None
+            time.sleep(0.1)
         return shares(processes, 8.0, seconds)
 
 
-@contextlib.contextmanager
-def cell(domain: int, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The simulated cell, which works until it is ended."""
-    settings = {"urdf": URDF, "seed": 3, "stations": 100, "repeat": True, "joint_rate_hz": 1000.0,
-                "tracker_rate_hz": 200.0}  # fmt: skip
-    words = [word for k, v in settings.items() for word in ("-p", f"{k}:={v}")]
-    with started([str(EXECUTABLES / "simulated_cell"), "--ros-args", *words], domain, folder) as process:
-        yield process
-
-
-def published(folder: Path) -> list[int]:
-    """Joint states and poses that the cell says it has published, when it has ended."""
-    said = "".join(log.read_text() for log in folder.glob("*.log"))
-    found = re.search(r"published (\d+) /joint_states, (\d+) /tracker/pose", said)
-    assert found is not None, said
-    return [int(count) for count in found.groups()]
-
-
-def modcals_chain(seconds: float, folder: Path, beside: bool) -> dict[str, Any]:
-    """All nodes at once with the cell: shares, and how old poses were for the calibrator [ms], median and p99."""
-    domain = fresh_domain()
-    folder.mkdir()
-    with contextlib.ExitStack() as stack:
-        processes = {name: stack.enter_context(node(name, domain, folder)) for name in NODES}
-        if beside:
-            words = ("spin", str(folder / "beside.json"))
-            processes["bare, spun"] = stack.enter_context(script("bare", *words, domain=domain, folder=folder))
+def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) -> dict[str, Any]:
+    """All nodes at once with the cell, or as many bare ones of a way: shares, how old poses were [ms], what they took."""
+    made: dict[str, Any] = {"late": {}, "taken": {}}
+    with Beside(folder) as beside:
+        bare = [f"bare {k}" for k in range(1, len(NODES) + 1)] if way else ["bare, spun"] * beside_it
+        processes = {} if way else {k: beside.stack.enter_context(beside.node(k, v)) for k, v in NODES.items()}
+        processes |= {name: beside.bare(way or "spin", name) for name in bare}
         time.sleep(BEGINNING)
-        with cell(domain, folder) as processes["simulated_cell"]:
-            used = shares(processes, SETTLING, seconds)
-        heard, wait = stack.enter_context(listener(domain))
-        said = Said(heard)
-        last = time.monotonic()
-        needed = {"/calibrator: samples", "/calibrator: hearing", "/recorder: topics"}
-        wait(lambda: time.monotonic() > last + 3.0 and needed <= set(said.last), 20.0)
-        late = [float(said.value("/calibrator: samples", f"from stamp to update, {key} [ms]")) for key in FIGURES]
-        taken = [int(said.value("/calibrator: hearing", f"messages of {topic}")) for topic in TOPICS]
-        recorded = [int(said.value("/recorder: topics", f"messages of {topic}")) for topic in TOPICS]
-    made = {"used": used, "late": {"calibrator": late}, "taken": {"calibrator": taken, "recorder": recorded}}
-    if beside:
-        bare = json.loads((folder / "beside.json").read_text())
-        made["late"]["bare, spun"] = bare["late_ms"]
-    return made | {"published": published(folder)}
-
-
-def bare_chain(seconds: float, folder: Path, way: str) -> dict[str, Any]:
-    """The same of as many bare nodes in place of modcal's."""
-    domain = fresh_domain()
-    folder.mkdir()
-    names = [f"bare {k}" for k in range(1, len(NODES) + 1)]
-    with contextlib.ExitStack() as stack:
-        processes = {}
-        for name in names:
-            words = (way, str(folder / f"{name}.json"))
-            processes[name] = stack.enter_context(script("bare", *words, domain=domain, folder=folder))
-        time.sleep(BEGINNING)
-        with cell(domain, folder) as processes["simulated_cell"]:
-            used = shares(processes, SETTLING, seconds)
-        time.sleep(3.0)
-    told = {name: json.loads((folder / f"{name}.json").read_text()) for name in names}
-    late = {name: one["late_ms"] for name, one in told.items()}
-    return {
-        "used": used,
-        "late": late,
-        "taken": {name: one["taken"] for name, one in told.items()},
-        "published": published(folder),
-    }
+        with beside.node("simulated_cell", CELL) as processes["simulated_cell"]:
+            made["used"] = shares(processes, SETTLING, seconds)
+        if way:
+            time.sleep(3.0)
+        else:
+            heard, wait = beside.stack.enter_context(listener(beside.domain))
+            said, last = Said(heard), time.monotonic()
+            parts = {"calibrator": "/calibrator: hearing", "recorder": "/recorder: topics"}
+            needed = {"/calibrator: samples", *parts.values()}
+            wait(lambda: time.monotonic() > last + 3.0 and needed <= set(said.last), 20.0)
+            late = [said.value("/calibrator: samples", f"from stamp to update, {key} [ms]") for key in FIGURES]
+            made["late"]["calibrator"] = [float(value) for value in late]
+            for name, part in parts.items():
+                made["taken"][name] = [int(said.value(part, f"messages of {topic}")) for topic in TOPICS]
+    for name in bare:
+        made["late"][name], made["taken"][name] = beside.told(name)["late_ms"], beside.told(name)["taken"]
+    return {**made, "published": beside.published()}
 
 
 def told(title: str, made: dict[str, Any]) -> None:
     """Print what a chain took, how late it was, and how much it heard."""
-    used = made["used"]
-    print(f"\n{title}, % of a core: " + ", ".join(f"{k} {v:.1f}" for k, v in used.items()), end="")
-    print(f"; together {sum(used.values()):.1f} of {100 * (os.cpu_count() or 1)}")
-    print("stamp to taken, ms, median and p99: ", end="")
-    print(", ".join(f"{k} {v[0]:.2f} {v[1]:.2f}" for k, v in made["late"].items()))
-    print(f"joint states and poses published: {made['published']}; taken: {made['taken']}", flush=True)
-
-
-def chains(seconds: float, folder: Path, beside: bool) -> bool:
-    """Print all chains; whether modcal's keeps to its limit, or to the bare one's."""
-    ours = modcals_chain(seconds, folder / "chain", beside)
-    told("modcal's nodes", ours)
-    p99 = []
-    for way, title in (("spin", "as many bare nodes, spun"), ("rest", "as many bare nodes, with rests")):
-        made = bare_chain(seconds, folder / f"bare_{way}", way)
-        told(title, made)
-        p99.append(float(np.median([late[1] for late in made["late"].values()])))
-    return bool(ours["late"]["calibrator"][1] <= max(LATE_MS, p99[0]))
+    used, late = made["used"], made["late"]
+    harness.say(
+        f"\n{title}, % of a core: " + ", ".join(f"{k} {v:.1f}" for k, v in used.items())
+        + f"; together {sum(used.values()):.1f} of {100 * (os.cpu_count() or 1)}",
+        "stamp to taken, ms, median and p99: " + ", ".join(f"{k} {v[0]:.2f} {v[1]:.2f}" for k, v in late.items()),
+        f"joint states and poses published: {made['published']}; taken: {made['taken']}",
+    )  # fmt: skip
 
 
 def main() -> int:
-    """Print the tables; returns the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--seconds", type=float, default=15.0)
-    parser.add_argument("--only", default="", help="one node, or chain")
-    parser.add_argument("--beside", action="store_true", help="a bare node beside modcal's, in the chain")
-    asked = parser.parse_args()
-    broken = 0
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        modcal = Path(sys.executable).with_name("modcal")
-        made = (str(modcal), "calibrate", str(ROOT / "bags" / "ur10_cell"), "--out", str(folder / "calibration"))
-        subprocess.run(made, check=True, stdout=subprocess.DEVNULL)
-        if asked.only != "chain":
-            print("| node | % of a core | bare, spun | bare, with rests | above the spun one | source |")
-            print(6 * "| --- " + "|")
-        for each in NODES:
-            if asked.only in ("", each):
-                used = cost(each, asked.seconds, folder / each)
-                above = used["node"] - used["spin"]
-                broken += above > ABOVE
-                row = [used["node"], used["spin"], used["rest"], above, used["source"]]
-                print("| " + " | ".join([each, *(f"{x:.1f}" for x in row)]) + " |", flush=True)
-        if asked.only in ("", "chain"):
-            # eight times as long, so that how the nodes begin is below a hundredth
-            broken += not chains(8.0 * asked.seconds, folder, asked.beside)
-    return int(broken > 0)
+    made = harness.parser(__doc__, seeds=0, names=(*NODES, CHAIN))
+    made.add_argument("--seconds", type=float, default=15.0)
+    made.add_argument("--beside", action="store_true", help="a bare node beside modcal's, in the chain")
+    given, rows = harness.parsed(made), []
+    targets: list[tuple[str, bool]] = []
+    with harness.scratch() as folder:
+        harness.succeeded("calibrate", harness.ROOT / "bags" / "ur10_cell", "--out", folder / "calibration")
+        for name in (name for name in given.names if name != CHAIN):
+            used = cost(name, given.seconds, folder / name)
+            above = used["node"] - used["spin"]
+            rows.append(
+                [name, *(f"{x:.1f}" for x in (used["node"], used["spin"], used["rest"], above, used["source"]))]
+            )
+            targets.append((f"{name}: {ABOVE:g} points above the bare node that is spun", above <= ABOVE))
+        if rows:
+            heads = ("node", "% of a core", "bare, spun", "bare, with rests", "above the spun one", "source")
+            harness.table("", heads, rows)
+        if CHAIN in given.names:
+            long = 8.0 * given.seconds  # so that how the nodes begin is below a hundredth
+            ours = chain(long, folder / CHAIN, beside_it=given.beside)
+            told("modcal's nodes", ours)
+            p99 = []
+            for way, title in (("spin", "as many bare nodes, spun"), ("rest", "as many bare nodes, with rests")):
+                bare = chain(long, folder / f"bare_{way}", way)
+                told(title, bare)
+                p99.append(float(np.median([late[1] for late in bare["late"].values()])))
+            targets.append(("lateness of poses", ours["late"]["calibrator"][1] <= max(LATE_MS, p99[0])))
+    return harness.met(*targets)
 
 
 if __name__ == "__main__":
