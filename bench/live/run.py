@@ -146,7 +146,7 @@ def cost(name: str, seconds: float, folder: Path) -> dict[str, float]:
 
 
 def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) -> dict[str, Any]:
-    """All nodes at once with the cell, or as many bare ones of a way: shares, how old poses were [ms], what they took."""
+    """All nodes at once with the cell, or bare ones of a way: shares, how old poses were [ms], what was taken."""
     made: dict[str, Any] = {"late": {}, "taken": {}}
     with Beside(folder) as beside:
         bare = [f"bare {k}" for k in range(1, len(NODES) + 1)] if way else ["bare, spun"] * beside_it
