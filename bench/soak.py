@@ -30,6 +30,7 @@ URDF = harness.ROOT / "examples" / "robots" / "ur10.urdf"
 JOINT_RATE, TRACKER_RATE = 1000.0, 200.0  # Hz
 WARM_UP = 0.4  # share of the time after which memory must be flat
 TURN = 0.1  # share of the time after which the calibrator makes stations of what it heard
+LEAST_TURN = 20.0  # s, which the calibrator takes
 MAX_GROWTH = 2.0  # MB a minute after that, which is a hundred times less than what is heard
 MAX_COMPUTE = 1.0  # ms of a processor, p99 of one update
 SAMPLES, MODEL = "/calibrator: samples", "/calibrator: model"
@@ -79,10 +80,10 @@ class Usage:
 
 def soak(folder: Path, seconds: float) -> int:
     """All of it; the exit code."""
-    domain, bag = fresh_domain(), folder / "bag"
+    domain, bag, turn = fresh_domain(), folder / "bag", max(LEAST_TURN, TURN * seconds)
     processes = {
         "recorder": Process("recorder", domain, folder, out=bag),
-        "calibrator": Process("calibrator", domain, folder, buffer_s=TURN * seconds),
+        "calibrator": Process("calibrator", domain, folder, buffer_s=turn),
     }
     with running(*processes.values()), listener(domain) as (node, wait):
         said = Said(node)
@@ -110,7 +111,7 @@ def soak(folder: Path, seconds: float) -> int:
         assert processes["recorder"].stop(patience=60.0) == 0
         assert processes["calibrator"].stop(patience=120.0) == 0
     published = {topic: int(count) for count, topic in re.findall(r"(\d+) (/\S+?)(?:,|$)", _last(cell.output))}
-    return _report(bag, usage, begin + WARM_UP * seconds, TURN * seconds, figures, published)
+    return _report(bag, usage, begin + WARM_UP * seconds, turn, figures, published)
 
 
 def _last(output: str) -> str:
