@@ -9,9 +9,7 @@ so.
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import io
 import os
 import subprocess
 import sys
@@ -20,15 +18,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import harness
 import numpy as np
 from timing import Row
 
-from modcal_core.measurements.recording import JointTrack
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.cli.main import run
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "data"
+ROOT, DATA = harness.ROOT, harness.DATA
 sys.path.append(str(ROOT / "bench" / "undeclared"))
 
 Maker = Callable[[Path], Path]
@@ -41,7 +37,7 @@ def _grid(arm: str, table: str) -> Maker:
         with (DATA / "serial_robots" / table).open() as stream:
             rows = list(csv.DictReader(stream))
         names = [key for key in rows[0] if key.startswith("joint_")]
-        _quietly("import", str(ROOT / f"examples/robots/{arm}.yaml"), "--out", str(folder / "arm.urdf"))
+        harness.succeeded("import", str(ROOT / f"examples/robots/{arm}.yaml"), "--out", str(folder / "arm.urdf"))
         from modcal_core.robots.urdf import read_chain
 
         joints = read_chain((folder / "arm.urdf").read_text()).names
@@ -57,7 +53,7 @@ def _grid(arm: str, table: str) -> Maker:
             f"    joints: {{unit: deg, columns: {{{', '.join(f'{name}: {name}' for name in joints)}}}}}\n"
             "    point: {frame: tracker, unit: mm, position: [x, y, z]}\n"
         )
-        _quietly("import", str(mapping), "--out", str(folder / "bag"))
+        harness.succeeded("import", str(mapping), "--out", str(folder / "bag"))
         return folder / "bag"
 
     return make
@@ -65,7 +61,7 @@ def _grid(arm: str, table: str) -> Maker:
 
 def _series_a(folder: Path) -> Path:
     mapping = ROOT / "examples/import/ipa_ur10_series_a.yaml"
-    _quietly("import", str(mapping), "--data", str(DATA), "--out", str(folder / "bag"))
+    harness.succeeded("import", str(mapping), "--data", str(DATA), "--out", str(folder / "bag"))
     return folder / "bag"
 
 
@@ -97,15 +93,7 @@ def _lagging(folder: Path) -> Path:
     recording, _, _ = recordings.record(cell, plan, tuple(faults), rng, True, True)
     track = recording.joints[0]
     behind = rng.normal(0, 1.5e-3, track.position.shape)
-    told = JointTrack(
-        track.names,
-        track.stamps,
-        track.position + behind,
-        track.velocity,
-        track.effort,
-        track.stamps,
-        topic="/joint_commands",
-    )
+    told = replace(track, position=track.position + behind, received=track.stamps, topic="/joint_commands")
     late = replace(track, position=track.position - rng.uniform(0.3, 1.0, cell.arm.n) * behind)
     write_recording(replace(recording, joints=(late,)), folder / "bag", commanded=told)
     return folder / "bag"
@@ -183,9 +171,3 @@ def spent(bag: Path, out: Path, options: tuple[str, ...] = (), checkout: Path | 
     if child.returncode not in (0, 3):
         raise SystemExit(f"modcal calibrate {bag}: exit {child.returncode}")
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3
-
-
-def _quietly(*arguments: str) -> None:
-    with contextlib.redirect_stdout(io.StringIO()):
-        if code := run(list(arguments)):
-            raise SystemExit(f"modcal {' '.join(arguments)}: exit {code}")
