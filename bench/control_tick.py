@@ -20,7 +20,7 @@ import time
 
 import harness
 
-harness.use("tests")
+# isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 from impedance.gentle import LIMITS, TASK

@@ -22,7 +22,7 @@ from typing import Any
 
 import harness
 
-harness.use("tests")
+# isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import mujoco
 import numpy as np

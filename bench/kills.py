@@ -17,7 +17,7 @@ from pathlib import Path
 
 import harness
 
-harness.use("tests")
+# isort: split
 from nodes.processes import Process, fresh_domain, listener, running
 from nodes.talking import Talker, numbers_on_disk
 

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 
 import harness
 
-harness.use("tests")
+# isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 from lifecycle_msgs.msg import Transition

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import harness
 
-harness.use("tests")
+# isort: split
 import numpy as np
 from nodes.cell import Said, call
 from nodes.processes import Process, fresh_domain, listener, running

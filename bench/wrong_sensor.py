@@ -23,7 +23,7 @@ import sys
 
 import harness
 
-harness.use("tests")
+# isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 from nodes.own_pull import pull

@@ -25,7 +25,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import harness
 
-harness.use("bench/articulated", "tests")
+# isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 import tracks

@@ -29,7 +29,7 @@ os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import harness
 
-harness.use("tests", "bench/chaos")
+# isort: split
 import numpy as np
 from nodes.cell import Said, call
 from nodes.processes import Process, environment, fresh_domain, listener, running

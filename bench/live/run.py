@@ -2,13 +2,13 @@
 
     make bench NAME=live                           # ARGS="--seconds 30 --only recorder"; chain: all of them at once
 
-Each node runs beside two bare ones: one that ``rclpy.spin`` serves, and one that takes all that waits at once and rests
-between two looks. Times are of the processor, of the process and its children.
+The simulated cell is the source. Each node runs beside two bare ones: one that ``rclpy.spin`` serves, one that takes
+all that waits at once and rests between two looks. Times are of the processor, of the process and its children.
 
-Then come the chains, each by itself, with the simulated cell as its source: first all of modcal's nodes, then as many
-bare ones that are spun, then as many that rest. Of each it is measured how old a pose is when it has been taken in, by
-the stamp that the cell should have sent it with, and how many of the published messages were heard. Nobody listens to
-/diagnostics but once, when the cell has ended. ``--beside`` adds a bare node to modcal's nodes.
+Then come the chains, each by itself: first all of modcal's nodes, then as many bare ones that are spun, then as many
+that rest. Of each it is measured how old a pose is when it has been taken in, by the stamp that the cell should have
+sent it with, and how many of the published messages were heard. Nobody listens to /diagnostics but once, when the cell
+has ended. ``--beside`` adds a bare node to modcal's nodes.
 
 Exit code 1 where a node costs more than five points of a core above the bare node that is spun, or where of the poses
 of modcal's chain a hundredth is older than 50 ms, and older than that of the bare chain.
@@ -31,13 +31,13 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import harness
 
-harness.use("tests")
+# isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 from nodes.cell import Said
 from nodes.processes import EXECUTABLES, environment, fresh_domain, listener
 
-PARTS = Path(__file__).with_name("parts.py")
+BARE = Path(__file__).with_name("bare.py")
 ABOVE = 5.0  # points of a core
 LATE_MS = 50.0
 BEGINNING, SETTLING, CHAIN = 6.0, 15.0, "chain"  # s before the source begins, and before it is measured
@@ -94,9 +94,7 @@ class Beside:
 
     def bare(self, way: str, name: str) -> Popen:
         """A bare node, for as long as the block; what it took is in NAME.json when it has ended."""
-        return self.stack.enter_context(
-            self.running(sys.executable, str(PARTS), way, str(self.folder / f"{name}.json"))
-        )
+        return self.stack.enter_context(self.running(sys.executable, str(BARE), way, str(self.folder / f"{name}.json")))
 
     def told(self, name: str) -> dict[str, Any]:
         """What a bare node took, and how late."""
@@ -136,13 +134,8 @@ def cost(name: str, seconds: float, folder: Path) -> dict[str, float]:
         processes = {"node": beside.stack.enter_context(beside.node(name, NODES[name]))}
         processes |= {way: beside.bare(way, way) for way in ("spin", "rest")}
         time.sleep(4.0)
-        begun = folder / "begun"
-        words = (sys.executable, str(PARTS), "source", str(URDF), str(begun))
-        processes["source"] = beside.stack.enter_context(beside.running(*words))
-        while not begun.exists():
-            assert processes["source"].poll() is None
-            time.sleep(0.1)
-        return shares(processes, 8.0, seconds)
+        processes["source"] = beside.stack.enter_context(beside.node("simulated_cell", CELL))
+        return shares(processes, SETTLING, seconds)
 
 
 def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from scipy.optimize import least_squares
 from timing import Row, median_ms, pair_ms, spent_ms
 
 from modcal_core.articulation.fit import fit as fit_joint
-from modcal_core.articulation.online import Tracker
 from modcal_core.articulation.track import Track
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.identify import identify
@@ -112,17 +111,6 @@ def online() -> Iterator[Row]:
     ours, other = pair_ms(lambda: [estimator.update(row) for row in single[:ROWS]], batch, 5)
     yield Row("online", "recursive update, one pose", ours / ROWS, "batch fit of 1000", other)
     yield Row("online", "watch, one pose", median_ms(lambda: [watch.add(row) for row in single[:ROWS]], 3) / ROWS)
-    rng = np.random.default_rng(1)
-    seen = noisy(ideal("revolute", np.linspace(0.0, 1.2, ROWS), rng, 0.4), rng, 5e-4, 0.003)
-
-    def follow(oriented: bool) -> None:
-        tracker = Tracker()
-        for i, p in enumerate(seen.positions):
-            tracker.update(p, seen.rotations[i] if oriented else None, 0.01 * i)
-
-    for name in ("pose", "point"):
-        ms = median_ms(lambda n=name: follow(n == "pose"), 3) / ROWS
-        yield Row("online", f"articulation update, one {name}", ms, remark=f"mean of {ROWS}")
 
 
 def diagnosis() -> Iterator[Row]:

@@ -2,7 +2,7 @@
 
     make bench NAME=speed                                        # all of it
     make bench NAME=speed ARGS="--only calibration --most 10000"
-    make bench NAME=speed ARGS="--million --out /tmp/speed"      # growth to a million; speed.md and speed.json
+    make bench NAME=speed ARGS="--million"                       # growth to a million
 
 Absolute times belong to the machine; the ratios and the growth with N are what to compare. Each pair is checked to
 arrive at the same result. Others are installed into .venv-bench first. See docs/speed.md.
@@ -10,16 +10,14 @@ arrive at the same result. Others are installed into .venv-bench first. See docs
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import harness
 
-harness.use("bench/speed", "tests")
+# isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import fits
 import parts
@@ -36,13 +34,11 @@ def main() -> None:
     groups: dict[str, Callable[[], Iterable[Row]]] = {
         "calibration": lambda: fits.rows(scale, given.most),
         **{part.__name__: part for part in PARTS},
-        "whole": lambda: whole.rows(scale, given.before),
+        "whole": lambda: whole.rows(scale),
     }
     made = harness.parser(__doc__, seeds=0, names=groups)
     made.add_argument("--most", type=int, default=100_000, help="samples of the largest fit of the table")
     made.add_argument("--million", action="store_true", help="fit a million points as well")
-    made.add_argument("--before", type=Path, default=None, help="checkout whose whole runs take turns with these")
-    made.add_argument("--out", type=Path, default=None, help="folder of speed.md and speed.json")
     given = harness.parsed(made)
     peers.install()
     scale, rows = machine_scale(), []
@@ -51,16 +47,8 @@ def main() -> None:
         rows += groups[name]()
     rows += fits.million() if given.million else []
     harness.table("", HEADS, [row.cells() for row in rows])
-    said = [f"{work}: grows with N to the {exponent:.2f}" for work, exponent in growth(rows).items()]
-    said.append(f"this machine takes {scale:.2f} times as long as that of the published figures")
-    harness.say(*said)
-    if given.out is not None:
-        given.out.mkdir(parents=True, exist_ok=True)
-        lines = [" | ".join(cells) for cells in (HEADS, ["---"] * len(HEADS), *(row.cells() for row in rows))]
-        text = "\n".join([*(f"| {line} |" for line in lines), "", *said])
-        (given.out / "speed.md").write_text(text + "\n")
-        data = {"machine_scale": scale, "growth": growth(rows), "rows": [{**asdict(r), "ratio": r.ratio} for r in rows]}
-        (given.out / "speed.json").write_text(json.dumps(data, indent=1) + "\n")
+    harness.say(*(f"{work}: grows with N to the {exponent:.2f}" for work, exponent in growth(rows).items()))
+    harness.say(f"this machine takes {scale:.2f} times as long as that of the published figures")
 
 
 if __name__ == "__main__":
