@@ -4,8 +4,9 @@
     make mutants ARGS="--only so3.log"          # mutants by name or area; --list names them
     make mutants ARGS="--keep"                  # after a change of tests: only what has changed is run again
 
-Which tests reach a mutant is found by one run of all tests over sources with marks in them, which takes as long as the
-suite and is kept for the next time. Both runs may be interrupted, and go on where they were.
+Which tests reach a mutant is found by one run of all tests over sources with marks in them, each file in a process of
+its own, so that what is cached in one is computed in the next. It takes half as long again as the suite and is kept for
+the next time. Both runs may be interrupted, and go on where they were.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -29,7 +30,7 @@ from typing import Any
 
 from copies import Copy, digests
 from fragments import Mutant, NotApplicable, Place, find, marked, sample
-from probe import RECORD, SKIP, TESTS
+from probe import FILE, RECORD, TESTS
 
 ROOT = Path(__file__).resolve().parents[2]
 _FIRST, _MORE = 15.0, 4.0  # s of tests in the first round, and how many times as many in the next
@@ -49,66 +50,40 @@ def read(path: Path) -> list[Line]:
     return out
 
 
-def write(path: Path, lines: list[Line]) -> None:
-    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-
-
 @dataclass
 class Test:
     """A test of the marked run. waits: whether it starts nodes, which a busy machine may keep waiting."""
 
     name: str
+    file: str
     seconds: float
     waits: bool
-    fixtures: frozenset[str]
-
-    @property
-    def file(self) -> str:
-        """The file it stands in."""
-        return self.name.split("::")[0]
 
 
 class Map:
-    """Tests that pass without any fault, by name, and which of them come by each mutant; from a record."""
+    """Tests that pass without any fault, by name, and which of them come by each mutant; from a record.
+
+    What a fixture or a cached helper does is noted of the first test that asks for it; all others of its file are shown
+    the mutant as well, after those that were seen to reach it.
+    """
 
     def __init__(self, lines: list[Line]) -> None:
+        passed = [line for line in lines if line.get("outcome") == "passed"]
+        self.tests = {line["done"]: Test(line["done"], line["file"], line["seconds"], line["waits"]) for line in passed}
         self.reach: dict[str, set[str]] = defaultdict(set)
-        self.tests: dict[str, Test] = {}
-        for line in lines:
-            if line.get("outcome") == "passed":
-                name = line["done"]
-                self.tests[name] = Test(name, line["seconds"], line["waits"], frozenset(line["fixtures"]))
-        users: dict[str, set[str]] = defaultdict(set)  # those that call a cached helper
-        for line in 2 * [line for line in lines if "uses" in line]:  # a helper may call another
-            users[line["uses"]] |= self._behind(line, users)
-        seen: dict[tuple[str | None, ...], set[str]] = {}
+        self.files: dict[str, set[str]] = defaultdict(set)
         for line in lines:
             if "mutant" in line:
-                key = line["test"], line["shared"], line["file"]
-                seen[key] = seen.get(key) or self._behind(line, users)
-                self.reach[line["mutant"]] |= seen[key]
-
-    def _behind(self, line: Line, users: dict[str, set[str]]) -> set[str]:
-        """The tests that depend on what was going on."""
-        name = (line["test"] or "").rpartition(" (")[0]
-        file = line["file"] or name.split("::")[0]
-        kind, _, what = (line["shared"] or "").partition(" ")
-        found = {name} & self.tests.keys()
-        if kind == "helper":
-            return found | users[what]
-        if kind:
-            anywhere = kind in ("session", "package")
-            return found | {t.name for t in self.tests.values() if what in t.fixtures and (anywhere or t.file == file)}
-        return found | {t.name for t in self.tests.values() if line["file"] and t.file == file}
+                self.reach[line["mutant"]].add(line["test"])
+                self.files[line["mutant"]].add(line["file"])
 
     def order(self, mutant: Mutant) -> list[Test]:
         """The tests for a mutant: cheap files first, and last what else stands in the files that it reaches."""
-        reached = [self.tests[name] for name in self.reach.get(mutant.name, ()) if name in self.tests]
-        files: dict[str, float] = defaultdict(float)
-        for test in reached:
-            files[test.file] += test.seconds
-        others = [t for t in self.tests.values() if t.file in files and t not in reached]
-        return [t for part in (reached, others) for t in sorted(part, key=lambda t: (files[t.file], t.file, t.seconds))]
+        some = [test for test in self.tests.values() if test.file in self.files[mutant.name]]
+        reach, cost = self.reach[mutant.name], defaultdict[str, float](float)
+        for test in some:
+            cost[test.file] += test.seconds * (test.name in reach)
+        return sorted(some, key=lambda t: (t.name not in reach, cost[t.file], t.file, t.seconds))
 
 
 class Bench:
@@ -117,6 +92,7 @@ class Bench:
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
         self.ended = False  # interrupted: what still comes in says nothing
+        self.everyone: list[Copy] = []
         self.places: dict[str, Place] = {}
         self.gone: dict[str, str] = {}
         for mutant in sample():  # all are marked, whichever are asked for this time
@@ -143,61 +119,83 @@ class Bench:
         files = json.loads((before / "files.json").read_text())
         same = {f"tests/{name}" for name, own in self.files.items() if files.get(name) == own}
         print(f"{before.name}: {len(same)} of {len(self.files)} files of tests are as they were")
-        for name in ("record.jsonl", "results.jsonl"):
-            lines = [
-                (line, *(line[k] for k in ("done", "file", "test", "by") if line.get(k)))
-                for line in read(before / name)
-            ]
-            write(self.kept / name, [line for line, *test in lines if test and test[0].split("::")[0] in same])
+        for name, key in (("record.jsonl", "file"), ("results.jsonl", "by")):
+            lines = [line for line in read(before / name) if line[key].split("::")[0] in same]
+            (self.kept / name).write_text("".join(json.dumps(line) + "\n" for line in lines))
         (self.kept / "sample.json").write_text((before / "sample.json").read_text())
 
-    def copy(self, name: str) -> Copy:
-        """A copy of the checkout as it is now, for one worker."""
-        copy = Copy(self.options.scratch / f"copy-{self.key}" / name, ROOT, self.tests)
-        for place in self.places.values():  # one that was interrupted may have been left with a fault in it
+    def copies(self) -> queue.SimpleQueue[Copy]:
+        """Copies of the checkout as it is now, one for each worker."""
+        out: queue.SimpleQueue[Copy] = queue.SimpleQueue()
+        for number in range(self.options.jobs):
+            copy = Copy(self.options.scratch / f"copy-{self.key}" / str(number), ROOT, self.tests)
+            self._put_back(copy)  # one that was interrupted may have been left with a fault in it
+            self.everyone.append(copy)
+            out.put(copy)
+        return out
+
+    def _put_back(self, copy: Copy) -> None:
+        for place in self.places.values():
             if (path := copy.root / place.path.relative_to(ROOT)).read_text(encoding="utf-8") != place.text:
                 copy.write(path, place.text)
-        return copy
+
+    def _side_by_side(self, work: Callable[[Any], None], left: Sequence[Any]) -> None:
+        with ThreadPoolExecutor(self.options.jobs) as pool:
+            try:
+                for done in [pool.submit(work, each) for each in left]:
+                    done.result()
+            except BaseException:
+                self.ended = True
+                pool.shutdown(wait=False, cancel_futures=True)
+                for copy in self.everyone:
+                    copy.end()
+                raise
 
     def map(self) -> Map:
         """The map, after as much of the marked run as is still to do."""
-        if not (self.kept / "finished").exists():
-            print(f"marked run of the tests, into {self.kept}", flush=True)
-            self._run_marked()
-            (self.kept / "finished").touch()
+        ran = {line["file"] for line in read(self.record) if "ran" in line}
+        names = [f"tests/{name}" for name in self.files if Path(name).name.startswith("test_") and name.endswith(".py")]
+        left = [name for name in names if name not in ran]
+        if left:
+            print(f"marked run of {len(left)} files of tests, into {self.kept}", flush=True)
+            self._run_marked(left)
         return Map(read(self.record))
 
-    def _run_marked(self) -> None:
-        copy = self.copy("marked")
+    def _run_marked(self, left: list[str]) -> None:
+        copies = self.copies()
         by_file: dict[Path, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
         texts = {place.path: place.text for place in self.places.values()}
         for name, place in self.places.items():
             by_file[place.path][place.line].append(name)
         if not (self.kept / "sample.json").exists():
             (self.kept / "sample.json").write_text(json.dumps(sorted(self.places)))
-        for path, marks in by_file.items():
-            copy.write(copy.root / path.relative_to(ROOT), marked(texts[path], marks))
-        try:  # parts of the suite one after the other, so that an interrupted run loses little
-            inside = [p for p in sorted((copy.root / "tests").iterdir()) if not p.name.startswith(("_", "."))]
-            for folder in [f"tests/{p.name}" for p in inside if p.is_dir() or p.name.startswith("test_")]:
-                begun = time.monotonic()
-                self._marked_part(
-                    copy, "-n", str(self.options.jobs), "--dist", "loadfile", "--no-loadscope-reorder", folder
-                )
-                lines = [line for line in read(self.record) if line.get("done", "").startswith(folder)]
-                failed = [line["done"] for line in lines if line["outcome"] == "failed"]
-                print(f"  {folder}: {len(lines)} tests in {time.monotonic() - begun:.0f} s", flush=True)
-                if failed:  # once more, one after the other: what fails by itself says nothing of a mutant
-                    write(self.record, [line for line in read(self.record) if line.get("done") not in failed])
-                    self._marked_part(copy, "-n0", folder)
-        finally:
-            for path in by_file:
-                copy.write(copy.root / path.relative_to(ROOT), texts[path])
+        for copy in self.everyone:
+            for path, marks in by_file.items():
+                copy.write(copy.root / path.relative_to(ROOT), marked(texts[path], marks))
 
-    def _marked_part(self, copy: Copy, *arguments: str) -> None:
-        done = self.kept / "done.json"
-        done.write_text(json.dumps([line["done"] for line in read(self.record) if "done" in line]))
-        copy.pytest(arguments, {RECORD: str(self.record), SKIP: str(done)}, 4 * 3600.0)
+        def work(file: str) -> None:
+            copy, begun = copies.get(), time.monotonic()
+            try:
+                settings = {RECORD: str(self.record), FILE: file}
+                copy.pytest(["-n0", file], settings, 3600.0)
+                lines = [line for line in read(self.record) if line["file"] == file and "done" in line]
+                failed = [line["done"] for line in lines if line["outcome"] == "failed"]
+                if failed and not self.ended:  # once more: what fails by itself says nothing of a mutant
+                    names = copy.root.parent / "tests.json"
+                    names.write_text(json.dumps(failed))
+                    copy.pytest(["-n0", file], {**settings, TESTS: str(names)}, 3600.0)
+            finally:
+                copies.put(copy)
+            if not self.ended:
+                with self.record.open("a") as stream:
+                    stream.write(json.dumps({"ran": True, "file": file}) + "\n")
+                print(f"  {file}: {len(lines)} tests in {time.monotonic() - begun:.0f} s", flush=True)
+
+        try:
+            self._side_by_side(work, left)
+        finally:
+            for copy in self.everyone:
+                self._put_back(copy)
 
     def judge_all(self, mutants: Sequence[Mutant], tests: Map) -> dict[str, Line]:
         """Outcome of every mutant by name, what is known already included."""
@@ -218,10 +216,7 @@ class Bench:
         if not left:
             return found
         print(f"{len(left)} mutants, on {self.options.jobs} copies", flush=True)
-        everyone = [self.copy(str(number)) for number in range(self.options.jobs)]
-        copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
-        for copy in everyone:
-            copies.put(copy)
+        copies = self.copies()
         lock = threading.Lock()
 
         def work(mutant: Mutant) -> None:
@@ -237,16 +232,7 @@ class Bench:
                     found[mutant.name] = line
                     print(f"  {line['outcome']:8} {line['took']:5.0f} s  {mutant.name}  {line['by']}", flush=True)
 
-        with ThreadPoolExecutor(self.options.jobs) as pool:
-            try:
-                for done in [pool.submit(work, mutant) for mutant in left]:
-                    done.result()
-            except BaseException:
-                self.ended = True
-                pool.shutdown(wait=False, cancel_futures=True)
-                for copy in everyone:
-                    copy.end()
-                raise
+        self._side_by_side(work, left)
         return found
 
     def _judge(self, mutant: Mutant, tests: Map, copy: Copy) -> Line:
