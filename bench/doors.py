@@ -3,7 +3,7 @@
     make bench NAME=doors                             # all; hours, for time is simulated at the pace of the real one
     make bench NAME=doors ARGS="--one-process"        # without nodes between modcal and the physics: some minutes
     make bench NAME=doors ARGS="--only modcal stiff --seeds 10"
-    make bench NAME=doors ARGS="--only hard,closer,magnet --grasp ball"
+    make bench NAME=doors ARGS="--only closer magnet --grasp ball"
 
 Random scenes (modcal_nodes/simulation/furniture.py) are pulled by modcal, which knows the tool's weight and that one
 pulls along the hand, and in plain ways for comparison. Stubborn ones are locked, jam, or are no joint. Hard ones are
@@ -206,14 +206,16 @@ def main() -> int:
         targets.append((f"what cannot be opened: below {MAX_STUBBORN:g} N", max(stubborn) < MAX_STUBBORN))
     if hard := [r for r in done if r["scene"] in HARD]:
         heads = ("", "grasp", "stated N", "needed N", "peak N", "opened", "")
-        harness.table("hard to open", heads, [
-            [r["scene"], r["grasp"], f"{r['stated']:.0f}", f"{r['needed']:.0f}", f"{r['peak']:.0f}",
-             f"{100.0 * r['opened'] / r['goal']:.0f} %", "; ".join(r["faults"])] for r in hard
-        ])  # fmt: skip
+        rows = []
+        for r in hard:
+            forces = [f"{r[k]:.0f}" for k in ("stated", "needed", "peak")]
+            share = f"{100.0 * r['opened'] / r['goal']:.0f} %"
+            rows.append([r["scene"], r["grasp"], *forces, share, "; ".join(r["faults"])])
+        harness.table("hard to open", heads, rows)
         can, rest = ([r for r in hard if (r["needed"] < r["stated"]) == openable] for openable in (True, False))
         opened, gentle = [r["done"] for r in can], [r["peak"] <= r["stated"] for r in can]
-        harness.say(f"opened {harness.share(opened)}, by no more than is stated {harness.share(gentle)}; of the others "
-                    f"let go gently and for a true reason {harness.share(not r['faults'] for r in rest)}")  # fmt: skip
+        harness.say(f"opened {harness.share(opened)}, by no more than is stated {harness.share(gentle)}")
+        harness.say(f"the others let go gently and for a true reason: {harness.share(not r['faults'] for r in rest)}")
         targets.append((f"hard ones opened: at least {MIN_OPENED:.0%}", sum(opened) >= MIN_OPENED * len(can)))
         targets.append(("by no more than is stated", all(gentle)))
         targets.append(("the others let go", not any(r["faults"] for r in rest)))

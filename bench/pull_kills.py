@@ -174,8 +174,8 @@ def pull(seed: int, event: str) -> harness.Result:
         faults.append(f"{last:.0f} N are still held")
     elif pulling and went_on < 0.0 and paused:
         faults.append("nothing was sent after the pause")
-    return {"moment": moment, "pulling": pulling, "force": force, "before": before, "last": last, "faults": faults,
-            "references": len(sent.q), "went_on": went_on, "said": health.last[PULL].message}  # fmt: skip
+    out = {"moment": moment, "pulling": pulling, "force": force, "before": before, "last": last, "faults": faults}
+    return {**out, "references": len(sent.q), "went_on": went_on, "said": health.last[PULL].message}
 
 
 def one(task: harness.Task) -> harness.Result:
@@ -188,9 +188,9 @@ def one(task: harness.Task) -> harness.Result:
 
 def line(r: harness.Result) -> str:
     """A pull in words."""
-    return (f"at {r['moment']:.1f} s, {'' if r['pulling'] else 'not '}in motion: at most {r['force']:.0f} N, "
-            f"{r['before']:.0f} N before, {r['last']:.0f} N in the end, references for {r['went_on']:.2f} s, "
-            f"'{r['said']}'; {'; '.join(r['faults']) or 'as it should be'} {r['idle']}")  # fmt: skip
+    force = f"at most {r['force']:.0f} N, {r['before']:.0f} N before, {r['last']:.0f} N in the end"
+    found = f"references for {r['went_on']:.2f} s, '{r['said']}'; {'; '.join(r['faults']) or 'as it should be'}"
+    return f"at {r['moment']:.1f} s, {'' if r['pulling'] else 'not '}in motion: {force}, {found} {r['idle']}"
 
 
 def main() -> int:

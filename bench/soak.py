@@ -27,7 +27,8 @@ from rosbags.rosbag2 import Reader
 from scipy.stats import theilslopes
 
 URDF = harness.ROOT / "examples" / "robots" / "ur10.urdf"
-JOINT_RATE, TRACKER_RATE = 1000.0, 200.0  # Hz
+CELL = {"urdf": URDF, "seed": 3, "start_delay_s": 5.0, "stations": 100, "repeat": True}
+CELL |= {"joint_rate_hz": 1000.0, "tracker_rate_hz": 200.0}
 WARM_UP = 0.4  # share of the time after which memory must be flat
 TURN = 0.1  # share of the time after which the calibrator makes stations of what it heard
 LEAST_TURN = 20.0  # s, which the calibrator takes
@@ -88,10 +89,7 @@ def soak(folder: Path, seconds: float) -> int:
     with running(*processes.values()), listener(domain) as (node, wait):
         said = Said(node)
         wait(lambda: said.level(SAMPLES) >= 0 and (bag.exists()), 60.0)
-        cell = Process(
-            "simulated_cell", domain, folder, urdf=URDF, seed=3, start_delay_s=5.0, stations=100, repeat=True,
-            joint_rate_hz=JOINT_RATE, tracker_rate_hz=TRACKER_RATE,
-        )  # fmt: skip
+        cell = Process("simulated_cell", domain, folder, **CELL)
         with running(cell):
             processes["simulated_cell"] = cell
             usage = {key: Usage(process.popen.pid) for key, process in processes.items()}

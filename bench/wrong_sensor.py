@@ -100,8 +100,8 @@ def one(task: harness.Task) -> harness.Result:
         world.advance(0.004)
     left = float(np.linalg.norm(world.peak()[:3]))
     good = done.peak < LIMIT and left < LET_GO and (stop != FREE or done.said.startswith("open to"))
-    return {"kind": kind, "grasp": grasp, "stop": stop, "peak": done.peak, "left": left, "opened": done.opened,
-            "said": done.said, "good": bool(good)}  # fmt: skip
+    out = {"kind": kind, "grasp": grasp, "stop": stop, "left": left, "good": bool(good)}
+    return {**out, "peak": done.peak, "opened": done.opened, "said": done.said}
 
 
 def line(r: harness.Result) -> str:

@@ -213,8 +213,8 @@ def main() -> int:
     judged = [r for r in of.get(("real", "as recorded"), []) if "kind" in r]
     for kind, least in RIGHT.items() if judged else ():
         some = [r for r in judged if r["track"].startswith("pose/") == (kind == "pose")]
-        harness.say(f"{kind}: {harness.share(r['right'] for r in some)} right; of those said with certainty, "
-                    f"{harness.share(r['right'] for r in some if r['certain'])}")  # fmt: skip
+        right, sure = (harness.share(r["right"] for r in which) for which in (some, [r for r in some if r["certain"]]))
+        harness.say(f"{kind}: {right} right; of those said with certainty, {sure}")
         targets.append((f"kinds of {kind} tracks", sum(r["right"] for r in some) >= least * len(some)))
     if judged:
         aheads, screws = (

@@ -6,7 +6,6 @@ python parts.py node NAME LOG SEED [--ros-args ...]
 
 from __future__ import annotations
 
-import faulthandler
 import hashlib
 import heapq
 import math
@@ -173,7 +172,6 @@ def relay(log: str, seed: str) -> None:
     from rclpy.executors import SingleThreadedExecutor
 
     ended: list[int] = []
-    faulthandler.register(signal.SIGUSR1)  # where it stands, if it does not end
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, lambda *_: ended.append(1))
     made, executor = Relay(Path(log), int(seed)), SingleThreadedExecutor()

@@ -12,8 +12,8 @@ published is looked for in the recorder's bags. Exit code 1 when a limit is brok
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -45,7 +45,10 @@ from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant
 
 ROBOTS, PARTS = harness.ROOT / "examples" / "robots", Path(__file__).with_name("parts.py")
-JOINT_RATE, TRACKER_RATE, SEED = 1000.0, 200.0, 3
+CELL = {
+    **{"urdf": ROBOTS / "ur10.urdf", "seed": 3, "start_delay_s": 4.0, "stations": 200, "repeat": True},
+    **{"joint_rate_hz": 1000.0, "tracker_rate_hz": 200.0},
+}
 UNWRITTEN = 1.0  # s of messages that a kill may take with it
 UNSENT, UNMATCHED = 0.05, 0.5  # s of messages about a restart of the publishers that they may take with them
 MAX_DEVIATIONS = 3.0  # combined standard deviations between the two calibrations
@@ -127,17 +130,15 @@ def run(folder: Path, seconds: float) -> int:
             for subject in every:
                 subject.start()
             wait(lambda: said.level("/raw/calibrator: samples") >= 0 and said.level("/calibrator: samples") >= 0, 60.0)
-            cell = Process(
-                "simulated_cell", domain, folder, "-r", "__ns:=/raw", urdf=ROBOTS / "ur10.urdf", seed=SEED,
-                start_delay_s=4.0, stations=200, repeat=True, joint_rate_hz=JOINT_RATE, tracker_rate_hz=TRACKER_RATE,
-            )  # fmt: skip
+            cell = Process("simulated_cell", domain, folder, "-r", "__ns:=/raw", **CELL)
             with running(cell):
                 _disturb(every, wait, seconds)
                 asked = ("calibrator", "raw/calibrator")
                 answers = {name: call(node, wait, f"{name}/solve", 300.0).message for name in asked}
                 cell.stop()
             relay.terminate()
-            _ended(relay)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # the table says it
+                relay.wait(20.0)
             due = time.monotonic() + 2.0
             wait(lambda: time.monotonic() > due, 10.0)
         finally:
@@ -145,18 +146,6 @@ def run(folder: Path, seconds: float) -> int:
             codes = {subject.name: subject.stop() for subject in every}
         calm.stop(patience=60.0)
     return _report(folder, every, codes, answers)
-
-
-def _ended(relay: subprocess.Popen[bytes]) -> None:
-    """Wait for the relay to end; one that does not says where it stands."""
-    try:
-        relay.wait(20.0)
-    except subprocess.TimeoutExpired:
-        harness.say(f"relay {relay.pid} does not end")
-        relay.send_signal(signal.SIGUSR1)
-        if debugger := shutil.which("gdb"):
-            subprocess.run([debugger, "-p", str(relay.pid), "-batch", "-ex", "thread apply all bt 12"], check=False)
-        time.sleep(1.0)
 
 
 def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
@@ -285,15 +274,18 @@ def _report(folder: Path, every: list[Subject], codes: dict[str, int], answers: 
     try:
         disturbed, calm = (read_calibration(folder / name) for name in ("disturbed", "calm"))
         apart = _deviations(disturbed, calm)
-        chosen = {**{name: p.default for name, p in SIMULATED_CELL.items()}, "urdf": str(ROBOTS / "ur10.urdf")}
-        truth = Plant({**chosen, "seed": SEED, "stations": 10})
+        truth = Plant(
+            {
+                **{k: p.default for k, p in SIMULATED_CELL.items()},
+                **{k: CELL[k] for k in ("urdf", "seed")},
+                "stations": 10,
+            }
+        )
         off, best = _off(disturbed, truth), _off(calm, truth)
-        rows += [
-            ("disturbed against calm, the tip at 100 postures, in deviations", f"{apart:.2f}", f"{MAX_DEVIATIONS:g}",
-             apart <= MAX_DEVIATIONS),
-            ("disturbed against the truth, RMS", f"{1e3 * off:.3f} mm (calm: {1e3 * best:.3f})",
-             "0.1 mm, or twice calm", off <= max(1e-4, 2.0 * best)),
-        ]  # fmt: skip
+        what = "disturbed against calm, the tip at 100 postures, in deviations"
+        rows.append((what, f"{apart:.2f}", f"{MAX_DEVIATIONS:g}", apart <= MAX_DEVIATIONS))
+        what, good = "disturbed against the truth, RMS", off <= max(1e-4, 2.0 * best)
+        rows.append((what, f"{1e3 * off:.3f} mm (calm: {1e3 * best:.3f})", "0.1 mm, or twice calm", good))
     except Exception as error:  # the table says so, and is still printed
         rows.append(("the two calibrations", repr(error), "both there", False))
     harness.table("", ("", "seen", "limit"), [row[:3] for row in rows])

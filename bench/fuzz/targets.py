@@ -301,11 +301,9 @@ def calibration() -> dict[str, Any]:
         Effect("compliance", "elbow_joint", "axis", "load:elbow_joint", Shape("linear")).started(np.zeros(1)),
     )
     model = Model(chain, ("tracker",), np.eye(4)[None], np.eye(4))
-    whole = Calibration(
-        model, replace(model, effects=effects), model, np.array([[-1.0] * chain.n, [1.0] * chain.n]),
-        (("elbow_joint/zero", 0.1, 0.01, "rad"),), postures=np.zeros((3, chain.n)), watched=(1.0, 2.0),
-        ranges={"temperature:a": (1.0, 2.0)}, scatter=(1e-4, 1e-4),
-    )  # fmt: skip
+    ranges, parameters = np.array([[-1.0] * chain.n, [1.0] * chain.n]), (("elbow_joint/zero", 0.1, 0.01, "rad"),)
+    more = {"postures": np.zeros((3, chain.n)), "watched": (1.0, 2.0), "ranges": {"temperature:a": (1.0, 2.0)}}
+    whole = Calibration(model, replace(model, effects=effects), model, ranges, parameters, scatter=(1e-4, 1e-4), **more)
     return dict(parse_yaml(to_yaml(to_data(whole)), "calibration"))
 
 
@@ -325,8 +323,8 @@ def calibration_target() -> Target:
 
 def report_target() -> Target:
     """report.json as the calibrator reads it back, and any JSON there."""
-    base = {"modcal_report": 1, "status": "open", "open_because": ["a"], "remedy": "b", "verdict": "c",
-            "error_mm": {"final": {}}}  # fmt: skip
+    base = {"modcal_report": 1, "status": "open", "open_because": ["a"], "remedy": "b", "verdict": "c"}
+    base["error_mm"] = {"final": {}}
     ways = places(base)
 
     def make(rng: Rng) -> str:
@@ -433,12 +431,11 @@ def images_target() -> Target:
         step, encoding = pick(0, 1, width, 3 * width, 5, 2**31 - 1), str(rng.choice(_ENCODINGS))
         image = SimpleNamespace(**about, step=step, encoding=encoding, is_bigendian=0, data=data)
         names = [*(CORNER.names or ()), "x"]
-        fields = [
-            SimpleNamespace(name=str(rng.choice(names)) if rng.random() < 0.1 else name,
-                            offset=pick(4 * i, 4 * i, 4 * i, 1000, -4),
-                            datatype=6 if rng.random() < 0.1 or name.startswith(("id", "image")) else 7)
-            for i, name in enumerate(names)
-        ]  # fmt: skip
+        fields = []
+        for i, name in enumerate(names):
+            said, offset = str(rng.choice(names)) if rng.random() < 0.1 else name, pick(4 * i, 4 * i, 4 * i, 1000, -4)
+            kind = 6 if rng.random() < 0.1 or name.startswith(("id", "image")) else 7
+            fields.append(SimpleNamespace(name=said, offset=offset, datatype=kind))
         about |= {"width": pick(0, 1, 4, 170, -1), "height": 1, "point_step": pick(0, 4, 24, 24, 24, 10**9)}
         cloud = SimpleNamespace(**about, fields=fields, is_bigendian=False, data=data.tobytes())
         numbers = rng.choice([0.0, 1.0, 500.0, np.nan, np.inf, -3.0], pick(9, 9, 0, 4))

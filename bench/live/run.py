@@ -36,13 +36,14 @@ import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 from nodes.cell import Said
 from nodes.processes import EXECUTABLES, environment, fresh_domain, listener
+from soak import Usage
 
 BARE = Path(__file__).with_name("bare.py")
 ABOVE = 5.0  # points of a core
 LATE_MS = 50.0
 BEGINNING, SETTLING, CHAIN = 6.0, 15.0, "chain"  # s before the source begins, and before it is measured
 TOPICS, FIGURES = ("/joint_states", "/tracker/pose"), ("median", "p99")
-URDF = harness.ROOT / "examples" / "robots" / "ur10.urdf"
+ROOT = harness.ROOT
 NODES: dict[str, dict[str, str]] = {  # with what each is started
     "recorder": {"out": "{folder}/bag"},
     "calibrator": {},
@@ -51,8 +52,8 @@ NODES: dict[str, dict[str, str]] = {  # with what each is started
     "impedance_setpoint": {"autostart": "True"},
     "articulation_estimator": {},
 }
-CELL = {"urdf": str(URDF), "seed": "3", "stations": "100", "repeat": "True", "joint_rate_hz": "1000.0",
-        "tracker_rate_hz": "200.0"}  # fmt: skip
+CELL = {"urdf": f"{ROOT}/examples/robots/ur10.urdf", "seed": "3", "stations": "100", "repeat": "True"}
+CELL |= {"joint_rate_hz": "1000.0", "tracker_rate_hz": "200.0"}
 Popen = subprocess.Popen[bytes]
 
 
@@ -75,8 +76,8 @@ class Beside:
     def running(self, *words: str) -> Iterator[Popen]:
         """A process, ended at the end."""
         with (self.folder / f"{Path(words[0]).name}-{time.monotonic_ns()}.log").open("wb") as log:
-            process = subprocess.Popen(words, env=environment(self.domain) | {"ROS_PYTHON_CHECK_FIELDS": "0"},
-                                       stdout=log, stderr=subprocess.STDOUT, cwd=self.folder)  # fmt: skip
+            about = {"cwd": self.folder, "env": environment(self.domain) | {"ROS_PYTHON_CHECK_FIELDS": "0"}}
+            process = subprocess.Popen(words, stdout=log, stderr=subprocess.STDOUT, **about)
             try:
                 yield process
             finally:
@@ -108,24 +109,14 @@ class Beside:
         return [int(count) for count in found.groups()]
 
 
-def cpu(pid: int) -> float:
-    """Seconds of a processor that a process and its living children have used."""
-    out, own = 0.0, [pid]
-    while own:
-        pid = own.pop()
-        times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        out += (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
-        own += [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    return out
-
-
-def shares(processes: dict[str, Popen], settle: float, seconds: float) -> dict[str, float]:
-    """Percent of a core that each uses."""
-    time.sleep(settle)
-    began, before = time.monotonic(), {key: cpu(p.pid) for key, p in processes.items()}
-    time.sleep(seconds)
-    after, took = {key: cpu(p.pid) for key, p in processes.items()}, time.monotonic() - began
-    return {key: 100.0 * (after[key] - before[key]) / took for key in processes}
+def shares(processes: dict[str, Popen], seconds: float) -> dict[str, float]:
+    """Percent of a core that each uses, with its children, once all have settled."""
+    usage = {name: Usage(process.pid) for name, process in processes.items()}
+    for wait in (SETTLING, seconds):
+        time.sleep(wait)
+        for each in usage.values():
+            each.look()
+    return {name: 100.0 * each.share() for name, each in usage.items()}
 
 
 def cost(name: str, seconds: float, folder: Path) -> dict[str, float]:
@@ -135,7 +126,7 @@ def cost(name: str, seconds: float, folder: Path) -> dict[str, float]:
         processes |= {way: beside.bare(way, way) for way in ("spin", "rest")}
         time.sleep(4.0)
         processes["source"] = beside.stack.enter_context(beside.node("simulated_cell", CELL))
-        return shares(processes, SETTLING, seconds)
+        return shares(processes, seconds)
 
 
 def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) -> dict[str, Any]:
@@ -147,7 +138,7 @@ def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) 
         processes |= {name: beside.bare(way or "spin", name) for name in bare}
         time.sleep(BEGINNING)
         with beside.node("simulated_cell", CELL) as processes["simulated_cell"]:
-            made["used"] = shares(processes, SETTLING, seconds)
+            made["used"] = shares(processes, seconds)
         if way:
             time.sleep(3.0)
         else:
@@ -168,12 +159,12 @@ def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) 
 def told(title: str, made: dict[str, Any]) -> None:
     """Print what a chain took, how late it was, and how much it heard."""
     used, late = made["used"], made["late"]
+    shares = ", ".join(f"{k} {v:.1f}" for k, v in used.items())
+    harness.say(f"\n{title}, % of a core: {shares}; together {sum(used.values()):.1f} of {100 * (os.cpu_count() or 1)}")
     harness.say(
-        f"\n{title}, % of a core: " + ", ".join(f"{k} {v:.1f}" for k, v in used.items())
-        + f"; together {sum(used.values()):.1f} of {100 * (os.cpu_count() or 1)}",
-        "stamp to taken, ms, median and p99: " + ", ".join(f"{k} {v[0]:.2f} {v[1]:.2f}" for k, v in late.items()),
-        f"joint states and poses published: {made['published']}; taken: {made['taken']}",
-    )  # fmt: skip
+        "stamp to taken, ms, median and p99: " + ", ".join(f"{k} {a:.2f} {b:.2f}" for k, (a, b) in late.items())
+    )
+    harness.say(f"joint states and poses published: {made['published']}; taken: {made['taken']}")
 
 
 def main() -> int:
@@ -183,7 +174,7 @@ def main() -> int:
     given, rows = harness.parsed(made), []
     targets: list[tuple[str, bool]] = []
     with harness.scratch() as folder:
-        harness.succeeded("calibrate", harness.ROOT / "bags" / "ur10_cell", "--out", folder / "calibration")
+        harness.succeeded("calibrate", ROOT / "bags" / "ur10_cell", "--out", folder / "calibration")
         for name in (name for name in given.names if name != CHAIN):
             used = cost(name, given.seconds, folder / name)
             above = used["node"] - used["spin"]

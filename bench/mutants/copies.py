@@ -94,8 +94,8 @@ class Copy:
         command = [str(self.root / ".venv/bin/python"), "-m", "pytest", "-q", "-p", "mutants_probe"]
         command += ["-p", "no:cacheprovider", *arguments]
         with (self.root.parent / "pytest.log").open("ab") as log:
-            self._process = subprocess.Popen(command, cwd=self.root, env=environment(settings), stdout=log,
-                                             stderr=subprocess.STDOUT, start_new_session=True)  # fmt: skip
+            about = {"cwd": self.root, "env": environment(settings), "start_new_session": True}
+            self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, **about)
             try:
                 return self._process.wait(seconds)
             except subprocess.TimeoutExpired:
