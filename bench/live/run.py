@@ -8,7 +8,7 @@ all that waits at once and rests between two looks. Times are of the processor, 
 Then come the chains, each by itself: first all of modcal's nodes, then as many bare ones that are spun, then as many
 that rest. Of each it is measured how old a pose is when it has been taken in, by the stamp that the cell should have
 sent it with, and how many of the published messages were heard. Nobody listens to /diagnostics but once, when the cell
-has ended. ``--beside`` adds a bare node to modcal's nodes.
+has ended.
 
 Exit code 1 where a node costs more than five points of a core above the bare node that is spun, or where of the poses
 of modcal's chain a hundredth is older than 50 ms, and older than that of the bare chain.
@@ -35,9 +35,10 @@ import harness
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
 from nodes.cell import Said
-from nodes.processes import EXECUTABLES, environment, fresh_domain, listener
+from nodes.processes import Process, environment, fresh_domain, listener, running
 from soak import Usage
 
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "0"  # as a user has it; the tests have it otherwise
 BARE = Path(__file__).with_name("bare.py")
 ABOVE = 5.0  # points of a core
 LATE_MS = 50.0
@@ -54,64 +55,32 @@ NODES: dict[str, dict[str, str]] = {  # with what each is started
 }
 CELL = {"urdf": f"{ROOT}/examples/robots/ur10.urdf", "seed": "3", "stations": "100", "repeat": "True"}
 CELL |= {"joint_rate_hz": "1000.0", "tracker_rate_hz": "200.0"}
-Popen = subprocess.Popen[bytes]
 
 
-class Beside:
-    """Processes of one DDS domain, started as a user starts them and ended with the block; a folder for their files."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir()
-        self.folder, self.domain = folder, fresh_domain()
-        self.stack = contextlib.ExitStack()
-
-    def __enter__(self) -> Beside:
-        self.stack.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.stack.__exit__(*error)
-
-    @contextlib.contextmanager
-    def running(self, *words: str) -> Iterator[Popen]:
-        """A process, ended at the end."""
-        with (self.folder / f"{Path(words[0]).name}-{time.monotonic_ns()}.log").open("wb") as log:
-            about = {"cwd": self.folder, "env": environment(self.domain) | {"ROS_PYTHON_CHECK_FIELDS": "0"}}
-            process = subprocess.Popen(words, stdout=log, stderr=subprocess.STDOUT, **about)
-            try:
-                yield process
-            finally:
-                process.send_signal(signal.SIGINT)
-                try:
-                    process.wait(30.0)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
-
-    def node(self, name: str, parameters: dict[str, str]) -> contextlib.AbstractContextManager[Popen]:
-        """One of modcal's nodes."""
-        words = [w for k, v in parameters.items() for w in ("-p", f"{k}:={v.format(folder=self.folder)}")]
-        return self.running(str(EXECUTABLES / name), *(["--ros-args", *words] if words else []))
-
-    def bare(self, way: str, name: str) -> Popen:
-        """A bare node, for as long as the block; what it took is in NAME.json when it has ended."""
-        return self.stack.enter_context(self.running(sys.executable, str(BARE), way, str(self.folder / f"{name}.json")))
-
-    def told(self, name: str) -> dict[str, Any]:
-        """What a bare node took, and how late."""
-        return dict(json.loads((self.folder / f"{name}.json").read_text()))
-
-    def published(self) -> list[int]:
-        """Joint states and poses that the cell says it has published, when it has ended."""
-        said = "".join(log.read_text() for log in self.folder.glob("*.log"))
-        found = re.search(r"published (\d+) /joint_states, (\d+) /tracker/pose", said)
-        assert found is not None, said
-        return [int(count) for count in found.groups()]
+@contextlib.contextmanager
+def node(name: str, domain: int, folder: Path, parameters: dict[str, str]) -> Iterator[Process]:
+    """One of modcal's nodes, started as a user starts it, ended with the block."""
+    given = {key: value.format(folder=folder) for key, value in parameters.items()}
+    process = Process(name, domain, folder, from_nothing=True, **given)
+    with running(process):
+        yield process
+        process.stop(signal.SIGINT)
 
 
-def shares(processes: dict[str, Popen], seconds: float) -> dict[str, float]:
+@contextlib.contextmanager
+def bare(way: str, domain: int, out: Path) -> Iterator[Any]:
+    """A bare node; what it took, and how late, is in the file when the block has ended."""
+    process = subprocess.Popen([sys.executable, str(BARE), way, str(out)], env=environment(domain))
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(60.0)
+
+
+def shares(pids: dict[str, int], seconds: float) -> dict[str, float]:
     """Percent of a core that each uses, with its children, once all have settled."""
-    usage = {name: Usage(process.pid) for name, process in processes.items()}
+    usage = {name: Usage(pid) for name, pid in pids.items()}
     for wait in (SETTLING, seconds):
         time.sleep(wait)
         for each in usage.values():
@@ -121,28 +90,33 @@ def shares(processes: dict[str, Popen], seconds: float) -> dict[str, float]:
 
 def cost(name: str, seconds: float, folder: Path) -> dict[str, float]:
     """Shares of a node, of the bare ones and of the source, in one run."""
-    with Beside(folder) as beside:
-        processes = {"node": beside.stack.enter_context(beside.node(name, NODES[name]))}
-        processes |= {way: beside.bare(way, way) for way in ("spin", "rest")}
-        time.sleep(4.0)
-        processes["source"] = beside.stack.enter_context(beside.node("simulated_cell", CELL))
-        return shares(processes, seconds)
+    domain = fresh_domain()
+    folder.mkdir()
+    with contextlib.ExitStack() as stack:
+        pids = {"node": stack.enter_context(node(name, domain, folder, NODES[name])).popen.pid}
+        for way in ("spin", "rest"):
+            pids[way] = stack.enter_context(bare(way, domain, folder / f"{way}.json")).pid
+        time.sleep(BEGINNING)
+        pids["source"] = stack.enter_context(node("simulated_cell", domain, folder, CELL)).popen.pid
+        return shares(pids, seconds)
 
 
-def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) -> dict[str, Any]:
+def chain(seconds: float, folder: Path, way: str = "") -> dict[str, Any]:
     """All nodes at once with the cell, or bare ones of a way: shares, how old poses were [ms], what was taken."""
     made: dict[str, Any] = {"late": {}, "taken": {}}
-    with Beside(folder) as beside:
-        bare = [f"bare {k}" for k in range(1, len(NODES) + 1)] if way else ["bare, spun"] * beside_it
-        processes = {} if way else {k: beside.stack.enter_context(beside.node(k, v)) for k, v in NODES.items()}
-        processes |= {name: beside.bare(way or "spin", name) for name in bare}
+    domain, bares = fresh_domain(), [f"bare {k}" for k in range(1, len(NODES) + 1)] if way else []
+    folder.mkdir()
+    with contextlib.ExitStack() as stack:
+        started = {} if way else {k: stack.enter_context(node(k, domain, folder, v)) for k, v in NODES.items()}
+        pids = {name: process.popen.pid for name, process in started.items()}
+        pids |= {name: stack.enter_context(bare(way, domain, folder / f"{name}.json")).pid for name in bares}
         time.sleep(BEGINNING)
-        with beside.node("simulated_cell", CELL) as processes["simulated_cell"]:
-            made["used"] = shares(processes, seconds)
+        with node("simulated_cell", domain, folder, CELL) as cell:
+            made["used"] = shares({**pids, "simulated_cell": cell.popen.pid}, seconds)
         if way:
             time.sleep(3.0)
         else:
-            heard, wait = beside.stack.enter_context(listener(beside.domain))
+            heard, wait = stack.enter_context(listener(domain))
             said, last = Said(heard), time.monotonic()
             parts = {"calibrator": "/calibrator: hearing", "recorder": "/recorder: topics"}
             needed = {"/calibrator: samples", *parts.values()}
@@ -151,12 +125,15 @@ def chain(seconds: float, folder: Path, way: str = "", beside_it: bool = False) 
             made["late"]["calibrator"] = [float(value) for value in late]
             for name, part in parts.items():
                 made["taken"][name] = [int(said.value(part, f"messages of {topic}")) for topic in TOPICS]
-    for name in bare:
-        made["late"][name], made["taken"][name] = beside.told(name)["late_ms"], beside.told(name)["taken"]
-    return {**made, "published": beside.published()}
+    for name in bares:
+        told = json.loads((folder / f"{name}.json").read_text())
+        made["late"][name], made["taken"][name] = told["late_ms"], told["taken"]
+    found = re.search(r"published (\d+) /joint_states, (\d+) /tracker/pose", cell.output)
+    assert found is not None, cell.output
+    return {**made, "published": [int(count) for count in found.groups()]}
 
 
-def told(title: str, made: dict[str, Any]) -> None:
+def show(title: str, made: dict[str, Any]) -> None:
     """Print what a chain took, how late it was, and how much it heard."""
     used, late = made["used"], made["late"]
     shares = ", ".join(f"{k} {v:.1f}" for k, v in used.items())
@@ -170,7 +147,6 @@ def told(title: str, made: dict[str, Any]) -> None:
 def main() -> int:
     made = harness.parser(__doc__, seeds=0, names=(*NODES, CHAIN))
     made.add_argument("--seconds", type=float, default=15.0)
-    made.add_argument("--beside", action="store_true", help="a bare node beside modcal's, in the chain")
     given, rows = harness.parsed(made), []
     targets: list[tuple[str, bool]] = []
     with harness.scratch() as folder:
@@ -187,13 +163,13 @@ def main() -> int:
             harness.table("", heads, rows)
         if CHAIN in given.names:
             long = 8.0 * given.seconds  # so that how the nodes begin is below a hundredth
-            ours = chain(long, folder / CHAIN, beside_it=given.beside)
-            told("modcal's nodes", ours)
+            ours = chain(long, folder / CHAIN)
+            show("modcal's nodes", ours)
             p99 = []
             for way, title in (("spin", "as many bare nodes, spun"), ("rest", "as many bare nodes, with rests")):
-                bare = chain(long, folder / f"bare_{way}", way)
-                told(title, bare)
-                p99.append(float(np.median([late[1] for late in bare["late"].values()])))
+                bares = chain(long, folder / f"bare_{way}", way)
+                show(title, bares)
+                p99.append(float(np.median([late[1] for late in bares["late"].values()])))
             targets.append(("lateness of poses", ours["late"]["calibrator"][1] <= max(LATE_MS, p99[0])))
     return harness.met(*targets)
 

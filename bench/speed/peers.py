@@ -10,6 +10,7 @@ the requirements of the tests.
 from __future__ import annotations
 
 import json
+import shutil
 import statistics
 import subprocess
 import sys
@@ -46,7 +47,7 @@ def install() -> None:
     stamp = ENVIRONMENTS / "pinned.json"
     if stamp.exists() and json.loads(stamp.read_text()) == PINNED:
         return
-    subprocess.run(["rm", "-rf", str(ENVIRONMENTS)], check=True)
+    shutil.rmtree(ENVIRONMENTS, ignore_errors=True)
     for peer, wanted in PINNED.items():
         venv = ENVIRONMENTS / peer
         print(f"modcal bench: installing {peer}", file=sys.stderr, flush=True)
@@ -56,7 +57,7 @@ def install() -> None:
             subprocess.run([*pip, "--no-compile", *wanted.split()], check=True, timeout=300.0, capture_output=True)
         except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
             print(f"modcal bench: {peer} cannot be installed here, and is left out", file=sys.stderr, flush=True)
-            subprocess.run(["rm", "-rf", str(venv)], check=True)
+            shutil.rmtree(venv, ignore_errors=True)
     stamp.write_text(json.dumps(PINNED))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -33,3 +34,9 @@ def test_an_unknown_name_is_refused_with_the_list() -> None:
 def test_a_bench_gets_its_arguments() -> None:
     assert "--recordings" in _bench("fleet", "--help").stdout
     assert _bench("long-bag", "--help").stdout.startswith("usage: long_bag.py")
+
+
+def test_make_has_the_targets_of_daily_work_and_no_other() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)) - {"reference"}
+    daily = "help setup setup-test build demo week test suite quick lint ruff mypy format docs wheel lock clean"
+    assert targets == {*daily.split(), "bench", "fuzz", "mutants"}
