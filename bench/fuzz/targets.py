@@ -127,6 +127,7 @@ def _others(bag: BagWriter) -> None:
 def bag_bytes(folder: Path) -> bytes:
     """A whole file with all of it."""
     with BagWriter(folder / "second") as bag:
+        bag._flushed = float("inf")  # never due: a case is the same on a busy machine
         for topic, kind, data, ns in _messages(folder / "first"):
             bag.add_topic(topic, kind)
             bag.write_raw(topic, data, ns)
