@@ -1,6 +1,6 @@
-"""Nodes killed, stopped and deactivated at random moments of a pull: are limits kept, and does the hand let go?
+"""Nodes killed, paused, stopped and deactivated at random moments of a pull: are limits kept, and is the hand let go?
 
-    make pull-kills                # BENCH_ARGS="--pulls 20 --seed 5" for fewer, others
+    make bench NAME=pull_kills                     # ARGS="--pulls 20 --first 5" for fewer, others
 
 Every pull is a random door or drawer in MuJoCo (modcal_nodes/simulation/furniture.py), in real time, with the real
 nodes over DDS. At a random moment one of them is killed (SIGKILL), asked to end (SIGTERM) or paused (SIGSTOP, and
@@ -13,34 +13,27 @@ some seconds. Asked of every pull:
   killed sends nothing any more, so there the force must only not grow; where the world was killed, there is none;
 * an arm that is heard again after a pause is let go, and not led on.
 
-A pull that does not begin is named and replaced by another scene's. Ends with exit code 1 where one of them fails, or
-more than a tenth do not begin. Writes a table, and with --out the runs as JSON.
+A pull that does not begin is named and replaced by another scene's. Exit code 1 where one of them fails, or more than a
+tenth do not begin.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
-import os
 import signal
 import sys
-import tempfile
 import time
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
+import harness
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
-import conftest  # noqa: E402, F401 (finds the install tree)
-import numpy as np  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from nodes.polling import Polled  # noqa: E402
-from nodes.processes import Process, fresh_domain, listener, running  # noqa: E402
-from nodes.pulling import (  # noqa: E402
+# isort: split
+import conftest  # noqa: F401 (finds the install tree)
+import numpy as np
+from lifecycle_msgs.msg import Transition
+from nodes.polling import Polled
+from nodes.processes import Process, fresh_domain, listener, running
+from nodes.pulling import (
     ESTIMATOR,
     PANDA,
     PULL,
@@ -54,15 +47,13 @@ from nodes.pulling import (  # noqa: E402
     followers,
     until_heard,
 )
-from nodes.talking import RELIABLE, Diagnostics  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-from trajectory_msgs.msg import JointTrajectoryPoint  # noqa: E402
+from nodes.talking import RELIABLE, Diagnostics
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectoryPoint
 
-from modcal_core.robots.urdf import read_chain  # noqa: E402
-from modcal_nodes.simulation.furniture import draw  # noqa: E402
+from modcal_core.robots.urdf import read_chain
+from modcal_nodes.simulation.furniture import draw
 
 CHAIN = read_chain(PANDA.read_text())
 RATE, SPEED = 250.0, 1.5  # Hz and rad/s: the defaults of impedance_setpoint
@@ -75,11 +66,10 @@ AFTER, AFTER_PAUSE = 5.0, 8.0  # s; a world that was paused has to catch up firs
 # 1 s, letting go takes 0.6 s, and a busy machine adds to each; a world that was paused has to catch up as well
 QUIET, QUIET_PAUSE = 4.0, 6.0
 PULLING = 0.1  # s before the event in which a reference was sent, where it met a pull that was going on
-
 EVENTS = (
-    f"kill {ESTIMATOR}", f"end {ESTIMATOR}", f"kill {SETPOINT}", f"end {SETPOINT}", f"kill {WORLD}", f"pause {WORLD}",
-    "deactivate", "stop",
-)  # fmt: skip
+    *(f"{how} {who}" for who in (ESTIMATOR, SETPOINT) for how in ("kill", "end")),
+    *(f"kill {WORLD}", f"pause {WORLD}", "deactivate", "stop"),
+)
 
 
 @dataclass
@@ -91,7 +81,6 @@ class References:
     v: list[list[float]] = field(default_factory=list)
 
     def take(self, message: JointTrajectoryPoint) -> None:
-        """Remember one."""
         self.at.append(time.monotonic())
         self.q.append(list(message.positions))
         self.v.append(list(message.velocities))
@@ -114,28 +103,6 @@ class References:
         return out
 
 
-@dataclass
-class Outcome:
-    """A pull and what became of it.
-
-    pulling: whether references were being sent at the event. force: largest [N]. before, last: medians of 0.2 s before
-    the event, and of the last half second [N]. went_on: how long references went on after the event, or after the pause
-    [s]. said: the last message of the pull on /diagnostics.
-    """
-
-    seed: int
-    event: str
-    moment: float
-    pulling: bool
-    force: float
-    last: float
-    before: float
-    references: int
-    went_on: float
-    said: str
-    faults: list[str]
-
-
 def _apply(event: str, nodes: dict[str, Process], node: Node, wait: Wait) -> None:
     how, _, who = event.partition(" ")
     if how in ("kill", "end"):
@@ -150,15 +117,26 @@ def _apply(event: str, nodes: dict[str, Process], node: Node, wait: Wait) -> Non
         call(node, wait, Trigger, f"{SETPOINT}/stop", Trigger.Request())
 
 
-def pull(seed: int, event: str) -> Outcome:
-    """One pull in a scene of its own, and the event in it."""
-    rng = np.random.default_rng([seed, 77])
+def _spin(wait: Wait, seconds: float) -> None:
+    """Take messages for so long."""
+    end = time.monotonic() + seconds
+    wait(lambda: time.monotonic() >= end, seconds)
+
+
+def _force(told: Told, last: float) -> float:
+    """The median of the contact force [N] in the last so many seconds that the world told of."""
+    newest = told.forces[-1][0]
+    return float(np.median([f for t, f in told.forces if t >= newest - last]))
+
+
+def pull(seed: int, event: str) -> harness.Result:
+    """One pull in a scene of its own, and the event in it. Forces [N]: largest, before, last; times [s]."""
     scene = draw(CHAIN, np.random.default_rng(seed))
-    moment = float(rng.uniform(*MOMENTS))
-    domain = fresh_domain()
+    moment = float(np.random.default_rng([seed, 77]).uniform(*MOMENTS))
+    domain, paused = fresh_domain(), event.startswith("pause")
     sent, told = References(), Told()
     with contextlib.ExitStack() as until_over:
-        folder = Path(until_over.enter_context(tempfile.TemporaryDirectory()))
+        folder = until_over.enter_context(harness.scratch())
         estimator, setpoint = followers(folder, domain, scene, {}, {"goal": float(scene.goal)})
         until_over.enter_context(running(estimator, setpoint))
         node, wait = until_over.enter_context(listener(domain))
@@ -174,104 +152,71 @@ def pull(seed: int, event: str) -> Outcome:
         begin(node, wait)
         _spin(wait, moment)
         before, pulling = _force(told, 0.2), bool(sent.at) and time.monotonic() - sent.at[-1] < PULLING
-        _apply(event, {ESTIMATOR: estimator, SETPOINT: setpoint, WORLD: world}, node, wait)
+        nodes = {ESTIMATOR: estimator, SETPOINT: setpoint, WORLD: world}
+        _apply(event, nodes, node, wait)
         over = time.monotonic()
-        _spin(wait, AFTER_PAUSE if event.startswith("pause") else AFTER)
-        alive = {p.log.name.split("-")[0]: p.popen.poll() is None for p in (estimator, setpoint, world)}
+        _spin(wait, AFTER_PAUSE if paused else AFTER)
+        ended = [name for name, process in nodes.items() if name not in event and process.popen.poll() is not None]
         for process in (world, estimator, setpoint):
             if process.popen.poll() is None:
                 process.stop()
-    force = max(f for _, f in told.forces)
-    last = _force(told, 0.5)
-    faults = sent.faults()
+    force, last = max(f for _, f in told.forces), _force(told, 0.5)
+    went_on = sent.at[-1] - over if sent.at else 0.0
+    faults = sent.faults() + [f"{name} has ended" for name in ended]
     if force > MAX_FORCE:
         faults.append(f"the hand felt {force:.0f} N")
-    went_on = sent.at[-1] - over if sent.at else 0.0
     if event == f"kill {SETPOINT}":
         if last > max(before, LET_GO) + 5.0:
             faults.append(f"the force grew from {before:.0f} to {last:.0f} N")
-    elif went_on > (QUIET_PAUSE if event.startswith("pause") else QUIET):
+    elif went_on > (QUIET_PAUSE if paused else QUIET):
         faults.append(f"references went on for {went_on:.1f} s")
     elif last > LET_GO and event != f"kill {WORLD}":
         faults.append(f"{last:.0f} N are still held")
-    elif pulling and went_on < 0.0 and event == f"pause {WORLD}":
+    elif pulling and went_on < 0.0 and paused:
         faults.append("nothing was sent after the pause")
-    faults += [f"{name} has ended" for name in _others(event) if not alive[name]]
-    said = health.last[PULL].message
-    return Outcome(seed, event, moment, pulling, force, last, before, len(sent.q), went_on, said, faults)
+    out = {"moment": moment, "pulling": pulling, "force": force, "before": before, "last": last, "faults": faults}
+    return {**out, "references": len(sent.q), "went_on": went_on, "said": health.last[PULL].message}
 
 
-def _others(event: str) -> list[str]:
-    return [name for name in (ESTIMATOR, SETPOINT, WORLD) if name not in event]
+def one(task: harness.Task) -> harness.Result:
+    """One pull; of another scene where the first does not begin, as on a machine that gives a node no time."""
+    try:
+        return {**pull(task["seed"], task["event"]), "idle": ""}
+    except AssertionError as error:
+        return {**pull(task["other"], task["event"]), "idle": str(error).splitlines()[-1]}
 
 
-def _spin(wait: Wait, seconds: float) -> None:
-    """Take messages for so long."""
-    end = time.monotonic() + seconds
-    wait(lambda: time.monotonic() >= end, seconds)
-
-
-def _force(told: Told, last: float) -> float:
-    """The median of the contact force [N] in the last so many seconds that the world told of."""
-    newest = told.forces[-1][0]
-    return float(np.median([f for t, f in told.forces if t >= newest - last]))
+def line(r: harness.Result) -> str:
+    """A pull in words."""
+    force = f"at most {r['force']:.0f} N, {r['before']:.0f} N before, {r['last']:.0f} N in the end"
+    found = f"references for {r['went_on']:.2f} s, '{r['said']}'; {'; '.join(r['faults']) or 'as it should be'}"
+    return f"at {r['moment']:.1f} s, {'' if r['pulling'] else 'not '}in motion: {force}, {found} {r['idle']}"
 
 
 def main() -> int:
-    """Run it; returns the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--pulls", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0, help="of the first scene")
-    parser.add_argument("--only", default="", help="events that have one of these words in them, with commas between")
-    parser.add_argument("--out", type=Path, default=None, help="a file for the runs, as JSON")
-    chosen = parser.parse_args()
-    events = [event for event in EVENTS if any(word in event for word in chosen.only.split(","))]
-    console = Console(width=150)
-    runs: list[Outcome] = []
-    idle = 0  # pulls that did not begin, as on a machine that gives a node no processor for seconds
-    while len(runs) < chosen.pulls and idle <= chosen.pulls // 10:
-        seed = chosen.seed + len(runs) + idle
-        try:
-            one = pull(seed, events[len(runs) % len(events)])
-        except AssertionError as error:
-            idle += 1
-            console.print(f"{seed} did not begin: {str(error).splitlines()[-1]}")
-            continue
-        runs.append(one)
-        console.print(
-            f"{one.seed} {one.event} at {one.moment:.1f} s, {'' if one.pulling else 'not '}in motion: "
-            f"at most {one.force:.0f} N, "
-            f"{one.before:.0f} N before, {one.last:.0f} N in the end, "
-            f"references for {one.went_on:.2f} s, '{one.said}'; {'; '.join(one.faults) or 'as it should be'}"
-        )
-        if chosen.out is not None:
-            chosen.out.write_text(json.dumps([asdict(run) for run in runs], indent=1) + "\n")
-    console.print(_table(runs, events))
-    console.print(f"{idle} pulls did not begin")
-    return int(len(runs) < chosen.pulls or any(run.faults for run in runs))
-
-
-def _table(runs: list[Outcome], events: list[str]) -> Table:
-    table = Table(width=110, title=f"{len(runs)} pulls, {sum(run.references for run in runs)} references")
-    for name in (
-        "event",
-        "pulls",
-        "in motion",
-        "as it should be",
-        "largest force, N",
-        "held in the end, N",
-        "references went on, s",
-    ):
-        table.add_column(name, justify="left" if name == "event" else "right")
-    for event in events:
-        of = [run for run in runs if run.event == event]
-        if of:
-            moving, good = sum(run.pulling for run in of), sum(not run.faults for run in of)
-            largest, held = max(run.force for run in of), max(run.last for run in of)
-            on = max(run.went_on for run in of)
-            row = (str(len(of)), str(moving), str(good), f"{largest:.0f}", f"{held:.0f}", f"{on:.1f}")
-            table.add_row(event, *row)
-    return table
+    made = harness.parser(__doc__, seeds=0, names=EVENTS, jobs=1)
+    made.add_argument("--pulls", type=int, default=200)
+    made.add_argument("--first", type=int, default=0, help="seed of the first scene")
+    given = harness.parsed(made)
+    events = [given.names[k % len(given.names)] for k in range(given.pulls)]
+    tasks = [
+        {"seed": given.first + k, "event": e, "other": given.first + k + given.pulls} for k, e in enumerate(events)
+    ]
+    results = harness.each(one, tasks, given, line)
+    failed, runs = harness.failures(results), [r for r in results if r["failed"] is None]
+    rows = []
+    for event in given.names:
+        if of := [r for r in runs if r["event"] == event]:
+            good, moving = sum(not r["faults"] for r in of), sum(r["pulling"] for r in of)
+            most = [max(r[key] for r in of) for key in ("force", "last", "went_on")]
+            rows.append([event, len(of), moving, good, f"{most[0]:.0f}", f"{most[1]:.0f}", f"{most[2]:.1f}"])
+    heads = ("event", "pulls", "in motion", "as it should be", "largest force, N", "held in the end, N", "went on, s")
+    harness.table(f"{len(runs)} pulls, {sum(r['references'] for r in runs)} references", heads, rows)
+    idle = failed + sum(bool(r["idle"]) for r in runs)
+    return harness.met(
+        (f"{idle} pulls did not begin", not failed and idle <= given.pulls // 10),
+        ("every pull as it should be", not any(r["faults"] for r in runs)),
+    )
 
 
 if __name__ == "__main__":

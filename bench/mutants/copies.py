@@ -17,17 +17,15 @@ from fragments import SOURCES
 PROBE = Path(__file__).with_name("probe.py")
 _MADE = re.compile(r"__pycache__|\.egg-info")
 # another ROS that is sourced would put its modules before those of .venv
-_FOREIGN = {
-    "PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH",
-    "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
-}  # fmt: skip
+_FOREIGN = re.compile(
+    r"PYTHONPATH|PYTHONHOME|LD_LIBRARY_PATH|(AMENT|COLCON|CMAKE)_PREFIX_PATH|VIRTUAL_ENV|_ROS_WHEELS_.*|MUTANTS_.*"
+)
 
 
 def files_of(root: Path) -> list[Path]:
     """What belongs to a checkout, committed or not yet, as it stands."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "-co", "--exclude-standard"], cwd=root, check=True, capture_output=True, text=True
-    ).stdout
+    command = ["git", "ls-files", "-z", "-co", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True).stdout
     return [Path(name) for name in sorted(set(listed.split("\0"))) if name and (root / name).is_file()]
 
 
@@ -35,6 +33,11 @@ def digests(folder: Path) -> dict[str, str]:
     """What stands in the files of a folder, by their names in it."""
     files = [p for p in sorted(folder.rglob("*")) if p.is_file() and not _MADE.search(str(p))]
     return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()[:12] for p in files}
+
+
+def environment(settings: Mapping[str, str]) -> dict[str, str]:
+    """The environment without another ROS, with these settings."""
+    return {**{name: value for name, value in os.environ.items() if not _FOREIGN.fullmatch(name)}, **settings}
 
 
 class Copy:
@@ -62,30 +65,23 @@ class Copy:
             shutil.copytree(tests, self.root / "tests", ignore=shutil.ignore_patterns("__pycache__"))
         if (root.parent / "shared").exists():
             (self.root.parent / "shared").symlink_to((root.parent / "shared").resolve())
-        venv = self.root / ".venv"
-        if subprocess.run(["cp", "-al", str(root / ".venv"), str(venv)], stderr=subprocess.DEVNULL).returncode:
-            shutil.rmtree(venv, ignore_errors=True)  # on another disk there are no links
-            subprocess.run(["cp", "-a", str(root / ".venv"), str(venv)], check=True)
-        self._own_scripts(root / ".venv", venv)
+        theirs, ours = str(root / ".venv"), str(self.root / ".venv")
+        if subprocess.run(["cp", "-al", theirs, ours], stderr=subprocess.DEVNULL).returncode:
+            shutil.rmtree(ours, ignore_errors=True)  # on another disk there are no links
+            subprocess.run(["cp", "-a", theirs, ours], check=True)
+        for script in Path(ours, "bin").iterdir():
+            if script.is_symlink() or not script.is_file() or script.stat().st_size > 100_000:
+                continue
+            text, mode = script.read_bytes(), script.stat().st_mode
+            script.unlink()  # not through the link, or it would change theirs
+            script.write_bytes(text.replace(theirs.encode(), ours.encode()))
+            script.chmod(mode)
         probe = self.root / SOURCES / "modcal_core" / "mutants_probe.py"  # a folder that every Python of .venv sees
         shutil.copy2(PROBE, probe)
         with (self.root / ".git/info/exclude").open("a") as stream:
             stream.write(f"/{probe.relative_to(self.root)}\n")
-        subprocess.run(
-            [str(self.root / "scripts/build.sh")], check=True, env=environment({}), stdout=subprocess.DEVNULL
-        )
-
-    @staticmethod
-    def _own_scripts(theirs: Path, ours: Path) -> None:
-        for script in (ours / "bin").iterdir():
-            if script.is_symlink() or not script.is_file() or script.stat().st_size > 100_000:
-                continue
-            text = script.read_bytes()
-            if str(theirs).encode() in text:
-                mode = script.stat().st_mode
-                script.unlink()  # not through the link, or it would change theirs
-                script.write_bytes(text.replace(str(theirs).encode(), str(ours).encode()))
-                script.chmod(mode)
+        build = [str(self.root / "scripts/build.sh")]
+        subprocess.run(build, check=True, env=environment({}), stdout=subprocess.DEVNULL)
 
     def write(self, path: Path, text: str) -> None:
         """Put another text in place of a file, whose compiled form might have the same size and second."""
@@ -93,23 +89,15 @@ class Copy:
         for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
             compiled.unlink()
 
-    def pytest(
-        self, arguments: Sequence[str], settings: Mapping[str, str], seconds: float, prefix: Sequence[str]
-    ) -> int:
+    def pytest(self, arguments: Sequence[str], settings: Mapping[str, str], seconds: float) -> int:
         """Exit code of a run of the tests; −1 where it took longer than this and was ended."""
-        command = [*prefix, str(self.root / ".venv/bin/python"), "-m", "pytest", "-q", "-p", "mutants_probe"]
-        log = self.root.parent / "pytest.log"
-        with log.open("ab") as stream:
-            self._process = process = subprocess.Popen(
-                [*command, "-p", "no:cacheprovider", *arguments],
-                cwd=self.root,
-                env=environment(settings),
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+        command = [str(self.root / ".venv/bin/python"), "-m", "pytest", "-q", "-p", "mutants_probe"]
+        command += ["-p", "no:cacheprovider", *arguments]
+        with (self.root.parent / "pytest.log").open("ab") as log:
+            about = {"cwd": self.root, "env": environment(settings), "start_new_session": True}
+            self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, **about)
             try:
-                return process.wait(seconds)
+                return self._process.wait(seconds)
             except subprocess.TimeoutExpired:
                 return -1
             finally:
@@ -121,11 +109,3 @@ class Copy:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
-
-
-def environment(settings: Mapping[str, str]) -> dict[str, str]:
-    """The environment without another ROS, with these settings."""
-    kept = {
-        name: value for name, value in os.environ.items() if name not in _FOREIGN and not name.startswith("MUTANTS_")
-    }
-    return {**kept, **settings}

@@ -1,92 +1,36 @@
 """Which tests come by a mark in the sources, and how they end. A plugin of pytest, and what the marks call.
 
-A copy of this file stands in the copied workspace under the name ``mutants_probe``. What a fixture of more than one
-test does belongs to all tests that ask for it, what a cached helper does to all that call it, and what a file does when
-it is imported to all tests in it. A process that a test starts inherits from the environment on whose behalf it runs.
+A copy of this file stands in the copied workspace under the name ``mutants_probe``. A process that a test starts
+inherits from the environment on whose behalf it runs.
 """
 
 from __future__ import annotations
 
-import functools
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-RECORD, TESTS, SKIP = "MUTANTS_RECORD", "MUTANTS_TESTS", "MUTANTS_SKIP"
-_SHARED, _FILE = "MUTANTS_SHARED", "MUTANTS_FILE"
-_seen: set[tuple[str | None, ...]] = set()
+RECORD, TESTS, FILE = "MUTANTS_RECORD", "MUTANTS_TESTS", "MUTANTS_FILE"
+_seen: set[tuple[str, str]] = set()
 
 
 def reached(mutant: str) -> None:
     """Note once for each test that it came by this mark."""
-    get = os.environ.get
-    key = (mutant, get("PYTEST_CURRENT_TEST"), get(_SHARED), get(_FILE))
-    if key not in _seen:
-        _seen.add(key)
-        _write({"mutant": mutant, "test": key[1], "shared": key[2], "file": key[3]})
+    test = os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" (")[0]
+    if (mutant, test) not in _seen:
+        _seen.add((mutant, test))
+        _write({"mutant": mutant, "test": test, "file": os.environ.get(FILE)})
 
 
 def _write(line: dict[str, Any]) -> None:
-    path = os.environ.get(RECORD)
-    if path:
+    if path := os.environ.get(RECORD):
         out = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         os.write(out, (json.dumps(line) + "\n").encode())  # at once, so that processes do not write into each other
         os.close(out)
-
-
-class _Set:
-    """Environment variables that are set for a while."""
-
-    def __init__(self, **values: str) -> None:
-        self.values = values
-
-    def __enter__(self) -> None:
-        self.before = {name: os.environ.get(name) for name in self.values}
-        os.environ.update(self.values)
-
-    def __exit__(self, *_: object) -> None:
-        for name, value in self.before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-def _noted(cache: Callable[..., Any]) -> Callable[..., Any]:
-    """functools.cache, which for helpers of tests also notes who uses what was computed on behalf of the first."""
-
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        if "/tests/" not in function.__code__.co_filename:
-            return cache(function)
-        name = f"{function.__module__}.{function.__qualname__}"
-
-        @functools.wraps(function)
-        def computed(*args: Any, **kwargs: Any) -> Any:
-            with _Set(**{_SHARED: f"helper {name}"}):
-                return function(*args, **kwargs)
-
-        kept = cache(computed)
-
-        @functools.wraps(function)
-        def used(*args: Any, **kwargs: Any) -> Any:
-            get = os.environ.get
-            key = (f"uses {name}", get("PYTEST_CURRENT_TEST"), get(_SHARED), get(_FILE))
-            if key not in _seen:
-                _seen.add(key)
-                _write({"uses": name, "test": key[1], "shared": key[2], "file": key[3]})
-            return kept(*args, **kwargs)
-
-        return used
-
-    return decorate
-
-
-if RECORD in os.environ and "PYTEST_VERSION" in os.environ:
-    functools.cache = _noted(functools.cache)
 
 
 @pytest.hookimpl(trylast=True)
@@ -95,23 +39,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if TESTS in os.environ:
         rank = {name: i for i, name in enumerate(json.loads(Path(os.environ[TESTS]).read_text()))}
         items[:] = sorted((item for item in items if item.nodeid in rank), key=lambda item: rank[item.nodeid])
-    if SKIP in os.environ:
-        done = set(json.loads(Path(os.environ[SKIP]).read_text()))
-        items[:] = [item for item in items if item.nodeid not in done]
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[Any]:
-    name = collector.nodeid if isinstance(collector, pytest.Module) else ""
-    with _Set(**{_FILE: name}) if name else _Set():
-        return (yield)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_fixture_setup(fixturedef: pytest.FixtureDef[Any]) -> Iterator[Any]:
-    shared = fixturedef.scope != "function"
-    with _Set(**{_SHARED: f"{fixturedef.scope} {fixturedef.argname}"}) if shared else _Set():
-        return (yield)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -121,13 +48,6 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
     outcome = report.outcome if outcome == "passed" else outcome
     item.mutants = seconds + report.duration, outcome  # type: ignore[attr-defined]
     if report.when == "teardown":
-        _write(
-            {
-                "done": item.nodeid,
-                "outcome": outcome,
-                "seconds": round(seconds + report.duration, 3),
-                "fixtures": getattr(item, "fixturenames", []),
-                "waits": item.get_closest_marker("dds") is not None,
-            }
-        )
+        took, file, waits = seconds + report.duration, item.nodeid.split("::")[0], item.get_closest_marker("dds")
+        _write({"done": item.nodeid, "file": file, "outcome": outcome, "seconds": took, "waits": waits is not None})
     return report

@@ -6,8 +6,9 @@ are compared. What is left of a busy machine (shared caches, a slower clock) the
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +38,27 @@ class Row:
     def ratio(self) -> float | None:
         """How many times longer the other takes."""
         return None if self.peer_ms is None else self.peer_ms / self.ms
+
+    def cells(self) -> tuple[str, ...]:
+        """The row in words."""
+        digits = 1 if self.ms >= 10.0 else 2 if self.ms >= 1.0 else 3
+        other = "" if self.peer_ms is None else f"{self.peer_ms:.{digits}f}"
+        ratio = "" if self.ratio is None else f"{self.ratio:.1f} x" if self.ratio < 20.0 else f"{self.ratio:.0f} x"
+        return self.work, f"{self.ms:.{digits}f}", self.peer, other, ratio, self.remark
+
+
+def growth(rows: Sequence[Row]) -> dict[str, float]:
+    """Exponent of N between the two largest sizes of the same work; 1 is linear."""
+    sized: dict[str, dict[int, float]] = {}
+    for row in rows:
+        if row.size:
+            sized.setdefault(re.sub(r", N = \d+", "", row.work), {})[row.size] = row.ms
+    out = {}
+    for work, by_size in sized.items():
+        if len(by_size) > 1:
+            a, b = sorted(by_size)[-2:]
+            out[work] = float(np.log(by_size[b] / by_size[a]) / np.log(b / a))
+    return out
 
 
 def spent_ms(work: Work) -> float:

@@ -1,34 +1,27 @@
 """Whole runs of ``modcal calibrate``, from the start of the command to its exit, beside what they are meant to take.
 
 Of each the processor's seconds of a process of its own, on one thread. The goal is that of a quiet machine like the one
-of the published figures, times how much slower this one is at the moment; a ratio below 1 misses it. With the checkout
-of an earlier state that one runs in turn with this, and the remark has this one's share of its time: where it is the
-state that goals were set from, goals are shares too. Real recordings lie in ../shared/data; without them their rows say
-so.
+of the published figures, times how much slower this one is at the moment; a ratio below 1 misses it. Real recordings
+lie in ../shared/data; without them their rows say so.
 """
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import io
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import harness
 import numpy as np
 from timing import Row
 
-from modcal_core.measurements.recording import JointTrack
 from modcal_msgs_py.recording_write import write_recording
-from modcal_nodes.cli.main import run
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "data"
+ROOT, DATA = harness.ROOT, harness.DATA
 sys.path.append(str(ROOT / "bench" / "undeclared"))
 
 Maker = Callable[[Path], Path]
@@ -41,7 +34,7 @@ def _grid(arm: str, table: str) -> Maker:
         with (DATA / "serial_robots" / table).open() as stream:
             rows = list(csv.DictReader(stream))
         names = [key for key in rows[0] if key.startswith("joint_")]
-        _quietly("import", str(ROOT / f"examples/robots/{arm}.yaml"), "--out", str(folder / "arm.urdf"))
+        harness.succeeded("import", str(ROOT / f"examples/robots/{arm}.yaml"), "--out", str(folder / "arm.urdf"))
         from modcal_core.robots.urdf import read_chain
 
         joints = read_chain((folder / "arm.urdf").read_text()).names
@@ -57,7 +50,7 @@ def _grid(arm: str, table: str) -> Maker:
             f"    joints: {{unit: deg, columns: {{{', '.join(f'{name}: {name}' for name in joints)}}}}}\n"
             "    point: {frame: tracker, unit: mm, position: [x, y, z]}\n"
         )
-        _quietly("import", str(mapping), "--out", str(folder / "bag"))
+        harness.succeeded("import", str(mapping), "--out", str(folder / "bag"))
         return folder / "bag"
 
     return make
@@ -65,7 +58,7 @@ def _grid(arm: str, table: str) -> Maker:
 
 def _series_a(folder: Path) -> Path:
     mapping = ROOT / "examples/import/ipa_ur10_series_a.yaml"
-    _quietly("import", str(mapping), "--data", str(DATA), "--out", str(folder / "bag"))
+    harness.succeeded("import", str(mapping), "--data", str(DATA), "--out", str(folder / "bag"))
     return folder / "bag"
 
 
@@ -97,15 +90,7 @@ def _lagging(folder: Path) -> Path:
     recording, _, _ = recordings.record(cell, plan, tuple(faults), rng, True, True)
     track = recording.joints[0]
     behind = rng.normal(0, 1.5e-3, track.position.shape)
-    told = JointTrack(
-        track.names,
-        track.stamps,
-        track.position + behind,
-        track.velocity,
-        track.effort,
-        track.stamps,
-        topic="/joint_commands",
-    )
+    told = replace(track, position=track.position + behind, received=track.stamps, topic="/joint_commands")
     late = replace(track, position=track.position - rng.uniform(0.3, 1.0, cell.arm.n) * behind)
     write_recording(replace(recording, joints=(late,)), folder / "bag", commanded=told)
     return folder / "bag"
@@ -134,58 +119,38 @@ def _moving(folder: Path) -> Path:
     return folder / "bag"
 
 
-# What is run, from which recording, with which options, the seconds it is meant to take, those it took when the goals
-# were set (0: not measured), and whether the recording is a real one
-WORK: tuple[tuple[str, Maker, tuple[str, ...], float, float, bool], ...] = (
-    ("160 stations, nothing to find", _undeclared("none"), (), 1.2, 2.7, False),
-    ("160 stations, two effects", _undeclared("gear_harmonic+compliance"), (), 2.0, 4.2, False),
-    ("WAM grid, 216 stations", _grid("wam7", "wam_grid.csv"), (), 2.0, 8.0, True),
-    ("UR5 grid, 1 000 stations", _grid("ur5", "ur5_grid.csv"), (), 4.0, 17.0, True),
-    ("late joints, 1 000 stations", _lagging, (), 8.0, 34.0, False),
-    ("UR10 series A, 11 911 poses", _series_a, ("--block", "200"), 8.0, 35.0, True),
-    ("100 000 poses in motion, three effects", _moving, (), 20.0, 0.0, False),
+# What is run, from which recording, with which options, the seconds it is meant to take, and whether it is a real one
+WORK: tuple[tuple[str, Maker, tuple[str, ...], float, bool], ...] = (
+    ("160 stations, nothing to find", _undeclared("none"), (), 1.2, False),
+    ("160 stations, two effects", _undeclared("gear_harmonic+compliance"), (), 2.0, False),
+    ("WAM grid, 216 stations", _grid("wam7", "wam_grid.csv"), (), 2.0, True),
+    ("UR5 grid, 1 000 stations", _grid("ur5", "ur5_grid.csv"), (), 4.0, True),
+    ("late joints, 1 000 stations", _lagging, (), 8.0, False),
+    ("UR10 series A, 11 911 poses", _series_a, ("--block", "200"), 8.0, True),
+    ("100 000 poses in motion, three effects", _moving, (), 20.0, False),
 )
 
 
-def rows(scale: float, before: Path | None = None) -> Iterator[Row]:
-    """A row a recording. scale: how many times slower this machine is at the moment. before: a checkout of an earlier
-    state to run beside this one.
-    """
-    for name, maker, options, goal, then, real in WORK:
+def rows(scale: float) -> Iterator[Row]:
+    """A row a recording. scale: how many times slower this machine is at the moment."""
+    for name, maker, options, goal, real in WORK:
         work = f"calibrate, {name}"
         if real and not DATA.is_dir():
             yield Row("whole runs", work, 0.0, remark="not run: ../shared/data is missing")
             continue
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = Path(scratch)
-            bag = maker(folder)
-            earlier = spent(bag, folder / "before", options, before)[0] if before is not None else 0.0
-            seconds, memory = spent(bag, folder / "out", options)
-        remark = f"{memory:.0f} MB"
-        if earlier:
-            asked = f", asked {goal / then:.2f}" if then else ""
-            remark += f"; before {earlier:.1f} s: {seconds / earlier:.2f} of it{asked}"
-        yield Row("whole runs", work, 1e3 * seconds, "goal", 1e3 * goal * scale, remark=remark)
+        with harness.scratch() as folder:
+            seconds, memory = spent(maker(folder), folder / "out", options)
+        yield Row("whole runs", work, 1e3 * seconds, "goal", 1e3 * goal * scale, remark=f"{memory:.0f} MB")
 
 
-def spent(bag: Path, out: Path, options: tuple[str, ...] = (), checkout: Path | None = None) -> tuple[float, float]:
-    """Seconds of the processor of one run of the command, and its memory at most [MB]. checkout: whose; None: this."""
+def spent(bag: Path, out: Path, options: tuple[str, ...] = ()) -> tuple[float, float]:
+    """Seconds of the processor of one run of the command, and its memory at most [MB]."""
     command = [sys.executable, "-c", "from modcal_nodes.cli.main import main; main()", "calibrate"]
     # where Python may not keep what it compiled, every run would compile what was edited, and the templates of the page
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    if checkout is not None:
-        packages = ("modcal_core", "modcal_msgs_py", "modcal_nodes")
-        kept["PYTHONPATH"] = os.pathsep.join(str(checkout.resolve() / "ros2_ws" / "src" / name) for name in packages)
-        subprocess.run([sys.executable, "-m", "compileall", "-q", checkout / "ros2_ws" / "src"], check=True, env=kept)
     child = subprocess.Popen([*command, bag, "--out", out, *options], stdout=subprocess.DEVNULL, env=kept)
     _, status, usage = os.wait4(child.pid, 0)  # of this child alone, not of all there have been
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode not in (0, 3):
         raise SystemExit(f"modcal calibrate {bag}: exit {child.returncode}")
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3
-
-
-def _quietly(*arguments: str) -> None:
-    with contextlib.redirect_stdout(io.StringIO()):
-        if code := run(list(arguments)):
-            raise SystemExit(f"modcal {' '.join(arguments)}: exit {code}")

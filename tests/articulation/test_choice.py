@@ -85,7 +85,7 @@ def test_flawed_tracks_are_told_rightly_or_not_at_all() -> None:
 def test_real_furniture(furniture: dict[str, tuple[Kind, Track]]) -> None:
     """Of every other track of points one may be wrong, of poses none; none is said with certainty to be wrong.
 
-    All of them: `make articulation`.
+    All of them: `make bench NAME=articulated`.
     """
     told = {name: (kind, choose(track)) for name, (kind, track) in list(furniture.items())[::2]}
     wrong = [name for name, (kind, choice) in told.items() if choice.kind != kind]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "bench" / "fuzz"
-SECONDS = {"mcap": 7.5}  # the other nine targets: 2.5 each
+SECONDS = {"mcap": 7.5}  # the other ten targets: 2.5 each
 LARGEST_MIB = 1024
 
 
@@ -20,7 +20,7 @@ LARGEST_MIB = 1024
 def bench() -> Iterator[dict[str, ModuleType]]:
     before, known = list(sys.path), set(sys.modules)
     sys.path.insert(0, str(FOLDER))
-    names = ("mcap_cases", "data_cases", "target", "bag_targets", "text_targets", "other_targets", "run")
+    names = ("cases", "targets", "run")
     yield {name: importlib.import_module(name) for name in names}
     sys.path[:] = before
     for name in set(sys.modules) - known:
@@ -41,21 +41,21 @@ def test_thirty_seconds_of_hostile_input(bench: dict[str, ModuleType], tmp_path:
 
 def test_whatever_is_not_changed_is_read(bench: dict[str, ModuleType], tmp_path: Path) -> None:
     """The bases are good, and putting a file together again changes nothing: else every case would be refused."""
-    bags, texts = bench["bag_targets"], bench["text_targets"]
-    raw = bags.bag_bytes(tmp_path)
-    cases = bench["mcap_cases"]
+    targets = bench["targets"]
+    raw = targets.bag_bytes(tmp_path)
+    cases = bench["cases"]
     (folder := tmp_path / "again").mkdir()
-    target = bags.mcap_target(folder)
+    target = targets.mcap_target(folder)
     target.run(raw)
     target.run(cases.whole(cases.parts(raw)))
-    texts.calibration_target().run(texts.calibration())
-    texts.cell_target(tmp_path).run(texts.CELL)
-    texts.mapping_target(tmp_path).run((texts.MAPPING, texts.ROWS))
-    texts.urdf_target().run(texts.URDF.read_text())
+    targets.calibration_target().run(targets.calibration())
+    targets.cell_target(tmp_path).run(targets.CELL)
+    targets.mapping_target(tmp_path).run((targets.MAPPING, targets.ROWS))
+    targets.urdf_target().run(targets.URDF.read_text())
 
 
 def test_a_fault_is_found_and_named(bench: dict[str, ModuleType]) -> None:
-    target = bench["target"].Target("x", lambda rng: int(rng.integers(50)), lambda case: 1 // case and None)
+    target = bench["targets"].Target("x", lambda rng: int(rng.integers(50)), lambda case: 1 // case and None)
     found = bench["run"].fuzz(target, 3, 0.0, cases=400)
     (key,) = found.faults
     assert key.startswith("ZeroDivisionError at test_fuzz.py")
@@ -67,7 +67,7 @@ def test_a_fault_is_found_and_named(bench: dict[str, ModuleType]) -> None:
 def test_cases_are_the_same_every_time_and_differ_among_themselves(
     bench: dict[str, ModuleType], tmp_path: Path
 ) -> None:
-    target = bench["bag_targets"].mcap_target(tmp_path)
+    target = bench["targets"].mcap_target(tmp_path)
     made = [target.make(np.random.default_rng([0, k])) for k in range(60)]
     assert made == [target.make(np.random.default_rng([0, k])) for k in range(60)]
     assert len(set(made)) > 55

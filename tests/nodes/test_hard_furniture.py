@@ -1,6 +1,6 @@
 """Furniture that is hard to open, in MuJoCo: by no more force than was stated, and let go where that does not do.
 
-The core's operation and tracker beside the physics, in this process; some seconds a pull. ``make hard-doors`` has all.
+The core's operation and tracker beside the physics, in this process; some seconds a pull. ``make bench NAME=doors`` has all.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from modcal_core.effects.effect import Effect, all_columns, is_turned
 from modcal_core.geometry.so3 import Array
 
 # How far a fit may lie from the anchor. Of the real UR5 and a made arm of 27 effects shares then differ by less than
-# 1 % of themselves and scores by less than 0.1, where a hundredfold in chance is 2 (make bench shows the whole runs).
+# 1 % of themselves and scores by less than 0.1, where a hundredfold in chance is 2 (whole runs: bench/speed).
 _MOVED = 5e-3  # m, rad; columns change by as much of themselves
 # Of the ratio of two noises, by which rows are weighed against each other: candidates, residual and trials of a scan
 # alike, so each weight is as fair as any other; with 5 % from the best one 0.2 % of what rows say is lost

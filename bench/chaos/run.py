@@ -1,92 +1,94 @@
 """All nodes at 1 kHz + 200 Hz while everything goes wrong: does any end by itself, and what is lost?
 
-    make chaos                     # BENCH_ARGS="--minutes 2" for a shorter one
+    make bench NAME=chaos                          # ARGS="--minutes 2" for a shorter one
 
 A simulated cell speaks on /raw. One calibrator hears it undisturbed. A relay passes everything on to all other nodes,
 and drops, delays, doubles and corrupts messages, changes the order of joints, restarts its publishers and moves the
 clock of the stamps. In every node callbacks raise exceptions; each node is killed and started again in turn. At the end
 both calibrators solve, and are compared with each other and with MuJoCo's truth; every message that the relay has
-published is looked for in the recorder's bags. Ends with exit code 1 when a limit is broken.
+published is looked for in the recorder's bags. Exit code 1 when a limit is broken.
 """
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
 # A process that is killed can probably leave a lock in Fast DDS's shared memory: one publisher beside it was seen to
 # stay in publish() for good. UDP has no such lock.
 os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import harness
 
-import argparse  # noqa: E402
-import json  # noqa: E402
-import shutil  # noqa: E402
-import signal  # noqa: E402
-import subprocess  # noqa: E402
-import sys  # noqa: E402
-import tempfile  # noqa: E402
-import time  # noqa: E402
-from collections import Counter  # noqa: E402
-from dataclasses import dataclass, field  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
+# isort: split
+import numpy as np
+from nodes.cell import Said, call
+from nodes.processes import Process, environment, fresh_domain, listener, running
+from parts import RECORD, digest
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "bench")]
+from modcal_core.calibration.store import Calibration
+from modcal_core.correction.arm_state import ArmState
+from modcal_core.correction.correction import Correction
+from modcal_core.errors import BadRecording
+from modcal_msgs_py.mcap_walk import McapFile
+from modcal_nodes.io.inputs import read_calibration
+from modcal_nodes.ros.parameters import SIMULATED_CELL
+from modcal_nodes.simulation.plant import Plant
 
-import numpy as np  # noqa: E402
-from chaos_parts import RECORD, digest  # noqa: E402
-from nodes.cell import Said, call  # noqa: E402
-from nodes.processes import Process, environment, fresh_domain, listener, running  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
-
-from modcal_core.calibration.store import Calibration  # noqa: E402
-from modcal_core.correction.arm_state import ArmState  # noqa: E402
-from modcal_core.correction.correction import Correction  # noqa: E402
-from modcal_core.errors import BadRecording  # noqa: E402
-from modcal_msgs_py.mcap_walk import McapFile  # noqa: E402
-from modcal_nodes.io.inputs import read_calibration  # noqa: E402
-from modcal_nodes.ros.parameters import SIMULATED_CELL  # noqa: E402
-from modcal_nodes.simulation.plant import Plant  # noqa: E402
-
-JOINT_RATE, TRACKER_RATE, SEED = 1000.0, 200.0, 3
+ROBOTS, PARTS = harness.ROOT / "examples" / "robots", Path(__file__).with_name("parts.py")
+CELL = {
+    **{"urdf": ROBOTS / "ur10.urdf", "seed": 3, "start_delay_s": 4.0, "stations": 200, "repeat": True},
+    **{"joint_rate_hz": 1000.0, "tracker_rate_hz": 200.0},
+}
 UNWRITTEN = 1.0  # s of messages that a kill may take with it
 UNSENT, UNMATCHED = 0.05, 0.5  # s of messages about a restart of the publishers that they may take with them
 MAX_DEVIATIONS = 3.0  # combined standard deviations between the two calibrations
 CALM_DOWN = 0.25  # share of the time at the end in which the calibrator and the recorder are not killed any more
 UNEXCUSED = "without an excuse"
 TOPICS = ("/joint_states", "/tracker/pose")
+# every node but the cell, all within hearing of the relay; the furniture in a namespace of its own
+NODES = {
+    "recorder": ["-p", "out:=BAG"],
+    "calibrator": ["-p", "state:=state", "-p", "out:=disturbed", "-p", "buffer_s:=20.0"],
+    "corrector": ["-r", "calibration:=calibrator/calibration"],
+    "viewer": [],
+    "articulation_estimator": [],
+    "acceleration_limits": [],
+    "impedance_setpoint": ["-p", "autostart:=true"],
+    "simulated_furniture": ["-r", "__ns:=/door", "-p", f"urdf:={ROBOTS / 'panda.urdf'}"],
+}
 
 
 @dataclass
 class Subject:
-    """A node that is disturbed: its process, when it was killed, and how often it ended by itself.
-
-    downs: when it was seen to be down, for either reason.
-    """
+    """A node that is disturbed: its process, and when it was started, killed, and seen to be down for either reason."""
 
     name: str
-    words: list[str]
     folder: Path
     domain: int
-    log: Path
     popen: subprocess.Popen[bytes] | None = None
     kills: list[float] = field(default_factory=list)
     downs: list[float] = field(default_factory=list)
     starts: list[float] = field(default_factory=list)
-    ended: list[int] = field(default_factory=list)
+    ended: list[int] = field(default_factory=list)  # by itself, with these codes
 
     def start(self) -> None:
         """Start it, or start it again; a recorder into another bag."""
-        words = [word.replace("BAG", f"bag{len(self.starts)}") for word in self.words]
-        command = [sys.executable, str(ROOT / "bench" / "chaos_parts.py"), "node", self.name, str(self.log)]
+        words = [word.replace("BAG", f"bag{len(self.starts)}") for word in NODES[self.name]]
+        command = [sys.executable, str(PARTS), "node", self.name, str(self.folder / "injected.txt")]
         command += [str(len(self.starts)), "--ros-args", *words]
-        with (self.folder / f"{self.name}.log").open("ab") as stream:
-            self.popen = subprocess.Popen(
-                command, env=environment(self.domain), cwd=self.folder, stdout=stream, stderr=subprocess.STDOUT
-            )
+        with (self.folder / f"{self.name}.log").open("ab") as log:
+            about = {"env": environment(self.domain), "cwd": self.folder, "stdout": log, "stderr": subprocess.STDOUT}
+            self.popen = subprocess.Popen(command, **about)
         self.starts.append(time.monotonic())
 
     def look(self) -> None:
@@ -97,16 +99,15 @@ class Subject:
             self.start()
 
     def kill(self) -> None:
-        """As an operator or the system would, without a word."""
-        assert self.popen is not None
+        """As an operator or the system would, without a word; and start it again."""
         self.kills.append(time.monotonic())
         self.downs.append(self.kills[-1])
         self.popen.kill()
         self.popen.wait()
+        self.start()
 
     def stop(self) -> int:
         """End it as it should be ended."""
-        assert self.popen is not None
         if self.popen.poll() is None:
             self.popen.send_signal(signal.SIGINT)
         try:
@@ -116,71 +117,35 @@ class Subject:
             return -9
 
 
-def subjects(folder: Path, domain: int) -> list[Subject]:
-    """Every node but the cell, all within hearing of the relay; the furniture in a namespace of its own."""
-    panda = ROOT / "examples" / "robots" / "panda.urdf"
-    words = {
-        "recorder": ["-p", "out:=BAG"],
-        "calibrator": ["-p", "state:=state", "-p", "out:=disturbed", "-p", "buffer_s:=20.0"],
-        "corrector": ["-r", "calibration:=calibrator/calibration"],
-        "viewer": [],
-        "articulation_estimator": [],
-        "acceleration_limits": [],
-        "impedance_setpoint": ["-p", "autostart:=true"],
-        "simulated_furniture": ["-r", "__ns:=/door", "-p", f"urdf:={panda}"],
-    }
-    return [Subject(name, w, folder, domain, folder / "injected.txt") for name, w in words.items()]
-
-
 def run(folder: Path, seconds: float) -> int:
     """The whole of it; returns the exit code."""
     domain = fresh_domain()
-    every = subjects(folder, domain)
+    every = [Subject(name, folder, domain) for name in NODES]
     calm = Process("calibrator", domain, folder, "-r", "__ns:=/raw", out=folder / "calm")
     with running(calm), listener(domain) as (node, wait):
         said = Said(node)
-        relay = subprocess.Popen(
-            [sys.executable, str(ROOT / "bench" / "chaos_parts.py"), "relay", str(folder / "relay.bin"), "5"],
-            env=environment(domain), cwd=folder,
-        )  # fmt: skip
+        command = [sys.executable, str(PARTS), "relay", str(folder / "relay.bin"), "5"]
+        relay = subprocess.Popen(command, env=environment(domain), cwd=folder)
         try:
             for subject in every:
                 subject.start()
             wait(lambda: said.level("/raw/calibrator: samples") >= 0 and said.level("/calibrator: samples") >= 0, 60.0)
-            cell = Process(
-                "simulated_cell", domain, folder, "-r", "__ns:=/raw", urdf=ROOT / "examples" / "robots" / "ur10.urdf",
-                seed=SEED, start_delay_s=4.0, stations=200, repeat=True, joint_rate_hz=JOINT_RATE,
-                tracker_rate_hz=TRACKER_RATE,
-            )  # fmt: skip
+            cell = Process("simulated_cell", domain, folder, "-r", "__ns:=/raw", **CELL)
             with running(cell):
                 _disturb(every, wait, seconds)
-                answers = {
-                    name: call(node, wait, f"{name}/solve", 300.0).message for name in ("calibrator", "raw/calibrator")
-                }
+                asked = ("calibrator", "raw/calibrator")
+                answers = {name: call(node, wait, f"{name}/solve", 300.0).message for name in asked}
                 cell.stop()
             relay.terminate()
-            _ended(relay)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # the table says it
+                relay.wait(20.0)
             due = time.monotonic() + 2.0
             wait(lambda: time.monotonic() > due, 10.0)
         finally:
             relay.kill()
             codes = {subject.name: subject.stop() for subject in every}
         calm.stop(patience=60.0)
-    times = {subject.name: {"starts": subject.starts, "kills": subject.kills} for subject in every}
-    (folder / "times.json").write_text(json.dumps(times))
     return _report(folder, every, codes, answers)
-
-
-def _ended(relay: subprocess.Popen[bytes]) -> None:
-    """Wait for the relay to end; one that does not says where it stands."""
-    try:
-        relay.wait(20.0)
-    except subprocess.TimeoutExpired:
-        print(f"relay {relay.pid} does not end", flush=True)
-        relay.send_signal(signal.SIGUSR1)
-        if debugger := shutil.which("gdb"):
-            subprocess.run([debugger, "-p", str(relay.pid), "-batch", "-ex", "thread apply all bt 12"], check=False)
-        time.sleep(1.0)
 
 
 def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
@@ -197,28 +162,19 @@ def _disturb(every: list[Subject], wait: Any, seconds: float) -> None:
             late = since > (1.0 - CALM_DOWN) * seconds
             if not (late and subject.name in ("calibrator", "recorder")):
                 subject.kill()
-                subject.start()
 
 
-@dataclass
-class Losses:
-    """What became of the messages that were published. silent: longest from a start to the first message heard [s]."""
-
-    published: int
-    lost: Counter[str]
-    silent: float
-
-
-def _losses(folder: Path, recorder: Subject) -> Losses:
-    """Which messages are in no bag, and why: what the recorder could not have written is told apart from the rest."""
+def _losses(folder: Path, recorder: Subject) -> tuple[int, Counter[str], float]:
+    """How many messages were published; how many are in no bag, and why: what the recorder could not have written is
+    told apart from the rest; the longest silence from a start to the first message heard [s].
+    """
     data = (folder / "relay.bin").read_bytes()
     published = [RECORD.unpack_from(data, at) for at in range(0, len(data) - RECORD.size + 1, RECORD.size)]
     bags = [_in_bag(folder / f"bag{k}") for k in range(len(recorder.starts))]
     left = sum(bags, Counter[tuple[int, bytes]]())
     # a recorder hears a topic from the first message of its bag on, until it is killed
-    kills = [*recorder.downs, np.inf]
+    kills, silent = [*recorder.downs, np.inf], 0.0
     heard_from: list[dict[int, float]] = []
-    silent = 0.0
     for start, kill, bag in zip(recorder.starts, kills, bags, strict=True):
         first: dict[int, float] = {}
         sent: dict[int, float] = {}
@@ -254,7 +210,7 @@ def _losses(folder: Path, recorder: Subject) -> Losses:
             why["one each by exceptions in the recorder's callbacks"] += 1
         else:
             why[UNEXCUSED] += 1
-    return Losses(len(published), why, silent)
+    return len(published), why, silent
 
 
 def _in_bag(folder: Path) -> Counter[tuple[int, bytes]]:
@@ -265,7 +221,7 @@ def _in_bag(folder: Path) -> Counter[tuple[int, bytes]]:
                 if raw.topic in TOPICS:
                     found[TOPICS.index(raw.topic), digest(bytes(raw.cdr))] += 1
         except BadRecording as error:  # what a kill has cut off; whole chunks have been read
-            print(f"{path.name}: {error}", flush=True)
+            harness.say(f"{path.name}: {error}")
     return found
 
 
@@ -295,61 +251,54 @@ def _off(calibration: Calibration, truth: Plant) -> float:
 
 
 def _report(folder: Path, every: list[Subject], codes: dict[str, int], answers: dict[str, str]) -> int:
-    table, broken = Table("", "seen", "limit", ""), 0
-
-    def row(what: str, value: str, limit: str = "", good: bool = True) -> None:
-        nonlocal broken
-        broken += not good
-        table.add_row(what, value, limit, "" if not limit else "ok" if good else "[red]broken")
-
     ended = folder / "relay.txt"
-    row("relay: ended when told to", "yes" if ended.exists() else "no", "yes", ended.exists())
+    rows: list[tuple[str, object, str, bool]] = [("relay: ended when told to", ended.exists(), "True", ended.exists())]
     for line in ended.read_text().splitlines() if ended.exists() else ():
         count, _, what = line.partition(" ")
-        row(f"relay: {what}", count)
+        rows.append((f"relay: {what}", count, "", True))
     injected = Counter(line.split()[1] for line in (folder / "injected.txt").read_text().splitlines())
     for subject in every:
-        row(f"{subject.name}: exceptions, kills", f"{injected[subject.name]}, {len(subject.kills)}")
-        said = ", ".join(map(str, subject.ended)) or "never"
-        row(f"{subject.name}: ended by itself", said, "never", not subject.ended)
-        row(f"{subject.name}: exit code when told to end", str(codes[subject.name]), "0", codes[subject.name] == 0)
-    losses = _losses(folder, every[0])
-    row("recorder: lost of published", f"{losses.lost.total()} of {losses.published}")
-    unexcused = losses.lost.pop(UNEXCUSED, 0)
-    for reason, count in sorted(losses.lost.items()):
-        row(f"recorder: lost {reason}", str(count))
-    row(f"recorder: lost {UNEXCUSED}", str(unexcused), "0", unexcused == 0)
-    row("recorder: longest silence after a start", f"{losses.silent:.1f} s")
-    for name, answer in answers.items():
-        row(f"{name}: solve", answer)
+        name, code = subject.name, codes[subject.name]
+        rows += [
+            (f"{name}: exceptions, kills", f"{injected[name]}, {len(subject.kills)}", "", True),
+            (f"{name}: ended by itself", ", ".join(map(str, subject.ended)) or "never", "never", not subject.ended),
+            (f"{name}: exit code when told to end", code, "0", code == 0),
+        ]
+    published, lost, silent = _losses(folder, every[0])
+    rows.append(("recorder: lost of published", f"{lost.total()} of {published}", "", True))
+    unexcused = lost.pop(UNEXCUSED, 0)
+    rows += [(f"recorder: lost {reason}", count, "", True) for reason, count in sorted(lost.items())]
+    rows.append((f"recorder: lost {UNEXCUSED}", unexcused, "0", unexcused == 0))
+    rows.append(("recorder: longest silence after a start", f"{silent:.1f} s", "", True))
+    rows += [(f"{name}: solve", answer, "", True) for name, answer in answers.items()]
     try:
         disturbed, calm = (read_calibration(folder / name) for name in ("disturbed", "calm"))
         apart = _deviations(disturbed, calm)
-        row("disturbed against calm, the tip at 100 postures", f"{apart:.2f} deviations", f"{MAX_DEVIATIONS:g}",
-            apart <= MAX_DEVIATIONS)  # fmt: skip
-        urdf = ROOT / "examples" / "robots" / "ur10.urdf"
-        chosen = {**{name: p.default for name, p in SIMULATED_CELL.items()}, "urdf": str(urdf), "seed": SEED}
-        truth = Plant({**chosen, "stations": 10})
+        truth = Plant(
+            {
+                **{k: p.default for k, p in SIMULATED_CELL.items()},
+                **{k: CELL[k] for k in ("urdf", "seed")},
+                "stations": 10,
+            }
+        )
         off, best = _off(disturbed, truth), _off(calm, truth)
-        row("disturbed against the truth, RMS", f"{1e3 * off:.3f} mm (calm: {1e3 * best:.3f})", "0.1 mm, or twice calm",
-            off <= max(1e-4, 2.0 * best))  # fmt: skip
+        what = "disturbed against calm, the tip at 100 postures, in deviations"
+        rows.append((what, f"{apart:.2f}", f"{MAX_DEVIATIONS:g}", apart <= MAX_DEVIATIONS))
+        what, good = "disturbed against the truth, RMS", off <= max(1e-4, 2.0 * best)
+        rows.append((what, f"{1e3 * off:.3f} mm (calm: {1e3 * best:.3f})", "0.1 mm, or twice calm", good))
     except Exception as error:  # the table says so, and is still printed
-        row("the two calibrations", repr(error), "both there", False)
-    Console(width=150).print(table)
-    return 1 if broken else 0
+        rows.append(("the two calibrations", repr(error), "both there", False))
+    harness.table("", ("", "seen", "limit"), [row[:3] for row in rows])
+    return harness.met(*((row[0], row[3]) for row in rows))
 
 
 def main() -> int:
-    """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--keep", type=Path, default=None, help="a folder for logs and bags that is left behind")
-    chosen = parser.parse_args()
-    if chosen.keep is not None:
-        chosen.keep.mkdir(parents=True)
-        return run(chosen.keep.resolve(), 60.0 * chosen.minutes)
-    with tempfile.TemporaryDirectory() as name:
-        return run(Path(name), 60.0 * chosen.minutes)
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--minutes", type=float, default=10.0)
+    made.add_argument("--keep", type=Path, default=None, help="a folder for logs and bags that is left behind")
+    given = made.parse_args()
+    with harness.scratch(given.keep and given.keep.resolve()) as folder:
+        return run(folder, 60.0 * given.minutes)
 
 
 if __name__ == "__main__":
