@@ -23,7 +23,6 @@ setup(
         ("bin", ["bin/modcal"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"dask": ["distributed"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [

@@ -25,7 +25,7 @@ from modcal_nodes.one_thread import limit_blas
 # the readers of bags take a second or two, which a request for help should not.
 VERBS = {
     "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
-    "fleet": ("fleet", "fleet_command", "Calibrate many recordings and report which robots drift."),
+    "fleet": ("fleet", "fleet_command", "Calibrate many recordings, and put the results in one table."),
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
     "check": ("check", "check_command", "Tell what has changed since CALIBRATION, from ten new stations."),
     "history": ("history", "history_command", "Show what grows over a robot's calibrations and checks."),
@@ -155,8 +155,7 @@ def _fault() -> int:
 _EXTRAS = {
     "mujoco": "simulate",
     "pyarrow": "fleet",
-    "distributed": "dask",
-    "dask": "dask",
+    "distributed": "fleet",
 }
 # Beside ROS from apt, which has none of them, or an older one
 _PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2", "lets_plot": "lets-plot"}
