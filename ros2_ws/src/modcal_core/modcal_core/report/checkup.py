@@ -37,7 +37,6 @@ _FILES = {
     "report.json": "how far the model misses at these stations",
     "report.html": "the same as a page",
     "certificate.html": "the certificate",
-    "certificate.pdf": "the same to print",
 }
 
 

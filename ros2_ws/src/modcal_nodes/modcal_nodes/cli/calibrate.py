@@ -161,7 +161,7 @@ def calibrate_command(
     said = particulars(certificate, serial, asked.cell_file, asked.tolerance_mm)
     with output.working() as watch:
         done = calibrate_bag(bag, asked, more, watch)
-        files: dict[str, str | bytes] = {**done.files}
+        files: dict[str, str] = {**done.files}
         if said is not None:
             watch("writing the certificate")
             described = asked.delta or asked.urdf or done.result.robot.description
@@ -220,7 +220,7 @@ def evaluate_command(
                 tolerance_mm=tolerance_mm,
                 tolerance_of=tolerance_of,
             )
-        files: dict[str, str | bytes] = {**report_files(report, calibration=calibration_name(calibration))}
+        files: dict[str, str] = {**report_files(report, calibration=calibration_name(calibration))}
         if said is not None:
             from modcal_core.report.certificate import is_made_from
 

@@ -137,7 +137,7 @@ def calibrate_images(
         source = camera["images"] or bag
         assert source is not None
         met = None if options["tolerance_mm"] is None else camera_tolerance(solution, options["tolerance_mm"])
-        files: dict[str, str | bytes] = {**camera_files(solution, robot, images, found.left_out, met=met)}
+        files: dict[str, str] = {**camera_files(solution, robot, images, found.left_out, met=met)}
         if said is not None:
             watch("writing the certificate")
             calibration = str(files["calibration.yaml"])

@@ -1,4 +1,4 @@
-"""``--certificate``: one page to sign, as HTML and PDF, beside the report of a calibration or an evaluation."""
+"""``--certificate``: one page to sign, beside the report of a calibration or an evaluation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 CERTIFICATE = (
     click.option(
         "--certificate", is_flag=True,
-        help="Write certificate.html and certificate.pdf, one page to sign. Needs --tolerance-mm.",
+        help="Write certificate.html, one page to print and sign. Needs --tolerance-mm.",
     ),
     click.option("--serial", default=None, metavar="TEXT", help="Serial number of the robot, for the certificate."),
 )  # fmt: skip
@@ -41,34 +41,28 @@ def particulars(
         return None
     if tolerance_mm is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
-    import fpdf  # noqa: F401  # where it is missing, that is said before minutes of work
-
     said = read_particulars(cell_file)
     return said if serial is None else replace(said, serial=serial)
 
 
 def certificate_files(
     report: Report, stated: Stated, said: Particulars, hashes: Hashes, made_from: bool = False
-) -> dict[str, str | bytes]:
-    """Names and contents of the certificate's files; the arguments are those of the certificate."""
+) -> dict[str, str]:
+    """Name and text of the certificate's file; the arguments are those of the certificate."""
     from modcal_core.report.certificate import certificate
     from modcal_core.report.certificate_page import to_html
-    from modcal_nodes.io.certificate_pdf import to_pdf
 
-    one = certificate(report, stated, said, hashes, made_from)
-    return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
+    return {"certificate.html": to_html(certificate(report, stated, said, hashes, made_from))}
 
 
 def camera_certificate_files(
     solution: CameraSolution, robot: str, met: Tolerance | None, said: Particulars, hashes: Hashes, images: int
-) -> dict[str, str | bytes]:
+) -> dict[str, str]:
     """The same of a calibration by camera; the arguments are those of its certificate."""
     from modcal_core.report.camera_certificate import camera_certificate
     from modcal_core.report.certificate_page import to_html
-    from modcal_nodes.io.certificate_pdf import to_pdf
 
-    one = camera_certificate(solution, robot, met, said, hashes, images)
-    return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
+    return {"certificate.html": to_html(camera_certificate(solution, robot, met, said, hashes, images))}
 
 
 def certified_hashes(

@@ -96,9 +96,9 @@ def check_command(
         files = check_files(found, calibration, urdf, samples.origin.description)
         if said is not None:
             watch("writing the certificate")
-            model: str | Path = files.get("calibration.yaml", calibration)  # type: ignore[assignment]
+            model: str | Path = files.get("calibration.yaml", calibration)
             described = files.get("calibrated.urdf", samples.origin.description)
-            hashes = certified_hashes(described, model)  # type: ignore[arg-type]
+            hashes = certified_hashes(described, model)
             own = is_made_from(frozen, samples)
             files |= certificate_files(found.report, stated_of(cell_file, samples, stated), said, hashes, own)
     name = calibration_name(calibration)
@@ -111,10 +111,10 @@ def check_command(
     return 0 if tolerance is None or tolerance.result == "PASS" else UNMET
 
 
-def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: str | None) -> dict[str, str | bytes]:
+def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: str | None) -> dict[str, str]:
     """Names and texts of the files of a check, but for its page: what was found, and the repaired model."""
     name = calibration_name(calibration)
-    files: dict[str, str | bytes] = {"check.json": to_json(to_json_data(found, name))}
+    files: dict[str, str] = {"check.json": to_json(to_json_data(found, name))}
     if len(found.advice.stations):
         files["stations.csv"] = _table(found)
     repaired = found.repaired

@@ -13,8 +13,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable
 from modcal_core.files import to_json, write_folder
 from modcal_core.measurements.schema import require
-from modcal_core.report.comparison import Side, compare, to_json_data
-from modcal_core.report.comparison_page import summary, to_html
+from modcal_core.report.comparison import Side, compare, summary, to_json_data
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.number import Decimal
@@ -32,7 +31,7 @@ _MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
     "--tolerance-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
     help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
 )  # fmt: skip
-@click.option("--out", type=WRITTEN, default=None, help="Folder of comparison.html and comparison.json.")
+@click.option("--out", type=WRITTEN, default=None, help="Folder of comparison.json.")
 @speaking
 def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: Path | None, output: Output) -> int:
     """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.
@@ -46,9 +45,9 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: 
         found = compare(sides[0], sides[1], tolerance_mm)
         data = to_json_data(found)
         out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
-        files = {"comparison.json": to_json(data), "comparison.html": to_html(found)}
+        files = {"comparison.json": to_json(data)}
         write_folder(out, files)
-    where = written(out, files, "Comparison", "comparison.html")
+    where = written(out, files, "Comparison", "comparison.json")
     output.result(data, partial(show_blocks, summary(found)), where)
     judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
     return UNMET if judged else 0

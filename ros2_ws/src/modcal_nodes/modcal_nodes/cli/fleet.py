@@ -53,7 +53,8 @@ def fleet_command(
     then written nevertheless.
     """
     named = names_of(find_bags(bags, out), out)
-    asked = Options(**{name: value.resolve() if isinstance(value, Path) else value for name, value in options.items()})
+    files = {name: value.resolve() for name, value in options.items() if isinstance(value, Path)}
+    asked = Options(**options | files)
     name = "fleet.csv" if as_csv else "fleet.parquet"
     page = console()
     shown_by = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
