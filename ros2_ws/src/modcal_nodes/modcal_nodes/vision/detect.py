@@ -11,7 +11,7 @@ import numpy as np
 
 from modcal_core.camera.clean import MIN_CORNERS, enough_corners
 from modcal_core.camera.homography import homography
-from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
+from modcal_core.camera.target import APRIL_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
@@ -289,8 +289,3 @@ def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.Char
     board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.square, target.marker, words, ids)
     board.setLegacyPattern(legacy)
     return board
-
-
-def is_grid(target: PrintedTarget) -> bool:
-    """Whether the target is one of markers side by side."""
-    return target.kind in (ARUCO_GRID, APRIL_GRID)
