@@ -40,6 +40,6 @@ setup(
             f"door_demo = {PACKAGE}.nodes.door_demo:main",
             f"station_runner = {PACKAGE}.nodes.station_runner:main",
             f"trajectory_sender = {PACKAGE}.nodes.trajectory_sender:main",
-        ],
+        ]
     },
 )

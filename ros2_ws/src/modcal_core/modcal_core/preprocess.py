@@ -140,11 +140,7 @@ def prepare_pieces(
 
 
 def _settle_delays(
-    recording: Recording,
-    aligned: Recording,
-    samples: Samples,
-    chain: Mechanism,
-    rules: StationRules | None,
+    recording: Recording, aligned: Recording, samples: Samples, chain: Mechanism, rules: StationRules | None
 ) -> tuple[Samples, tuple[str, ...]]:
     """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
 

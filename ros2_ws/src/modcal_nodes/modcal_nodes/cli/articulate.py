@@ -60,11 +60,11 @@ class _Read:
     help="Poses or points of the handle, or joint_states; or ROLE=NAME, as for calibrate. Default: the first found.",
 )
 @click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable.")
-@click.option("--tf", "tf", default=None, metavar="PARENT:CHILD", help="The handle is this pair of frames in /tf.")
-@click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for joint states. Default: the bag's.")
-@click.option("--calibration", type=_EXISTING, default=None, help="For joint states: the arm as it was calibrated.")
-@click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link.")
-@click.option("--tip", default=None, metavar="LINK", help="The link that holds the handle.")
+@click.option("--tf", "tf", metavar="PARENT:CHILD", help="The handle is this pair of frames in /tf.")
+@click.option("--urdf", type=_EXISTING, help="Robot description, for joint states. Default: the bag's.")
+@click.option("--calibration", type=_EXISTING, help="For joint states: the arm as it was calibrated.")
+@click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
+@click.option("--tip", metavar="LINK", help="The link that holds the handle.")
 @click.option("--points", is_flag=True, help="Ignore rotations.")
 @click.option(
     "--seed",
@@ -73,7 +73,7 @@ class _Read:
     show_default=True,
     help="Seed for choosing the samples of the first guesses.",
 )
-@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
 def articulate_command(
     bag: Path,

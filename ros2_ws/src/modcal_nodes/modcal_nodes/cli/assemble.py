@@ -33,7 +33,7 @@ from modcal_nodes.cli.topics import topic_options
 from modcal_nodes.io.assemblies import read_assembly
 
 _LIBRARY = click.option(
-    "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
+    "--library", "library_file", type=EXISTING, metavar="FILE",
     help="YAML of the available modules. Default: the one that SPEC names, or the published ones.",
 )  # fmt: skip
 _UNLIKELY = 1e-4
@@ -63,10 +63,10 @@ _PARTS = {
 @click.argument("spec", type=EXISTING)
 @_LIBRARY
 @click.option(
-    "--modules", "store", type=EXISTING, default=None, metavar="STORE",
+    "--modules", "store", type=EXISTING, metavar="STORE",
     help="File written by modcal modules learn: the URDF includes the known errors of these physical modules.",
 )  # fmt: skip
-@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
 def assemble_command(
     spec: Path, library_file: Path | None, store: Path | None, out: Path | None, output: Output

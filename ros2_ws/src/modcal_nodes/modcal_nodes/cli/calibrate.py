@@ -35,7 +35,6 @@ SEED = Whole(min=0)  # what NumPy takes
 _SPLITS = click.option(
     "--block",
     type=Whole(min=1),
-    default=None,
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
 SEED_OPTION = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
@@ -47,18 +46,17 @@ CELL = click.option(
     "--cell",
     "cell_file",
     type=EXISTING,
-    default=None,
     help="YAML of known distances, fixed parameters, and what is stated of arm and instrument.",
 )
-OUT = click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+OUT = click.option("--out", type=WRITTEN, help="Folder of the results.")
 
 
 _ROBOT = (
-    click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag."),
-    click.option("--delta", type=EXISTING, default=None, help="Description of a Delta robot, instead of a URDF."),
-    click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link."),
+    click.option("--urdf", type=EXISTING, help="Robot description. Default: the one in the bag."),
+    click.option("--delta", type=EXISTING, help="Description of a Delta robot, instead of a URDF."),
+    click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link."),
     click.option(
-        "--tip", default=None, metavar="LINK", help="Link where it ends. Default: the link behind most recorded joints."
+        "--tip", metavar="LINK", help="Link where it ends. Default: the link behind most recorded joints."
     ),
     click.option(
         "--fix", "fixed", multiple=True, metavar="NAME",
@@ -71,28 +69,28 @@ _ROBOT = (
 _POSITIVE = Decimal(min=0.0, min_open=True)
 STATED = (
     click.option(
-        "--repeatability-mm", type=_POSITIVE, default=None, metavar="MM",
+        "--repeatability-mm", type=_POSITIVE, metavar="MM",
         help="Repeatability of the arm, RMS over space.",
     ),
     click.option(
-        "--repeatability-iso", type=_POSITIVE, default=None, metavar="MM",
+        "--repeatability-iso", type=_POSITIVE, metavar="MM",
         help="The same as RP of ISO 9283, as data sheets give it.",
     ),
     click.option(
-        "--repeatability-deg", type=_POSITIVE, default=None, metavar="DEG",
+        "--repeatability-deg", type=_POSITIVE, metavar="DEG",
         help="Repeatability of the orientation, RMS.",
     ),
     click.option(
-        "--instrument-mm", type=_POSITIVE, default=None, metavar="MM", help="Error of the instrument, RMS over space."
+        "--instrument-mm", type=_POSITIVE, metavar="MM", help="Error of the instrument, RMS over space."
     ),
     click.option(
-        "--instrument-deg", type=_POSITIVE, default=None, metavar="DEG",
+        "--instrument-deg", type=_POSITIVE, metavar="DEG",
         help="Orientation error of the instrument, RMS.",
     ),
 )  # fmt: skip
 TOLERANCE = (
     click.option(
-        "--tolerance-mm", type=_POSITIVE, default=None, metavar="MM",
+        "--tolerance-mm", type=_POSITIVE, metavar="MM",
         help="Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.",
     ),
     click.option(
@@ -127,7 +125,6 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--factory-kinematics",
     type=EXISTING,
-    default=None,
     metavar="FILE",
     help="What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.",
 )

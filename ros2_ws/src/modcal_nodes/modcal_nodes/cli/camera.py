@@ -33,19 +33,19 @@ _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
-        "--images", type=_EXISTING, default=None, metavar="FOLDER",
+        "--images", type=_EXISTING, metavar="FOLDER",
         help="Images of a target, or a CSV of its corners by one camera or several; with --joints, --target, --urdf.",
     ),
     click.option(
-        "--joints", type=_EXISTING, default=None, metavar="FILE",
+        "--joints", type=_EXISTING, metavar="FILE",
         help="CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].",
     ),
     click.option(
-        "--target", type=_EXISTING, default=None, metavar="FILE",
+        "--target", type=_EXISTING, metavar="FILE",
         help="target.yaml of modcal target, Kalibr's, or a body's: calibrate from images in BAG, or --images.",
     ),
     click.option(
-        "--image-topic", default=None, metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
+        "--image-topic", metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
     ),
     click.option(
         "--also-camera", multiple=True, metavar="TOPIC[=FILE]",
@@ -60,11 +60,11 @@ OPTIONS = (
         help="What becomes of those in --camera-info.",
     ),
     click.option(
-        "--arm-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
+        "--arm-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
         help="Error of the nominal arm at its tool, RMS, as you know it.",
     ),
     click.option(
-        "--mounting", type=click.Choice(["tip", "world"]), default=None, help="Where the camera is. Default: found."
+        "--mounting", type=click.Choice(["tip", "world"]), help="Where the camera is. Default: found."
     ),
     click.option("--fisheye", is_flag=True, help="The lens is a fisheye, where no camera_info says so."),
     click.option("--flat-target", is_flag=True, help="The target is flat: on glass or aluminium."),

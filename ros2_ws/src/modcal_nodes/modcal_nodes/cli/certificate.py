@@ -27,7 +27,7 @@ CERTIFICATE = (
         "--certificate", is_flag=True,
         help="Write certificate.html, one page to print and sign. Needs --tolerance-mm.",
     ),
-    click.option("--serial", default=None, metavar="TEXT", help="Serial number of the robot, for the certificate."),
+    click.option("--serial", metavar="TEXT", help="Serial number of the robot, for the certificate."),
 )  # fmt: skip
 
 

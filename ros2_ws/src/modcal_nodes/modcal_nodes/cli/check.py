@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.checking.known import pattern_of
 from modcal_core.checkup import Checked
 from modcal_core.errors import BadTable
-from modcal_core.files import to_json, write_folder
+from modcal_core.files import read_json, to_json, write_folder
 from modcal_core.public import check
 from modcal_core.report.certificate import is_made_from
 from modcal_core.report.checkup import summary, to_html, to_json_data
@@ -41,14 +40,12 @@ from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.recorded import of_calibrated, opened
 
-_MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
-
 
 @click.command("check")
 @click.argument("calibration", type=EXISTING)
 @click.argument("bag", type=EXISTING)
 @click.option(
-    "--urdf", type=EXISTING, default=None,
+    "--urdf", type=EXISTING,
     help="Robot description to write the repaired one from. Default: that of the calibration's folder, or in BAG.",
 )  # fmt: skip
 @with_options((CELL, *TOPICS, *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT))
@@ -158,14 +155,15 @@ def _description(
 def _pattern(calibration: Path) -> float | None:
     """The predictable share in the report beside a calibration; None where there is none, as in reports of cameras."""
     beside = (calibration if calibration.is_dir() else calibration.parent) / "report.json"
-    if not beside.is_file() or beside.stat().st_size > _MAX_REPORT:
+    if not beside.is_file():
         return None
+    remedy = "remove it, or calibrate again"
+    report = read_json(beside, remedy)
     try:
-        report = json.loads(beside.read_text(encoding="utf-8"))
         share = report.get("predictable") if report.get("camera") else report["predictable"]
         return None if share is None else pattern_of(float(share["share"]))
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise BadTable(str(beside), "is not a report of modcal", "remove it, or calibrate again") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadTable(str(beside), "is not a report of modcal", remedy) from error
 
 
 def _table(found: Checked) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import click
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable
-from modcal_core.files import to_json, write_folder
+from modcal_core.files import read_json, to_json, write_folder
 from modcal_core.measurements.schema import require
 from modcal_core.report.comparison import Side, compare, summary, to_json_data
 from modcal_nodes.cli.certificate import UNMET
@@ -21,17 +20,15 @@ from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io.report_schema import SCHEMA
 
-_MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
-
 
 @click.command("compare")
 @click.argument("first", type=EXISTING, metavar="A")
 @click.argument("second", type=EXISTING, metavar="B")
 @click.option(
-    "--tolerance-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
+    "--tolerance-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
     help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
 )  # fmt: skip
-@click.option("--out", type=WRITTEN, default=None, help="Folder of comparison.json.")
+@click.option("--out", type=WRITTEN, help="Folder of comparison.json.")
 @speaking
 def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: Path | None, output: Output) -> int:
     """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.
@@ -71,11 +68,6 @@ def _side(path: Path, name: str) -> Side:
 def _report(path: Path) -> dict[str, Any]:
     """The data of a report.json. Raises BadTable for anything else."""
     remedy = "give the report.json that modcal calibrate or modcal evaluate wrote"
-    if path.stat().st_size > _MAX_REPORT:
-        raise BadTable(str(path), f"is larger than {_MAX_REPORT >> 20} MiB", remedy)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise BadTable(str(path), "is not JSON", remedy) from error
+    data = read_json(path, remedy)
     require(data, SCHEMA, str(path), remedy)
     return dict(data)

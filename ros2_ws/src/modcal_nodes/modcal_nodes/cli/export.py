@@ -52,8 +52,8 @@ class _Source:
     "--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Model of a calibration."
 )
 @click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
-@click.option("--base", default=None, metavar="LINK", help="For a URDF: link where the arm begins.")
-@click.option("--tip", default=None, metavar="LINK", help="For a URDF: link where it ends.")
+@click.option("--base", metavar="LINK", help="For a URDF: link where the arm begins.")
+@click.option("--tip", metavar="LINK", help="For a URDF: link where it ends.")
 @click.option("--largest-offset", type=float, default=10.0, show_default=True, help="Largest offset in a DH row [m].")
 @click.option(
     "--nearest",
@@ -64,13 +64,9 @@ class _Source:
     "--unit", type=click.Choice([*UNITS]), default="m rad", show_default=True, help="Of a table that is written as CSV."
 )
 @click.option(
-    "--factory-kinematics",
-    "factory",
-    type=_EXISTING,
-    default=None,
-    help="For kinematics: the maker's own file of this arm.",
+    "--factory-kinematics", "factory", type=_EXISTING, help="For kinematics: the maker's own file of this arm."
 )
-@click.option("--out", type=WRITTEN, default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
+@click.option("--out", type=WRITTEN, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
 @speaking
 def export_command(
     source: Path,

@@ -39,13 +39,7 @@ _COLUMNS = {
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON in place of the summary.")
 @calibration_options
 def fleet_command(
-    bags: tuple[str, ...],
-    out: Path,
-    as_csv: bool,
-    jobs: int | None,
-    address: str | None,
-    as_json: bool,
-    **options: Any,
+    bags: tuple[str, ...], out: Path, as_csv: bool, jobs: int | None, address: str | None, as_json: bool, **options: Any
 ) -> int:
     """Calibrate every recording in BAGS (bags, folders that hold some, patterns).
 

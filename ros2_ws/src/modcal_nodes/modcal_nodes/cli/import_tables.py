@@ -37,23 +37,17 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
 
 @click.command("import")
 @click.argument("sources", type=_EXISTING, nargs=-1, required=True, metavar="MAPPING | FILE.csv...")
-@click.option("--data", type=_EXISTING, default=None, help="Folder of the tables. Default: the folder of MAPPING.")
-@click.option(
-    "--urdf", type=_EXISTING, default=None, help="Robot description to put into the bag, and to prove a mapping by."
-)
+@click.option("--data", type=_EXISTING, help="Folder of the tables. Default: the folder of MAPPING.")
+@click.option("--urdf", type=_EXISTING, help="Robot description to put into the bag, and to prove a mapping by.")
 @BASE
 @TIP
 @click.option(
     "--mapping",
     type=click.Path(path_type=Path),
-    default=None,
     help="For tables without a mapping: the mapping to write. Default: FILE.yaml.",
 )
 @click.option(
-    "--out",
-    type=WRITTEN,
-    default=None,
-    help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.",
+    "--out", type=WRITTEN, help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none."
 )
 @click.option(
     "--schema",

@@ -28,12 +28,12 @@ _EXISTING = click.Path(exists=True, path_type=Path)
 
 @click.command("info")
 @click.argument("bag", type=_EXISTING)
-@click.option("--urdf", type=_EXISTING, default=None, help="Robot description. Default: the one in the bag.")
-@click.option("--delta", type=_EXISTING, default=None, help="Description of a Delta robot instead.")
-@click.option("--base", default=None, metavar="LINK")
-@click.option("--tip", default=None, metavar="LINK")
-@click.option("--target", type=_EXISTING, default=None, help="Printed target: say what the images are good for.")
-@click.option("--image-topic", default=None, metavar="TOPIC", help="Images. Default: the only ones there are.")
+@click.option("--urdf", type=_EXISTING, help="Robot description. Default: the one in the bag.")
+@click.option("--delta", type=_EXISTING, help="Description of a Delta robot instead.")
+@click.option("--base", metavar="LINK")
+@click.option("--tip", metavar="LINK")
+@click.option("--target", type=_EXISTING, help="Printed target: say what the images are good for.")
+@click.option("--image-topic", metavar="TOPIC", help="Images. Default: the only ones there are.")
 @topic_options
 @speaking
 def info_command(

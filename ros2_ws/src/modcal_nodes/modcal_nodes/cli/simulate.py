@@ -52,12 +52,7 @@ _STATIONS = 60
 )  # fmt: skip
 @speaking
 def simulate_command(
-    robot: Path,
-    out: Path,
-    given: tuple[str, ...],
-    later: tuple[tuple[float, str], ...],
-    returns: int,
-    output: Output,
+    robot: Path, out: Path, given: tuple[str, ...], later: tuple[tuple[float, str], ...], returns: int, output: Output
 ) -> None:
     """Record an arm (URDF) or a Delta (YAML) that differs from its nominal model, in MuJoCo, with a tracker.
 

@@ -14,7 +14,7 @@ TOPICS = (
     ),
     click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable."),
     click.option(
-        "--tf", "tf", default=None, metavar="PARENT:CHILD",
+        "--tf", "tf", metavar="PARENT:CHILD",
         help="The tracker's readings are these frames in /tf, e.g. tracker:tool.",
     ),
 )  # fmt: skip

@@ -190,10 +190,7 @@ def _no_such_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pix
     contrast = float(np.median(seen[1]) - np.median(seen[0])) if min(map(len, seen)) else 0.0
     if abs(contrast) < _ALTERNATES * float(np.percentile(grey, 99) - np.percentile(grey, 1)):
         return _why_not(grey, target)
-    for squares in (
-        *([(i, j) for j in range(r)] for i in (-1, c)),
-        *([(i, j) for i in range(c)] for j in (-1, r)),
-    ):
+    for squares in (*([(i, j) for j in range(r)] for i in (-1, c)), *([(i, j) for i in range(c)] for j in (-1, r))):
         beyond, dark = _greys(grey, H, target, squares), np.array([(i + j) % 2 == 0 for i, j in squares])
         if not (np.isfinite(beyond[dark]).any() and np.isfinite(beyond[~dark]).any()):
             continue
