@@ -26,10 +26,10 @@ from modcal_core.modules.urdf import urdf_of
 from modcal_core.preprocess import prepare
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.console import Output, speaking, with_options, written
 from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.topics import topic_options
+from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.assemblies import read_assembly
 
 _LIBRARY = click.option(
@@ -121,7 +121,7 @@ def modules_command() -> None:
 )  # fmt: skip
 @click.option("--accept", is_flag=True, help="Learn also from an assembly that is not as its modules were known.")
 @_LIBRARY
-@topic_options
+@with_options(TOPICS)
 @speaking
 def learn_command(
     spec: Path,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -31,18 +31,25 @@ CERTIFICATE = (
 )  # fmt: skip
 
 
-def particulars(
-    asked: bool, serial: str | None, cell_file: Path | None, tolerance_mm: float | None
-) -> Particulars | None:
-    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable."""
-    if not asked:
+def particulars(options: Mapping[str, Any]) -> Particulars | None:
+    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable.
+
+    options: certificate, serial, cell_file and tolerance_mm, as they were given.
+    """
+    serial = options["serial"]
+    if not options["certificate"]:
         if serial is not None:
             raise BadTable("--serial", "is printed on a certificate only", "add --certificate")
         return None
-    if tolerance_mm is None:
+    if options["tolerance_mm"] is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
-    said = read_particulars(cell_file)
+    said = read_particulars(options["cell_file"])
     return said if serial is None else replace(said, serial=serial)
+
+
+def exit_code(met: Tolerance | None) -> int:
+    """0 where no tolerance was asked for, or it is met."""
+    return 0 if met is None or met.result == "PASS" else UNMET
 
 
 def certificate_files(
