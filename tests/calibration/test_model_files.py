@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
 from cells import record, slider_arm, ur10
 
 from modcal_core.calibration.canonical import least_change
+from modcal_core.calibration.model import place_model
 from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
+from modcal_core.effects.drivers import NominalArm
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.files import to_yaml
 from modcal_core.loop import calibrate
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
 
 
 @pytest.mark.slow
@@ -38,6 +43,22 @@ def test_calibration_survives_its_file() -> None:
     assert np.array_equal(again.calibrated.predict(q), calibration.calibrated.predict(q))
     assert again.parameters == calibration.parameters
     assert again.robot == calibration.robot
+
+
+def test_an_arm_that_is_held_behind_its_joints_survives_its_file() -> None:
+    """As of two arms that look at each other."""
+    chain = ur10()
+    held = HeldBehind(2, 3.5, np.array([0.1, 0.2, 0.3]))
+    inertias = Inertias(np.ones(6), np.zeros((6, 3)), np.zeros((6, 3, 3)), held=held)
+    model = replace(place_model(chain, ("tracker",)), arm=NominalArm(chain, inertias))
+    calibration = Calibration(model, model, model, np.zeros((2, 6)))
+    arm = from_data(yaml.safe_load(to_yaml(to_data(calibration)))).calibrated.arm
+    assert arm is not None
+    assert arm.inertias is not None
+    again = arm.inertias.held
+    assert again is not None
+    assert (again.joints, again.mass) == (held.joints, held.mass)
+    assert np.array_equal(again.com, held.com)
 
 
 @pytest.mark.slow

@@ -101,7 +101,7 @@ def test_gravity_stands_in_for_measured_effort(rng: np.random.Generator) -> None
     assert size.rms < 1e-6
 
 
-def test_an_older_file_names_a_cost_too() -> None:
+def test_without_what_was_usual_a_cost_is_named_too() -> None:
     calibration, samples = frozen(BY_HEAT)
     data = to_data(calibration)
     assert np.array_equal(from_data(data).typical[0].mean, calibration.typical[0].mean)  # type: ignore[union-attr]

@@ -1,11 +1,11 @@
-"""The inverse of a triangle, in one block and in several."""
+"""The inverse of a triangle."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from modcal_core.calibration.triangle import inverse_of_triangle
+from modcal_core.calibration.curvature import inverse_of_triangle
 
 
 @pytest.mark.parametrize("rows", [0, 1, 63, 64, 65, 200])

@@ -111,16 +111,3 @@ def test_a_damaged_one_is_refused(calibration: Calibration) -> None:
     data["uncertainty"]["covariance"] = "\n".join(["one", *rows[1:]])
     with pytest.raises(BadTable, match="damaged"):
         from_data(data)
-
-
-def test_a_file_of_lists_is_read(calibration: Calibration) -> None:
-    """As older releases wrote them."""
-    assert calibration.uncertainty is not None
-    data = yaml.safe_load(to_yaml(to_data(calibration)))
-    rows = [[float(x) for x in line.split()] for line in data["uncertainty"]["covariance"].splitlines()]
-    assert [len(row) for row in rows] == list(range(1, len(rows) + 1))
-    again = from_data(
-        yaml.safe_load(yaml.safe_dump({**data, "uncertainty": {**data["uncertainty"], "covariance": rows}}))
-    )
-    assert again.uncertainty is not None
-    assert np.array_equal(again.uncertainty.covariance, calibration.uncertainty.covariance)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from camera.boards import BOARD, LENS
 from camera.fits import FLAT, MEASURED, images, solved, start, true_error
+from camera.flange import flange_arm, flange_joints, flange_poses
 from camera.scenes import scene
 from finite_differences import assert_jacobian
 
@@ -18,7 +19,6 @@ from modcal_core.camera.corners import CornerTable, corner_rows
 from modcal_core.camera.decision import APPLY, DO_NOT_APPLY
 from modcal_core.camera.equations import Sizes
 from modcal_core.camera.fit import CameraState, equations_at, fit_camera
-from modcal_core.camera.flange import flange_arm, flange_joints, flange_poses
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import find_mounting
 from modcal_core.camera.pnp import board_poses

@@ -130,7 +130,6 @@ def test_a_certificate_of_images(cell: tuple[Path, CameraScene], capsys: pytest.
         ):
             assert words in page
         assert "ISO 9283</h2>" not in page
-        assert (where / "certified" / "certificate.pdf").read_bytes()[:5] == b"%PDF-"
         report = json.loads((where / "certified" / "report.json").read_text())
         assert report["tolerance"]["result"] == heading.partition(",")[0]
         assert report["tolerance"]["statistic"] == "rms"

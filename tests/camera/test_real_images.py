@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from camera.flange import flange_arm, flange_joints
 
 from modcal_core.camera.arm_poses import arm_poses
 from modcal_core.camera.clean import corner_weights
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit, fit_camera
-from modcal_core.camera.flange import flange_arm, flange_joints
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import find_mounting

@@ -108,7 +108,8 @@ def test_the_verb_reads_a_folder(calibration: Calibration, tmp_path: Path, capsy
     grows = [s for s in robot["series"] if s["trend"]]
     assert [s["name"] for s in grows] == ["curve of elbow_joint"]
     assert grows[0]["trend"]["share"] == pytest.approx(0.2, abs=0.02)
-    assert "elbow_joint grew by" in (tmp_path / "history.html").read_text()
+    assert "elbow_joint grew by" in robot["verdict"]
+    assert json.loads((tmp_path / "history.json").read_text())["robots"] == [robot]
 
 
 def test_a_folder_without_any_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,7 +58,6 @@ def test_a_bumped_tool_is_named_repaired_and_certified(calibration: Path, tmp_pa
         "calibration.yaml",
         "calibrated.urdf",
         "kinematics.yaml",
-        "certificate.pdf",
     } <= {p.name for p in out.iterdir()}
     page = (out / "check.html").read_text()
     assert "The tool has moved" in page

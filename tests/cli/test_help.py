@@ -102,14 +102,3 @@ def test_who_mistypes_is_told_where_to_look(
     assert heard.out == ""
     assert heard.err.startswith(f"modcal: {said}")
     assert heard.err.count("\n") == 1
-
-
-def test_what_only_scipy_asks_for_is_not_read_until_it_is_used() -> None:
-    ask = (
-        "import sys; from modcal_nodes.cli.deferred import defer_imports; defer_imports(); import scipy.linalg, numpy; "
-        "print(*sys.modules); numpy.testing.assert_allclose(numpy.eye(2), numpy.eye(2)); print(numpy.f2py.f2py2e)"
-    )
-    out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout.splitlines()
-    assert "scipy.linalg" in out[0].split()
-    assert not {"numpy.testing._private.utils", "numpy.f2py.crackfortran"} & set(out[0].split())
-    assert "numpy/f2py/f2py2e.py" in out[1]

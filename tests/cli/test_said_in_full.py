@@ -40,7 +40,7 @@ def test_of_two_arms_the_other_one_is_named(tmp_path: Path, capfd: pytest.Captur
     ],
 )
 def test_no_heading_is_left_unexplained_but_those_that_explain_themselves(module: str, columns: list[str]) -> None:
-    plain = {"parameter", "joint", "unit", "module", "serial", "kind", "rank", "robot", "recordings", "y mm", "z mm"}
+    plain = {"parameter", "joint", "unit", "module", "serial", "kind", "rank", "recording", "y mm", "z mm"}
     for name in columns:
         headings = getattr(import_module(f"modcal_nodes.cli.{module}"), name)
         assert {heading for heading, meaning in headings.items() if not meaning} <= plain

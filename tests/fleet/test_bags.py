@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from modcal_core.errors import BadRecording, BadTable
-from modcal_nodes.fleet.bags import find_bags, names_of, robot_of_bag
+from modcal_nodes.fleet.recordings import find_bags, names_of
 
 
 @pytest.fixture
 def recordings(tmp_path: Path) -> Path:
     top = tmp_path / "recordings"
     for file in ("r1/monday/metadata.yaml", "r1/monday/monday_0.mcap", "r1/cut/cut_0.mcap", "r1/cut/cut_1.mcap",
-                 "r2/a.mcap", "r2/b.mcap", ".old/x/x_0.mcap", "out/r1/monday/fleet.json", "r3/a.mcap"):  # fmt: skip
+                 "r2/a.mcap", "r2/b.mcap", ".old/x/x_0.mcap", "out/r1/monday/report.json", "r3/a.mcap"):  # fmt: skip
         (top / file).parent.mkdir(parents=True, exist_ok=True)
         (top / file).touch()
     return top
@@ -49,19 +49,19 @@ def test_names_are_told_apart_and_stay(tmp_path: Path) -> None:
     for file in (one, two, other):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.touch()
-    assert names_of([one]) == {one: "r/a"}
-    names = names_of([one, two, other])
-    assert len(set(names.values())) == 3
-    assert names[other] == "r/b"
-    assert names_of([two, one])[one] == names[one]
+    out = tmp_path / "out"
+    assert names_of([one], out) == {"r/a": one}
+    names = names_of([one, two, other], out)
+    assert len(names) == 3
+    assert names["r/b"] == other
+    assert names_of([two, one], out).items() <= names.items()
 
 
-def test_the_robot_is_found_by_folder_description_or_pattern() -> None:
-    bag = Path("/data/cell_4/ur10_17/monday")
-    assert robot_of_bag(bag, "ur10", "folder") == "ur10_17"
-    assert robot_of_bag(bag, "ur10", "urdf") == "ur10"
-    assert robot_of_bag(bag, "ur10", r"(cell_\d+)") == "cell_4"
-    assert robot_of_bag(bag, "ur10", r"(line_\d+)") == "unknown"
-    for wrong in ("cell_[", "cell", "(a)(b)"):
-        with pytest.raises(BadTable):
-            robot_of_bag(bag, "ur10", wrong)
+def test_a_bag_is_never_written_over(tmp_path: Path) -> None:
+    """Not even one in whose folder somebody has put a report."""
+    bag = tmp_path / "r" / "a"
+    bag.mkdir(parents=True)
+    (bag / "report.json").touch()
+    assert names_of([bag], tmp_path / "out") == {"r/a": bag}
+    with pytest.raises(BadTable, match="holds something other than results"):
+        names_of([bag], tmp_path)

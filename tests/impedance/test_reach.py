@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from impedance.toy import PANDA, PERIOD, READY, ROOT, T_READY, door, drawer, limits
+from impedance.walking import reach
 
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import se3
 from modcal_core.geometry.single import speeds
-from modcal_core.impedance.path_check import PathCheck, reach
+from modcal_core.impedance.path_check import PathCheck
 from modcal_core.impedance.setpoint_filter import SetpointFilter
 from modcal_core.robots.inverse import inverse
 from modcal_core.robots.kinematics import body_jacobian, forward

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from cells import ur10
 from impedance.toy import PANDA, READY, T_READY, limits
+from impedance.walking import reach
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.path_check import reach
 from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.wrench import Load
 from modcal_core.robots.chain import Chain

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +23,6 @@ from modcal_core.report.report import Report
 from modcal_core.verdict.iso9283 import CYCLES, POSES, pose_test
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Reason, Verdict
-from modcal_nodes.io.certificate_pdf import to_pdf
 
 INSTRUMENT = Stated(instrument_mm=0.03)
 PREDICTABLE = Verdict("open", (Reason("predictable", "About 20 % can be predicted."),))
@@ -94,16 +92,6 @@ def full() -> Certificate:
     said = Particulars(**dict.fromkeys(("robot", "serial", "instrument", "conditions"), "Müller ≤ Ω <b> " * 6))
     hashes = Hashes("ab" * 32, "cd" * 32, "ef" * 32)
     return certificate(report(Verdict("open", reasons), 0.001), INSTRUMENT, said, hashes, made_from=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("which", ["full", "plain"])
-def test_the_pdf_is_one_sheet_and_the_same_every_time(which: str) -> None:
-    one = full() if which == "full" else certificate(report(FLOOR), INSTRUMENT)
-    pdf = to_pdf(one)
-    assert pdf.startswith(b"%PDF")
-    assert len(re.findall(rb"/Type /Page\b(?!s)", pdf)) == 1
-    assert pdf == to_pdf(one)
 
 
 def test_the_page_is_well_formed_and_says_what_the_certificate_says() -> None:

@@ -15,13 +15,11 @@ from report.browser import CONTRASTS, MIN, Page, browser
 from report.judged import FLOOR
 from report.reports import points
 from report.test_certificate import full, report
-from report.test_comparison import side
 from report.test_page import Elements, page
 
 from modcal_core.calibration.model import place_model
-from modcal_core.report import camera_page, certificate_page, comparison_page
+from modcal_core.report import camera_page, certificate_page
 from modcal_core.report.certificate import certificate
-from modcal_core.report.comparison import compare
 from modcal_core.report.html import to_html
 from modcal_nodes.cli.main import run
 
@@ -78,7 +76,6 @@ MADE: dict[str, Callable[[], str]] = {
     "camera": lambda: camera_page.to_html(
         PHOTOGRAPHED, place_model(ur10(), ("camera",)), np.zeros((3, 6)), ["report.json"]
     ),
-    "compare": lambda: comparison_page.to_html(compare(side("a", 1, 10), side("b", 2, 11), 0.2)),
 }
 OPEN_ALL = """(async () => { document.querySelectorAll("details").forEach((d) => { d.open = true; });
   await new Promise((done) => setTimeout(done, 50)); })()"""  # until the page has heard of it

@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from modcal_core.calibration.score import Errors
 from modcal_core.calibration.split import Split
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.measurements.returns import SAME
-from modcal_core.report import page as module
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import FILES, MAX_BYTES, _page, to_html
 from modcal_core.report.page import as_script_data
@@ -318,23 +316,3 @@ def test_the_share_of_stations_is_what_was_recorded() -> None:
     assert sum(sizes.values()) == COUNT
     for name, count in sizes.items():
         assert f"{name.replace('_', '-')} ({count})" in page("warm")
-
-
-def test_compiled_templates_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As Python keeps its modules; one that is damaged is made again, and where none can be kept it goes without."""
-    monkeypatch.setattr("sys.pycache_prefix", str(tmp_path))
-    monkeypatch.setattr("sys.dont_write_bytecode", False)
-    made = []
-    for damage in (b"", b"no code"):
-        for file in tmp_path.rglob("templates/*.pyc"):
-            file.write_bytes(damage)
-        module._environment.cache_clear()
-        made.append(module.plain_page("Title", "Done.", ["One line."], [], []))
-        kept = [file.read_bytes() for file in tmp_path.rglob("templates/*.pyc")]
-        assert kept
-        assert all(len(content) > 100 for content in kept)
-    monkeypatch.setattr("sys.pycache_prefix", "/proc/none")
-    module._environment.cache_clear()
-    made.append(module.plain_page("Title", "Done.", ["One line."], [], []))
-    module._environment.cache_clear()
-    assert made[0] == made[1] == made[2]

@@ -23,7 +23,6 @@ setup(
         ("bin", ["bin/modcal"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"dask": ["distributed"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [
@@ -41,6 +40,6 @@ setup(
             f"door_demo = {PACKAGE}.nodes.door_demo:main",
             f"station_runner = {PACKAGE}.nodes.station_runner:main",
             f"trajectory_sender = {PACKAGE}.nodes.trajectory_sender:main",
-        ],
+        ]
     },
 )

@@ -98,13 +98,7 @@ class NotReachable(ModcalError):
     """
 
     def __init__(
-        self,
-        offender: str,
-        limit: str,
-        remedy: str,
-        position: float = nan,
-        rotation: float = nan,
-        posture: Any = None,
+        self, offender: str, limit: str, remedy: str, position: float = nan, rotation: float = nan, posture: Any = None
     ) -> None:
         self.position = position
         self.rotation = rotation

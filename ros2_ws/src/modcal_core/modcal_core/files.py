@@ -12,7 +12,7 @@ from typing import Any
 
 from modcal_core.errors import BadTable
 
-_MAX_DEPTH, _MAX_YAML = 100, 1 << 28
+_MAX_DEPTH, _MAX_BYTES = 100, 1 << 28  # of a file to be read
 
 
 def write_folder(folder: Path, files: Mapping[str, str | bytes]) -> None:
@@ -80,6 +80,16 @@ def to_json(data: Any) -> str:
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
+def read_json(path: Path, remedy: str) -> Any:
+    """The data of a JSON file; raises BadTable, with this remedy, for one that is none or too large."""
+    if path.stat().st_size > _MAX_BYTES:
+        raise BadTable(str(path), f"is larger than {_MAX_BYTES >> 20} MiB", remedy)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise BadTable(str(path), "is not JSON", remedy) from error
+
+
 def to_yaml(data: Any) -> str:
     """YAML text with keys in the order given, short lists in one line, and a text of several lines as these lines."""
     import yaml  # the mathematics needs NumPy and SciPy only
@@ -96,8 +106,8 @@ def to_yaml(data: Any) -> str:
 def read_yaml(path: Path) -> Any:
     """The data of a YAML file; raises BadTable with the place of the mistake."""
     try:
-        if path.stat().st_size > _MAX_YAML:
-            raise BadTable(str(path), f"is larger than {_MAX_YAML >> 20} MiB", "give a YAML file")
+        if path.stat().st_size > _MAX_BYTES:
+            raise BadTable(str(path), f"is larger than {_MAX_BYTES >> 20} MiB", "give a YAML file")
         return parse_yaml(path.read_text(encoding="utf-8"), str(path))
     except UnicodeDecodeError as error:
         raise BadTable(str(path), "is not UTF-8 text", "give a YAML file") from error

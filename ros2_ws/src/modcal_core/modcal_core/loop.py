@@ -164,10 +164,7 @@ def calibrate(
     grounds = Grounds(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
         regimes=regimes_of(final.model, samples),
-        contradictions=(
-            *contradictions(final, train, samples, scored, wrong, left, distances, cell, chain),
-            *absurd,
-        ),
+        contradictions=(*contradictions(final, train, samples, scored, wrong, left, distances, cell, chain), *absurd),
         unproven=too_good(left, scored, chain, cell.stated),
         convention=convention,
         rejected_runs=runs_of(samples, wrong),

@@ -107,7 +107,6 @@ def _flickering(recording: Recording, unused: dict[str, int], since: float, unti
 def prepare_pieces(
     pieces: Iterable[Stretch],
     chain: Mechanism,
-    rules: StationRules | None = None,
     clock_limit: float = LIMIT,
     before: Samples | None = None,
 ) -> Prepared:
@@ -122,7 +121,7 @@ def prepare_pieces(
     stated: list[Stated] = []
     for piece in pieces:
         try:
-            prepared = prepare(piece.recording, chain, rules, clock_limit, piece.since, piece.until)
+            prepared = prepare(piece.recording, chain, None, clock_limit, piece.since, piece.until)
         except BadRecording as error:
             refused = error
             notes[f"One stretch was left out: {error}."] = None
@@ -140,11 +139,7 @@ def prepare_pieces(
 
 
 def _settle_delays(
-    recording: Recording,
-    aligned: Recording,
-    samples: Samples,
-    chain: Mechanism,
-    rules: StationRules | None,
+    recording: Recording, aligned: Recording, samples: Samples, chain: Mechanism, rules: StationRules | None
 ) -> tuple[Samples, tuple[str, ...]]:
     """The samples cut again with the readings of each frame on the joints' clock, as their motion shows it.
 

@@ -99,13 +99,7 @@ def recalibrate(job: Job) -> Recalibration:
     samples, notes, lost = job.collected.prepared(job.chain, job.clock_limit)
     rng = np.random.default_rng(job.seed)
     result = calibrate(
-        samples,
-        job.chain,
-        rng,
-        job.cell,
-        inertias=job.inertias,
-        look_for_effects=job.effects,
-        changed=job.changed,
+        samples, job.chain, rng, job.cell, inertias=job.inertias, look_for_effects=job.effects, changed=job.changed
     )
     trace = Trace(date=iso_date(float(samples.stamps.min())))
     report = replace(result.report, title="live", notes=(*result.report.notes, *notes), trace=trace, dropped=lost)

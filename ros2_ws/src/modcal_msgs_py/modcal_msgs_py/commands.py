@@ -105,10 +105,7 @@ class JointInput:
             )
         self.position[column] = q
         self.stamps[column] = stamp
-        for values, kept, unknown in (
-            (message.velocity, self.velocity, 0.0),
-            (message.effort, self.effort, math.nan),
-        ):
+        for values, kept, unknown in ((message.velocity, self.velocity, 0.0), (message.effort, self.effort, math.nan)):
             told = np.asarray(values, dtype=float)
             kept[column] = told[at] if len(told) == len(names) else unknown
         # no joint goes this fast: a driver that sends it does not know, and then nothing is made of it

@@ -27,11 +27,7 @@ from modcal_msgs_py.mcap_walk import Block
 from modcal_msgs_py.messages import RecordingBuilder, why_left_out
 from modcal_msgs_py.topics import ADDED, TRANSFORMS
 
-_LEFT_OUT = (
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/PointCloud2",
-    "rosgraph_msgs/msg/Clock",
-)
+_LEFT_OUT = ("sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "rosgraph_msgs/msg/Clock")
 _NO_TOPICS = Topics()
 PIECE = 400_000  # joint states; seven minutes at 1 kHz
 OVERLAP = 30.0  # s, longer than any station

@@ -14,11 +14,7 @@ import numpy as np
 from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import (
-    PART,
-    Listed,
-    Recording,
-)
+from modcal_core.measurements.recording import PART, Listed, Recording
 from modcal_msgs_py.added_topics import Joints, Reading, Said, Signal
 from modcal_msgs_py.choosing import Roles, could_be
 from modcal_msgs_py.commanded import Commands

@@ -12,13 +12,7 @@ import sys
 from contextlib import suppress
 
 # Read by OpenBLAS, OpenMP, MKL, BLIS and Accelerate once, when they are loaded
-VARIABLES = (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
+VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def limit_blas() -> None:

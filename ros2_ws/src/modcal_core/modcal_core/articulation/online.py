@@ -110,22 +110,20 @@ _HELD = 20  # poses for which a model that was trusted lately is not bent by wha
 
 
 class Tracker:
-    """Takes poses as they come. oriented: whether rotations come too; None: as the first pose has it.
+    """Takes poses as they come, with rotations where the first one has one.
 
     measured: whether somebody else wrote the poses, maybe in another convention; those of an arm's joints are not.
     """
 
-    def __init__(
-        self, settings: TrackerSettings | None = None, oriented: bool | None = None, measured: bool = True
-    ) -> None:
+    def __init__(self, settings: TrackerSettings | None = None, measured: bool = True) -> None:
         self.settings = TrackerSettings() if settings is None else settings
-        self._wanted, self._measured = oriented, measured
+        self._measured = measured
         self.reset()
 
     def reset(self, changes: int = 0) -> None:
         """Forget everything. changes: how often the path was left before, for which trust is earned more slowly."""
         chosen, self._changes = self.settings, changes
-        self._oriented = self._wanted
+        self._oriented: bool | None = None
         self._nodes: Nodes | None = None
         self._selector = ModelSelector()
         self._check = PredictionCheck(chosen.ahead_m, chosen.ahead_rad, chosen.tolerance_m, changes)

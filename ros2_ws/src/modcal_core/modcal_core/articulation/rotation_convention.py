@@ -33,10 +33,7 @@ _READ = {
     MIRROR: "with rotations",
 }
 _OTHERWISE = {ORDER: "read as w x y z", INVERSE: "read as their inverses"}
-_REMEDIES = {
-    ORDER: "give x y z w",
-    INVERSE: "give the rotation of the handle in the frame of its positions",
-}
+_REMEDIES = {ORDER: "give x y z w", INVERSE: "give the rotation of the handle in the frame of its positions"}
 _AGAINST = "of what turns against its path, as a folding leaf does, give positions alone"
 RIVAL = 2.0  # times what the best convention leaves: of those that are right alike, noise leaves alike
 

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modcal_core.calibration.triangle import inverse_of_triangle
 from modcal_core.geometry.so3 import Array
 
 _RIDGES = (0.0, 1e-12, 1e-10, 1e-8)  # of the scaled curvature, where it is singular to rounding
+
+
+def inverse_of_triangle(lower: Array) -> Array:
+    """The inverse of a lower triangle (P, P), zeros above its diagonal. What lower has there is not read."""
+    return np.tril(scipy.linalg.lapack.dtrtri(lower, lower=1)[0])
 
 
 @dataclass(frozen=True)

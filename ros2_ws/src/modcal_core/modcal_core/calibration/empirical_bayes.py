@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modcal_core.calibration.triangle import inverse_of_triangle
+from modcal_core.calibration.curvature import inverse_of_triangle
 from modcal_core.geometry.so3 import Array
 
 _MAX_ROUNDS = 30  # for time

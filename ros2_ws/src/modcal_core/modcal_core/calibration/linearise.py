@@ -109,13 +109,7 @@ def apply_deviations(model: Model, errors: Deviations) -> Model:
     T_frame_base = model.T_frame_base @ T_base_root @ both[:ahead] @ se3.inverse(T_base_root)
     T_tip_tool = model.T_tip_tool @ E[-1]
     instruments = tuple(i.moved(d) for i, d in zip(model.instruments, errors.instruments, strict=True))
-    return replace(
-        model,
-        chain=changed,
-        T_frame_base=T_frame_base,
-        T_tip_tool=T_tip_tool,
-        instruments=instruments,
-    )
+    return replace(model, chain=changed, T_frame_base=T_frame_base, T_tip_tool=T_tip_tool, instruments=instruments)
 
 
 def linearise(

@@ -52,7 +52,6 @@ def fit_geometry(
     parameters: Parameters,
     cell: Cell,
     tolerance: float = CONVERGED,
-    reject: bool = True,
 ) -> Fit:
     """The fit of the whole geometry; its start is the model that the best of several fits was begun from.
 
@@ -62,8 +61,8 @@ def fit_geometry(
     """
     start = as_stated(start, cell.tool, cell.known)
     if any(is_move(effect) for effect in start.effects):
-        return identify_moved(start, samples, _usual(parameters), cell.distances, tolerance, reject)
-    fitted = partial(identify, samples=samples, distances=cell.distances, tolerance=tolerance, reject=reject)
+        return identify_moved(start, samples, _usual(parameters), cell.distances, tolerance)
+    fitted = partial(identify, samples=samples, distances=cell.distances, tolerance=tolerance)
     first = fitted(start, parameters=parameters)
     if is_serial_arm(start.chain) and _tool_free(parameters) and _far(first):
         best = _best(start, samples, parameters, cell, first)

@@ -273,8 +273,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
             (str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"])) for p in data["parameters"]
         )
         known = uncertainty_from_data(data.get("uncertainty"), calibrated)
-        scatter = recorded.get("scatter", (0.0, 0.0))  # neither is in older files
-        alone, converged = (float(scatter[0]), float(scatter[1])), bool(recorded.get("converged", True))
+        alone, converged = (float(recorded["scatter"][0]), float(recorded["scatter"][1])), bool(recorded["converged"])
         clock, outside = bool(recorded.get("clock", True)), bool(recorded.get("geometry_outside", False))
         left_alone = float(recorded.get("left_alone_m", 0.0))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}

@@ -113,9 +113,7 @@ def uncertainty_from_data(data: Any, model: Model) -> Uncertainty | None:
         )
         for p in data["parameters"]
     )
-    rows = data["covariance"]
-    if isinstance(rows, str):  # lists in older files
-        rows = [np.array(line.split(), dtype=float) for line in rows.splitlines()]
+    rows = [np.array(line.split(), dtype=float) for line in data["covariance"].splitlines()]
     K = len(parameters) + sum(len(e.values) for e in model.effects)
     if [len(row) for row in rows] != list(range(1, K + 1)):
         raise ValueError(f"a covariance of {K} values has {K} rows of 1 to {K} numbers")
@@ -226,7 +224,7 @@ def inertias_from_data(data: Any) -> Inertias | None:
     if data is None:
         return None
     mass, com = np.array(data["mass"], dtype=float), np.array(data["com"], dtype=float)
-    down = np.array(data.get("down", (0.0, 0.0, -1.0)), dtype=float).reshape(3)
+    down = np.array(data["down"], dtype=float).reshape(3)
     branches = tuple(_hanging_from_data(b) for b in data.get("branches", ()))
     if not np.isfinite(down).all() or any(not 0 <= b.carrier < len(mass) for b in branches):
         raise ValueError("bodies beside the chain hang on none of its joints")

@@ -43,6 +43,7 @@ SCHEMA: Schema = _keys(
     arm=_keys(
         "mass", "com", "down", "centre",
         earlier=_keys("until", "mass", "moment"),
+        held=_keys("joints", "mass", "com"),
         branches=_list_of(
             _keys("carrier", "mass", "com", steps=_list_of(_keys("origin", "axis", "turns", "joint", "motion")))
         ),

@@ -11,13 +11,7 @@ from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.instruments import Instrument, new_instruments
 from modcal_core.calibration.linearise import linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import (
-    ModelParameter,
-    View,
-    drop_fixed,
-    independent_columns,
-    ordered_candidates,
-)
+from modcal_core.calibration.parameters import ModelParameter, View, drop_fixed, independent_columns, ordered_candidates
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES, PLANE, scene_in

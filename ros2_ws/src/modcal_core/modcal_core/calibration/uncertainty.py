@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from modcal_core.calibration.curvature import inverse_of_triangle
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.identify import Fit
 from modcal_core.calibration.linearise import linearise
@@ -21,7 +22,6 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.normal_equations import blocks_at, normal_equations
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.shared_noise import has_shared_noise, shared_noise
-from modcal_core.calibration.triangle import inverse_of_triangle
 from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import prior_stds
 from modcal_core.geometry.so3 import Array

@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.calibration.linearise import Linearised
-from modcal_core.calibration.noise import (
-    Groups,
-    NoiseModel,
-    excess_sigma,
-    robust_noise,
-    robust_weights,
-    standard_score,
-)
+from modcal_core.calibration.noise import Groups, NoiseModel, excess_sigma, robust_noise, robust_weights, standard_score
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.samples import Samples

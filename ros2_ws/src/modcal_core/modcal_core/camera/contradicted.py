@@ -96,11 +96,7 @@ def doubts(
 
 
 def contradictions(
-    fit: CameraFit,
-    doubted: Sequence[DoubtedStatement],
-    lens: Lens,
-    scale: PrintScale,
-    arm: float | None,
+    fit: CameraFit, doubted: Sequence[DoubtedStatement], lens: Lens, scale: PrintScale, arm: float | None
 ) -> tuple[str, ...]:
     """What the images contradict of what was stated, in sentences.
 

@@ -110,14 +110,7 @@ def _square(mean: Array, cov: Array) -> float:
 
 
 def _finding(
-    what: str,
-    fit: CameraFit,
-    value: Array,
-    std: Array,
-    p_value: float,
-    gain: float,
-    at_tool: float,
-    other_length: bool,
+    what: str, fit: CameraFit, value: Array, std: Array, p_value: float, gain: float, at_tool: float, other_length: bool
 ) -> CameraFinding:
     rest = (p_value, gain, at_tool)
     cost = f"left out, it would put the tool {1e3 * at_tool:.2f} mm off"
@@ -141,10 +134,7 @@ def _finding(
         said = f"The sheet is {x:+.2f} % (x) and {y:+.2f} % (y) off its stated size, ± {100.0 * std[0]:.2f} %"
         if fit.table.places:
             said = f"The body is {x:+.2f} % and its markers {y:+.2f} % off their stated size, ± {100.0 * std[0]:.2f} %"
-        values = {
-            "size_x": (float(value[0]), float(std[0]), "1"),
-            "size_y": (float(value[1]), float(std[1]), "1"),
-        }
+        values = {"size_x": (float(value[0]), float(std[0]), "1"), "size_y": (float(value[1]), float(std[1]), "1")}
         same: Sequence[str] = () if other_length else ("the arm, all lengths by one factor",)
         also = "" if other_length else ", or the arm is built to another scale than its URDF: nothing here tells which"
         said = f"{said}{also}; {cost}."

@@ -20,7 +20,6 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 
 ON_TIP, IN_WORLD = "camera on the tip, target in the world", "camera in the world, target on the tip"
-MOUNTINGS = (ON_TIP, IN_WORLD)
 MIN_VIEWS = 4  # three poses solve AX = ZB; a fourth tells whether they agree
 _STILL_RAD, _STILL_M = 0.02, 0.005  # motion of the target in the images that is none, the arm having moved far more
 _MOVED_RAD, _MOVED_M = 0.1, 0.05  # of the arm

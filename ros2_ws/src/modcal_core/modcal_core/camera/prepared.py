@@ -73,12 +73,7 @@ class PreparedImages:
     def select(self, rows: np.ndarray, why: str) -> PreparedImages:
         """With these images only. why: the others are left out."""
         out = {n: why for n, keep in zip(self.table.names, rows, strict=True) if not keep}
-        return replace(
-            self,
-            table=self.table.select(rows),
-            poses=self.poses.select(rows),
-            left_out=self.left_out | out,
-        )
+        return replace(self, table=self.table.select(rows), poses=self.poses.select(rows), left_out=self.left_out | out)
 
 
 def prepare(

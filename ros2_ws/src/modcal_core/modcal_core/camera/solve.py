@@ -37,13 +37,7 @@ from modcal_core.camera.priors import FREE, CommonPrior
 from modcal_core.camera.problems import metric_of, problems, size_open
 from modcal_core.camera.several import FurtherSeen, further_of
 from modcal_core.camera.target import CalibrationTarget
-from modcal_core.camera.tool_error import (
-    ToolError,
-    parameter_draws,
-    postures_anywhere,
-    postures_in_view,
-    tool_error,
-)
+from modcal_core.camera.tool_error import ToolError, parameter_draws, postures_anywhere, postures_in_view, tool_error
 from modcal_core.camera.views import BoardView
 from modcal_core.camera.weakness import RestsOn, rests_on, shares, weak_directions
 from modcal_core.diagnosis.choice import EffectChoice
@@ -148,9 +142,7 @@ def solve_camera(
     fisheye: whether the lens is one, where nothing is stated of it. further: what other cameras saw of the same arm;
     the error at the tool is over what the first one sees. Raises ModcalError for images that cannot carry a fit.
     """
-    images = CameraImages(
-        *(q, views, target, size, velocity, lens, stated, camera_on_tip, flat, moments, fisheye),
-    )
+    images = CameraImages(*(q, views, target, size, velocity, lens, stated, camera_on_tip, flat, moments, fisheye))
     images, *further = with_stops(only_seen((images, *further)))
     target = images.target
     ready = prepare_images(chain, images, fixed, inertias, progress)

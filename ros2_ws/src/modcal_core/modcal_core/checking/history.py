@@ -16,7 +16,6 @@ from scipy.special import ndtri
 from modcal_core.calibration.store import Calibration
 from modcal_core.effects.curve import curve
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.geometry.so3 import Array
 
 _TAIL = 0.01  # chance that a trend is said while there is none, over all series together
 _95 = 1.959964  # standard deviations
@@ -152,8 +151,3 @@ def _trend(points: Sequence[SeriesPoint], size: bool, limit: float) -> Trend | N
         return None
     share = change / float(at[0]) if size and abs(at[0]) > 0.0 else None
     return Trend(change, change - _95 * deviation, change + _95 * deviation, share, span / _DAY)
-
-
-def line(series: Series) -> tuple[Array, Array]:
-    """Times [s] and values of a series, (N,) each."""
-    return np.array([p.time for p in series.points]), np.array([p.value for p in series.points])

@@ -5,18 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.checking.beyond import UNTRIED, BeyondRanges
-from modcal_core.checking.hypotheses import (
-    BASE,
-    FRAME,
-    GEAR,
-    LENGTH,
-    LOAD,
-    NOISE,
-    SCALE,
-    TOOL,
-    ZERO,
-    CellChange,
-)
+from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LENGTH, LOAD, NOISE, SCALE, TOOL, ZERO, CellChange
 from modcal_core.checking.outcome import NamedChange, SizeFound
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry.so3 import Array
@@ -136,13 +125,7 @@ def _said(size: SizeFound) -> str:
     return f"{size.value:+.3g} {size.unit} ({size.low:.3g} … {size.high:.3g})"
 
 
-def _sentence(
-    h: CellChange,
-    sizes: tuple[SizeFound, ...],
-    rms: str,
-    same_as: tuple[str, ...],
-    everywhere: bool,
-) -> str:
+def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, same_as: tuple[str, ...], everywhere: bool) -> str:
     if h.kind == NOISE:
         what = " and ".join(f"{s.value:.1f} times in {s.name}" for s in sizes)
         out = f"The readings scatter more than when the calibration was made: {what}."

@@ -95,8 +95,5 @@ def _added(model: Model, poses: Array, new: tuple[str, ...]) -> Model:
     """The model with these frames behind its own."""
     leaders = (*model.leaders, *range(len(model.frames), len(model.frames) + len(new))) if model.leaders else ()
     return replace(
-        model,
-        frames=(*model.frames, *new),
-        T_frame_base=np.concatenate([model.T_frame_base, poses]),
-        leaders=leaders,
+        model, frames=(*model.frames, *new), T_frame_base=np.concatenate([model.T_frame_base, poses]), leaders=leaders
     )

@@ -18,14 +18,7 @@ import numpy as np
 
 from modcal_core.calibration.model import Model
 from modcal_core.checking.changed_state import ChangedState, ChangedStates
-from modcal_core.checking.evidence import (
-    SIZES,
-    ChangeJudge,
-    JudgedChange,
-    e_value,
-    is_noise,
-    log_priors,
-)
+from modcal_core.checking.evidence import SIZES, ChangeJudge, JudgedChange, e_value, is_noise, log_priors
 from modcal_core.checking.hypotheses import BASE, NOISE, READING, TOOL, CellChange, hypotheses
 from modcal_core.checking.noise import FrozenKnowledge
 from modcal_core.checking.rivals import FittedChange, most_probable
@@ -137,11 +130,7 @@ class _Picked(_Explained):
 
 
 def _without_wrong(
-    model: Model,
-    samples: Samples,
-    known: FrozenKnowledge,
-    given: tuple[CellChange, ...],
-    moved: tuple[CellChange, ...],
+    model: Model, samples: Samples, known: FrozenKnowledge, given: tuple[CellChange, ...], moved: tuple[CellChange, ...]
 ) -> _Picked:
     """What is picked without the single readings that are wrong."""
     rows = np.arange(len(samples))

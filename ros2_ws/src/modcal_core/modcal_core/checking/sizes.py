@@ -31,11 +31,7 @@ class SizeCovariance:
 
 
 def with_sizes(
-    changes: Sequence[FittedChange],
-    fits: Sequence[ChangeCandidate],
-    state: CheckState,
-    begin: NullModel,
-    member: int,
+    changes: Sequence[FittedChange], fits: Sequence[ChangeCandidate], state: CheckState, begin: NullModel, member: int
 ) -> tuple[list[FittedChange], SizeCovariance]:
     """The changes with their sizes, and what is known of these beside each other.
 

@@ -137,14 +137,7 @@ def _linearised(
 
 
 def _improved(
-    correction: Correction,
-    desired: Array,
-    q: Array,
-    error: Array,
-    J: Array,
-    at: ArmState,
-    target: Target,
-    frame: str,
+    correction: Correction, desired: Array, q: Array, error: Array, J: Array, at: ArmState, target: Target, frame: str
 ) -> tuple[Array, Array, Array] | None:
     """The next command, its error and its derivatives; None where no shorter step is any better either."""
     chain = correction.chain

@@ -83,11 +83,7 @@ Search = Callable[[Fit], Diagnosis]
 
 
 def weighed(
-    geometric: Fit,
-    train: Samples,
-    explain: Samples,
-    search: Search,
-    cell: Cell,
+    geometric: Fit, train: Samples, explain: Samples, search: Search, cell: Cell
 ) -> tuple[Diagnosis, Loads | None]:
     """The diagnosis with what pulls on the arm as the data show it, and that; None where it is as it was known.
 

@@ -93,10 +93,7 @@ def _waves(effect: Effect, unit: str) -> Sizes:
 def _wave(v: Array, s: Array, unit: str) -> Sizes:
     size = float(np.hypot(v[0], v[1]))
     std = float(np.hypot(v[0] * s[0], v[1] * s[1]) / max(size, 1e-300))
-    return {
-        "amplitude": (size, std, unit),
-        "phase": (float(np.arctan2(v[1], v[0])), std / max(size, 1e-300), "rad"),
-    }
+    return {"amplitude": (size, std, unit), "phase": (float(np.arctan2(v[1], v[0])), std / max(size, 1e-300), "rad")}
 
 
 def _components(effect: Effect, unit: str, chain: Mechanism) -> Sizes:

@@ -26,13 +26,7 @@ def turned(w: Array) -> Array:
     p, q, r = a * x, a * y, a * z
     xy, xz, yz = b * x * y, b * x * z, b * y * z
     xx, yy, zz = b * x * x, b * y * y, b * z * z
-    return np.array(
-        [
-            [1.0 - yy - zz, xy - r, xz + q],
-            [xy + r, 1.0 - xx - zz, yz - p],
-            [xz - q, yz + p, 1.0 - xx - yy],
-        ]
-    )
+    return np.array([[1.0 - yy - zz, xy - r, xz + q], [xy + r, 1.0 - xx - zz, yz - p], [xz - q, yz + p, 1.0 - xx - yy]])
 
 
 def tool_from(T: Array, x: Array) -> Array:

@@ -138,14 +138,3 @@ class PathCheck:
         k, m = len(self._joints), len(self._poses)
         joints = np.array(self._joints).reshape(-1, self._chain.n)
         self.result = Reach(joints, False, f"{100.0 * k / max(m - 1, 1):.0f} % of the path is reached, then {why}")
-
-
-def reach(chain: Chain, poses: Sequence[Array], q0: Array, **limits: float) -> Reach:
-    """The joints for a path of poses (m, 4, 4) of the tip in the base, from a posture (n,), as far as it is reached.
-
-    limits: as of :class:`PathCheck`.
-    """
-    walk = PathCheck(chain, poses, np.asarray(q0, dtype=float), **limits)
-    while (done := walk.advance(100)) is None:
-        pass
-    return done

@@ -72,13 +72,7 @@ def _require_convention(samples: Samples, chain: Chain, source: str) -> None:
 
 
 def _meant(
-    k: int,
-    samples: Samples,
-    expected: Array,
-    consensus: Consensus,
-    placed: Placed,
-    rows: Sequence[int],
-    others: int,
+    k: int, samples: Samples, expected: Array, consensus: Consensus, placed: Placed, rows: Sequence[int], others: int
 ) -> tuple[str, str]:
     """What a reading may have been meant to be, and what to do."""
     p, limit = samples.reading[k], CLEARLY * consensus.limit[1]

@@ -26,7 +26,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.rows import dimensions
 from modcal_core.measurements.samples import Samples
 from modcal_core.plausibility.conventions import proved
-from modcal_core.regimes.find import find_regimes, moves_of
+from modcal_core.regimes.find import find_regimes
 from modcal_core.robots.mechanism import Mechanism
 from modcal_core.robots.urdf_inertias import Inertias, weightless
 from modcal_core.verdict.sanity import sane_inertias
@@ -136,8 +136,3 @@ def proven_over(refitted: Refit, where: Array) -> Refit:
 
 def _equations(samples: Samples) -> float:
     return float(dimensions(samples).sum())
-
-
-def moved(refitted: Refit) -> bool:
-    """Whether base or tool moved while these stations were measured."""
-    return bool(moves_of(refitted.calibration.calibrated))

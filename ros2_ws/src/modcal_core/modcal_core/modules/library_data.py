@@ -26,18 +26,7 @@ from modcal_core.modules.library import (
 
 FORMAT = 1
 _SEE = "see docs/modules.md"
-_KEYS = {
-    "role",
-    "code",
-    "motion",
-    "length_m",
-    "output",
-    "elbows",
-    "limits",
-    "radius_m",
-    "mass_kg",
-    "mass_kg_per_m",
-}
+_KEYS = {"role", "code", "motion", "length_m", "output", "elbows", "limits", "radius_m", "mass_kg", "mass_kg_per_m"}
 _MOTIONS = {"revolute": True, "prismatic": False}
 _LONGEST = 10.0  # m; a module that is longer was written in millimetres
 
@@ -159,8 +148,7 @@ def _mapping(data: Any, what: str, keys: set[str] | None) -> Mapping[str, Any]:
 
 def _point(data: Mapping[str, Any], what: str) -> ModulePoint:
     return ModulePoint(
-        _three(data.get("xyz", (0, 0, 0)), f"{what}: xyz"),
-        _three(data.get("along", (0, 0, 0)), f"{what}: along"),
+        _three(data.get("xyz", (0, 0, 0)), f"{what}: xyz"), _three(data.get("along", (0, 0, 0)), f"{what}: along")
     )
 
 

@@ -155,11 +155,10 @@ def calibration_chain(
     T_measuring_base: Array | None = None,
     T_tip_tool: Array | None = None,
     kind: str = "point",
-    fixed: Sequence[str] = (),
 ) -> ClosedChain:
     """The closed chain in the parameters that ``modcal calibrate`` would fit to readings of this kind, by its names."""
     model = one_frame_model(chain, T_measuring_base, T_tip_tool)
-    parameters = choose_parameters(model, (View(kind, 0),), fixed).parameters
+    parameters = choose_parameters(model, (View(kind, 0),)).parameters
     return chain_of_parameters(model, parameters)
 
 

@@ -27,14 +27,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.measurements.thinning import spread_rows
 from modcal_core.plausibility.consensus import placed_by_most
-from modcal_core.plausibility.mistakes import (
-    Mistake,
-    inverse_pose,
-    of_axes,
-    of_joints,
-    of_rotations,
-    of_units,
-)
+from modcal_core.plausibility.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
 

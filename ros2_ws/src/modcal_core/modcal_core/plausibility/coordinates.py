@@ -100,9 +100,7 @@ def _polar(position: Array) -> Iterator[Mistake]:
                     xyz = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
                     return replace(samples, reading=r[:, None] * xyz)
 
-                order = sorted(
-                    ((around, "azimuth"), (up, "zenith angle" if zenith else "elevation"), (far, "range")),
-                )
+                order = sorted(((around, "azimuth"), (up, "zenith angle" if zenith else "elevation"), (far, "range")))
                 yield Mistake(
                     f"positions look like polar coordinates ({', '.join(name for _, name in order)}; "
                     f"angles in {unit}, range in {length}{', azimuth clockwise' if clockwise else ''})",

@@ -338,10 +338,7 @@ def _itself(model: Model, _: Samples) -> Model:
 def _smooth(samples: Samples, places: set[str]) -> Iterator[tuple[Effect, ...]]:
     """A base or a tool that drifts or settles."""
     low, high = float(samples.stamps.min()), float(samples.stamps.max())
-    shapes = [
-        drift.slow_curve(low, high),
-        Shape("settle", {"since": low, "tau": _SETTLING * (high - low)}),
-    ]
+    shapes = [drift.slow_curve(low, high), Shape("settle", {"since": low, "tau": _SETTLING * (high - low)})]
     turn = ALL if samples.is_pose.all() else SHIFT
     for place in sorted(places):
         for shape in shapes:

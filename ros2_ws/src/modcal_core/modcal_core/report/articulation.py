@@ -73,11 +73,7 @@ def to_json_data(found: Articulation) -> dict[str, Any]:
         "verdict": choice.why[:1].upper() + choice.why[1:] + ".",
         "rotations_followed": bool(choice.follows),
         "joint": _joint_data(fit),
-        "configuration": {
-            "unit": model.unit,
-            "lower": float(a.min()),
-            "upper": float(a.max()),
-        },
+        "configuration": {"unit": model.unit, "lower": float(a.min()), "upper": float(a.max())},
         "residual_mm": {
             "rms": 1e3 * float(np.sqrt(np.mean(lengths**2))),
             "p95": 1e3 * float(np.quantile(lengths, 0.95)),

@@ -92,7 +92,7 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
                 below="p is the chance that noise would look as good.",
             )
         )
-        tables += size_tables([((name,), [e["parameters"]]) for name, e in effects], ("effect", "value"))
+        tables += size_tables((name, e["parameters"]) for name, e in effects)
     worth = tuple((one["what"], f"{one['value']:.3f}") for one in camera.get("account_mm2", ()))
     if worth:
         below = "By how much the mean square error at the tool would fall, were this known exactly."

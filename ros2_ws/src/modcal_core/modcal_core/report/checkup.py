@@ -21,12 +21,7 @@ _HEADINGS = {
     "ambiguous": ("Something has changed; these stations cannot tell which", "warn"),
     "unexplained": ("Something has changed that is not explained", "bad"),
 }
-_TONES: dict[str, Tone] = {
-    "unchanged": "good",
-    "changed": "undecided",
-    "ambiguous": "undecided",
-    "unexplained": "bad",
-}
+_TONES: dict[str, Tone] = {"unchanged": "good", "changed": "undecided", "ambiguous": "undecided", "unexplained": "bad"}
 _FILES = {
     "check.json": "all numbers, for programs",
     "stations.csv": "the stations to measure next",
@@ -37,7 +32,6 @@ _FILES = {
     "report.json": "how far the model misses at these stations",
     "report.html": "the same as a page",
     "certificate.html": "the certificate",
-    "certificate.pdf": "the same to print",
 }
 
 

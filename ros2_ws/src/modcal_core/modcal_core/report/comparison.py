@@ -12,11 +12,21 @@ from scipy.special import ndtri
 from modcal_core.calibration.store import Calibration
 from modcal_core.effects.registry import claimed
 from modcal_core.errors import BadRobot, NotEnoughData
+from modcal_core.report.summary import SummaryLine, SummaryTable, Tone, legend
 from modcal_core.report.tool_difference import ToolDifference, tool_difference
 
 Result = Literal["same", "differs", "within tolerance", "beyond tolerance", "cannot tell"]
 _TAIL = 0.05  # of the differences taken for real while there is none, all parameters together
 _NORMAL = 1.96  # deviations of a 95 % interval
+_TONES: dict[str, Tone] = {"same": "good", "within tolerance": "good", "beyond tolerance": "bad"}
+_LARGEST = 12  # parameters on a terminal
+_LEGEND = {
+    "±": "one standard deviation",
+    "difference": "the second minus the first",
+    "shown": "whether it is more than the uncertainty of both explains, at 95 % for all parameters together",
+    "of base or tool": "base and tool take it up",
+}
+_KINDS = (("m", "mm", 1e3, "Lengths"), ("rad", "mrad", 1e3, "Angles"))
 
 
 @dataclass(frozen=True)
@@ -296,3 +306,66 @@ def _sizes(sizes: Mapping[str, tuple[float, float | None, str]] | None) -> dict[
     if sizes is None:
         return None
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
+
+
+def summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
+    """What a terminal shows: errors, tool, the parameters that differ most for their uncertainty, effects, result."""
+    names = tuple(side.name for side in found.sides)
+    out: list[SummaryTable | SummaryLine] = []
+    data = to_json_data(found)
+    rows = []
+    for side in data["sides"]:
+        e = side["error_mm"] or {}
+        numbers = [f"{e[k]:.3f}" if k in e else "" for k in ("mean", "rms", "p95", "max")]
+        rows.append((side["name"], *numbers, side["status"] or "", side["tolerance"] or ""))
+    header = ("error on scored stations", "mean mm", "RMS mm", "95 % mm", "max mm", "status", "tolerance")
+    out.append(SummaryTable(header, tuple(rows)))
+    for title, unit, factor, part in _parts(found):
+        ranked = sorted(part, key=_by_weight)[:_LARGEST]
+        lines = tuple(_cells(p, factor) for p in ranked)
+        if lines:
+            head = (f"{title.lower()}, {unit}", *names, "difference", "95 % interval", "shown")
+            out.append(SummaryTable(head, lines))
+        if len(part) > len(ranked):
+            out.append(SummaryLine(f"{len(part) - len(ranked)} more are in comparison.json."))
+    if any(part for *_, part in _parts(found)):
+        out.append(legend(_LEGEND))
+    if found.effects:
+        rows = [(e.name, *("yes" if s is not None else "no" for s in (e.first, e.second))) for e in found.effects]
+        out.append(SummaryTable(("effect", *names), tuple(rows)))
+    out += [SummaryLine(note, "doubt") for note in found.notes]
+    out.append(SummaryLine(found.sentence, _TONES.get(found.result, "undecided")))
+    return tuple(out)
+
+
+def _by_weight(p: ParameterDifference) -> tuple[bool, float]:
+    """What is shown first, the largest for its uncertainty before the others."""
+    return p.shown is None, -abs(p.difference or 0.0) / (p.std or np.inf)
+
+
+def _parts(found: Comparison) -> list[tuple[str, str, float, list[ParameterDifference]]]:
+    """Parameters by unit, those of the arm: a table never mixes two units."""
+    arm = [p for p in found.parameters if not p.name.startswith(("frame ", "tool/", "instrument "))]
+    parts = [(title, unit, factor, [p for p in arm if p.unit == si]) for si, unit, factor, title in _KINDS]
+    others = sorted({p.unit for p in arm} - {"m", "rad"})
+    parts += [(f"Others in {unit}", unit, 1.0, [p for p in arm if p.unit == unit]) for unit in others]
+    return [part for part in parts if part[3]]
+
+
+def _cells(p: ParameterDifference, factor: float) -> tuple[str, ...]:
+    def said(pair: tuple[float, float] | None) -> str:
+        return "not fitted" if pair is None else f"{factor * pair[0]:.4f} ± {factor * pair[1]:.4f}"
+
+    difference = "" if p.difference is None else f"{factor * p.difference:+.4f}"
+    span = ""
+    if p.difference is not None and p.std is not None:
+        low, high = (factor * (p.difference + k * _NORMAL * p.std) for k in (-1.0, 1.0))
+        span = f"{low:.4f} … {high:.4f}"
+    return (
+        p.name,
+        said(p.first),
+        said(p.second),
+        difference,
+        span,
+        {True: "yes", False: "no", None: "" if p.difference is None else "of base or tool"}[p.shown],
+    )

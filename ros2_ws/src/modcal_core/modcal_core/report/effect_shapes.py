@@ -18,12 +18,7 @@ _POINTS = 1600
 _MAX_SHAPES = 24  # charts; more are looked at by nobody
 _MAX_WAVES, _DRAWN_WAVES = 20, 6  # more than the first make a grey block of a small chart
 _MAX_TICKS = 250  # of samples, below the curve
-_UNITS = {
-    "load": "N m",
-    "effort": "N m",
-    "payload": "N m per kg",
-    "direction": "−1 or 1",
-}
+_UNITS = {"load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 

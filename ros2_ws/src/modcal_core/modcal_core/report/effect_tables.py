@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -44,34 +44,20 @@ def with_deviation(quantity: Mapping[str, Any]) -> str:
     return number(factor * quantity["value"]) + (f" ± {number(factor * std, 1)}" if std else "")
 
 
-def size_tables(rows: Iterable[tuple[tuple[str, ...], Sequence[Sizes | None]]], head: Sequence[str]) -> list[PageTable]:
-    """A table for each unit of what effects are made of.
-
-    rows: words that name an effect, and its sizes in one or more models; None where a model has it not. head: names of
-    the words' columns, then of the models'.
-    """
+def size_tables(rows: Iterable[tuple[str, Sizes]]) -> list[PageTable]:
+    """A table for each unit of what effects are made of. rows: the name of an effect, and its sizes."""
     found: dict[str, list[tuple[str, ...]]] = {}
-    words = 0
-    for names, models in rows:
-        words = len(names)
-        for quantity in dict.fromkeys(name for sizes in models if sizes for name in sizes):
-            units = dict.fromkeys(str(sizes[quantity]["unit"]) for sizes in models if sizes and quantity in sizes)
-            for unit in units:
-                cells = (_cell(sizes, quantity, unit) for sizes in models)
-                found.setdefault(scaled(unit)[0], []).append((*names, quantity.replace("_", " "), *cells))
+    for name, sizes in rows:
+        for quantity, size in sizes.items():
+            cells = (name, quantity.replace("_", " "), with_deviation(size))
+            found.setdefault(scaled(str(size["unit"]))[0], []).append(cells)
     ranked = sorted(found, key=lambda unit: (_FIRST.index(unit) if unit in _FIRST else len(_FIRST), unit == "1", unit))
     return [
         PageTable(
             "Sizes without a unit" if unit == "1" else f"Sizes in {unit}",
-            (*head[:words], "quantity", *(name + ("" if unit == "1" else f", {unit}") for name in head[words:])),
+            ("effect", "quantity", "value" if unit == "1" else f"value, {unit}"),
             tuple(found[unit]),
-            words=words + 1,
+            words=2,
         )
         for unit in ranked
     ]
-
-
-def _cell(sizes: Sizes | None, quantity: str, unit: str) -> str:
-    if sizes is None:
-        return "not in it"
-    return with_deviation(sizes[quantity]) if quantity in sizes and sizes[quantity]["unit"] == unit else ""

@@ -56,10 +56,7 @@ def delta_files(calibration: Calibration, report: ReportContents, page: bool = T
     with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
     return _with_report(
         report,
-        {
-            "calibration.yaml": to_yaml(to_data(calibration)),
-            "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool)),
-        },
+        {"calibration.yaml": to_yaml(to_data(calibration)), "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool))},
         page,
     )
 

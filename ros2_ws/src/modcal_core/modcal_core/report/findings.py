@@ -88,12 +88,7 @@ class Finding:
 
 
 def findings(
-    diagnosis: Diagnosis,
-    shipped: Model,
-    samples: Samples,
-    wrong: np.ndarray,
-    scored: Samples,
-    known: Uncertainty,
+    diagnosis: Diagnosis, shipped: Model, samples: Samples, wrong: np.ndarray, scored: Samples, known: Uncertainty
 ) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 

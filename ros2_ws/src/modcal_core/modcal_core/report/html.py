@@ -100,7 +100,7 @@ def _page(report: ReportContents, files: tuple[str, ...], calibration: str, shar
         histogram=error_histogram(report),
         offsets=_offsets(report),
         tables=parameter_tables(report.parameters),
-        sizes=size_tables(_named_sizes(data), ("effect", "value")),
+        sizes=size_tables(_named_sizes(data)),
         scene=None if drawn is None else as_script_data(drawn.to_data()),
         scene_stages=[] if drawn is None else [name for name, _ in drawn.stages],
         postures=0 if drawn is None else len(drawn.paths),
@@ -118,12 +118,12 @@ def _page(report: ReportContents, files: tuple[str, ...], calibration: str, shar
     )
 
 
-def _named_sizes(data: dict[str, Any]) -> list[tuple[tuple[str], list[Sizes]]]:
+def _named_sizes(data: dict[str, Any]) -> list[tuple[str, Sizes]]:
     """Name and sizes of each effect; of those with one name the later ones are numbered."""
     names = [f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}" for e in data["effects"]]
     count = [names[:k].count(name) + 1 for k, name in enumerate(names)]
     return [
-        ((name if k == 1 else f"{name} ({k})",), [e["parameters"]])
+        (name if k == 1 else f"{name} ({k})", e["parameters"])
         for name, k, e in zip(names, count, data["effects"], strict=True)
     ]
 

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from html import escape
-from importlib.util import cache_from_source
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modcal_core.files import write_bytes
 from modcal_core.report.palette import DARK, LIGHT, TINT
 
 if TYPE_CHECKING:
@@ -52,20 +47,8 @@ def render(template: str, **values: Any) -> str:
 
 @cache
 def _environment() -> Environment:
-    """The templates, compiled once and kept as Python keeps its modules: that takes a tenth of a small calibration."""
-    from jinja2 import BytecodeCache, Environment, PackageLoader, StrictUndefined
-
-    class TemplateCache(BytecodeCache):
-        """Compiled templates beside modules compiled by Python; Jinja sees which are old."""
-
-        def load_bytecode(self, bucket: Any) -> None:
-            with suppress(OSError), _compiled(bucket.key).open("rb") as stream:
-                bucket.load_bytecode(stream)
-
-        def dump_bytecode(self, bucket: Any) -> None:
-            if not sys.dont_write_bytecode:
-                with suppress(OSError):
-                    write_bytes(_compiled(bucket.key), bucket.bytecode_to_string())
+    """The templates."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
     return Environment(
         loader=PackageLoader("modcal_core.report", "templates"),
@@ -73,13 +56,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
-        bytecode_cache=TemplateCache(),
     )
-
-
-def _compiled(key: str) -> Path:
-    """Where a compiled template is kept."""
-    return Path(cache_from_source(str(Path(__file__).with_name("templates") / f"{key}.py")))
 
 
 def plain_page(

@@ -149,10 +149,7 @@ def _view(
     for to, (_, colour, width) in zip(tips, misses, strict=True):
         ends = {"x": points[:, i], "y": points[:, j], "to_x": to[:, i], "to_y": to[:, j]}
         view += lp.geom_segment(
-            lp.aes("x", "y", xend="to_x", yend="to_y"),
-            data=columns(ends),
-            color=LIGHT[colour],
-            size=line_size(width),
+            lp.aes("x", "y", xend="to_x", yend="to_y"), data=columns(ends), color=LIGHT[colour], size=line_size(width)
         )
     at = columns({"x": points[:, i], "y": points[:, j]})
     view += lp.geom_point(place, data=at, color=LIGHT[SOFT], size=line_size(2.6))

@@ -93,10 +93,7 @@ def _standing(calibration: Calibration) -> tuple[Model, tuple[str, ...]]:
 
 
 def _expected(
-    calibrations: tuple[Calibration, Calibration],
-    models: tuple[Model, ...],
-    q: Array,
-    taken: Array,
+    calibrations: tuple[Calibration, Calibration], models: tuple[Model, ...], q: Array, taken: Array
 ) -> float | None:
     """The 95 % quantile [mm] of the RMS that two calibrations of the same arm, as sure as these, would differ by."""
     rng = np.random.default_rng(0)  # the same calibrations give the same bytes

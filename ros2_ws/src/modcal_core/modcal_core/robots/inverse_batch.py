@@ -58,35 +58,31 @@ def inverse_batch(
     T_base_tip: ArrayLike,
     starts: ArrayLike,
     mask: ArrayLike = ALL_SIX,
-    weights: ArrayLike | None = None,
     tolerance: float = TOLERANCE,
 ) -> InverseResult:
     """Where damped Newton steps lead from every start towards its pose; a start that gets nowhere is no error.
 
     T_base_tip: poses (..., 4, 4) in the base [m]; starts: (..., n) [rad, m], put within the limits; their leading axes
-    are broadcast: poses (K, 1, 4, 4) and starts (S, n) try S starts for each of K poses. mask, weights: of x y z rx ry
-    rz, along and about the axes of the tip. tolerance: largest error [m and rad] of what must be met.
+    are broadcast: poses (K, 1, 4, 4) and starts (S, n) try S starts for each of K poses. mask: of x y z rx ry rz,
+    along and about the axes of the tip. tolerance: largest error [m and rad] of what must be met.
     """
     goal, start = np.asarray(T_base_tip, dtype=float), np.asarray(starts, dtype=float)
     shape = np.broadcast_shapes(goal.shape[:-2], start.shape[:-1])
     goal = np.broadcast_to(goal, (*shape, 4, 4)).reshape(-1, 4, 4)
     q = np.clip(np.broadcast_to(start, (*shape, chain.n)).reshape(-1, chain.n), chain.lower, chain.upper)
     wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
-    weight = (np.ones(6) if weights is None else np.asarray(weights, dtype=float))[wanted]
-    q, error = _descend(chain, goal, q, wanted, weight, tolerance)
+    q, error = _descend(chain, goal, q, wanted, tolerance)
     out = np.zeros((len(q), 6))
     out[:, wanted] = error[:, wanted]
     met = np.abs(out).max(axis=1, initial=0.0) <= tolerance
     return InverseResult(q.reshape(*shape, chain.n), out.reshape(*shape, 6), met.reshape(shape))
 
 
-def _descend(
-    chain: Chain, goal: Array, q: Array, wanted: np.ndarray, weight: Array, tolerance: float
-) -> tuple[Array, Array]:
+def _descend(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolerance: float) -> tuple[Array, Array]:
     """Postures (N, n) that the steps from q end in, and the errors (N, 6) there."""
     q = q.copy()
     e, J = _linearised(chain, goal, q)
-    cost = np.sum((weight * e[:, wanted]) ** 2, axis=1)
+    cost = np.sum(e[:, wanted] ** 2, axis=1)
     damping = DAMPING * cost + 1e-14
     refused = np.zeros(len(q), int)
     alive = np.abs(e[:, wanted]).max(axis=1, initial=0.0) > tolerance
@@ -94,10 +90,10 @@ def _descend(
         rows = np.flatnonzero(alive)
         if not len(rows):
             break
-        A, r = weight[:, None] * J[rows][:, wanted], weight * e[rows][:, wanted]
+        A, r = J[rows][:, wanted], e[rows][:, wanted]
         new = q[rows] + _steps(chain, q[rows], A, r, damping[rows])
         e_new, J_new = _linearised(chain, goal[rows], new)
-        cost_new = np.sum((weight * e_new[:, wanted]) ** 2, axis=1)
+        cost_new = np.sum(e_new[:, wanted] ** 2, axis=1)
         better = cost_new < cost[rows]
         stalled = better & (cost_new > 0.9999 * cost[rows])
         good, bad = rows[better], rows[~better]

@@ -37,11 +37,6 @@ class Contribution:
     deg2: float | None = None
     ci95_deg2: Interval | None = None
 
-    @property
-    def helps(self) -> bool:
-        """Whether its removal surely costs something on held-out."""
-        return self.ci95_mm2[0] > 0.0 or (self.ci95_deg2 is not None and self.ci95_deg2[0] > 0.0)
-
 
 def contributions(case: Case) -> tuple[Contribution, ...]:
     """One for each effect of the final model that a report names, in its order, and one for all others together.

@@ -65,10 +65,7 @@ def computed(errors: Mapping[str, Errors], samples: Samples) -> tuple[str, ...]:
         return ()
     step = _step(samples.reading)
     by_digit = _LAST_DIGIT * step if step <= _TELLING else 0.0
-    for stage, model, limit in (
-        ("nominal", "nominal model", max(FINEST, by_digit)),
-        ("final", "fitted model", FINEST),
-    ):
+    for stage, model, limit in (("nominal", "nominal model", max(FINEST, by_digit)), ("final", "fitted model", FINEST)):
         left = float(np.median(errors[stage].position_norm))
         if left < limit:
             digit = f", their last digit ({1e3 * step:g} mm)," if step > FINEST else ""

@@ -70,9 +70,7 @@ def _apart(case: Case) -> Iterator[str]:
     samples, wrong = case.samples, case.wrong
     names = samples.names or tuple(f"joint {j + 1}" for j in range(samples.q.shape[1]))
     found: list[tuple[float, str]] = []
-    of: list[tuple[str, str, Array]] = [
-        ("late in the recording", "early in the recording", samples.stamps),
-    ]
+    of: list[tuple[str, str, Array]] = [("late in the recording", "early in the recording", samples.stamps)]
     for j, name in enumerate(names):
         q = samples.q[:, j]
         where = f"where {name} is"

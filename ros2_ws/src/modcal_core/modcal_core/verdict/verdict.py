@@ -7,14 +7,7 @@ from typing import Literal
 
 Status = Literal["at_floor", "open", "cannot_tell"]
 ReasonKind = Literal[
-    "not_converged",
-    "rejected",
-    "not_applied",
-    "convention",
-    "contradiction",
-    "predictable",
-    "above_floor",
-    "cut_off",
+    "not_converged", "rejected", "not_applied", "convention", "contradiction", "predictable", "above_floor", "cut_off"
 ]
 Interval = tuple[float, float]
 

@@ -208,11 +208,7 @@ SCHEMA = _mapping(
 
 def json_schema() -> dict[str, Any]:
     """The schema as editors take it, JSON Schema draft 2020-12."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Mapping of modcal import",
-        **SCHEMA,
-    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Mapping of modcal import", **SCHEMA}
 
 
 def require_mapping(mapping: Any, source: str) -> Mapping[str, Any]:

@@ -26,12 +26,11 @@ from modcal_msgs_py.tables.tracks import read_track
 from modcal_msgs_py.topics import accepted, role_of
 from modcal_nodes.cli.console import Output, say, speaking, written
 from modcal_nodes.cli.number import Whole
-from modcal_nodes.cli.paths import WRITTEN
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import arm_line, chain_line, described
 from modcal_nodes.io.articulated import write_articulation
 from modcal_nodes.io.inputs import read_calibration
 
-_EXISTING = click.Path(exists=True, path_type=Path)
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
 
 
@@ -51,7 +50,7 @@ class _Read:
 
 
 @click.command("articulate")
-@click.argument("bag", type=_EXISTING)
+@click.argument("bag", type=EXISTING)
 @click.option(
     "--topic",
     "topic",
@@ -60,11 +59,11 @@ class _Read:
     help="Poses or points of the handle, or joint_states; or ROLE=NAME, as for calibrate. Default: the first found.",
 )
 @click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable.")
-@click.option("--tf", "tf", default=None, metavar="PARENT:CHILD", help="The handle is this pair of frames in /tf.")
-@click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for joint states. Default: the bag's.")
-@click.option("--calibration", type=_EXISTING, default=None, help="For joint states: the arm as it was calibrated.")
-@click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link.")
-@click.option("--tip", default=None, metavar="LINK", help="The link that holds the handle.")
+@click.option("--tf", "tf", metavar="PARENT:CHILD", help="The handle is this pair of frames in /tf.")
+@click.option("--urdf", type=EXISTING, help="Robot description, for joint states. Default: the bag's.")
+@click.option("--calibration", type=EXISTING, help="For joint states: the arm as it was calibrated.")
+@click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
+@click.option("--tip", metavar="LINK", help="The link that holds the handle.")
 @click.option("--points", is_flag=True, help="Ignore rotations.")
 @click.option(
     "--seed",
@@ -73,7 +72,7 @@ class _Read:
     show_default=True,
     help="Seed for choosing the samples of the first guesses.",
 )
-@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
 def articulate_command(
     bag: Path,

@@ -26,14 +26,14 @@ from modcal_core.modules.urdf import urdf_of
 from modcal_core.preprocess import prepare
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.console import Output, speaking, with_options, written
 from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.topics import topic_options
+from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.assemblies import read_assembly
 
 _LIBRARY = click.option(
-    "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
+    "--library", "library_file", type=EXISTING, metavar="FILE",
     help="YAML of the available modules. Default: the one that SPEC names, or the published ones.",
 )  # fmt: skip
 _UNLIKELY = 1e-4
@@ -63,10 +63,10 @@ _PARTS = {
 @click.argument("spec", type=EXISTING)
 @_LIBRARY
 @click.option(
-    "--modules", "store", type=EXISTING, default=None, metavar="STORE",
+    "--modules", "store", type=EXISTING, metavar="STORE",
     help="File written by modcal modules learn: the URDF includes the known errors of these physical modules.",
 )  # fmt: skip
-@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
 def assemble_command(
     spec: Path, library_file: Path | None, store: Path | None, out: Path | None, output: Output
@@ -121,7 +121,7 @@ def modules_command() -> None:
 )  # fmt: skip
 @click.option("--accept", is_flag=True, help="Learn also from an assembly that is not as its modules were known.")
 @_LIBRARY
-@topic_options
+@with_options(TOPICS)
 @speaking
 def learn_command(
     spec: Path,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,9 @@ from modcal_core.report.files import report_files
 from modcal_core.report.report import Report
 from modcal_core.verdict.tolerance import STATISTICS
 from modcal_msgs_py.choosing import Topics
-from modcal_nodes.cli.camera import by_camera, calibrate_images, camera_options, split_options
-from modcal_nodes.cli.certificate import CERTIFICATE, UNMET, certificate_files, certified_hashes, particulars
-from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
+from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, exit_code, particulars
+from modcal_nodes.cli.console import Output, speaking, tell, with_options, written
 from modcal_nodes.cli.number import Decimal, Whole
 from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import arm_line, chain_line
@@ -29,13 +29,13 @@ from modcal_nodes.cli.show import show_report
 from modcal_nodes.cli.topics import TOPICS
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
+from modcal_nodes.io.progress import Watch
 from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
 
 SEED = Whole(min=0)  # what NumPy takes
 _SPLITS = click.option(
     "--block",
     type=Whole(min=1),
-    default=None,
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
 SEED_OPTION = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
@@ -47,18 +47,17 @@ CELL = click.option(
     "--cell",
     "cell_file",
     type=EXISTING,
-    default=None,
     help="YAML of known distances, fixed parameters, and what is stated of arm and instrument.",
 )
-OUT = click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+OUT = click.option("--out", type=WRITTEN, help="Folder of the results.")
 
 
 _ROBOT = (
-    click.option("--urdf", type=EXISTING, default=None, help="Robot description. Default: the one in the bag."),
-    click.option("--delta", type=EXISTING, default=None, help="Description of a Delta robot, instead of a URDF."),
-    click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link."),
+    click.option("--urdf", type=EXISTING, help="Robot description. Default: the one in the bag."),
+    click.option("--delta", type=EXISTING, help="Description of a Delta robot, instead of a URDF."),
+    click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link."),
     click.option(
-        "--tip", default=None, metavar="LINK", help="Link where it ends. Default: the link behind most recorded joints."
+        "--tip", metavar="LINK", help="Link where it ends. Default: the link behind most recorded joints."
     ),
     click.option(
         "--fix", "fixed", multiple=True, metavar="NAME",
@@ -71,28 +70,28 @@ _ROBOT = (
 _POSITIVE = Decimal(min=0.0, min_open=True)
 STATED = (
     click.option(
-        "--repeatability-mm", type=_POSITIVE, default=None, metavar="MM",
+        "--repeatability-mm", type=_POSITIVE, metavar="MM",
         help="Repeatability of the arm, RMS over space.",
     ),
     click.option(
-        "--repeatability-iso", type=_POSITIVE, default=None, metavar="MM",
+        "--repeatability-iso", type=_POSITIVE, metavar="MM",
         help="The same as RP of ISO 9283, as data sheets give it.",
     ),
     click.option(
-        "--repeatability-deg", type=_POSITIVE, default=None, metavar="DEG",
+        "--repeatability-deg", type=_POSITIVE, metavar="DEG",
         help="Repeatability of the orientation, RMS.",
     ),
     click.option(
-        "--instrument-mm", type=_POSITIVE, default=None, metavar="MM", help="Error of the instrument, RMS over space."
+        "--instrument-mm", type=_POSITIVE, metavar="MM", help="Error of the instrument, RMS over space."
     ),
     click.option(
-        "--instrument-deg", type=_POSITIVE, default=None, metavar="DEG",
+        "--instrument-deg", type=_POSITIVE, metavar="DEG",
         help="Orientation error of the instrument, RMS.",
     ),
 )  # fmt: skip
 TOLERANCE = (
     click.option(
-        "--tolerance-mm", type=_POSITIVE, default=None, metavar="MM",
+        "--tolerance-mm", type=_POSITIVE, metavar="MM",
         help="Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.",
     ),
     click.option(
@@ -102,15 +101,8 @@ TOLERANCE = (
 )  # fmt: skip
 
 
-def with_options(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
-    """A decorator that gives a command these options, in this order."""
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return decorate
+# What is asked of a frozen calibration on a recording
+FROZEN = (CELL, *TOPICS, *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT)
 
 
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -127,13 +119,11 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--factory-kinematics",
     type=EXISTING,
-    default=None,
     metavar="FILE",
     help="What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.",
 )
 @calibration_options
-@with_options((*TOLERANCE, *CERTIFICATE))
-@camera_options
+@with_options((*TOLERANCE, *CERTIFICATE, *OPTIONS))
 @OUT
 @speaking
 @click.pass_context
@@ -142,8 +132,6 @@ def calibrate_command(
     /,
     bag: Path | None,
     more: tuple[Path, ...],
-    certificate: bool,
-    serial: str | None,
     out: Path | None,
     output: Output,
     **options: Any,
@@ -154,14 +142,14 @@ def calibrate_command(
     (docs/camera.md).
     """
     camera = split_options(options)
-    if by_camera(ctx, bag, camera) or bag is None:
-        said = particulars(certificate, serial, options["cell_file"], options["tolerance_mm"])
+    images = by_camera(ctx, bag, camera)
+    said = particulars(options)
+    if images or bag is None:
         return calibrate_images(camera, options, bag, out, output, said)
-    asked = Options(**options)
-    said = particulars(certificate, serial, asked.cell_file, asked.tolerance_mm)
+    asked = Options(**{name: value for name, value in options.items() if name not in ("certificate", "serial")})
     with output.working() as watch:
         done = calibrate_bag(bag, asked, more, watch)
-        files: dict[str, str | bytes] = {**done.files}
+        files = dict(done.files)
         if said is not None:
             watch("writing the certificate")
             described = asked.delta or asked.urdf or done.result.robot.description
@@ -178,60 +166,48 @@ def calibrate_command(
 @click.argument("bag", type=EXISTING)
 @click.option("--refit-base", is_flag=True, help="Fit the base again: the tracker or the robot was moved.")
 @click.option("--refit-tool", is_flag=True, help="Fit the tool again: it was changed.")
-@with_options((CELL, *TOPICS, *STATED, _SPLITS, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT))
+@with_options((*FROZEN, _SPLITS))
 @speaking
 def evaluate_command(
     calibration: Path,
     bag: Path,
     refit_base: bool,
     refit_tool: bool,
-    cell_file: Path | None,
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
     block: int | None,
-    seed: int,
-    clock_limit: float,
-    tolerance_mm: float | None,
-    tolerance_of: str,
-    certificate: bool,
-    serial: str | None,
     out: Path | None,
     output: Output,
-    **stated: float | None,
+    **options: Any,
 ) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
-    said = particulars(certificate, serial, cell_file, tolerance_mm)
+    said = particulars(options)
     frozen = Calibration.load(calibration)
-    cell = read_cell(cell_file, stated=stated_from(stated))
+    asked = {name: options[name] for name in ("seed", "tolerance_mm", "tolerance_of")}
+    cell = read_cell(options["cell_file"], stated=stated_from(options))
     with output.working() as watch:
-        recorded = opened(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
-        samples = of_calibrated(recorded, frozen, clock_limit)
+        samples = frozen_samples(frozen, bag, options, watch)
         watch("scoring")
-        with of_cell(cell_file):
+        with of_cell(options["cell_file"]):
             report = evaluate(
-                frozen,
-                samples,
-                seed,
-                refit_base=refit_base,
-                refit_tool=refit_tool,
-                cell=cell,
-                block=block,
-                tolerance_mm=tolerance_mm,
-                tolerance_of=tolerance_of,
+                frozen, samples, refit_base=refit_base, refit_tool=refit_tool, cell=cell, block=block, **asked
             )
-        files: dict[str, str | bytes] = {**report_files(report, calibration=calibration_name(calibration))}
+        files = report_files(report, calibration=calibration_name(calibration))
         if said is not None:
             from modcal_core.report.certificate import is_made_from
 
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
-            own = is_made_from(frozen, samples)
-            files |= certificate_files(report, stated_of(cell_file, samples, stated), said, hashes, own)
+            stated = stated_of(options["cell_file"], samples, options)
+            files |= certificate_files(report, stated, said, hashes, is_made_from(frozen, samples))
     out = out or Path(f"{bag.resolve().stem}_evaluation")
     write_folder(out, files)
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
     return _say(report, arm, written(out, files), output)
+
+
+def frozen_samples(frozen: Calibration, bag: Path, options: Mapping[str, Any], watch: Watch) -> Samples:
+    """The samples of a bag for the arm of a frozen calibration, by the options of ``FROZEN``. Raises BadRecording."""
+    topics = read_topics(options["cell_file"], Topics.of(options["topic"], options["ignore"], options["tf"]))
+    return of_calibrated(opened(bag, watch, topics), frozen, options["clock_limit"])
 
 
 def calibration_name(calibration: Path) -> str:
@@ -254,4 +230,4 @@ def _say(report: Report, arm: str, where: str, output: Output) -> int:
         show_report(report, console)
 
     output.result(to_json_data(report), show, where)
-    return 0 if report.tolerance is None or report.tolerance.result == "PASS" else UNMET
+    return exit_code(report.tolerance)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,9 +13,10 @@ import numpy as np
 from modcal_core.files import write_folder
 from modcal_core.robot import Robot
 from modcal_nodes.cli.camera_input import read_input, stated_lenses
-from modcal_nodes.cli.certificate import UNMET, camera_certificate_files, certified_hashes
+from modcal_nodes.cli.certificate import camera_certificate_files, certified_hashes, exit_code
 from modcal_nodes.cli.console import Output, tell, written
 from modcal_nodes.cli.number import Decimal
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import arm_line
 from modcal_nodes.io.progress import Watch
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from modcal_core.report.particulars import Particulars
     from modcal_nodes.vision.images import ImageFolder
 
-_EXISTING = click.Path(exists=True, path_type=Path)
 _OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
 _TOGETHER = (*_OF_IMAGES, "flat_target", "fisheye", "also_camera")
 _OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
@@ -33,19 +32,19 @@ _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
 OPTIONS = (
     click.option(
-        "--images", type=_EXISTING, default=None, metavar="FOLDER",
+        "--images", type=EXISTING, metavar="FOLDER",
         help="Images of a target, or a CSV of its corners by one camera or several; with --joints, --target, --urdf.",
     ),
     click.option(
-        "--joints", type=_EXISTING, default=None, metavar="FILE",
+        "--joints", type=EXISTING, metavar="FILE",
         help="CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].",
     ),
     click.option(
-        "--target", type=_EXISTING, default=None, metavar="FILE",
+        "--target", type=EXISTING, metavar="FILE",
         help="target.yaml of modcal target, Kalibr's, or a body's: calibrate from images in BAG, or --images.",
     ),
     click.option(
-        "--image-topic", default=None, metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
+        "--image-topic", metavar="TOPIC", help="Images of BAG. Default: the only ones there are."
     ),
     click.option(
         "--also-camera", multiple=True, metavar="TOPIC[=FILE]",
@@ -60,22 +59,15 @@ OPTIONS = (
         help="What becomes of those in --camera-info.",
     ),
     click.option(
-        "--arm-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
+        "--arm-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
         help="Error of the nominal arm at its tool, RMS, as you know it.",
     ),
     click.option(
-        "--mounting", type=click.Choice(["tip", "world"]), default=None, help="Where the camera is. Default: found."
+        "--mounting", type=click.Choice(["tip", "world"]), help="Where the camera is. Default: found."
     ),
     click.option("--fisheye", is_flag=True, help="The lens is a fisheye, where no camera_info says so."),
     click.option("--flat-target", is_flag=True, help="The target is flat: on glass or aluminium."),
 )  # fmt: skip
-
-
-def camera_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with the options of a calibration by camera."""
-    for option in reversed(OPTIONS):
-        command = option(command)
-    return command
 
 
 def split_options(options: dict[str, Any]) -> dict[str, Any]:
@@ -137,7 +129,7 @@ def calibrate_images(
         source = camera["images"] or bag
         assert source is not None
         met = None if options["tolerance_mm"] is None else camera_tolerance(solution, options["tolerance_mm"])
-        files: dict[str, str | bytes] = {**camera_files(solution, robot, images, found.left_out, met=met)}
+        files: dict[str, str] = {**camera_files(solution, robot, images, found.left_out, met=met)}
         if said is not None:
             watch("writing the certificate")
             calibration = str(files["calibration.yaml"])
@@ -149,7 +141,7 @@ def calibrate_images(
     told = [arm_line(robot), *lines(solution, images, found.left_out)]
     told += [] if met is None else [f"{met.result}: {met.because}"]
     output.result(data, partial(tell, told), written(out, files))
-    return 0 if met is None or met.result == "PASS" else UNMET
+    return exit_code(met)
 
 
 def plan_next_images(

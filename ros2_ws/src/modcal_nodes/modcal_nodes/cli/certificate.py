@@ -1,12 +1,12 @@
-"""``--certificate``: one page to sign, as HTML and PDF, beside the report of a calibration or an evaluation."""
+"""``--certificate``: one page to sign, beside the report of a calibration or an evaluation."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -25,50 +25,51 @@ UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 CERTIFICATE = (
     click.option(
         "--certificate", is_flag=True,
-        help="Write certificate.html and certificate.pdf, one page to sign. Needs --tolerance-mm.",
+        help="Write certificate.html, one page to print and sign. Needs --tolerance-mm.",
     ),
-    click.option("--serial", default=None, metavar="TEXT", help="Serial number of the robot, for the certificate."),
+    click.option("--serial", metavar="TEXT", help="Serial number of the robot, for the certificate."),
 )  # fmt: skip
 
 
-def particulars(
-    asked: bool, serial: str | None, cell_file: Path | None, tolerance_mm: float | None
-) -> Particulars | None:
-    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable."""
-    if not asked:
+def particulars(options: Mapping[str, Any]) -> Particulars | None:
+    """What is stated for a certificate, before anything is computed; None where none is asked for. Raises BadTable.
+
+    options: certificate, serial, cell_file and tolerance_mm, as they were given.
+    """
+    serial = options["serial"]
+    if not options["certificate"]:
         if serial is not None:
             raise BadTable("--serial", "is printed on a certificate only", "add --certificate")
         return None
-    if tolerance_mm is None:
+    if options["tolerance_mm"] is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
-    import fpdf  # noqa: F401  # where it is missing, that is said before minutes of work
-
-    said = read_particulars(cell_file)
+    said = read_particulars(options["cell_file"])
     return said if serial is None else replace(said, serial=serial)
+
+
+def exit_code(met: Tolerance | None) -> int:
+    """0 where no tolerance was asked for, or it is met."""
+    return 0 if met is None or met.result == "PASS" else UNMET
 
 
 def certificate_files(
     report: Report, stated: Stated, said: Particulars, hashes: Hashes, made_from: bool = False
-) -> dict[str, str | bytes]:
-    """Names and contents of the certificate's files; the arguments are those of the certificate."""
+) -> dict[str, str]:
+    """Name and text of the certificate's file; the arguments are those of the certificate."""
     from modcal_core.report.certificate import certificate
     from modcal_core.report.certificate_page import to_html
-    from modcal_nodes.io.certificate_pdf import to_pdf
 
-    one = certificate(report, stated, said, hashes, made_from)
-    return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
+    return {"certificate.html": to_html(certificate(report, stated, said, hashes, made_from))}
 
 
 def camera_certificate_files(
     solution: CameraSolution, robot: str, met: Tolerance | None, said: Particulars, hashes: Hashes, images: int
-) -> dict[str, str | bytes]:
+) -> dict[str, str]:
     """The same of a calibration by camera; the arguments are those of its certificate."""
     from modcal_core.report.camera_certificate import camera_certificate
     from modcal_core.report.certificate_page import to_html
-    from modcal_nodes.io.certificate_pdf import to_pdf
 
-    one = camera_certificate(solution, robot, met, said, hashes, images)
-    return {"certificate.html": to_html(one), "certificate.pdf": to_pdf(one)}
+    return {"certificate.html": to_html(camera_certificate(solution, robot, met, said, hashes, images))}
 
 
 def certified_hashes(

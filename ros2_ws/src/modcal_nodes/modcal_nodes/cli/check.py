@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,106 +14,66 @@ from modcal_core.calibration.store import Calibration
 from modcal_core.checking.known import pattern_of
 from modcal_core.checkup import Checked
 from modcal_core.errors import BadTable
-from modcal_core.files import to_json, write_folder
+from modcal_core.files import read_json, to_json, write_folder
 from modcal_core.public import check
 from modcal_core.report.certificate import is_made_from
 from modcal_core.report.checkup import summary, to_html, to_json_data
 from modcal_core.report.files import calibration_files, delta_files, report_files
 from modcal_core.robots.mechanism import is_serial_arm
-from modcal_msgs_py.choosing import Topics
-from modcal_nodes.cli.calibrate import (
-    CELL,
-    CLOCK,
-    OUT,
-    SEED_OPTION,
-    STATED,
-    TOLERANCE,
-    calibration_name,
-    stated_of,
-    with_options,
-)
-from modcal_nodes.cli.certificate import CERTIFICATE, UNMET, certificate_files, certified_hashes, particulars
-from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.calibrate import FROZEN, calibration_name, frozen_samples, stated_of
+from modcal_nodes.cli.certificate import certificate_files, certified_hashes, exit_code, particulars
+from modcal_nodes.cli.console import Output, speaking, with_options, written
 from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.show import show_blocks
-from modcal_nodes.cli.topics import TOPICS
-from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
-from modcal_nodes.io.recorded import of_calibrated, opened
-
-_MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
+from modcal_nodes.io.inputs import of_cell, read_cell, stated_from
 
 
 @click.command("check")
 @click.argument("calibration", type=EXISTING)
 @click.argument("bag", type=EXISTING)
 @click.option(
-    "--urdf", type=EXISTING, default=None,
+    "--urdf", type=EXISTING,
     help="Robot description to write the repaired one from. Default: that of the calibration's folder, or in BAG.",
 )  # fmt: skip
-@with_options((CELL, *TOPICS, *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT))
+@with_options(FROZEN)
 @speaking
 def check_command(
-    calibration: Path,
-    bag: Path,
-    urdf: Path | None,
-    cell_file: Path | None,
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
-    seed: int,
-    clock_limit: float,
-    tolerance_mm: float | None,
-    tolerance_of: str,
-    certificate: bool,
-    serial: str | None,
-    out: Path | None,
-    output: Output,
-    **stated: float | None,
+    calibration: Path, bag: Path, urdf: Path | None, out: Path | None, output: Output, **options: Any
 ) -> int:
     """Say what has changed since CALIBRATION (a folder or calibration.yaml), from ten or more stations in BAG.
 
     Names base, tool, a joint's zero, a gear, a load, heat, or the tracker, says by how much and what to do, and writes
     the model with only that repaired.
     """
-    said = particulars(certificate, serial, cell_file, tolerance_mm)
+    said = particulars(options)
     frozen = Calibration.load(calibration)
-    cell = read_cell(cell_file, stated=stated_from(stated))
+    asked = {name: options[name] for name in ("seed", "tolerance_mm", "tolerance_of")}
+    cell = read_cell(options["cell_file"], stated=stated_from(options))
     with output.working() as watch:
-        recorded = opened(bag, watch, read_topics(cell_file, Topics.of(topic, ignore, tf)))
-        samples = of_calibrated(recorded, frozen, clock_limit)
+        samples = frozen_samples(frozen, bag, options, watch)
         watch("checking")
-        with of_cell(cell_file):
-            found = check(
-                frozen,
-                samples,
-                seed,
-                cell=cell,
-                tolerance_mm=tolerance_mm,
-                tolerance_of=tolerance_of,
-                pattern=_pattern(calibration),
-            )
+        with of_cell(options["cell_file"]):
+            found = check(frozen, samples, cell=cell, pattern=_pattern(calibration), **asked)
         files = check_files(found, calibration, urdf, samples.origin.description)
         if said is not None:
             watch("writing the certificate")
-            model: str | Path = files.get("calibration.yaml", calibration)  # type: ignore[assignment]
-            described = files.get("calibrated.urdf", samples.origin.description)
-            hashes = certified_hashes(described, model)  # type: ignore[arg-type]
-            own = is_made_from(frozen, samples)
-            files |= certificate_files(found.report, stated_of(cell_file, samples, stated), said, hashes, own)
+            model: str | Path = files.get("calibration.yaml", calibration)
+            hashes = certified_hashes(files.get("calibrated.urdf", samples.origin.description), model)
+            stated = stated_of(options["cell_file"], samples, options)
+            files |= certificate_files(found.report, stated, said, hashes, is_made_from(frozen, samples))
     name = calibration_name(calibration)
     files["check.html"] = to_html(found, f"{name}, checked by {bag.resolve().stem}", [n for n in files])
     out = out or Path(f"{bag.resolve().stem}_check")
     write_folder(out, files)
     where = written(out, files, "Check", "check.html")
     output.result(to_json_data(found, name), partial(show_blocks, summary(found)), where)
-    tolerance = found.report.tolerance
-    return 0 if tolerance is None or tolerance.result == "PASS" else UNMET
+    return exit_code(found.report.tolerance)
 
 
-def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: str | None) -> dict[str, str | bytes]:
+def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: str | None) -> dict[str, str]:
     """Names and texts of the files of a check, but for its page: what was found, and the repaired model."""
     name = calibration_name(calibration)
-    files: dict[str, str | bytes] = {"check.json": to_json(to_json_data(found, name))}
+    files: dict[str, str] = {"check.json": to_json(to_json_data(found, name))}
     if len(found.advice.stations):
         files["stations.csv"] = _table(found)
     repaired = found.repaired
@@ -158,14 +117,15 @@ def _description(
 def _pattern(calibration: Path) -> float | None:
     """The predictable share in the report beside a calibration; None where there is none, as in reports of cameras."""
     beside = (calibration if calibration.is_dir() else calibration.parent) / "report.json"
-    if not beside.is_file() or beside.stat().st_size > _MAX_REPORT:
+    if not beside.is_file():
         return None
+    remedy = "remove it, or calibrate again"
+    report = read_json(beside, remedy)
     try:
-        report = json.loads(beside.read_text(encoding="utf-8"))
         share = report.get("predictable") if report.get("camera") else report["predictable"]
         return None if share is None else pattern_of(float(share["share"]))
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise BadTable(str(beside), "is not a report of modcal", "remove it, or calibrate again") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BadTable(str(beside), "is not a report of modcal", remedy) from error
 
 
 def _table(found: Checked) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,9 @@ import click
 
 from modcal_core.calibration.store import Calibration
 from modcal_core.errors import BadTable
-from modcal_core.files import to_json, write_folder
+from modcal_core.files import read_json, to_json, write_folder
 from modcal_core.measurements.schema import require
-from modcal_core.report.comparison import Side, compare, to_json_data
-from modcal_core.report.comparison_page import summary, to_html
+from modcal_core.report.comparison import Side, compare, summary, to_json_data
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.number import Decimal
@@ -22,17 +20,15 @@ from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io.report_schema import SCHEMA
 
-_MAX_REPORT = 1 << 28  # bytes; a report of ours has some ten thousand
-
 
 @click.command("compare")
 @click.argument("first", type=EXISTING, metavar="A")
 @click.argument("second", type=EXISTING, metavar="B")
 @click.option(
-    "--tolerance-mm", type=Decimal(min=0.0, min_open=True), default=None, metavar="MM",
+    "--tolerance-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
     help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
 )  # fmt: skip
-@click.option("--out", type=WRITTEN, default=None, help="Folder of comparison.html and comparison.json.")
+@click.option("--out", type=WRITTEN, help="Folder of comparison.json.")
 @speaking
 def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: Path | None, output: Output) -> int:
     """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.
@@ -46,9 +42,9 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: 
         found = compare(sides[0], sides[1], tolerance_mm)
         data = to_json_data(found)
         out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
-        files = {"comparison.json": to_json(data), "comparison.html": to_html(found)}
+        files = {"comparison.json": to_json(data)}
         write_folder(out, files)
-    where = written(out, files, "Comparison", "comparison.html")
+    where = written(out, files, "Comparison", "comparison.json")
     output.result(data, partial(show_blocks, summary(found)), where)
     judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
     return UNMET if judged else 0
@@ -72,11 +68,6 @@ def _side(path: Path, name: str) -> Side:
 def _report(path: Path) -> dict[str, Any]:
     """The data of a report.json. Raises BadTable for anything else."""
     remedy = "give the report.json that modcal calibrate or modcal evaluate wrote"
-    if path.stat().st_size > _MAX_REPORT:
-        raise BadTable(str(path), f"is larger than {_MAX_REPORT >> 20} MiB", remedy)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise BadTable(str(path), "is not JSON", remedy) from error
+    data = read_json(path, remedy)
     require(data, SCHEMA, str(path), remedy)
     return dict(data)

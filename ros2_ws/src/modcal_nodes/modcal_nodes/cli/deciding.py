@@ -75,10 +75,7 @@ def _data(calibration: Calibration, proposals: list[DecidingStations]) -> dict[s
                 "between": [p.effect.label, p.rival.label],
                 "separation": float(p.separation),
                 "stations": [
-                    {
-                        "position": [float(x) for x in q],
-                        **({"approach": [int(x) for x in a]} if a.any() else {}),
-                    }
+                    {"position": [float(x) for x in q], **({"approach": [int(x) for x in a]} if a.any() else {})}
                     for q, a in zip(p.q, p.approach, strict=True)
                 ],
             }

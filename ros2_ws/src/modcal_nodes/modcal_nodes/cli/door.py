@@ -31,8 +31,8 @@ _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots u
     "--patience", type=Decimal(5.0, 3600.0), default=90.0, show_default=True, metavar="S",
     help="Time after which it is given up.",
 )  # fmt: skip
-@click.option("--domain", type=Whole(0, 232), default=None, help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
-@click.option("--out", type=WRITTEN, default=None, help="Folder of the results. Default: KIND_demo.")
+@click.option("--domain", type=Whole(0, 232), help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
+@click.option("--out", type=WRITTEN, help="Folder of the results. Default: KIND_demo.")
 @speaking
 def door_command(kind: str, seed: int, patience: float, domain: int | None, out: Path | None, output: Output) -> None:
     """Open a simulated door or drawer from start to end, and report what was learned of it.

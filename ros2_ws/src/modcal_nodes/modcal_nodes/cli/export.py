@@ -26,10 +26,9 @@ from modcal_core.robots.urdf_elements import chain_urdf
 from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
 from modcal_core.robots.xacro import xacro_origins
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.paths import WRITTEN
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.io.inputs import read_calibration
 
-_EXISTING = click.Path(exists=True, path_type=Path)
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
 _FORMS = (*CONVENTIONS, "urdf", *_OF_URDF)
@@ -44,7 +43,7 @@ class _Source:
 
 
 @click.command("export")
-@click.argument("source", type=_EXISTING)
+@click.argument("source", type=EXISTING)
 @click.option(
     "--to", "form", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF]), required=True, help="Format to write."
 )
@@ -52,8 +51,8 @@ class _Source:
     "--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Model of a calibration."
 )
 @click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
-@click.option("--base", default=None, metavar="LINK", help="For a URDF: link where the arm begins.")
-@click.option("--tip", default=None, metavar="LINK", help="For a URDF: link where it ends.")
+@click.option("--base", metavar="LINK", help="For a URDF: link where the arm begins.")
+@click.option("--tip", metavar="LINK", help="For a URDF: link where it ends.")
 @click.option("--largest-offset", type=float, default=10.0, show_default=True, help="Largest offset in a DH row [m].")
 @click.option(
     "--nearest",
@@ -64,13 +63,9 @@ class _Source:
     "--unit", type=click.Choice([*UNITS]), default="m rad", show_default=True, help="Of a table that is written as CSV."
 )
 @click.option(
-    "--factory-kinematics",
-    "factory",
-    type=_EXISTING,
-    default=None,
-    help="For kinematics: the maker's own file of this arm.",
+    "--factory-kinematics", "factory", type=EXISTING, help="For kinematics: the maker's own file of this arm."
 )
-@click.option("--out", type=WRITTEN, default=None, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
+@click.option("--out", type=WRITTEN, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
 @speaking
 def export_command(
     source: Path,

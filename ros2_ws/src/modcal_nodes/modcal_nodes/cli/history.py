@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,26 +15,20 @@ import click
 from modcal_core.calibration.store import Calibration, fingerprint
 from modcal_core.checking.history import Values, series_of, values_of
 from modcal_core.errors import BadTable
-from modcal_core.files import to_json, write_folder
-from modcal_core.report.history import History, HistoryEntry, summary, to_html, to_json_data
+from modcal_core.files import read_json, to_json, write_folder
+from modcal_core.report.history import History, HistoryEntry, summary, to_json_data
 from modcal_core.report.joint_offsets import offsets_of
 from modcal_nodes.cli.console import Output, speaking, written
 from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.show import show_blocks
 
-_MAX_FILE = 1 << 28  # bytes; a report of ours has some ten thousand
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
 _DEPTH = 3  # folders below the one that is given
 
 
 @click.command("history")
 @click.argument("folder", type=EXISTING)
-@click.option(
-    "--out",
-    type=WRITTEN,
-    default=None,
-    help="Folder of history.html and history.json. Default: FOLDER.",
-)
+@click.option("--out", type=WRITTEN, help="Folder of history.json. Default: FOLDER.")
 @speaking
 def history_command(folder: Path, out: Path | None, output: Output) -> int:
     """Show how a robot changes over time, by all calibrations and checks below FOLDER.
@@ -46,11 +39,10 @@ def history_command(folder: Path, out: Path | None, output: Output) -> int:
     with output.working() as watch:
         watch("reading")
         found = read_history(folder)
-        page = to_html(found, f"History: {folder.resolve().name}")
-        files = {"history.json": to_json(to_json_data(found)), "history.html": page}
+        files = {"history.json": to_json(to_json_data(found))}
         out = out or folder
         write_folder(out, files)
-    where = written(out, files, "History", "history.html")
+    where = written(out, files, "History", "history.json")
     output.result(to_json_data(found), partial(show_blocks, summary(found)), where)
     return 0
 
@@ -138,12 +130,7 @@ def _json(path: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     remedy = "remove the folder, or run the verb again"
-    if path.stat().st_size > _MAX_FILE:
-        raise BadTable(str(path), f"is larger than {_MAX_FILE >> 20} MiB", remedy)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise BadTable(str(path), "is not JSON", remedy) from error
+    data = read_json(path, remedy)
     if not isinstance(data, dict):
         raise BadTable(str(path), "is no report", remedy)
     return data

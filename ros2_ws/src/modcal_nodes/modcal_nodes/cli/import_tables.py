@@ -22,10 +22,9 @@ from modcal_msgs_py.tables.schema import json_schema
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
 from modcal_nodes.cli.import_proposal import is_kinematic, proposed
-from modcal_nodes.cli.paths import WRITTEN
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import BASE, TIP, described
 
-_EXISTING = click.Path(exists=True, path_type=Path)
 _YAML = (".yaml", ".yml")
 
 
@@ -36,24 +35,18 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
 
 
 @click.command("import")
-@click.argument("sources", type=_EXISTING, nargs=-1, required=True, metavar="MAPPING | FILE.csv...")
-@click.option("--data", type=_EXISTING, default=None, help="Folder of the tables. Default: the folder of MAPPING.")
-@click.option(
-    "--urdf", type=_EXISTING, default=None, help="Robot description to put into the bag, and to prove a mapping by."
-)
+@click.argument("sources", type=EXISTING, nargs=-1, required=True, metavar="MAPPING | FILE.csv...")
+@click.option("--data", type=EXISTING, help="Folder of the tables. Default: the folder of MAPPING.")
+@click.option("--urdf", type=EXISTING, help="Robot description to put into the bag, and to prove a mapping by.")
 @BASE
 @TIP
 @click.option(
     "--mapping",
     type=click.Path(path_type=Path),
-    default=None,
     help="For tables without a mapping: the mapping to write. Default: FILE.yaml.",
 )
 @click.option(
-    "--out",
-    type=WRITTEN,
-    default=None,
-    help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.",
+    "--out", type=WRITTEN, help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none."
 )
 @click.option(
     "--schema",

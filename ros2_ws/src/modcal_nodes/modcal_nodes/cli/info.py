@@ -18,23 +18,23 @@ from modcal_core.measurements.recording import Recording
 from modcal_core.robot import Robot
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, speaking, with_options
+from modcal_nodes.cli.paths import EXISTING
 from modcal_nodes.cli.robot import chain_line, described
-from modcal_nodes.cli.topics import topic_options
+from modcal_nodes.cli.topics import TOPICS
 
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
-_EXISTING = click.Path(exists=True, path_type=Path)
 
 
 @click.command("info")
-@click.argument("bag", type=_EXISTING)
-@click.option("--urdf", type=_EXISTING, default=None, help="Robot description. Default: the one in the bag.")
-@click.option("--delta", type=_EXISTING, default=None, help="Description of a Delta robot instead.")
-@click.option("--base", default=None, metavar="LINK")
-@click.option("--tip", default=None, metavar="LINK")
-@click.option("--target", type=_EXISTING, default=None, help="Printed target: say what the images are good for.")
-@click.option("--image-topic", default=None, metavar="TOPIC", help="Images. Default: the only ones there are.")
-@topic_options
+@click.argument("bag", type=EXISTING)
+@click.option("--urdf", type=EXISTING, help="Robot description. Default: the one in the bag.")
+@click.option("--delta", type=EXISTING, help="Description of a Delta robot instead.")
+@click.option("--base", metavar="LINK")
+@click.option("--tip", metavar="LINK")
+@click.option("--target", type=EXISTING, help="Printed target: say what the images are good for.")
+@click.option("--image-topic", metavar="TOPIC", help="Images. Default: the only ones there are.")
+@with_options(TOPICS)
 @speaking
 def info_command(
     bag: Path,

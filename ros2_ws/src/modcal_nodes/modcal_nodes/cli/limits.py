@@ -25,14 +25,13 @@ from modcal_msgs_py.bag_files import SUFFIXES
 from modcal_msgs_py.choosing import Topics
 from modcal_msgs_py.mcap_read import read_bag
 from modcal_nodes.cli.by_joint import numbers_by_joint
-from modcal_nodes.cli.console import Output, speaking, tell, written
+from modcal_nodes.cli.console import Output, speaking, tell, with_options, written
 from modcal_nodes.cli.legend import explain, table
 from modcal_nodes.cli.number import Whole
-from modcal_nodes.cli.paths import WRITTEN
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import arm_line, described, file_line
-from modcal_nodes.cli.topics import topic_options
+from modcal_nodes.cli.topics import TOPICS
 
-_EXISTING = click.Path(exists=True, path_type=Path)
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough
 _BY_JOINT = {
@@ -64,10 +63,10 @@ def _by_joint(command: click.Command) -> click.Command:
 
 @_by_joint
 @click.command("limits")
-@click.argument("source", type=_EXISTING)
-@click.option("--urdf", type=_EXISTING, default=None, help="Robot description, for a bag. Default: the one in it.")
-@click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link.")
-@click.option("--tip", default=None, metavar="LINK", help="The link that carries the payload.")
+@click.argument("source", type=EXISTING)
+@click.option("--urdf", type=EXISTING, help="Robot description, for a bag. Default: the one in it.")
+@click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
+@click.option("--tip", metavar="LINK", help="The link that carries the payload.")
 @click.option("--payload", type=float, default=0.0, show_default=True, help="Mass that is carried [kg].")
 @click.option("--centre", type=float, nargs=3, default=(0.0, 0.0, 0.0), help="Centre of mass in the tip link [m].")
 @click.option(
@@ -79,18 +78,13 @@ def _by_joint(command: click.Command) -> click.Command:
 )
 @click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Position of a joint [rad; m]. Default: 0.")
 @click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="Velocity of a joint [rad/s; m/s]. Default: 0.")
-@click.option("--workspace", type=Whole(min=1), default=None, help="Number of random postures within the limits.")
+@click.option("--workspace", type=Whole(min=1), help="Number of random postures within the limits.")
 @click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of those postures.")
 @click.option("--thorough", is_flag=True, help="Of a bag up to 20 000 postures, not 2 000.")
 @click.option("--share", type=float, default=1.0, show_default=True, help="Share of the torque that may be used.")
 @click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="Gravity in the base link [m/s²].")
-@click.option(
-    "--out",
-    type=WRITTEN,
-    default=None,
-    help="Folder of limits.json, joint_limits.yaml and report.html.",
-)
-@topic_options
+@click.option("--out", type=WRITTEN, help="Folder of limits.json, joint_limits.yaml and report.html.")
+@with_options(TOPICS)
 @speaking
 def limits_command(
     source: Path,

@@ -7,7 +7,6 @@ fault, with the traceback that a bug report needs.
 
 from __future__ import annotations
 
-import gc
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -18,14 +17,13 @@ from click.shell_completion import CompletionItem
 
 import modcal_core
 from modcal_core.errors import ModcalError, plain
-from modcal_nodes.cli.deferred import defer_imports
 from modcal_nodes.one_thread import limit_blas
 
 # Verb: (module, its command, what stands in the list). Only the verb that is asked for is imported: NumPy, SciPy and
 # the readers of bags take a second or two, which a request for help should not.
 VERBS = {
     "calibrate": ("calibrate", "calibrate_command", "Identify the arm from BAG, and find what its model lacks."),
-    "fleet": ("fleet", "fleet_command", "Calibrate many recordings and report which robots drift."),
+    "fleet": ("fleet", "fleet_command", "Calibrate many recordings, and put the results in one table."),
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
     "check": ("check", "check_command", "Tell what has changed since CALIBRATION, from ten new stations."),
     "history": ("history", "history_command", "Show what grows over a robot's calibrations and checks."),
@@ -86,9 +84,6 @@ class _Verbs(click.Group):
             return None
         module, command, _ = VERBS[cmd_name]
         found = getattr(import_module(f"modcal_nodes.cli.{module}"), command)
-        if not gc.isenabled():  # in a process of its own: see main
-            gc.freeze()
-            gc.enable()
         assert isinstance(found, click.Command)
         return found
 
@@ -152,12 +147,7 @@ def _fault() -> int:
 
 
 # What a verb may need beyond what is always installed: the extra of the distribution that brings it
-_EXTRAS = {
-    "mujoco": "simulate",
-    "pyarrow": "fleet",
-    "distributed": "dask",
-    "dask": "dask",
-}
+_EXTRAS = {"mujoco": "simulate", "pyarrow": "fleet", "distributed": "fleet"}
 # Beside ROS from apt, which has none of them, or an older one
 _PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2", "lets_plot": "lets-plot"}
 _ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_py", "rosgraph_msgs", "lifecycle_msgs")
@@ -192,20 +182,10 @@ def _refuse(line: str) -> int:
     return 2
 
 
-# Objects made beyond those let go before the collector looks for circles of them, and young ones looked through before
-# older: what a verb imports and computes has few, and with Python's 700 it is looked through for a twentieth of a run
-_COLLECTED = (20_000, 50, 100)
-
-
 def main() -> None:
     """Entry point of the executable."""
     limit_blas()
-    defer_imports()
-    gc.set_threshold(*_COLLECTED)
-    gc.disable()  # until the verb is loaded: what modules make stays
-    code = run()
-    gc.freeze()  # Python ends by looking for circles in all that was loaded, a tenth of a small calibration
-    sys.exit(code)
+    sys.exit(run())
 
 
 if __name__ == "__main__":

@@ -49,11 +49,7 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
 @BASE
 @TIP
 @click.option(
-    "--goal-mm",
-    type=_POSITIVE,
-    default=None,
-    metavar="MM",
-    help="Error at the tool to be proven. Default: as good as can be.",
+    "--goal-mm", type=_POSITIVE, metavar="MM", help="Error at the tool to be proven. Default: as good as can be."
 )
 @click.option(
     "--of",
@@ -70,26 +66,24 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
     "--stations", type=Whole(min=1), default=MAX_STATIONS, show_default=True,
     help="Most stations.",
 )  # fmt: skip
-@click.option("--minutes", type=_POSITIVE, default=None, help="Most time, from the first call on.")
+@click.option("--minutes", type=_POSITIVE, help="Most time, from the first call on.")
 @click.option(
     "--by-hand",
     "folder",
     type=click.Path(path_type=Path),
-    default=None,
     metavar="DIR",
     help="Ask for stations in DIR/next.csv, and read there what was measured.",
 )
 @click.option("--simulated", is_flag=True, help="Measure in the simulated cell (MuJoCo).")
 @click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
 @click.option(
-    "--replay", type=EXISTING, default=None, metavar="BAG",
+    "--replay", type=EXISTING, metavar="BAG",
     help="Choose among the stations of a recording.",
 )  # fmt: skip
 @click.option(
     "--site",
     "site_file",
     type=EXISTING,
-    default=None,
     metavar="FILE",
     help="YAML: tracker, target, spheres of the arm, floor, obstacles, limits, workspace. See docs/planning.md.",
 )
@@ -99,35 +93,20 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
 @click.option(
     "--instrument-mm",
     type=_POSITIVE,
-    default=None,
     metavar="MM",
     help="Error of the instrument, RMS over space: it is no error of the tool.",
 )
 @click.option(
-    "--cell",
-    "cell_file",
-    type=EXISTING,
-    default=None,
-    help="YAML of fixed parameters, and what is stated of arm and instrument.",
+    "--cell", "cell_file", type=EXISTING, help="YAML of fixed parameters, and what is stated of arm and instrument."
 )
 @click.option(
     "--fix", "fixed", multiple=True, metavar="NAME", help="Fixed parameter, as in modcal calibrate. Repeatable."
 )
 @click.option("--ties", is_flag=True, help="Separate explanations that stay open, by up to 12 more stations.")
 @click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects.")
-@click.option(
-    "--batch",
-    type=Whole(1, 100),
-    default=None,
-    help=f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.",
-)
+@click.option("--batch", type=Whole(1, 100), help=f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of what is drawn at random.")
-@click.option(
-    "--out",
-    type=WRITTEN,
-    default=None,
-    help="Folder of session and results; of --by-hand it is DIR.",
-)
+@click.option("--out", type=WRITTEN, help="Folder of session and results; of --by-hand it is DIR.")
 @speaking
 def measure_command(
     robot: Path,

@@ -33,15 +33,15 @@ _THOROUGH = 6000, 8  # candidates and starts
 @BASE
 @TIP
 @click.option(
-    "--site", "site_file", type=EXISTING, default=None, metavar="FILE",
+    "--site", "site_file", type=EXISTING, metavar="FILE",
     help="YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
 )  # fmt: skip
 @click.option(
-    "--stations", type=Whole(min=2), default=None,
+    "--stations", type=Whole(min=2),
     help="Number of stations. Default: half as many again as modcal calibrate needs; with --decide: 16.",
 )  # fmt: skip
 @click.option(
-    "--accuracy-mm", type=Decimal(min=1e-6), default=None,
+    "--accuracy-mm", type=Decimal(min=1e-6),
     help="Use as many stations as needed for this error of the calibrated arm.",
 )  # fmt: skip
 @click.option(
@@ -55,28 +55,24 @@ _THOROUGH = 6000, 8  # candidates and starts
     "--fix", "fixed", multiple=True, metavar="NAME", help="Fixed parameter, as in modcal calibrate. Repeatable."
 )
 @click.option(
-    "--besides", "measured", type=EXISTING, default=None, metavar="STATIONS",
+    "--besides", "measured", type=EXISTING, metavar="STATIONS",
     help="plan.yaml or CSV of stations that are already measured and count too.",
 )  # fmt: skip
 @click.option(
-    "--candidates", type=Whole(10, 20_000), default=None,
+    "--candidates", type=Whole(10, 20_000),
     help=f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.",
 )  # fmt: skip
 @click.option(
-    "--starts", type=Whole(1, 100), default=None,
+    "--starts", type=Whole(1, 100),
     help=f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.",
 )  # fmt: skip
 @click.option("--thorough", is_flag=True, help="Look longer for better stations.")
 @click.option(
-    "--speed",
-    type=Decimal(1e-3),
-    default=0.5,
-    show_default=True,
-    help="Joint speed of trajectory.yaml, rad/s.",
+    "--speed", type=Decimal(1e-3), default=0.5, show_default=True, help="Joint speed of trajectory.yaml, rad/s."
 )
 @click.option("--dwell", type=Decimal(0.6), default=2.0, show_default=True, help="Standstill at each station, s.")
 @click.option(
-    "--decide", "report", type=EXISTING, default=None, metavar="REPORT",
+    "--decide", "report", type=EXISTING, metavar="REPORT",
     help="Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
 )  # fmt: skip
 @click.option(
@@ -86,16 +82,13 @@ _THOROUGH = 6000, 8  # candidates and starts
 @click.option(
     "--camera",
     type=EXISTING,
-    default=None,
     metavar="IMAGES",
     help="Bag with images, or folder of them with --joints: which images to take next; with --target.",
 )
-@click.option(
-    "--joints", type=EXISTING, default=None, metavar="FILE", help="Joints of --camera's images, as in calibrate."
-)
-@click.option("--target", type=EXISTING, default=None, metavar="FILE", help="Printed target of --camera's images.")
+@click.option("--joints", type=EXISTING, metavar="FILE", help="Joints of --camera's images, as in calibrate.")
+@click.option("--target", type=EXISTING, metavar="FILE", help="Printed target of --camera's images.")
 @click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of candidates and starts.")
-@click.option("--out", type=WRITTEN, default=None, help="Folder of plan.yaml.")
+@click.option("--out", type=WRITTEN, help="Folder of plan.yaml.")
 @speaking
 def plan_command(
     robot: Path | None,

@@ -16,7 +16,7 @@ from modcal_nodes.cli.paths import WRITTEN
 
 @click.command("repair")
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
-@click.option("--out", type=WRITTEN, default=None, help="The new bag. Default: BAG_repaired.")
+@click.option("--out", type=WRITTEN, help="The new bag. Default: BAG_repaired.")
 @speaking
 def repair_command(bag: Path, out: Path | None, output: Output) -> None:
     """Repair BAG, which was truncated: killed recorder, full disk, power failure.

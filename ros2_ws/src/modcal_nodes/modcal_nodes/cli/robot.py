@@ -17,10 +17,8 @@ from modcal_core.robots.urdf import other_tips, read_chain
 
 _OTHERS = 3  # tips that are named
 
-BASE = click.option("--base", default=None, metavar="LINK", help="Link where the arm begins. Default: the root link.")
-TIP = click.option(
-    "--tip", default=None, metavar="LINK", help="Link where it ends. Default: the link behind most joints."
-)
+BASE = click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
+TIP = click.option("--tip", metavar="LINK", help="Link where it ends. Default: the link behind most joints.")
 TOOL = click.option(
     "--tool", type=float, nargs=3, default=(0.05, 0.0, 0.1), show_default=True, metavar="X Y Z",
     help="Position of the tracked target in the tip link [m].",

@@ -51,38 +51,32 @@ _COLUMNS = {
     help="The 4 n + 9 of the closed chain, or those that modcal calibrate fits.",
 )  # fmt: skip
 @click.option(
-    "--design", "kind", type=click.Choice(DESIGNS), default=None,
+    "--design", "kind", type=click.Choice(DESIGNS),
     help="Design of postures for the indices. Default: l25, or sobol for more than six joints.",
 )  # fmt: skip
 @click.option("--levels", type=Whole(2, 31), default=5, show_default=True, help="Levels of --design array; a prime.")
 @click.option(
-    "--postures", type=Whole(4, 4096), default=None,
+    "--postures", type=Whole(4, 4096),
     help="Postures of --design sobol. Default: 64, with --thorough 512.",
 )  # fmt: skip
 @click.option("--thorough", is_flag=True, help="Draw four times as many arms for the shares of the variance.")
 @click.option("--length-mm", type=Decimal(0.0), default=0.5, show_default=True, help="Errors of lengths.")
 @click.option("--angle-mrad", type=Decimal(0.0), default=1.0, show_default=True, help="Errors of angles.")
-@click.option("--sizes", "sizes_file", type=EXISTING, default=None, help="YAML of other sizes, {NAME or PATTERN: SI}.")
+@click.option("--sizes", "sizes_file", type=EXISTING, help="YAML of other sizes, {NAME or PATTERN: SI}.")
+@click.option("--base-factor", metavar="NAME", help="Parameter that the others are compared with. Default: base/x.")
+@click.option("--bins", type=Whole(1, 1000), help="Intervals of the multi-point weights.")
 @click.option(
-    "--base-factor", default=None, metavar="NAME", help="Parameter that the others are compared with. Default: base/x."
-)
-@click.option("--bins", type=Whole(1, 1000), default=None, help="Intervals of the multi-point weights.")
-@click.option(
-    "--measured", "stations", type=EXISTING, default=None, metavar="STATIONS",
+    "--measured", "stations", type=EXISTING, metavar="STATIONS",
     help="plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
     "Default: the design's.",
 )  # fmt: skip
 @click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
 @click.option("--noise-mm", type=Decimal(1e-6), default=0.05, show_default=True, help="Noise of positions, per axis.")
 @click.option(
-    "--noise-mrad",
-    type=Decimal(1e-6),
-    default=0.05,
-    show_default=True,
-    help="Noise of orientations, per axis.",
+    "--noise-mrad", type=Decimal(1e-6), default=0.05, show_default=True, help="Noise of orientations, per axis."
 )
 @click.option("--seed", type=Whole(min=0), default=0, show_default=True)
-@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
 def sensitivity_command(
     robot: Path,

@@ -8,8 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.report.report import Report
-from modcal_core.report.summary import TONES, SummaryLine, SummaryTable, Tone, summary
-from modcal_core.verdict.verdict import Status
+from modcal_core.report.summary import SummaryLine, SummaryTable, Tone, summary
 
 STYLES: dict[Tone, str] = {
     "plain": "",
@@ -20,7 +19,6 @@ STYLES: dict[Tone, str] = {
     "undecided": "bold yellow",
     "reason": "red",
 }
-STATUS_STYLES: dict[Status, str] = {status: STYLES[tone] for status, tone in TONES.items()}
 
 
 def show_report(report: Report, console: Console) -> None:

@@ -16,14 +16,13 @@ from modcal_core.robots.urdf import other_tips
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import WRITTEN
+from modcal_nodes.cli.paths import EXISTING, WRITTEN
 from modcal_nodes.cli.robot import chain_line
 from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant
 from modcal_nodes.simulation.recording import recorded
 
-_EXISTING = click.Path(exists=True, path_type=Path)
 _OF_THE_NODE = (
     "urdf",
     "delta",
@@ -39,7 +38,7 @@ _STATIONS = 60
 
 
 @click.command("simulate")
-@click.argument("robot", type=_EXISTING)
+@click.argument("robot", type=EXISTING)
 @click.option("--out", required=True, type=WRITTEN, help="Folder of the bag; must not exist.")
 @click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
 @click.option(
@@ -52,12 +51,7 @@ _STATIONS = 60
 )  # fmt: skip
 @speaking
 def simulate_command(
-    robot: Path,
-    out: Path,
-    given: tuple[str, ...],
-    later: tuple[tuple[float, str], ...],
-    returns: int,
-    output: Output,
+    robot: Path, out: Path, given: tuple[str, ...], later: tuple[tuple[float, str], ...], returns: int, output: Output
 ) -> None:
     """Record an arm (URDF) or a Delta (YAML) that differs from its nominal model, in MuJoCo, with a tracker.
 

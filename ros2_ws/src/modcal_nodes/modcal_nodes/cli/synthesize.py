@@ -39,13 +39,13 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
 @click.command("synthesize")
 @click.argument("task_file", type=EXISTING, metavar="TASK")
 @click.option(
-    "--library", "library_file", type=EXISTING, default=None, metavar="FILE",
+    "--library", "library_file", type=EXISTING, metavar="FILE",
     help="YAML of the available modules. Default: the published ones.",
 )  # fmt: skip
 @click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of the search.")
-@click.option("--workers", type=Whole(min=1, max=256), default=None, help="Processes. Default: one per processor.")
+@click.option("--workers", type=Whole(min=1, max=256), help="Processes. Default: one per processor.")
 @click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
-@click.option("--out", type=WRITTEN, default=None, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, help="Folder of the results.")
 def synthesize_command(
     task_file: Path, library_file: Path | None, seed: int, workers: int | None, thorough: bool, out: Path | None
 ) -> None:

@@ -66,24 +66,21 @@ class _Lengths(click.ParamType):
 
 
 @click.command("target")
-@click.option("--charuco", type=_Counts(), default=None, help="ChArUco board of so many squares, across and down.")
-@click.option("--chessboard", type=_Counts(), default=None, help="Chessboard of so many squares.")
-@click.option("--aruco-grid", type=_Counts(), default=None, help="Grid of so many markers.")
-@click.option("--tag", type=Whole(min=0), default=None, metavar="ID", help="One marker with this number.")
-@click.option("--square", type=_Length(), default=None, help="Side of a square, or of a marker of a grid or a tag.")
-@click.option("--marker", type=_Length(), default=None, help="Side of the markers in a ChArUco board; gap in a grid.")
-@click.option(
-    "--dictionary", default=None, metavar="NAME", help="Markers, as OpenCV names them.  [default: DICT_5X5_100]"
-)
+@click.option("--charuco", type=_Counts(), help="ChArUco board of so many squares, across and down.")
+@click.option("--chessboard", type=_Counts(), help="Chessboard of so many squares.")
+@click.option("--aruco-grid", type=_Counts(), help="Grid of so many markers.")
+@click.option("--tag", type=Whole(min=0), metavar="ID", help="One marker with this number.")
+@click.option("--square", type=_Length(), help="Side of a square, or of a marker of a grid or a tag.")
+@click.option("--marker", type=_Length(), help="Side of the markers in a ChArUco board; gap in a grid.")
+@click.option("--dictionary", metavar="NAME", help="Markers, as OpenCV names them.  [default: DICT_5X5_100]")
 @click.option("--paper", type=click.Choice(_PAPERS), default="A4", show_default=True, help="Paper to print on.")
 @click.option(
-    "--measured", type=_Lengths(), default=None,
+    "--measured", type=_Lengths(),
     help="Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
 )  # fmt: skip
 @click.option(
     "--measured-to-mm",
     type=Decimal(min=0.001),
-    default=None,
     metavar="MM",
     help="How well you measured them.  [default: 0.3, as with a ruler]",
 )

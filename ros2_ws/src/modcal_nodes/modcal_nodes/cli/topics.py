@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import click
 
 TOPICS = (
@@ -14,14 +11,7 @@ TOPICS = (
     ),
     click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable."),
     click.option(
-        "--tf", "tf", default=None, metavar="PARENT:CHILD",
+        "--tf", "tf", metavar="PARENT:CHILD",
         help="The tracker's readings are these frames in /tf, e.g. tracker:tool.",
     ),
 )  # fmt: skip
-
-
-def topic_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with these options; it is handed ``topic``, ``ignore`` and ``tf``."""
-    for option in reversed(TOPICS):
-        command = option(command)
-    return command

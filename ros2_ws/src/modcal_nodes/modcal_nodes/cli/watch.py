@@ -41,7 +41,6 @@ _FOLLOW = 0.3  # s between two looks for what the nodes that were heard publish
     "--for",
     "lasting",
     type=Decimal(0.1),
-    default=None,
     metavar="SECONDS",
     help="End after this time; with --once: collect messages for this time.",
 )

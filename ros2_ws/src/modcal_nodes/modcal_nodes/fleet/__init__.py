@@ -1,1 +1,1 @@
-"""Many recordings: calibrated on all cores or on a cluster, put in one table, and compared over time."""
+"""Many recordings: calibrated on all cores or on a cluster, and put in one table."""

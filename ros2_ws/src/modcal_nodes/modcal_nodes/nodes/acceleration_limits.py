@@ -125,9 +125,6 @@ class AccelerationLimits(GuardedNode):
         self._last = stamp
         self._count += 1
 
-    def _now(self) -> float:
-        return 1e-9 * self.get_clock().now().nanoseconds
-
     # what it says of itself
 
     def _report(self) -> list[Status]:

@@ -140,7 +140,7 @@ class Calibrator(GuardedNode):
             self.get_logger().error(self._trouble)
             return
         if restored.calibration.uncertainty is None:
-            self._trouble = f"{self._folder.path}: written by an older version, without its uncertainty: solve again"
+            self._trouble = f"{self._folder.path}: keeps no uncertainty: solve again"
             return
         self._supervisor.trust(restored.calibration)
         self._expect_frames()

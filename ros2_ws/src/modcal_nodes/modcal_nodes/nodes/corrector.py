@@ -258,9 +258,6 @@ class Corrector(GuardedNode):
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
         return ArmState(now, *at, self._signals.tracks(needs))
 
-    def _now(self) -> float:
-        return 1e-9 * self.get_clock().now().nanoseconds
-
     # what it says of itself
 
     def _report(self) -> list[Status]:

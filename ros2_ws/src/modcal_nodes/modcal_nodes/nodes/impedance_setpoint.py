@@ -358,9 +358,6 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     # what it says of itself
 
-    def _now(self) -> float:
-        return 1e-9 * self.get_clock().now().nanoseconds
-
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):
             log = self.get_logger()  # of one severity a line: rclpy remembers each caller's

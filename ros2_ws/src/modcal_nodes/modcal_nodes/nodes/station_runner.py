@@ -37,7 +37,7 @@ class StationRunner(GuardedNode, LifecycleNode):
         super().__init__("station_runner")
         declare(self, STATION_RUNNER)
         self._chosen = values(self, STATION_RUNNER)
-        self._sequence = StationSequence(self._chosen, self._send, self._tell, self._clock_now)
+        self._sequence = StationSequence(self._chosen, self._send, self._tell, self._now)
         self._said, self._level = "not configured", OK
         self._timer: Timer | None = None
         self._inputs: list[MonitoredSubscription] = []
@@ -148,7 +148,7 @@ class StationRunner(GuardedNode, LifecycleNode):
         else:
             p, r = message.pose.position, message.pose.orientation
             reading = np.array([p.x, p.y, p.z, r.x, r.y, r.z, r.w])
-        self._sequence.take_reading(reading, seconds(message.header.stamp) or self._clock_now())
+        self._sequence.take_reading(reading, seconds(message.header.stamp) or self._now())
 
     # what it does and says
 
@@ -170,9 +170,6 @@ class StationRunner(GuardedNode, LifecycleNode):
             set_seconds(point.time_from_start, float(after))
             message.points.append(point)
         self._trajectory.publish(message)
-
-    def _clock_now(self) -> float:
-        return 1e-9 * self.get_clock().now().nanoseconds
 
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):

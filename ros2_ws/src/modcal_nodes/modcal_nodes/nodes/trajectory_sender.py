@@ -53,9 +53,6 @@ class TrajectorySender(GuardedNode):
     def _take_joints(self, message: JointState) -> None:
         self._joints.receive(message, self._now(), self._chosen["timeout_s"])
 
-    def _now(self) -> float:
-        return 1e-9 * self.get_clock().now().nanoseconds
-
     def _look(self) -> None:
         """Send it as soon as the arm is known and somebody listens; end when it has arrived, or has not in time."""
         now, patience = time.monotonic(), self._chosen["patience_s"]

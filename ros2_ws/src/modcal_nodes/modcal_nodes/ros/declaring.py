@@ -10,17 +10,13 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from modcal_core.errors import ModcalError
-from modcal_nodes.ros.aliases import OLD_NAMES, said_under_old_name
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import NODES
 
 
 def declare(node: Node, parameters: dict[str, Parameter]) -> None:
-    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy.
-
-    A value under a name of release 0.1 counts, and is warned of (:mod:`aliases`).
-    """
+    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""
     for name, parameter in parameters.items():
         descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
         if parameter.low is not None and parameter.high is not None:
@@ -30,8 +26,7 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
             else:
                 span = FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high), step=0.0)
                 descriptor.floating_point_range = [span]
-        old = said_under_old_name(node, name)
-        node.declare_parameter(name, parameter.default if old is None else old, descriptor)
+        node.declare_parameter(name, parameter.default, descriptor)
     _warn_of_unknown(node, parameters)
 
 
@@ -41,7 +36,7 @@ def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
     A file may be shared by several nodes: what another one knows is not spoken of, and the rest is no reason to refuse
     the start.
     """
-    known = {*OLD_NAMES.values(), *(name for parameters in NODES.values() for name in parameters)}
+    known = {name for parameters in NODES.values() for name in parameters}
     given = getattr(node, "_parameter_overrides", {})
     strange = [name for name in given if not name.startswith("qos_overrides.") and name not in known]
     said = []

@@ -154,6 +154,10 @@ class GuardedNode(Node):
         """Whether it has no time to rest now (see resting.py)."""
         return False
 
+    def _now(self) -> float:
+        """The time of its clock [s]."""
+        return 1e-9 * self.get_clock().now().nanoseconds
+
     def take_time(self) -> None:
         """Take the simulated time that has arrived, if there is one."""
         if self.get_clock().ros_time_is_active:

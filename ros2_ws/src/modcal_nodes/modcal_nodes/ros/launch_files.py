@@ -128,11 +128,7 @@ LAUNCHES: dict[str, Launch] = {
     ),
     "view": Launch(
         ("viewer",),
-        (
-            *_arm("viewer"),
-            _sets("arrow_scale", "magnification of errors", "viewer"),
-            *_heard("viewer"),
-        ),
+        (*_arm("viewer"), _sets("arrow_scale", "magnification of errors", "viewer"), *_heard("viewer")),
         {},
         {},
     ),

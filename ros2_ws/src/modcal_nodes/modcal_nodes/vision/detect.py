@@ -11,7 +11,7 @@ import numpy as np
 
 from modcal_core.camera.clean import MIN_CORNERS, enough_corners
 from modcal_core.camera.homography import homography
-from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
+from modcal_core.camera.target import APRIL_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
 from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
@@ -190,10 +190,7 @@ def _no_such_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pix
     contrast = float(np.median(seen[1]) - np.median(seen[0])) if min(map(len, seen)) else 0.0
     if abs(contrast) < _ALTERNATES * float(np.percentile(grey, 99) - np.percentile(grey, 1)):
         return _why_not(grey, target)
-    for squares in (
-        *([(i, j) for j in range(r)] for i in (-1, c)),
-        *([(i, j) for i in range(c)] for j in (-1, r)),
-    ):
+    for squares in (*([(i, j) for j in range(r)] for i in (-1, c)), *([(i, j) for i in range(c)] for j in (-1, r))):
         beyond, dark = _greys(grey, H, target, squares), np.array([(i + j) % 2 == 0 for i, j in squares])
         if not (np.isfinite(beyond[dark]).any() and np.isfinite(beyond[~dark]).any()):
             continue
@@ -289,8 +286,3 @@ def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.Char
     board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.square, target.marker, words, ids)
     board.setLegacyPattern(legacy)
     return board
-
-
-def is_grid(target: PrintedTarget) -> bool:
-    """Whether the target is one of markers side by side."""
-    return target.kind in (ARUCO_GRID, APRIL_GRID)

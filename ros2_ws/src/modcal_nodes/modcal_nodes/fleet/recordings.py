@@ -1,0 +1,150 @@
+"""A Dask map of ``modcal calibrate`` over recordings, and the table of what came out of each."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from distributed import Client, as_completed
+
+from modcal_core.errors import BadRecording, BadTable, ModcalError
+from modcal_core.files import replace_folder
+from modcal_core.report.as_json import to_json_data
+from modcal_core.result import Result
+from modcal_msgs_py.bag_files import SUFFIXES
+from modcal_nodes.io.options import Options
+from modcal_nodes.io.recorded import calibrate_bag
+
+Row = dict[str, Any]
+DONE, REFUSED, FAILED = "done", "refused", "failed"
+NOT_CALIBRATED = "not_calibrated.txt"  # in the folder of a recording that was refused or failed: why
+_MARKS = ("report.json", NOT_CALIBRATED)
+_TEXT, _NUMBER = pa.string(), pa.float64()
+_SIZES = tuple(f"{stage}_{size}_mm" for stage in ("nominal", "geometric", "final") for size in ("rms", "p95"))
+SCHEMA = pa.schema(
+    [
+        *((name, _TEXT) for name in ("name", "bag", "state", "said", "robot")),
+        ("started", pa.timestamp("ms", tz="UTC")),
+        *(("duration_s", _NUMBER), ("measurement", _TEXT), ("stations", pa.int64()), ("rejected", pa.int64())),
+        *((name, _NUMBER) for name in (*_SIZES, "floor_mm", "unexplained_mm")),
+        *((name, _TEXT) for name in ("effects", "status", "verdict")),
+    ]
+)
+
+
+def find_bags(given: Iterable[str], leave_out: Path) -> list[Path]:
+    """The bags (absolute paths, sorted, each once) that are named, lie in named folders, or match named patterns.
+
+    leave_out: a folder that is not searched. Raises BadRecording for a name that leads to no bag.
+    """
+    found: set[Path] = set()
+    for name in given:
+        paths = [Path(name)] if Path(name).exists() else [Path(p) for p in glob.glob(name, recursive=True)]
+        if not paths:
+            raise BadRecording(name, "does not exist", "give bags, folders that hold bags, or a pattern")
+        bags = [bag.resolve() for path in paths for bag in _below(path, leave_out.resolve())]
+        if not bags:
+            raise BadRecording(name, "holds no bag", "give bag folders, .mcap or .db3 files, or a folder above them")
+        found.update(bags)
+    return sorted(found)
+
+
+def _below(path: Path, leave_out: Path) -> Iterator[Path]:
+    """The path itself where it is a bag, else the bags in it."""
+    if path.is_file():
+        yield path
+        return
+    inside = sorted(file for file in path.iterdir() if file.is_file() and file.name.endswith(SUFFIXES))
+    # a recorder that was stopped leaves no metadata, but files that are named after their folder
+    if (path / "metadata.yaml").is_file() or (inside and all(f.name.startswith(f"{path.name}_") for f in inside)):
+        yield path
+        return
+    yield from inside
+    for folder in sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith(".")):
+        if folder.resolve() != leave_out:
+            yield from _below(folder, leave_out)
+
+
+def names_of(bags: Iterable[Path], out: Path) -> dict[str, Path]:
+    """The bags by the names of their results: folder and own name; of equals, with digits of the path.
+
+    Raises BadTable where something else stands where a result in `out` would.
+    """
+    plain = {bag: f"{bag.parent.name or 'bag'}/{bag.stem if bag.is_file() else bag.name}" for bag in bags}
+    count = Counter(plain.values())
+    digits = {bag: hashlib.sha256(str(bag).encode()).hexdigest()[:8] for bag in plain}
+    named = {name if count[name] == 1 else f"{name}-{digits[bag]}": bag for bag, name in plain.items()}
+    for folder in (out / name for name in named):
+        ours = any((folder / mark).is_file() for mark in _MARKS) and folder.resolve() not in plain
+        if folder.exists() and not ours:
+            raise BadTable(str(folder), "holds something other than results", "give --out another folder")
+    return named
+
+
+def calibrate_one(bag: Path, options: Options) -> tuple[Row, dict[str, bytes]]:
+    """A row of the table, and the files of the calibration by name. A recording that is of no use is a row too."""
+    try:
+        done = calibrate_bag(bag, options)
+    except ModcalError as error:
+        return {"state": REFUSED, "said": str(error)}, {}
+    return _row(done.result), {name: text.encode() for name, text in done.files.items()}
+
+
+def calibrate_all(
+    bags: Mapping[str, Path], out: Path, options: Options, client: Client, heard: Callable[[Row], object]
+) -> list[Row]:
+    """Calibrate the bags on a cluster; writes a folder for each in `out`, and returns their rows, in order of names.
+
+    heard: of each row as it comes. A task that raises, or whose workers die as often as Dask allows, is a failed row.
+    """
+    rows = []
+    futures = {client.submit(calibrate_one, bag, options, pure=False): name for name, bag in bags.items()}
+    for future in as_completed(list(futures), loop=client.loop):
+        name, fault = futures[future], future.exception()
+        if fault is None:
+            row, files = future.result()
+        else:
+            row, files = {"state": FAILED, "said": " ".join(f"{type(fault).__name__}: {fault}".split())}, {}
+        future.release()  # its files need not stay on the cluster
+        rows.append({"name": name, "bag": str(bags[name]), **row})
+        replace_folder(out / name, files or {NOT_CALIBRATED: f"{row['state']}: {row['said']}\n".encode()})
+        heard(rows[-1])
+    return sorted(rows, key=lambda row: row["name"])
+
+
+def _row(done: Result) -> Row:
+    """What the table says of a calibration."""
+    data = to_json_data(done.report)
+    sizes = {stage: of_stage or {} for stage, of_stage in data["error_mm"].items()}
+    return {
+        "state": DONE,
+        "robot": done.robot.name,
+        "started": datetime.fromtimestamp(done.samples.origin.began or 0.0, UTC).isoformat(timespec="milliseconds"),
+        **{name: data["recording"][name] for name in ("duration_s", "measurement", "stations", "rejected")},
+        **{f"{stage}_{size}_mm": sizes[stage].get(size) for stage in sizes for size in ("rms", "p95")},
+        "floor_mm": data["noise_floor_mm"],
+        "unexplained_mm": None if data["unexplained"] is None else data["unexplained"]["size_mm"],
+        "effects": "; ".join(f"{e['family']} at {e['place']} by {e['driver']}" for e in data["effects"]),
+        "status": data["status"],
+        "verdict": data["verdict"],
+    }
+
+
+def write_table(path: Path, rows: Iterable[Row]) -> None:
+    """Write rows under the columns of `SCHEMA`, as CSV where the file is called so, else as Parquet."""
+    rows = list(rows)
+    columns = [pa.array([row.get(f.name) for row in rows], _TEXT if f.name == "started" else f.type) for f in SCHEMA]
+    table = pa.table([column.cast(f.type) for column, f in zip(columns, SCHEMA, strict=True)], schema=SCHEMA)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".csv":
+        pyarrow.csv.write_csv(table, path)
+    else:
+        pyarrow.parquet.write_table(table, path, compression="zstd")
