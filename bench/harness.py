@@ -36,6 +36,8 @@ BENCH = Path(__file__).resolve().parent
 ROOT = BENCH.parent
 DATA = ROOT.parent / "shared" / "data"
 WIDTH = 170  # of tables that go to a file
+# Where benches find one another's truth, and what the tests share; a bench's own folder comes first.
+sys.path.extend(str(ROOT / folder) for folder in ("tests", "bench/undeclared", "bench/verdict"))
 Task = dict[str, Any]
 Result = dict[str, Any]
 
