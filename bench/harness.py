@@ -38,6 +38,7 @@ DATA = ROOT.parent / "shared" / "data"
 WIDTH = 170  # of tables that go to a file
 # Where benches find one another's truth, and what the tests share; a bench's own folder comes first.
 sys.path.extend(str(ROOT / folder) for folder in ("tests", "bench/undeclared", "bench/verdict"))
+_BEGUN: set[Path] = set()  # files of results that this run has written to
 Task = dict[str, Any]
 Result = dict[str, Any]
 
@@ -124,16 +125,14 @@ def each(
     ``one`` stands at the top of its module. What it raises is kept as ``failed``; a task that went well has None there.
     Every result goes to standard error as a ``line`` and to ``--json`` at once. fresh: a process for each task.
     """
-    before: dict[str, Result] = {}
-    if given.json is not None and given.resume and given.json.is_file():
-        read = [json.loads(text) for text in given.json.read_text(encoding="utf-8").splitlines()]
-        before = {_key({name: r.get(name) for name in tasks[0]}): r for r in read} if tasks else {}
-    done: dict[int, Result] = {i: before[_key(t)] for i, t in enumerate(tasks) if _key(t) in before}
+    done = dict(_before(tasks, given))
     waiting = [i for i in range(len(tasks)) if i not in done]
     with contextlib.ExitStack() as stack:
         log = None
         if given.json is not None:
-            log = stack.enter_context(given.json.open("a" if given.resume else "w", encoding="utf-8"))
+            mode = "a" if given.resume or given.json in _BEGUN else "w"
+            log = stack.enter_context(given.json.open(mode, encoding="utf-8"))
+            _BEGUN.add(given.json)
         for i, result in _made(one, tasks, waiting, given.jobs, fresh):
             done[i] = result
             said = f"FAILED {result['failed'].splitlines()[-1]}" if result["failed"] else line(result) if line else ""
@@ -168,8 +167,16 @@ def _kept(one: Callable[[Task], Result], task: Task) -> Result:
     return {**task, **spent, **result}
 
 
-def _key(task: Task) -> str:
-    return json.dumps(task, sort_keys=True, default=_plain)
+def _before(tasks: Sequence[Task], given: argparse.Namespace) -> Iterator[tuple[int, Result]]:
+    """Results of an earlier run, by the number of their task."""
+    if given.json is None or not given.resume or not given.json.is_file():
+        return
+    read = [json.loads(text) for text in given.json.read_text(encoding="utf-8").splitlines()]
+    for i, task in enumerate(tasks):
+        told = json.loads(json.dumps(task, default=_plain))
+        found = [r for r in read if all(k in r and r[k] == v for k, v in told.items())]
+        if found:
+            yield i, {**found[-1], **task}
 
 
 def _plain(value: Any) -> Any:
@@ -187,10 +194,10 @@ def modcal(*arguments: object) -> tuple[int, str]:
     return code, said.getvalue()
 
 
-def succeeded(*arguments: object) -> str:
-    """The same where it has to end well: what it said. Raises RuntimeError with its last words if not."""
+def succeeded(*arguments: object, codes: tuple[int, ...] = (0,)) -> str:
+    """The same where it has to end with one of these codes: what it said. Raises RuntimeError if it does not."""
     code, said = modcal(*arguments)
-    if code:
+    if code not in codes:
         raise RuntimeError(f"modcal {arguments[0]}: exit {code}: {said.strip()[-800:]}")
     return said
 
@@ -258,7 +265,7 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object] | No
 def _cell(value: object) -> str:
     if value is None or value != value:
         return "–"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def counts(
