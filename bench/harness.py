@@ -57,19 +57,22 @@ def data(*parts: str) -> Path:
 
 
 def parser(
-    doc: str | None, *, seeds: int = 1, first: int = 0, names: Iterable[str] = (), jobs: int = 2
+    doc: str | None, *, seeds: int | None = 1, first: int | None = 0, names: Iterable[str] = (), jobs: int = 2
 ) -> argparse.ArgumentParser:
     """The common options; a bench adds its own and parses with ``parsed``.
 
-    names: what ``--only`` chooses from; without any there is no such option. seeds: of each; 0: no seeds.
+    names: what ``--only`` chooses from; without any there is no option. seeds: of each; 0: no option; None: the
+    bench says what it is where it is not given.
     """
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = list(names)
     if known:
         made.add_argument("--only", nargs="+", default=[], help="names, or parts of them: " + ", ".join(known))
-    if seeds:
-        made.add_argument("--seeds", type=int, default=seeds, help=f"of each; default: {seeds}")
-        made.add_argument("--first", type=int, default=first, help=f"the first seed; default: {first}")
+    if seeds != 0:
+        made.add_argument("--seeds", type=int, default=seeds, help=f"of each; default: {seeds or 'by name'}")
+        made.add_argument(
+            "--first", type=int, default=first, help=f"the first; default: {'by name' if first is None else first}"
+        )
     made.add_argument("--jobs", type=int, default=jobs, help=f"processes; 1: this one; default: {jobs}")
     made.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON for each task")
     made.add_argument("--resume", action="store_true", help="take from that file what it holds already")
