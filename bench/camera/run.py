@@ -308,10 +308,7 @@ def main() -> int:
         {"part": part, "seed": given.first + k, **more, **{name: getattr(given, name) for name in told.get(part, ())}}
         for part in given.names
         for k in range(SEEDS[part] if given.seeds is None else given.seeds)
-        for more in {
-            "size": [{"off": off} for off in given.off],
-            "named": [{"kind": kind} for kind in cells.KINDS],
-        }.get(part, [{}])
+        for more in rows.get(part, [{}])
     ]
     results = harness.each(one, tasks, given, lambda r: r.get("refused", r.get("word", "")))
     for part in given.names:
