@@ -1,6 +1,6 @@
 """Real arms: figures that others reached, or that a plain fit must reach, on data beside the checkout.
 
-`make real-arms` has the whole recordings and the README's figures; here they are as long as it takes to show the same.
+`make bench NAME=real_arms` has the whole recordings and the README's figures; here they are as long as it takes to show the same.
 """
 
 from __future__ import annotations
