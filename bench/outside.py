@@ -50,13 +50,14 @@ from modcal_nodes.cli.robot import read_robot
 Array = np.ndarray
 BLOCKS, SEEN, BLEND = 5, 0.6, 0.05  # of the outer fifth; share of the postures that is calibrated; rad beyond it
 STATIONS, PERIOD = 260, 10.0  # of a planted cell; s between rows whose times nobody wrote down
-PLANTED: dict[str, tuple[Any, ...]] = {
-    **{k: kinds.SCENARIOS[k] for k in ("encoder_eccentricity", "triangular_wave", "hose_drag", "gear_harmonic")},
-    "two_curves": (kinds.hose_drag, kinds.triangular_wave),
-    "everything": (
-        kinds.encoder_eccentricity, kinds.gear_harmonic, kinds.triangular_wave, kinds.hose_drag, kinds.compliance,
-    ),
-}  # fmt: skip
+PLANTED = {k: kinds.SCENARIOS[k] for k in ("encoder_eccentricity", "triangular_wave", "hose_drag", "gear_harmonic")}
+PLANTED["two_curves"] = kinds.hose_drag, kinds.triangular_wave
+PLANTED["everything"] = (
+    kinds.encoder_eccentricity,
+    kinds.gear_harmonic,
+    *PLANTED["two_curves"][::-1],
+    kinds.compliance,
+)
 FIFTHS, REAL = ("fifth_ur5", "fifth_wam7"), ("ur10", "ur5", "wam7", "cubes")
 FIRST = 97000
 

@@ -28,7 +28,6 @@ KINDS = ("clean", "clean, moving", "delay", "line time", "scale", "bow")
 DELAY_S, READOUT_S, SCALE, SHEET_BOW_M, SPEED = 0.02, 0.015, 0.01, 5e-4, 0.3  # the last: rad/s of every joint
 ARMS_MM = (0.2, 1.0, 5.0)  # by which each body of an arm with markers is displaced; twice as many mrad
 SIZE_KNOWN, PERIODIC_RAD = 5e-4, 3e-4  # of the block; of joint 2 in every fourth cell
-NOTHING = np.zeros(6)
 
 
 def arm(seed: int, rendered: bool, faults: float | None = None, ruler_m: float = RULER_STD_M) -> CameraScene:
@@ -109,10 +108,10 @@ def _tracked(s: CameraScene, rng: np.random.Generator) -> ReadingsBeside:
 
 
 def images(
-    s: CameraScene, rng: np.random.Generator, count: int, world: Array = NOTHING, tip: Array = NOTHING, joint: int = 0,
-    slip: float = 0.0,
-) -> list[tuple[Array, BoardView]]:  # fmt: skip
-    """(joints, view) of images near those of the calibration, the halves moved by these twists about where they are."""
+    s: CameraScene, rng: np.random.Generator, count: int, joint: int = 0, slip: float = 0.0, **moved: Array
+) -> list[tuple[Array, BoardView]]:
+    """(joints, view) of images near those of the calibration; moved: twists of ``world`` and ``tip`` where they are."""
+    world, tip = (moved.get(half, np.zeros(6)) for half in ("world", "tip"))
     q = s.q[rng.integers(len(s.q), size=count)] + 0.05 * rng.standard_normal((count, s.chain.n))
     true = q + 5e-5 * rng.standard_normal(q.shape)
     true[:, joint] += slip

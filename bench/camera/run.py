@@ -43,8 +43,8 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_nodes.vision.detect import detect
 
-EXPECTED = {"delay": ("clock", "velocity", "all"), "line time": ("clock", "line", "all"),
-            "scale": ("target", "constant", "size"), "bow": ("target", "constant", "normal")}  # fmt: skip
+EXPECTED = {"delay": ("clock", "velocity", "all"), "line time": ("clock", "line", "all")}
+EXPECTED |= {"scale": ("target", "constant", "size"), "bow": ("target", "constant", "normal")}
 REFLECTOR = np.array([0.05, 0.03, 0.12])  # of a tracker, in the frame of the arm's last link
 QUIET, BESIDE, FIVE, TWICE = 300, 8, 5, 2  # images without a change; before and after one; that may pass; each
 DISPLACED, SHIFT_M, TURN_RAD = ((1e-3, 1.5e-3), (4e-3, 5e-3)), 2e-3, np.radians(0.2)

@@ -43,8 +43,8 @@ from modcal_core.robots.urdf_inertias import read_inertias
 MAX, NAMED = 1.1, 0.95  # times the floor, and share of the seeds, that a Delta has to reach
 STAGES = ("nominal", "geometric", "final")
 ROWS = {**loads.ROWS, **drivers.ROWS}
-RODS = {"rods_apart": (True, False), "rods_alike": (False, False), "rods_apart_gear": (True, True),
-        "rods_alike_gear": (False, True)}  # fmt: skip
+RODS = {"rods_apart": (True, False), "rods_alike": (False, False)}  # unequal, and with a gear
+RODS |= {"rods_apart_gear": (True, True), "rods_alike_gear": (False, True)}
 # Of the Deltas: noise over space [mm], stations, how far rods are apart [m], and the gear: cycles a turn, amplitude
 # [rad], and standard deviations by which its cycles may be off
 FLOOR_MM, STATIONS, HELD_OUT, APART_M, CYCLES, AMPLITUDE, WITHIN = 0.01, 160, 200, 6e-4, 40.0, 3e-4, 3.0
@@ -69,15 +69,19 @@ def geometry(kind: str, seed: int, geometry_only: bool) -> harness.Result:
     assert np.array_equal(exact.stamps, report.samples.stamps), "not the same stations with and without noise"
     beside = truth.of_geometry(done, replace(exact, sockets=report.samples.sockets), known, made.tool)
     moved = fit.model.T_tip_tool[:3, 3] - done.calibration.nominal.T_tip_tool[:3, 3]
-    return {
-        "floor_mm": made.floor_mm, "left_mm": left, **beside, "over_floor": left["final"] / made.floor_mm,
-        "over_truth": left["final"] / beside["truth_mm"], "over_begun": left["final"] / beside["begun_mm"],
-        "expected": float(np.sqrt(1.0 + len(fit.parameters) / (3.0 * len(report.sets.train)))),
-        "values": len(fit.parameters), "train": len(report.sets.train), "status": report.judged.status,
-        "rejected": report.rejected, "effects": [f"{e.family} {e.place}" for e in fit.model.effects],
-        "tool_moved_mm": 1e3 * float(np.linalg.norm(moved)),
-        "distance_mm": max((1e3 * abs(d.residual) for d in report.distances), default=0.0),
-    }  # fmt: skip
+    out: harness.Result = {
+        "floor_mm": made.floor_mm,
+        "left_mm": left,
+        **beside,
+        "over_floor": left["final"] / made.floor_mm,
+    }
+    out |= {"over_truth": left["final"] / beside["truth_mm"], "over_begun": left["final"] / beside["begun_mm"]}
+    out |= {"expected": float(np.sqrt(1.0 + len(fit.parameters) / (3.0 * len(report.sets.train))))}
+    out |= {"values": len(fit.parameters), "train": len(report.sets.train), "status": report.judged.status}
+    out |= {"rejected": report.rejected, "effects": [f"{e.family} {e.place}" for e in fit.model.effects]}
+    out |= {"tool_moved_mm": 1e3 * float(np.linalg.norm(moved))}
+    out |= {"distance_mm": max((1e3 * abs(d.residual) for d in report.distances), default=0.0)}
+    return out
 
 
 def row(kind: str, seed: int, geometry_only: bool) -> harness.Result:
@@ -102,14 +106,18 @@ def row(kind: str, seed: int, geometry_only: bool) -> harness.Result:
     named = planted.named is None or any(f in planted.named[0] and p in planted.named[1] for f, p in found)
     clean = not (found if "*" in planted.never else [f for f, _ in found if f in planted.never])
     rms = report.size_mm("final").rms
-    return {
-        "robot": works.robot, "over_floor": rms / planted.floor_mm, "final_mm": rms, "samples": len(samples),
-        "named": bool(named and (planted.down is None or gravity < 5.0)),
-        "clean": bool(clean and (kind not in loads.ROWS or planted.down is not None or np.isnan(gravity))),
-        "gravity_deg": gravity, "kg": kg, "status": report.judged.status,
-        "effects": [f"{e.family} {e.place} {e.driver}" for e in report.effects],
-        **(truth.of_effects(done, works.exact_samples(report.samples), cell) if planted.stations else {}),
-    }  # fmt: skip
+    out: harness.Result = {
+        "robot": works.robot,
+        "over_floor": rms / planted.floor_mm,
+        "final_mm": rms,
+        "samples": len(samples),
+    }
+    out |= {"named": bool(named and (planted.down is None or gravity < 5.0))}
+    out |= {"clean": bool(clean and (kind not in loads.ROWS or planted.down is not None or np.isnan(gravity)))}
+    out |= {"gravity_deg": gravity, "kg": kg, "status": report.judged.status}
+    out |= {"effects": [f"{e.family} {e.place} {e.driver}" for e in report.effects]}
+    out |= {**(truth.of_effects(done, works.exact_samples(report.samples), cell) if planted.stations else {})}
+    return out
 
 
 def compared(found: Any, planted: Planted) -> tuple[float, float]:
@@ -131,10 +139,9 @@ def delta(kind: str, seed: int, geometry_only: bool) -> harness.Result:
     rng = np.random.default_rng([seed, 22])
     apart = APART_M * rng.choice([-1.0, 1.0], 3) if unequal else np.zeros(3)
     joint = int(rng.integers(3))
-    cell = record_delta(
-        seed, STATIONS + HELD_OUT, ("point", "pose")[seed % 2], seed % 4 < 2, noise_m=1e-3 * FLOOR_MM / np.sqrt(3.0),
-        unequal=tuple(apart), gear=(joint, CYCLES, AMPLITUDE) if gear else None,
-    )  # fmt: skip
+    how = {"noise_m": 1e-3 * FLOOR_MM / np.sqrt(3.0), "unequal": tuple(apart)}
+    how["gear"] = (joint, CYCLES, AMPLITUDE) if gear else None
+    cell = record_delta(seed, STATIONS + HELD_OUT, ("point", "pose")[seed % 2], seed % 4 < 2, **how)
     found = modcal.calibrate(Robot(cell.nominal), cell.samples.select(np.arange(STATIONS)), seed=0)
     rest = cell.samples.select(np.arange(STATIONS, STATIONS + HELD_OUT))
     gap = found.calibration.calibrated.predict_samples(rest)[:, :3, 3] - rest.reading
@@ -143,10 +150,15 @@ def delta(kind: str, seed: int, geometry_only: bool) -> harness.Result:
     gears = [e.parameters["cycles_per_turn"] for e in found.report.effects if e.family == "gear_harmonic"]
     there = [f"gear_harmonic:{cell.nominal.names[joint]}"] * gear + ["parallelogram:tool"] * unequal
     right = named == there and all(abs(value - CYCLES) < WITHIN * std for value, std, *_ in gears)
-    return {
-        "over_floor": over, "named": right, "clean": right, "effects": named, "status": found.report.status,
-        "cycles": [(value, std) for value, std, *_ in gears],
-    }  # fmt: skip
+    out: harness.Result = {
+        "over_floor": over,
+        "named": right,
+        "clean": right,
+        "effects": named,
+        "status": found.report.status,
+    }
+    out |= {"cycles": [(value, std) for value, std, *_ in gears]}
+    return out
 
 
 def line(r: harness.Result) -> str:
@@ -170,11 +182,10 @@ def together(kind: str, of_seeds: list[harness.Result]) -> list[object]:
 
     over = values("over_floor")
     named = [f"{np.mean([r[key] for r in of_seeds]):.0%}" if key in of_seeds[0] else "" for key in ("named", "clean")]
-    return [
-        kind, len(of_seeds), *told("over_floor", np.median, harness.rms, np.max), f"{np.mean(over <= MAX):.0%}", *named,
-        *told("gravity_deg", np.median, np.max), *told("kg", np.median), *told("over_truth", np.median, np.max),
-        *told("expected", harness.rms), *told("lacks", np.median, np.max), *told("over_begun", np.max),
-    ]  # fmt: skip
+    row = [kind, len(of_seeds), *told("over_floor", np.median, harness.rms, np.max), f"{np.mean(over <= MAX):.0%}"]
+    row += [*named, *told("gravity_deg", np.median, np.max), *told("kg", np.median)]
+    row += [*told("over_truth", np.median, np.max), *told("expected", harness.rms)]
+    return row + [*told("lacks", np.median, np.max), *told("over_begun", np.max)]
 
 
 def main() -> int:
@@ -182,15 +193,16 @@ def main() -> int:
     parser = harness.parser(__doc__, seeds=20, names=(*KINDS, *ROWS, *RODS), first=None)
     parser.add_argument("--geometry-only", action="store_true", help="look for no effects")
     given = harness.parsed(parser)
+    first = {kind: FIRST.get(kind, 0) if given.first is None else given.first for kind in given.names}
     tasks = [
-        {"kind": kind, "seed": (FIRST.get(kind, 0) if given.first is None else given.first) + k,
-         "geometry_only": given.geometry_only}
-        for kind in given.names for k in range(given.seeds)
-    ]  # fmt: skip
+        {"kind": kind, "seed": first[kind] + k, "geometry_only": given.geometry_only}
+        for kind in given.names
+        for k in range(given.seeds)
+    ]
     results = harness.each(one, tasks, given, line)
     good = {kind: [r for r in results if r["kind"] == kind and not r["failed"]] for kind in given.names}
-    heads = ("recording", "seeds", "÷ floor", "RMS", "worst", f"≤ {MAX:g}", "named", "nothing else", "gravity °",
-             "worst", "kg", "÷ truth", "worst", "expected", "lacks", "worst", "÷ begun at the truth")  # fmt: skip
+    heads = f"recording|seeds|÷ floor|RMS|worst|≤ {MAX:g}|named|nothing else|gravity °|worst|kg|÷ truth|worst|expected"
+    heads = f"{heads}|lacks|worst|÷ begun at the truth".split("|")
     harness.table("What is left, in floors", heads, [together(kind, rs) for kind, rs in good.items() if rs])
     deltas = {kind: rs for kind, rs in good.items() if kind in RODS and rs}
     targets = [(f"{k}: {MAX} floors", harness.rms([r["over_floor"] for r in rs]) <= MAX) for k, rs in deltas.items()]

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
-from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.advice import Advice, Advisor
 from modcal_core.measuring.goal import Goal
@@ -120,16 +119,11 @@ class Bench:
         now = np.full(len(q), self.now)
         off = rng.normal(0.0, self.repeats, q.shape)
         exact = self.cell.poses(Stations(q + off, now, way), self.faults)
-        samples = as_samples(self.chain.names, q, exact.p, way, BEGIN + now)
+        samples = as_samples(self.chain.names, q, exact.p, way, self.now)
         return float(np.sqrt(np.mean(errors(calibration.calibrated, samples).position_norm ** 2)))
 
 
-def as_samples(names: tuple[str, ...], q: Array, p: Array, way: Array, stamps: Array) -> Samples:
-    """Points p (N, 3) read at postures q (N, n)."""
-    N = len(q)
-    return Samples(
-        names=names, frames=(FRAME,), q=q, stamps=stamps, station=np.arange(N), frame=np.zeros(N, int),
-        kind=np.full(N, "point", dtype=KIND_NAMES), reading=p, R=np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=np.full(N, np.nan), sigma_rotation=np.full(N, np.nan), velocity=np.zeros_like(q),
-        moving=np.zeros(N, bool), approach=way,
-    )  # fmt: skip
+def as_samples(names: tuple[str, ...], q: Array, p: Array, way: Array, now: float) -> Samples:
+    """Points p (N, 3) read at postures q (N, n), all of them now."""
+    samples = Samples.from_arrays(q, points=p, names=names)
+    return replace(samples, frames=(FRAME,), approach=way, stamps=np.full(len(q), BEGIN + now))

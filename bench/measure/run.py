@@ -2,7 +2,6 @@
 
     make bench NAME=measure ARGS="--only goal impossible --cells 6"
 
-bound: how few stations could do at all, chosen and at random, by information matrices (noise and model known).
 goal: stations until 0.1 mm are proven, chosen and at random under the same rule, proof included; whether what was
 promised is true. impossible: goals below what the arm repeats; whether they are refused, and how good the arm then is
 beside 400 planned stations. ties: pairs of explanations that one recording leaves open, and up to twelve stations more.
@@ -23,9 +22,7 @@ from typing import Any
 import numpy as np
 import recorded
 from cells import REPEATS, Bench
-from recordings import NOISE_MM, NOISE_MRAD
 
-from modcal_core.calibration.distributions import quantile_chi2
 from modcal_core.calibration.score import errors
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.advice import Advisor
@@ -33,38 +30,28 @@ from modcal_core.measuring.choose import deciding_stations, fit_stations, one_mo
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import outlook
 from modcal_core.measuring.pool import of_recording
-from modcal_core.measuring.proof import Proof, share
 from modcal_core.measuring.refit import Refit, refit
 from modcal_core.measuring.session import POINT, POSE, Session, Station
-from modcal_core.planning.criteria import ACCURACY, criterion
-from modcal_core.planning.exchange import exchange
-from modcal_core.planning.posture_pool import survey
-from modcal_core.planning.rows import StationRows
-from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot
 from modcal_nodes.measuring.measurers import Replay
 
 ARMS, KINDS = ("ur10", "panda", "xarm7"), ("point", "pose")
 # effects of the arm that a frozen model can hold; what jumps or drifts while it is measured has no error to promise
 FAULTS = (
-    "none", "compliance", "compliance_all", "gear_harmonic", "encoder_eccentricity", "bearing_tilt", "wrist_coupling",
-    "gear_ratio", "axis_wobble", "hose_drag", "approach_backlash", "hardening_spring", "gear_harmonic+compliance",
-)  # fmt: skip
-TIED = (
-    "compliance", "bearing_tilt", "gear_ratio", "axis_wobble", "encoder_eccentricity", "wrist_coupling",
-    "hardening_spring",
-)  # fmt: skip
+    "none compliance compliance_all gear_harmonic encoder_eccentricity bearing_tilt wrist_coupling gear_ratio "
+    "axis_wobble hose_drag approach_backlash hardening_spring gear_harmonic+compliance"
+)
+TIED = "compliance bearing_tilt gear_ratio axis_wobble encoder_eccentricity wrist_coupling hardening_spring"
 GOAL, PLANNED, FIRST = 1e-4, 400, 40  # m; stations that a refusal is compared with, of which so many to begin with
 RECORDED, NARROW, MORE, AT_ONCE = 45, 0.45, 12, 4  # of ties: stations, share of the joints' ranges, further stations
-CANDIDATES, RANDOM_SETS, AXES, CAUTION = 400, 15, 1.5, 0.3  # of the bound; directions that errors vary like
 HELD, LARGE, WITHIN = 0.3, 3000, 1.1  # of a grid: share that scores; a large one; times the whole's error
 GRIDS = {"ur5": (5, 0.35), "ipa": (200, 0.15)}  # stations held out together, and the share that is claimed
-PARTS = ("bound", "goal", "impossible", "ties", *GRIDS)
+PARTS = ("goal", "impossible", "ties", *GRIDS)
 
 
 def cells(count: int, first: int) -> list[harness.Task]:
     """Arm, fault, kind of reading and seed of so many cells; first: seed of the first."""
-    order = [(arm, fault) for fault in FAULTS for arm in ARMS]
+    order = [(arm, fault) for fault in FAULTS.split() for arm in ARMS]
     picked = [order[i] for i in np.random.default_rng(first - 74).permutation(len(order))]
     keys = ("robot", "fault", "kind", "seed")
     return [dict(zip(keys, (*picked[k % len(order)], KINDS[k % 2], first + k), strict=True)) for k in range(count)]
@@ -81,10 +68,9 @@ def goal(task: harness.Task) -> harness.Result:
     out = {}
     for name, planned in (("planned", True), ("random", False)):
         advice = bench.run(Goal(GOAL), planned)
-        out[name] = {
-            "ending": advice.outcome.ending, "stations": advice.status.measured, "fit": advice.status.fitted,
-            "proof": advice.status.proving, "true_mm": 1e3 * bench.error(advice.refitted.calibration),
-        }  # fmt: skip
+        s, true = advice.status, 1e3 * bench.error(advice.refitted.calibration)
+        out[name] = {"ending": advice.outcome.ending, "stations": s.measured, "fit": s.fitted}
+        out[name] |= {"proof": s.proving, "true_mm": true}
     return out
 
 
@@ -94,10 +80,9 @@ def impossible(task: harness.Task) -> harness.Result:
     floor = bench.floor()
     advice = bench.run(Goal(0.6 * floor), True)
     error = bench.error(advice.refitted.calibration)
-    return {
-        "ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": 1e3 * floor,
-        "true_mm": 1e3 * error, "best_mm": 1e3 * best_error(bench, PLANNED), "said": advice.outcome.sentence,
-    }  # fmt: skip
+    out: harness.Result = {"ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": 1e3 * floor}
+    out |= {"true_mm": 1e3 * error, "best_mm": 1e3 * best_error(bench, PLANNED), "said": advice.outcome.sentence}
+    return out
 
 
 def best_error(bench: Bench, count: int) -> float:
@@ -136,52 +121,16 @@ def tie(task: harness.Task) -> harness.Result:
     decided = not {(name, other), (other, name)} & open_pairs(model)
     # a curve that was taken for an effect can be told from its rival, and the line that is left cannot
     same = not decided and (name, other) in one_motion(model, bench.pool, np.random.default_rng(seed))
-    return {
-        "open": True, "between": between, "more": used, "decided": decided, "one_motion": same,
-        "open_before": len(before), "open_after": len(open_pairs(model)),
-        "effects": [e.label for e in model.calibration.calibrated.effects], "true": [f.place for f in bench.faults],
-    }  # fmt: skip
+    out: harness.Result = {"open": True, "between": between, "more": used, "decided": decided, "one_motion": same}
+    out |= {"open_before": len(before), "open_after": len(open_pairs(model))}
+    out |= {"effects": [e.label for e in model.calibration.calibrated.effects], "true": [f.place for f in bench.faults]}
+    return out
 
 
 def open_pairs(model: Refit) -> set[tuple[str, str]]:
     """Pairs of explanations that the readings leave open, by name."""
     pairs = zip(model.calibration.calibrated.effects, model.calibration.rivals, strict=False)
     return {(effect.label, rival.label) for effect, rivals in pairs for rival in rivals}
-
-
-def bound(task: harness.Task) -> harness.Result:
-    """Fewest stations with the proof, by the best and by random information matrices of the geometry alone."""
-    bench = Bench(task["robot"], "none", 1, task["kind"])
-    read = Noise(1e-3 * task["noise"] * NOISE_MM, 0.0, 1e-3 * task["noise"] * NOISE_MRAD, REPEATS)
-    site = Site(limits=bench.site.limits, noise=read)
-    pool = survey(bench.chain, site, np.random.default_rng(5), task["kind"], (), CANDIDATES)
-    gamma, P, c = pool.workspace.gamma, pool.rows.J.shape[2], pool.rows.J.shape[1]
-    spread, good = 3.0 * read.position**2 + float(np.mean(pool.workspace.repeat)), criterion(ACCURACY, gamma)
-    first = int(np.ceil(P / c))
-    best: dict[str, tuple[float, int]] = {}
-    for N in range(first, 3 * first):
-        chosen = exchange(pool.rows, N, good, np.random.default_rng(1), 1, 2).chosen
-        drawn = [np.random.default_rng(k).choice(len(pool.q), N, replace=False) for k in range(RANDOM_SETS)]
-        error = {"planned": left(pool.rows, chosen, gamma)}
-        error["random"] = float(np.median([left(pool.rows, d, gamma) for d in drawn]))
-        for name, e in error.items():
-            best[name] = min(best.get(name, (np.inf, 0)), (N + proof(GOAL, spread, e, c * N - P), N))
-        if 2 * first == N:
-            efficiency = (error["planned"] / error["random"]) ** 2
-    return {"parameters": P, "planned": best["planned"], "random": best["random"], "efficiency": efficiency}
-
-
-def left(rows: StationRows, chosen: np.ndarray, gamma: np.ndarray) -> float:
-    """RMS error of the tool [m] that a fit to these stations leaves."""
-    return float(np.sqrt(np.sum(rows.covariance(chosen) * gamma)))
-
-
-def proof(goal: float, spread: float, error: float, freedom: int) -> float:
-    """Random stations that the proof takes. spread: mean square of readings that no model explains [m²]."""
-    n = max(float(freedom), 1.0)
-    stated = float(np.sqrt(n / quantile_chi2(CAUTION, n) * spread + error**2))
-    begun = Proof(np.zeros(0), stated, share(0.05, 0), AXES)
-    return float(np.ceil(begun.more(goal, float(np.sqrt(spread + error**2)))))
 
 
 def grid(name: str) -> tuple[Robot, Samples]:
@@ -230,29 +179,12 @@ def replay(task: harness.Task) -> harness.Result:
     return out
 
 
-PART = {"bound": bound, "goal": goal, "impossible": impossible, "ties": tie, "ur5": replay, "ipa": replay}
+PART = {"goal": goal, "impossible": impossible, "ties": tie, "ur5": replay, "ipa": replay}
 
 
 def show(part: str, results: list[harness.Result]) -> None:
     """What a part comes to."""
-    if part == "bound":
-        heads = (
-            "arm",
-            "readings",
-            "parameters",
-            "planned",
-            "to fit",
-            "random",
-            "to fit",
-            "ratio",
-            "random ÷ planned (I)",
-        )
-        rows = [
-            [r["robot"], r["kind"], r["parameters"], *r["planned"], *r["random"], r["planned"][0] / r["random"][0],
-             f"{r['efficiency']:.0%}"] for r in results
-        ]  # fmt: skip
-        harness.table(f"Fewest stations with the proof, goal {1e3 * GOAL:g} mm", heads, rows)
-    elif part == "goal":
+    if part == "goal":
         both = [r for r in results if r["planned"]["ending"] == r["random"]["ending"] == "proven"]
         proven = [r[n] for r in results for n in ("planned", "random") if r[n]["ending"] == "proven"]
         ratio = [r["planned"]["stations"] / r["random"]["stations"] for r in both]
@@ -285,8 +217,10 @@ def show(part: str, results: list[harness.Result]) -> None:
     else:
         rows = [
             [f"{r['seed']} {name}", n, f"{n / r['offered']:.1%}", mm, mm / r["whole_mm"], effects, r[name]["reached"]]
-            for r in results for name in ("planned", "random") if name in r for n, mm, effects in r[name]["steps"]
-        ]  # fmt: skip
+            for r in results
+            for name in ("planned", "random")[: 1 + ("random" in r)]
+            for n, mm, effects in r[name]["steps"]
+        ]
         heads = ("division", "stations", "share", "mm", "÷ whole", "effects", f"within {WITHIN} from")
         harness.table(f"Replay of {part}", heads, rows)
 
@@ -300,15 +234,13 @@ def main() -> int:
     parser.add_argument("--chosen", action="store_true", help="of the grids no random stations beside")
     given = harness.parsed(parser)
     made = cells(given.cells, given.first_cell)
-    tasks: dict[str, list[harness.Task]] = {
-        "bound": [{"robot": arm, "kind": kind, "noise": given.noise} for arm in ARMS for kind in KINDS],
-        "goal": [{**cell, "noise": given.noise} for cell in made], "impossible": made,
-        "ties": [
-            {"robot": ARMS[k % 3], "fault": TIED[k // 3 % len(TIED)], "kind": KINDS[k % 2], "seed": k + 1}
-            for k in range(40 * given.cells)
-        ],
-        **{name: [{**task, "chosen": given.chosen} for task in harness.tasks(given)] for name in GRIDS},
-    }  # fmt: skip
+    tasks = {"goal": [{**cell, "noise": given.noise} for cell in made], "impossible": made}
+    tied = TIED.split()
+    tasks["ties"] = [
+        {"robot": ARMS[k % 3], "fault": tied[k // 3 % len(tied)], "kind": KINDS[k % 2], "seed": k + 1}
+        for k in range(40 * given.cells)
+    ]
+    tasks |= {name: [{**task, "chosen": given.chosen} for task in harness.tasks(given)] for name in GRIDS}
     failed = 0
     for part in given.names:
         waiting, results = [{"part": part, **task} for task in tasks[part]], []

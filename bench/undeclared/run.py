@@ -3,7 +3,7 @@
     make bench NAME=undeclared ARGS="--only compliance gear_harmonic --seeds 6 --clean-runs 0"
 
 The truth comes from MuJoCo and from generators of this folder, and the analysis is given paths of bags only.
-``--sizes`` tells instead how much each fault moves the tool, before and after the best displacement of every body.
+How much each fault moves the tool stands among the results as ``truth.sizes``.
 """
 
 from __future__ import annotations
@@ -21,11 +21,9 @@ import json
 
 import numpy as np
 from arm import ROBOTS
-from recordings import COURSE, STATIONS, Cell, course, make, plant, point_to_point, sizes
-from scenarios import MOVING, SCENARIOS
+from recordings import STATIONS, make
+from scenarios import SCENARIOS
 from score import score
-
-PLAIN = [name for name, makers in SCENARIOS.items() if len(makers) == 1]
 
 
 def one(task: harness.Task) -> harness.Result:
@@ -41,22 +39,15 @@ def one(task: harness.Task) -> harness.Result:
         s = score(report, truth)
         harness.succeeded("evaluate", out / "calibration.yaml", pair.second, "--out", predicted)
         left = harness.report_of(predicted)["error_mm"]["final"]["rms"]
-    return {
-        "planted": bool(truth["effects"]), "truth": truth, "effects": report["effects"], "error_mm": report["error_mm"],
-        "unexplained": report["unexplained"], "score": asdict(s), "attributed": s.attributed,
-        "error_over_floor": left / truth["floor_mm_second"],
-    }  # fmt: skip
-
-
-def size(task: harness.Task) -> harness.Result:
-    """How much one fault moves the tool."""
-    rng = np.random.default_rng([task["seed"], 1])
-    cell, makers = Cell(task["robot"], rng), SCENARIOS[task["scenario"]]
-    moving = makers[0].__name__ in MOVING
-    plan = course(cell, rng, COURSE, 0.0) if moving else point_to_point(cell.arm, rng, STATIONS, 0.0)
-    faults = plant(cell, makers, rng, float(plan.t[-1]))
-    (s,) = sizes(cell, plan, faults)
-    return {**asdict(s), "over_noise": s.over_noise, "fault": faults[0].size}
+    out: harness.Result = {
+        "planted": bool(truth["effects"]),
+        "truth": truth,
+        "effects": report["effects"],
+        "error_mm": report["error_mm"],
+    }
+    out |= {"unexplained": report["unexplained"], "score": asdict(s), "attributed": s.attributed}
+    out |= {"error_over_floor": left / truth["floor_mm_second"]}
+    return out
 
 
 def row(name: str, runs: list[harness.Result]) -> list[object]:
@@ -82,8 +73,9 @@ def show(results: list[harness.Result]) -> None:
     clean = [bool(r["score"]["entries"]) for r in scored if not r["planted"]]
     if clean:
         upper = harness.interval(sum(clean), len(clean), 0.90)[1]
-        harness.say(f"{harness.share(clean)} recordings without an identifiable effect had one named; with 95 % "
-                    f"confidence below {upper:.1%}")  # fmt: skip
+        harness.say(
+            f"{harness.share(clean)} recordings without an identifiable effect had one named (95 %: < {upper:.1%})"
+        )
 
 
 def line(r: harness.Result) -> str:
@@ -99,7 +91,6 @@ def main() -> int:
     parser.add_argument("--clean-runs", type=int, default=300, help="runs of the scenario none")
     parser.add_argument("--stations", type=int, default=STATIONS, help="of the first recording")
     parser.add_argument("--keep", default=None, metavar="DIR", help="keep bags, truth and results")
-    parser.add_argument("--sizes", action="store_true", help="how much each fault moves the tool, no calibration")
     given = harness.parsed(parser)
     robots = harness.chosen(ROBOTS, [given.robots])
     told = {"stations": given.stations, "keep": given.keep}
@@ -108,18 +99,6 @@ def main() -> int:
         for name in given.names
         for seed in range(given.first, given.first + (given.clean_runs if name == "none" else given.seeds))
     ]
-    if given.sizes:
-        results = harness.each(size, [t for t in tasks if t["scenario"] in PLAIN], given)
-        keys = ("mm", "mrad", "visible_mm", "visible_mrad")
-        rows = []
-        for name in dict.fromkeys(r["scenario"] for r in results):
-            found = [r for r in results if r["scenario"] == name and not r["failed"]]
-            over = sorted(r["over_noise"] for r in found)
-            middle = (float(np.median([r[key] for r in found])) for key in keys)
-            rows.append([name, found[-1]["fault"], *middle, f"{over[0]:.1f} to {over[-1]:.1f}"])
-        heads = ("scenario", "fault", "mm", "mrad", "mm left by geometry", "mrad left", "÷ noise, least to most")
-        harness.table("How much each fault moves the tool", heads, rows)
-        return int(bool(harness.failures(results)))
     results = harness.each(one, tasks, given, line)
     show(results)
     return int(bool(harness.failures(results)))
