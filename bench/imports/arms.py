@@ -21,7 +21,7 @@ TURNS = ("revolute", "continuous")
 
 @dataclass(frozen=True)
 class Recorded:
-    """q: (N, n) [rad] as reported. T: tool in the tracker, (N, 4, 4) [m], with noise. commanded, temperature, stamps."""
+    """q: (N, n) [rad] as reported. T: tool in the tracker, (N, 4, 4) [m], with noise. And commanded joints."""
 
     robot: str
     names: tuple[str, ...]
@@ -63,7 +63,7 @@ def _chain(robot: str) -> tuple[ET.Element, list[ET.Element]]:
 def _bodies(
     robot: str, spec: mujoco.MjSpec, rng: np.random.Generator | None
 ) -> tuple[mujoco.MjsBody, list[ET.Element]]:
-    """The arm's last body, and its moving joints. rng: every body a little off, of no mass to speak of; None: as drawn."""
+    """The arm's last body, and its moving joints. rng: every body a little off, of 0.1 kg; None: as it is drawn."""
     root, joints = _chain(robot)
     inertials = {link.get("name"): link.find("inertial") for link in root.findall("link")}
     body, ball = spec.worldbody, {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [0.01, 0, 0]}

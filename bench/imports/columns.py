@@ -1,5 +1,5 @@
 """Exports with more than joints and a pose: speeds, efforts, commanded joints, standard deviations, signals, several
-targets, ranges, bearings, heights, several files, cells that hold no number. Drawn at random; nothing comes from modcal.
+targets, ranges, bearings, heights, several files, cells that hold no number. Nothing here comes from modcal.
 """
 
 from __future__ import annotations

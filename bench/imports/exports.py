@@ -1,7 +1,7 @@
 """CSV files as people export them from laser trackers, motion capture and robot controllers, drawn at random.
 
 What is drawn: separator, decimal sign, encoding, preamble, units row, labels, order of columns, gaps, form of the
-orientation, units, direction of the pose, useless columns, names and order of the joints. Nothing here comes from modcal.
+orientation, units, direction of the pose, useless columns, names and order of the joints. Nothing comes from modcal.
 """
 
 from __future__ import annotations
