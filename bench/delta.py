@@ -1,19 +1,17 @@
 """A Delta by annealing, by distances and by points, on the same readings of MuJoCo's closed chains.
 
-make delta    # BENCH_ARGS="--robots 3 --counts 20 50" narrows
+make bench NAME=delta ARGS="--seeds 3 --counts 20 50"
 """
 
 from __future__ import annotations
 
-import argparse
+import harness
+
+# isort: split
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
 from deltas import NOISE_M, RecordedDelta, record_delta
 
 from modcal_core.calibration.cell import Cell, fit_cell
@@ -33,55 +31,56 @@ def missed(fitted: Delta, cell: RecordedDelta, count: int) -> float:
     """RMS distance [mm] of held-out readings, the frame found from the ones that were fitted."""
     q, y = cell.samples.q, cell.samples.reading
     T = procrustes(tool_pose(fitted, q[:count])[:, :3, 3], y[:count])
-    gap = y[count:] - se3.apply(T, tool_pose(fitted, q[count:])[:, :3, 3])
-    return 1e3 * float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
+    return apart(y[count:], se3.apply(T, tool_pose(fitted, q[count:])[:, :3, 3]))
 
 
-def compare(seed: int, count: int) -> dict[str, tuple[float, int, float]]:
-    """(held-out RMS [mm], evaluations, CPU seconds) by way of calibrating."""
-    cell = record_delta(seed, count + HELD_OUT)
+def apart(a: np.ndarray, b: np.ndarray) -> float:
+    """RMS distance [mm] of points (N, 3) [m]."""
+    return 1e3 * harness.rms(np.linalg.norm(a - b, axis=1))
+
+
+def one(task: harness.Task) -> harness.Result:
+    """Held-out RMS [mm], evaluations and CPU seconds by way of calibrating."""
+    count = task["count"]
+    cell = record_delta(task["seed"], count + HELD_OUT)
     q, pairs = cell.samples.q[:count], Pairs.of_points(cell.samples.reading[:count])
-    out = {"nominal": (missed(cell.nominal, cell, count), 0, 0.0)}
-    began = time.process_time()
-    annealed, went = anneal_distances(cell.nominal, q, pairs, np.random.default_rng(seed))
-    middle = time.process_time()
-    out["annealing"] = (missed(annealed, cell, count), went.evaluations, middle - began)
-    polished = fit_distances(cell.nominal, q, pairs, begin=annealed)
-    evaluations = went.evaluations + polished.evaluations
-    out[ROWS[2]] = (missed(polished.delta, cell, count), evaluations, time.process_time() - began)
+    out, began = {ROWS[0]: (missed(cell.nominal, cell, count), 0, 0.0)}, time.process_time()
+    annealed, went = anneal_distances(cell.nominal, q, pairs, np.random.default_rng(task["seed"]))
+    out[ROWS[1]] = (missed(annealed, cell, count), went.evaluations, time.process_time() - began)
+    found = fit_distances(cell.nominal, q, pairs, begin=annealed)
+    evaluations = went.evaluations + found.evaluations
+    out[ROWS[2]] = (missed(found.delta, cell, count), evaluations, time.process_time() - began)
     began = time.process_time()
     found = fit_distances(cell.nominal, q, pairs)
-    out["distances"] = (missed(found.delta, cell, count), found.evaluations, time.process_time() - began)
-    began = time.process_time()
-    train = cell.samples.select(np.arange(count))
+    out[ROWS[3]] = (missed(found.delta, cell, count), found.evaluations, time.process_time() - began)
+    began, train = time.process_time(), cell.samples.select(np.arange(count))
     start = fit_cell(cell.nominal, train, Cell())
     fit = identify(start.model, train, choose_parameters(start.model, views_of(train)).parameters)
     spent = time.process_time() - began
-    gap = cell.samples.reading[count:] - fit.model.predict(cell.samples.q[count:])[:, :3, 3]
-    rms = 1e3 * float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
-    out[ROWS[4]] = (rms, 2 * (start.iterations + fit.iterations), spent)
-    return out
+    left = apart(cell.samples.reading[count:], fit.model.predict(cell.samples.q[count:])[:, :3, 3])
+    return {"ways": {**out, ROWS[4]: (left, 2 * (start.iterations + fit.iterations), spent)}}
 
 
-def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--robots", type=int, default=3)
-    arguments.add_argument("--counts", type=int, nargs="+", default=[20, 50, 200])
-    given = arguments.parse_args()
-    floor = 1e3 * NOISE_M * np.sqrt(3.0)
-    print("| N | way | held-out mm | to the floor | evaluations | time to that of distances |")
-    print("| --- | --- | --- | --- | --- | --- |")
+def main() -> int:
+    parser = harness.parser(__doc__, seeds=3, first=1)
+    parser.add_argument("--counts", type=int, nargs="+", default=[20, 50, 200])
+    given = harness.parsed(parser)
+    results = harness.each(one, harness.tasks(given, count=given.counts), given)
+    floor, rows = 1e3 * NOISE_M * np.sqrt(3.0), []
     for count in given.counts:
-        runs = [compare(seed, count) for seed in range(1, given.robots + 1)]
-        base = np.mean([run["distances"][2] for run in runs])
-        for way in ROWS:
-            rms = np.sqrt(np.mean([run[way][0] ** 2 for run in runs]))
-            evaluations, spent = (np.mean([run[way][k] for run in runs]) for k in (1, 2))
-            print(
-                f"| {count} | {way} | {rms:.3f} | {rms / floor:.2f} | {evaluations:.0f} | {spent / base:.2g} |",
-                flush=True,
+        runs = [r["ways"] for r in results if r["count"] == count and not r["failed"]]
+        for way in ROWS if runs else ():
+            mm, (evaluations, spent) = (
+                harness.rms([r[way][0] for r in runs]),
+                np.mean([r[way][1:] for r in runs], axis=0),
             )
+            rows.append(
+                [count, way, mm, mm / floor, round(evaluations), spent / np.mean([r["distances"][2] for r in runs])]
+            )
+    heads = ("N", "way", "held-out mm", "to the floor", "evaluations", "time to that of distances")
+    harness.table("", heads, rows)
+    return int(bool(harness.failures(results)))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -43,11 +43,6 @@ Task = dict[str, Any]
 Result = dict[str, Any]
 
 
-def use(*folders: str) -> None:
-    """Folders of the checkout ("tests", "bench/undeclared") from which modules are imported, before all others."""
-    sys.path[:0] = [str(ROOT / folder) for folder in folders if str(ROOT / folder) not in sys.path]
-
-
 def data(*parts: str) -> Path:
     """A path among the real recordings. Ends the program where they are not beside this checkout."""
     path = DATA.joinpath(*parts)

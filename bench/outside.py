@@ -1,100 +1,166 @@
-"""Real arms outside what the fit has seen: the outer fifth of a recording, frozen, in blocks.
+"""Outside what a fit has seen: is a frozen calibration there worse than geometry alone?
 
-The grids of a UR5 and of a Barrett WAM (../shared/data/serial_robots), regular grids of positions. The outer fifth is
-taken twice: by joint angles, and by measured positions. The distance from the middle counts each joint, or axis, by its
-own spread; the farthest fifth is held out and parted into blocks about the two directions in which it extends most. In
-no block may the full model be worse than the geometry that was fitted beside it: the lower end of the 95 % interval of
-the difference of their mean squares, from resampled postures, must not lie above zero.
+    make bench NAME=outside ARGS="--only ur5 planted --seeds 4"
 
-And a UR10's long series (../shared/data/ipa_ur10): calibrated where one joint is in the lower, or in the upper three
-fifths of its postures, frozen, and judged where that joint is beyond all that was seen.
+Each part is calibrated where one joint is in the lower or the upper three fifths of its postures, and judged where that
+joint is more than 0.05 rad beyond; or, of the grids of a UR5 and a WAM, on all but the outer fifth of the recording (by
+joint angles or by positions), judged in blocks of it. *Worse* is an error above that of geometry alone by the lower
+end of the 95 % interval of the difference of their mean squares, from resampled postures.
+
+fifth_ur5, fifth_wam7: the outer fifth, in blocks. ur10: every fifteenth pose of its long series, five joints, both
+sides. ur5, wam7, cubes: grids and ISO cubes joint by joint. planted: a Panda and an xArm 7 of bench/undeclared with one
+to five faults (seeds from 97000), twice at a joint that carries a fault, once at another. Last figures:
+
+| | parts | full model worse | shipped worse | geometry, RMS mm | full | shipped |
+| --- | --: | --: | --: | --: | --: | --: |
+| planted | 144 | 10 | 1 | 0.132 | 0.082 | 0.097 |
+| ur5 | 12 | 4 | 0 | 0.135 | 0.171 | 0.124 |
+| wam7 | 14 | 1 | 1 | 4.160 | 3.758 | 3.759 |
+| cubes | 10 | 4 | 1 | 1.647 | 4.948 | 1.631 |
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
+import harness
+
+# isort: split
 import sys
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import recorded
+import scenarios as kinds
+from arm import ROBOTS as TIPS
+from recordings import Cell, plant, point_to_point, record
 
-if TYPE_CHECKING:
-    from modcal_core.measurements.recording import Recording
-    from modcal_core.measurements.samples import Samples
-    from modcal_core.report.report import Report
-    from modcal_core.robots.chain import Chain
+from modcal_core.calibration.score import errors
+from modcal_core.evaluation import evaluate
+from modcal_core.loop import calibrate
+from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording
+from modcal_core.measurements.samples import Samples
+from modcal_core.preprocess import prepare
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.cli.robot import read_robot
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT.parent / "shared" / "data" / "serial_robots"
-ROBOTS = {"ur5": "ur5_grid.csv", "wam7": "wam_grid.csv"}
-BLOCKS = 5
-STAGES = ("nominal", "geometric", "final")
-UR10_JOINTS = tuple(f"{j}_joint" for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
-SEEN, BLOCK = 0.6, 200  # share of the postures that is calibrated; poses that its split keeps together
-BLEND = 0.05  # rad beyond what was seen, from where on a posture is outside
-PERIOD = 10.0  # s between rows, whose times nobody wrote down
-
-
-def rows(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Commanded joints (N, n) [rad] and measured positions (N, 3) [m]: what was aimed at less the difference to it."""
-    with (DATA / ROBOTS[name]).open() as stream:
-        table = list(csv.DictReader(stream))
-
-    def columns(*names: str) -> np.ndarray:
-        return np.array([[float(row[name]) for name in names] for row in table])
-
-    q = np.deg2rad(columns(*(key for key in table[0] if key.startswith("joint_"))))
-    return q, 1e-3 * (columns("x_t", "y_t", "z_t") - columns("x_dif", "y_dif", "z_dif"))
+Array = np.ndarray
+BLOCKS, SEEN, BLEND = 5, 0.6, 0.05  # of the outer fifth; share of the postures that is calibrated; rad beyond it
+STATIONS, PERIOD = 260, 10.0  # of a planted cell; s between rows whose times nobody wrote down
+PLANTED = {k: kinds.SCENARIOS[k] for k in ("encoder_eccentricity", "triangular_wave", "hose_drag", "gear_harmonic")}
+PLANTED["two_curves"] = kinds.hose_drag, kinds.triangular_wave
+PLANTED["everything"] = (
+    kinds.encoder_eccentricity,
+    kinds.gear_harmonic,
+    *PLANTED["two_curves"][::-1],
+    kinds.compliance,
+)
+FIFTHS, REAL = ("fifth_ur5", "fifth_wam7"), ("ur10", "ur5", "wam7", "cubes")
+FIRST = 97000
 
 
-def series(every: int) -> Recording:
-    """Every so manyth pose of the UR10's long series."""
-    from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-
-    with (DATA.parent / "ipa_ur10" / "series_a_grid.csv").open(encoding="utf-8") as stream:
-        table = list(csv.DictReader(stream, delimiter=";"))[::every]
-
-    def columns(*names: str) -> np.ndarray:
-        return np.array([[float(row[name].replace(",", ".")) for name in names] for row in table])
-
-    q = columns(*UR10_JOINTS)
-    stamps = np.array([datetime.strptime(row["Timestamp"], "%Y%m%d%H%M%S").timestamp() for row in table])
-    turns = Rotation.from_euler("XYZ", columns(*(f"measurement_r{a}" for a in "xyz")), degrees=True)
-    poses = np.concatenate([1e-3 * columns(*(f"measurement_{a}" for a in "xyz")), turns.as_quat()], axis=1)
+def of_arrays(chain: Any, q: Array, read: Array, stamps: Array | None = None) -> Samples:
+    """Samples of postures and points or poses; without stamps only the order of the rows is known."""
+    t = 1.7e9 + PERIOD * np.arange(len(q)) if stamps is None else stamps
     unknown = np.full_like(q, np.nan)
-    joints = JointTrack(UR10_JOINTS, stamps, q, unknown, unknown, stamps)
-    return Recording((joints,), (ReadingTrack("pose", "tracker", stamps, poses, stamps),))
+    kind = "point" if read.shape[1] == 3 else "pose"
+    tracks = (JointTrack(chain.names, t, q, unknown, unknown, t),), (ReadingTrack(kind, "tracker", t, read, t),)
+    return prepare(Recording(*tracks, warnings=(ORDER_ONLY,) if stamps is None else ()), chain).samples
 
 
-def unseen_ranges(every: int) -> int:
-    """Print a row for each joint's lower and upper part as what is calibrated; how often the full model is worse."""
-    from modcal_core.evaluation import evaluate
-    from modcal_core.loop import calibrate
-    from modcal_core.preprocess import prepare
-    from modcal_core.robots.urdf import read_chain
-
-    chain = read_chain((ROOT / "examples" / "robots" / "ur10.urdf").read_text(encoding="utf-8"))
-    samples, worse = prepare(series(every), chain).samples, 0
-    for j, name in enumerate(UR10_JOINTS[:5]):
-        for side, x in (("below", samples.q[:, j]), ("above", -samples.q[:, j])):
-            inside = x < np.quantile(x, SEEN)
-            beyond = np.flatnonzero(x > x[inside].max() + BLEND)
-            block = max(BLOCK // every, 1)
-            done = calibrate(samples.select(np.flatnonzero(inside)), chain, np.random.default_rng(0), block=block)
-            report = evaluate(done.calibration, samples.select(beyond), np.random.default_rng(0))
-            final, geometric = (report.errors[stage].position_norm for stage in ("final", "geometric"))
-            low, high = difference(final, geometric, np.random.default_rng(0))
-            worse += low > 0.0
-            say(f"{name} {side}", report, f"{low:+.4f} … {high:+.4f} mm²{'  WORSE' if low > 0.0 else ''}", rms=True)
-    return worse
+def real(name: str, every: int) -> tuple[Any, Samples, dict[str, Any], int]:
+    """Chain, samples, what a calibration is told, and how many joints are looked at."""
+    if name in recorded.GRIDS:
+        chain = read_robot(harness.ROOT / "examples" / "robots" / f"{name}.yaml")
+        return chain, of_arrays(chain, *recorded.grid(name)), {}, len(chain.names)
+    chain = read_chain((harness.ROOT / "examples/robots/ur10.urdf").read_text(encoding="utf-8"))
+    if name == "cubes":
+        return chain, of_arrays(chain, *recorded.ur10("series_d_iso_cubes.csv")[1:]), {"block": 10}, 5
+    table, q, poses = recorded.ur10("series_a_grid.csv", every)
+    stamps = np.array([datetime.strptime(row["Timestamp"], "%Y%m%d%H%M%S").timestamp() for row in table.rows])
+    return chain, of_arrays(chain, q, poses, stamps), {"block": max(200 // every, 1)}, 5
 
 
-def outer_fifth(places: np.ndarray) -> np.ndarray:
-    """The block of each row of the outer fifth, −1 for those inside, (N,). Rows are joint angles or positions."""
+def planted(task: harness.Task) -> tuple[Any, Samples, dict[str, Any], Iterator[tuple[int, str]]]:
+    """The same of an arm of MuJoCo, with its joints and sides."""
+    robot, seed = task["robot"], task["seed"]
+    rng = np.random.default_rng([zlib.crc32(f"outside {task['fault']} {robot}".encode()), seed])
+    cell = Cell(robot, rng)
+    plan = point_to_point(cell.arm, rng, STATIONS, 0.0)
+    faults = plant(cell, PLANTED[task["fault"]], rng, float(plan.t[-1]))
+    chain = read_chain(cell.arm.urdf, None, TIPS[robot], frozenset(cell.arm.names))
+    samples = prepare(record(cell, plan, faults, rng, False, True)[0], chain).samples
+    bent = {p for f in faults for p in f.place if p in chain.names and f.family[0] != "compliance"}
+    draw = np.random.default_rng([seed, 7])
+    own = int(draw.choice(sorted(chain.names.index(p) for p in bent)))
+    other = int(draw.choice([j for j in range(len(chain.names)) if j != own]))
+    parts = iter(((own, "below"), (own, "above"), (other, ("below", "above")[int(draw.integers(2))])))
+    return chain, samples, {"inertias": read_inertias(cell.arm.urdf, chain)}, parts
+
+
+def one(task: harness.Task) -> harness.Result:
+    """A whole recording: its parts, each with the RMS or mean errors [mm] of every model, and what is worse."""
+    if task["part"] == "planted":
+        chain, samples, told, parts = planted(task)
+    else:
+        chain, samples, told, joints = real(task["part"].removeprefix("fifth_"), task["every"])
+        if task["part"] in FIFTHS:
+            return {"parts": [p for places in ("joints", "position") for p in outer(places, samples, chain)]}
+        parts = ((j, side) for j in range(joints) for side in ("below", "above"))
+    return {"parts": [beyond(samples, chain, j, side, told) for j, side in parts]}
+
+
+def beyond(samples: Samples, chain: Any, joint: int, side: str, told: dict[str, Any]) -> harness.Result:
+    """Calibrated on one side of a joint, judged on the other."""
+    x = samples.q[:, joint] * (1.0 if side == "below" else -1.0)
+    inside = x < np.quantile(x, SEEN)
+    rest = samples.select(np.flatnonzero(x > x[inside].max() + BLEND))
+    done = calibrate(samples.select(np.flatnonzero(inside)), chain, np.random.default_rng(0), **told).calibration
+    models = {"nominal": done.nominal, "geometry": done.geometric, "full": replace(done.calibrated, fallback=None)}
+    models["shipped"] = replace(done.calibrated, fallback=done.fallback(done.calibrated, done.geometric))
+    missed = {name: np.asarray(errors(model, rest).position_norm) for name, model in models.items()}
+    return {"what": f"{chain.names[joint]} {side}", "postures": len(rest), **compared(missed)}
+
+
+def outer(places: str, samples: Samples, chain: Any) -> Iterator[harness.Result]:
+    """Calibrated on what lies inside, judged on the outer fifth and its blocks."""
+    block = outer_fifth(samples.q if places == "joints" else samples.reading)
+    done = calibrate(samples.select(np.flatnonzero(block < 0)), chain, np.random.default_rng(0))
+    for which in ("inside", "outer", *range(BLOCKS)):
+        report = done.report
+        if which != "inside":
+            rows = np.flatnonzero(block >= 0 if which == "outer" else block == which)
+            report = evaluate(done.calibration, samples.select(rows), np.random.default_rng(0))
+        names = {"nominal": "nominal", "geometric": "geometry", "final": "shipped"}
+        missed = {names[stage]: report.errors[stage].position_norm for stage in names}
+        judged = {**compared(missed, np.mean), "status": report.judged.status, "postures": len(missed["shipped"])}
+        yield {"what": f"by {places}, {which if isinstance(which, str) else f'block {which + 1}'}", **judged}
+
+
+def compared(missed: dict[str, Array], size: Any = harness.rms) -> harness.Result:
+    """Errors [mm], and what is worse than geometry: the model that is shipped, and the full one where it is known."""
+    sizes = {f"{name}_mm": 1e3 * float(size(each)) for name, each in missed.items()}
+    low, high = difference(missed["shipped"], missed["geometry"])
+    full = "full" in missed and difference(missed["full"], missed["geometry"])[0] > 0.0
+    return {"full_mm": None, **sizes, "interval_mm2": [low, high], "worse": low > 0.0, "full_worse": bool(full)}
+
+
+def difference(final: Array, geometric: Array) -> tuple[float, float]:
+    """95 % interval of the mean of final² − geometric² of the same postures, both (N,) [m]; in mm²."""
+    both = 1e6 * (final**2 - geometric**2)
+    means = both[np.random.default_rng(0).integers(len(both), size=(4000, len(both)))].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def outer_fifth(places: Array) -> Array:
+    """The block of each row of the outer fifth, −1 for those inside, (N,). Rows are joint angles or positions.
+
+    Each joint or axis counts by its own spread; blocks lie about the two directions in which the fifth extends most.
+    """
     away = (places - np.median(places, axis=0)) / places.std(axis=0)
     far = np.linalg.norm(away, axis=1)
     outside = far > np.quantile(far, 0.8)
@@ -105,77 +171,34 @@ def outer_fifth(places: np.ndarray) -> np.ndarray:
     return np.where(outside, np.searchsorted(edges, angle), -1)
 
 
-def difference(final: np.ndarray, geometric: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
-    """95 % interval of the mean of final² − geometric² of the same postures, both (N,) [m]; in mm²."""
-    both = 1e6 * (final**2 - geometric**2)
-    means = both[rng.integers(len(both), size=(4000, len(both)))].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(low), float(high)
-
-
-def say(what: str, report: Report, end: str, rms: bool = False) -> None:
-    """Print the mean errors [mm] of a report by stage, or their RMS."""
-    missed = [report.errors[stage].position_norm for stage in STAGES]
-    means = [float(np.sqrt(np.nanmean(each**2)) if rms else np.nanmean(each)) for each in missed]
-    sizes = "".join(f"{1e3 * each:10.3f}" for each in means)
-    print(f"{what:<28}{len(missed[-1]):>10}{sizes}  {end}", flush=True)
-
-
-def outer(name: str, split: str, samples: Samples, block: np.ndarray, chain: Chain) -> int:
-    """Calibrate on what lies inside, print its row, the outer fifth's and its blocks'; how many are worse."""
-    from modcal_core.evaluation import evaluate
-    from modcal_core.loop import calibrate
-
-    rng, worse = np.random.default_rng(0), 0
-    done = calibrate(samples.select(np.flatnonzero(block < 0)), chain, np.random.default_rng(0))
-    say(f"{name} {split}, inside", done.report, done.report.judged.status)
-    for which in (None, *range(BLOCKS)):
-        chosen = np.flatnonzero(block >= 0 if which is None else block == which)
-        report = evaluate(done.calibration, samples.select(chosen), np.random.default_rng(0))
-        final, geometric = (report.errors[stage].position_norm for stage in ("final", "geometric"))
-        low, high = difference(final, geometric, rng)
-        bad = low > 0.0
-        worse += bad
-        say(
-            f"{name} {split}, outer" if which is None else f"  block {which + 1}",
-            report,
-            report.judged.status if which is None else f"{low:+.4f} … {high:+.4f} mm²{'  WORSE' if bad else ''}",
-        )
-    return worse
-
-
-def main() -> None:
-    """Print the rows of each robot, split both ways, and those of the UR10."""
-    from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording
-    from modcal_core.preprocess import prepare
-    from modcal_nodes.cli.robot import read_robot
-
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="robots whose name holds this")
+def main() -> int:
+    """Exit code: 0 where nothing that is shipped is worse than geometry."""
+    parser = harness.parser(__doc__, seeds=4, first=FIRST, names=(*FIFTHS, *REAL, "planted"))
     parser.add_argument("--every", type=int, default=15, help="so manyth pose of the UR10's series")
-    asked = parser.parse_args()
-    only = asked.only
-    if not DATA.is_dir():
-        sys.exit("no real recordings: ../shared/data is not beside this checkout")
-    worse = 0
-    heads = "".join(f"{head:>10}" for head in ("postures", *STAGES))
-    print(f"{'mean error, mm':<28}{heads}  status, or final² − geometric²")
-    for name in (name for name in ROBOTS if only in name):
-        chain = read_robot(ROOT / "examples" / "robots" / f"{name}.yaml")
-        q, p = rows(name)
-        stamps = 1.7e9 + PERIOD * np.arange(len(q))
-        unknown = np.full_like(q, np.nan)
-        joints = JointTrack(chain.names, stamps, q, unknown, unknown, stamps)
-        readings = ReadingTrack("point", "tracker", stamps, p, stamps)
-        recording = Recording((joints,), (readings,), warnings=(ORDER_ONLY,))
-        samples = prepare(recording, chain).samples
-        for places, which_fifth in ((samples.q, "by joints"), (samples.reading, "by position")):
-            worse += outer(name, which_fifth, samples, outer_fifth(places), chain)
-    if only in "ur10":
-        print("UR10, RMS, mm")
-        worse += unseen_ranges(asked.every)
-    sys.exit(f"{worse} worse than geometry" if worse else 0)
+    given = harness.parsed(parser)
+    tasks = [{"part": part, "every": given.every} for part in given.names if part != "planted"]
+    if "planted" in given.names:
+        tasks += harness.tasks(given, part=["planted"], robot=("panda", "xarm7"), fault=PLANTED)
+    results = harness.each(one, tasks, given, lambda r: f"{sum(p['worse'] for p in r['parts'])} worse")
+    rows, sums = [], []
+    models = ("nominal_mm", "geometry_mm", "full_mm", "shipped_mm")
+    good = [r for r in results if not r["failed"]]
+    for r in good:
+        name = " ".join(str(r[k]) for k in ("part", "robot", "fault", "seed") if k in r)
+        for p in r["parts"]:
+            interval = "{:+.4f} … {:+.4f}{}".format(*p["interval_mm2"], "  WORSE" if p["worse"] else "")
+            rows.append([f"{name} {p['what']}", p["postures"], *(p[m] for m in models), interval])
+    harness.table("mm", ["part", "postures", "nominal", "geometry", "full", "shipped", "shipped² − geometry²"], rows)
+    for part in given.names:
+        own = [p for r in good if r["part"] == part for p in r["parts"]]
+        if own:
+            worse = [sum(p[k] for p in own) for k in ("full_worse", "worse")]
+            means = [float(np.mean([p[m] or np.nan for p in own])) for m in models[1:]]
+            sums.append([part, len(own), *worse, *means])
+    harness.table("Means", ["", "parts", "full worse", "shipped worse", "geometry", "full", "shipped"], sums)
+    failed, worse = harness.failures(results), sum(row[3] for row in sums)
+    return int(bool(failed)) or harness.met((f"{worse} parts are worse than geometry", not worse))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

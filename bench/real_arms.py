@@ -5,76 +5,46 @@ The tests run the same on as much of it as shows the claims (tests/test_real_dat
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import io
-import json
+import harness
+
+# isort: split
 import sys
-import tempfile
-from pathlib import Path
-from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT.parent / "shared" / "data"
-BLOCKS = {"ipa_ur10_series_a": "200", "ipa_ur10_series_d": "10"}
-SOCKETS = ("panda_3", "panda_4", "kuka_14")
+import recorded
+
+SERIES = {"ipa_ur10_series_a": ("--block", 200), "ipa_ur10_series_d": ("--block", 10)}
+FROZEN = "series_a_frozen_on_d"  # base and tool refitted
+SOCKETS = ("mukca_panda_3", "mukca_panda_4", "mukca_kuka_14")
 
 
-def report_of(out: Path, *arguments: str) -> dict[str, Any]:
-    """report.json of a verb; what it prints is dropped."""
-    from modcal_nodes.cli.main import run
-
-    with contextlib.redirect_stdout(io.StringIO()):
-        code = run([*arguments, "--out", str(out)])
-    if code not in (0, 3):
-        sys.exit(f"modcal {' '.join(arguments)}: exit {code}")
-    return dict(json.loads((out / "report.json").read_text()))
-
-
-def imported(name: str, folder: Path) -> str:
-    """The bag of a recording."""
-    from modcal_nodes.cli.main import run
-
-    with contextlib.redirect_stdout(io.StringIO()):
-        if run(
-            ["import", str(ROOT / f"examples/import/{name}.yaml"), "--data", str(DATA), "--out", str(folder / name)]
-        ):
-            sys.exit(f"{name} cannot be imported")
-    return str(folder / name)
-
-
-def row(name: str, report: dict[str, Any]) -> str:
+def one(task: harness.Task) -> harness.Result:
     """Held-out RMS [mm] by stage, the status, and what the model contains."""
-    sizes = "".join(f"{report['error_mm'][stage]['rms']:10.3f}" for stage in ("nominal", "geometric", "final"))
+    name = task["recording"]
+    with harness.scratch() as folder:
+        if name == FROZEN:
+            first, second = (recorded.imported(series, folder) for series in SERIES)
+            harness.succeeded("calibrate", first, *SERIES["ipa_ur10_series_a"], "--out", folder / "first")
+            verb = ("evaluate", folder / "first", second, "--refit-base", "--refit-tool")
+        else:
+            cell = harness.ROOT / "examples" / "import" / f"{name}_cell.yaml"
+            more = SERIES.get(name, ("--tip", "ball_link", "--cell", cell, "--block", 1))
+            verb = ("calibrate", recorded.imported(name, folder), *more)
+        harness.succeeded(*verb, "--out", folder / "out", codes=(0, 3))
+        report = harness.report_of(folder / "out")
+    sizes = {stage: report["error_mm"][stage]["rms"] for stage in ("nominal", "geometric", "final")}
     effects = ", ".join(f"{e['family']} {e['place']}" for e in report["effects"])
-    return f"{name:<34}{sizes}  {report['status']:<12}{effects}"
+    return {**sizes, "status": report["status"], "effects": effects}
 
 
-def main() -> None:
-    """Print a row for each recording, as soon as it is known."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="recordings whose name holds this")
-    only = parser.parse_args().only
-    if not DATA.is_dir():
-        sys.exit("no real recordings: ../shared/data is not beside this checkout")
-    print(f"{'recording':<34}{'nominal':>10}{'geometric':>10}{'final':>10}  status      effects")
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        for name, block in BLOCKS.items():
-            if only in name:
-                bag = imported(name, folder)
-                print(row(name, report_of(folder / f"{name}_out", "calibrate", bag, "--block", block)), flush=True)
-        first, second = (folder / f"{name}_out" for name in BLOCKS)
-        if first.is_dir() and second.is_dir():
-            bag = str(folder / "ipa_ur10_series_d")
-            frozen = report_of(folder / "frozen", "evaluate", str(first), bag, "--refit-base", "--refit-tool")
-            print(row("series a, frozen, on series d", frozen), flush=True)
-        for name in SOCKETS:
-            if only in name:
-                cell = str(ROOT / f"examples/import/mukca_{name}_cell.yaml")
-                arguments = ("calibrate", imported(f"mukca_{name}", folder), "--tip", "ball_link", "--cell", cell)
-                print(row(name, report_of(folder / f"{name}_out", *arguments, "--block", "1")), flush=True)
+def main() -> int:
+    """Exit code: 0 where every recording could be calibrated."""
+    harness.data()
+    given = harness.options(__doc__, seeds=0, names=(*SERIES, FROZEN, *SOCKETS))
+    keys = ("recording", "nominal", "geometric", "final", "status", "effects")
+    results = harness.each(one, harness.tasks(given, recording=given.names), given, lambda r: f"{r['final']:.3f} mm")
+    harness.table("Held-out RMS, mm", keys, [[r[key] for key in keys] for r in results if not r["failed"]])
+    return int(bool(harness.failures(results)))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

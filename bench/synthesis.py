@@ -1,6 +1,6 @@
 """The published two-pose task: how soon is an arm of five joints found, how good does it become, and by which search?
 
-    python bench/synthesis.py [--seeds 20] [--others 8] [--budget 1000]
+    make bench NAME=synthesis ARGS="--only ours --seeds 20 --budget 1000"
 
 Three searches judge as many assemblies as the budget allows. Noted are the first that meets every requirement (no rule
 of structure broken, both poses reached within the limits and by less than 1e-6, way in m and axis in rad, checked with
@@ -13,37 +13,35 @@ the chain of the assembly) and the least cost in the end.
   printed, so chosen here: 100 candidates, 2 kept, tournaments of two, a cut in 80 %, one bit flipped. Its descents are
   our damped ones, for a plain Newton step is lost at the first singular posture, and its best 50 are judged again by
   our evaluator, so that the costs compare.
-Candidates judged are counted with those that repeat, where a search repeats them; time is the processor's, of one
-process. Exits with 1 where ours finds no arm in more than 5 % of the seeds.
+
+Judging takes the longer the more candidates reach the targets: random_longer and published_longer get about as much
+time as ours. Candidates are counted with those that repeat; time is the processor's, of one process. Exits with 1 where
+ours finds no arm in more than 5 % of the seeds.
 """
 
 from __future__ import annotations
 
-import argparse
+import harness
+
+# isort: split
 import itertools
-import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
+import numpy as np
+import yaml
 
-import numpy as np  # noqa: E402
-import yaml  # noqa: E402
+from modcal_core.modules.coding import BASES, Coding
+from modcal_core.modules.evaluation import Effort, Evaluator, uses_of
+from modcal_core.modules.genetic import Archive, SearchSettings, evolve, valid
+from modcal_core.modules.library_data import published
+from modcal_core.modules.poe import chain_of
+from modcal_core.modules.synthesis import SynthesisTask
+from modcal_core.modules.synthesis_data import task_from_data
+from modcal_core.robots.kinematics import forward
 
-from modcal_core.modules.coding import BASES, Coding  # noqa: E402
-from modcal_core.modules.evaluation import Effort, Evaluator, uses_of  # noqa: E402
-from modcal_core.modules.genetic import Archive, SearchSettings, evolve, valid  # noqa: E402
-from modcal_core.modules.library_data import published  # noqa: E402
-from modcal_core.modules.poe import chain_of  # noqa: E402
-from modcal_core.modules.synthesis import SynthesisTask  # noqa: E402
-from modcal_core.modules.synthesis_data import task_from_data  # noqa: E402
-from modcal_core.robots.kinematics import forward  # noqa: E402
-
-ROOT = Path(__file__).resolve().parents[1]
 LIBRARY = published()
 CODING = Coding(LIBRARY)
 LIMIT = 1e-6
@@ -72,7 +70,8 @@ class Run:
 
 
 def two_poses() -> SynthesisTask:
-    return task_from_data(yaml.safe_load((ROOT / "examples/synthesis/two_poses.yaml").read_text()), "two_poses.yaml")
+    file = harness.ROOT / "examples" / "synthesis" / "two_poses.yaml"
+    return task_from_data(yaml.safe_load(file.read_text()), file.name)
 
 
 def checked(task: SynthesisTask, genome: np.ndarray, q: np.ndarray) -> float:
@@ -178,44 +177,48 @@ def genomes_of(bits: np.ndarray) -> np.ndarray:
     return np.column_stack([base, genes])
 
 
-def line(name: str, runs: list[Run]) -> str:
-    def middle(key: str) -> str:
-        values = [float(getattr(r, key)) for r in runs]
-        return f"{np.median(values):.3g} ({min(values):.3g} to {max(values):.3g})"
+# Searches, the seeds of each, and what they may judge in budgets
+SEARCHES = {"ours": (ours, 20, 1.0), "random": (at_random, 8, 1.0), "published": (as_published, 8, 1.0)}
+SEARCHES |= {"random_longer": (at_random, 8, 2.5), "published_longer": (as_published, 8, 3.0)}
 
-    found = sum(r.found for r in runs)
-    worst = max((r.error for r in runs if r.found), default=np.nan)
-    numbers = " | ".join(middle(key) for key in ("judged", "descents", "seconds"))
-    return f"| {name} | {found} of {len(runs)} | {numbers} | {worst:.0e} | {middle('cost')} | {middle('whole')} |"
+
+def one(task: harness.Task) -> harness.Result:
+    """What one search came to."""
+    search, _, times = SEARCHES[task["search"]]
+    run = search(two_poses(), task["seed"], int(times * task["budget"]))
+    return {**asdict(run), "found": run.found}
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=20, help="of ours")
-    parser.add_argument("--others", type=int, default=8, help="seeds of the others")
+    parser = harness.parser(__doc__, seeds=None, names=SEARCHES)
     parser.add_argument("--budget", type=int, default=1000, help="candidates that a search may judge")
-    chosen = parser.parse_args()
-    task = two_poses()
-    print(f"Medians and ranges; the last two columns after {chosen.budget} candidates.\n")
-    print("| search | found | judged till then | descents | time, s | worst error | least cost | time, s |")
-    print("|---" * 8 + "|")
-    # judging takes the longer the more candidates reach the targets; the last two get about as much time as ours
-    searches: list[tuple[str, Callable[[SynthesisTask, int, int], Run], int, float]] = [
-        ("ours", ours, chosen.seeds, 1.0),
-        ("random", at_random, chosen.others, 1.0),
-        ("published", as_published, chosen.others, 1.0),
-        ("random, 2.5 times as many", at_random, chosen.others, 2.5),
-        ("published, 3 times as many", as_published, chosen.others, 3.0),
+    given = harness.parsed(parser)
+    tasks = [
+        {"search": name, "seed": given.first + k, "budget": given.budget}
+        for name in given.names
+        for k in range(SEARCHES[name][1] if given.seeds is None else given.seeds)
     ]
-    share = 1.0
-    for name, search, seeds, times in searches:
-        if not seeds:
-            continue
-        runs = [search(task, seed, int(times * chosen.budget)) for seed in range(seeds)]
-        print(line(name, runs), flush=True)
-        if search is ours:
-            share = sum(r.found for r in runs) / seeds
-    return int(share < 0.95)
+    results = harness.each(one, tasks, given)
+    rows, keys = [], ("judged", "descents", "seconds", "cost", "whole")
+    for name in given.names:
+        runs = [r for r in results if r["search"] == name and not r["failed"]]
+        middle = {k: sorted(float(r[k]) for r in runs) for k in keys if runs}
+        told = [f"{np.median(v):.3g} ({v[0]:.3g} to {v[-1]:.3g})" for v in middle.values()]
+        worst = max((r["error"] for r in runs if r["found"]), default=np.nan)
+        rows.append([name, harness.share(r["found"] for r in runs), f"{worst:.0e}", *told])
+    heads = (
+        "search",
+        "found",
+        "worst error",
+        "judged till then",
+        "descents",
+        "time, s",
+        "least cost in the end",
+        "time, s",
+    )
+    harness.table("Medians and ranges", heads, rows)
+    own = [r["found"] for r in results if r["search"] == "ours" and not r["failed"]]
+    return int(bool(harness.failures(results))) or harness.met(("ours in 95 %", not own or np.mean(own) >= 0.95))
 
 
 if __name__ == "__main__":

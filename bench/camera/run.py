@@ -1,234 +1,325 @@
-"""Arms calibrated by a camera in simulated cells: true errors at the tool, coverage of the interval, right advice."""
+"""Arms calibrated by cameras in simulated cells: true errors, intervals, advice, and what is named.
+
+    make bench NAME=camera ARGS="--only arms --first 44 --seeds 80 --rendered --faults 1.5 --measured-to-mm 0.05"
+
+arms: a board seen by a camera on the tip or in the world. size: sheets 2 % off what is stated (``--read``: at a length
+that nobody states who has not measured). named: late images, line time, a print's size, a bow. moved: camera, target or
+joint moved while the robot works, within five images. bodies: fixed cameras and a body of markers. speed: processor.
+"""
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import harness
+
+# isort: split
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
+import cells
 import cv2
 import numpy as np
+from camera.boards import BOARD, LENS
+from camera.bodies import BODY_ON_TIP, BodyScene
+from camera.by_tracker import missed_by_tracker
+from camera.render import render
+from camera.scenes import CameraScene, scene
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tests"))
+from modcal_core.camera.at_tool import flange_in_tool
+from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.intrinsics import first_lens, fit_lens
+from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.target_file import RULER_STD_M
+from modcal_core.camera.tool_error import postures_anywhere, postures_in_view
+from modcal_core.camera.views import BoardView
+from modcal_core.camera.watching import CameraWatch
+from modcal_core.errors import ModcalError
+from modcal_core.geometry import se3
+from modcal_core.geometry.so3 import Array
+from modcal_nodes.vision.detect import detect
 
-from camera.boards import BOARD  # noqa: E402
-from camera.render import render  # noqa: E402
-from camera.scenes import CameraScene, scene  # noqa: E402
-
-from modcal_core.camera.corners import CornerTable  # noqa: E402
-from modcal_core.camera.fit import CameraFit  # noqa: E402
-from modcal_core.camera.intrinsics import first_lens, fit_lens  # noqa: E402
-from modcal_core.camera.lens import Lens  # noqa: E402
-from modcal_core.camera.solve import solve_camera  # noqa: E402
-from modcal_core.camera.target import PrintedTarget  # noqa: E402
-from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers  # noqa: E402
-from modcal_core.camera.tool_error import postures_anywhere, postures_in_view  # noqa: E402
-from modcal_core.camera.views import BoardView  # noqa: E402
-from modcal_core.errors import ModcalError  # noqa: E402
-from modcal_core.geometry import se3  # noqa: E402
-from modcal_core.geometry.so3 import Array  # noqa: E402
-from modcal_nodes.vision.detect import detect  # noqa: E402
-
-RULERS = (0.21, 0.15)  # m, as on the sheet of this board
-BOW_M = 3e-4
-SIZES = ((640, 480), (1280, 720))
-RAYS = 4  # a pixel along either side: with two, edges wander by a fifteenth of a pixel, which no camera's do
+EXPECTED = {"delay": ("clock", "velocity", "all"), "line time": ("clock", "line", "all")}
+EXPECTED |= {"scale": ("target", "constant", "size"), "bow": ("target", "constant", "normal")}
+REFLECTOR = np.array([0.05, 0.03, 0.12])  # of a tracker, in the frame of the arm's last link
+QUIET, BESIDE, FIVE, TWICE = 300, 8, 5, 2  # images without a change; before and after one; that may pass; each
+DISPLACED, SHIFT_M, TURN_RAD = ((1e-3, 1.5e-3), (4e-3, 5e-3)), 2e-3, np.radians(0.2)
+SEEDS = {"arms": 20, "named": 10, "size": 10, "moved": 8, "bodies": 12, "speed": 1}
 
 
-def drawn(seed: int, rendered: bool, faults: float | None = None, ruler_m: float = RULER_STD_M) -> CameraScene:
-    """A cell: everything that differs from one to the next comes from its seed.
+def one(task: harness.Task) -> harness.Result:
+    """What came of a cell, and what is true of it; ``refused`` where modcal would not take it."""
+    try:
+        return PART[task["part"]](task)
+    except ModcalError as error:
+        return {"refused": str(error)}
 
-    faults: of the arm, 1 for 4 mm and 5 mrad a body; None: drawn too. ruler_m: to what the sheet was measured.
-    """
-    rng = np.random.default_rng([25, seed])
-    size = SIZES[seed % 2]
-    f = rng.uniform(0.7, 1.1) * size[0]
-    lens = Lens(
-        np.r_[
-            f,
-            f * rng.normal(1.0, 0.002),
-            0.5 * size[0] + rng.normal(0.0, 0.01 * size[0]),
-            0.5 * size[1] + rng.normal(0.0, 0.01 * size[1]),
-            rng.uniform(-0.2, 0.05),
-            rng.uniform(-0.1, 0.1),
-            rng.normal(0.0, 5e-4, 2),
-            rng.normal(0.0, 0.02),
-        ],
-        size,
-    )
-    true = 1.0 + rng.normal(0.0, 0.01) + rng.normal(0.0, 0.002, 2)
-    measured = true * RULERS + rng.normal(0.0, ruler_m, 2)
-    board = replace(BOARD, scale=scale_of_rulers(RULERS, (float(measured[0]), float(measured[1])), "rulers", ruler_m))
-    points = BOARD.points * np.r_[true, 1.0]
-    middle = 0.5 * (points.max(0) + points.min(0))
-    x, y = ((points - middle)[:, :2] / (0.5 * np.linalg.norm(np.ptp(points, axis=0)))).T
-    bow = rng.normal(0.0, BOW_M, 3)
-    points[:, 2] = bow[0] * x * x + bow[1] * x * y + bow[2] * y * y
-    size_of_faults = rng.choice([0.0, 0.1, 0.3, 1.0])
-    if faults is not None:
-        size_of_faults = faults
-    s = scene(
-        1000 + seed,
-        on_tip=bool(seed % 4 < 2),
-        count=int(rng.integers(20, 31)),
-        length_std=4e-3 * size_of_faults,
-        angle_std=5e-3 * size_of_faults,
-        repeat_rad=float(rng.uniform(2e-5, 1e-4)),
-        noise=float(rng.uniform(0.05, 0.2)),
-        lens=lens,
-        board=board,
-        printed=points,
-        compliance=float(rng.choice([0.0, 1e-5])),
-    )
-    if not rendered:
-        return s
-    T = se3.inverse(s.T) if s.on_tip else s.T
-    found = []
-    for i, pose in enumerate(T):
-        blur = float(rng.uniform(0.6, 1.3))
-        found.append(detect(render(pose, lens, BOARD, rng, blur, 3.0, RAYS, (true[0], true[1]), bow), board, f"{i}"))
-    keep = [i for i, one in enumerate(found) if one.view is not None]
-    return replace(s, q=s.q[keep], T=s.T[keep], views=[one.view for one in found if one.view is not None])
+
+def solved(s: CameraScene, rng: np.random.Generator, **told: Any) -> CameraSolution:
+    return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, rng, **told)
+
+
+def apart(a: Array, b: Array, turned: bool = False) -> float:
+    """RMS distance [mm] of points (N, 3); turned: the frame of the first put where that is least."""
+    if turned:
+        a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+        U, _, Vt = np.linalg.svd(a.T @ b)
+        a = a @ U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return 1e3 * harness.rms(np.linalg.norm(a - b, axis=1))
+
+
+def millimetres(error: Any) -> list[float]:
+    """Value and 95 % interval."""
+    return [np.nan] * 3 if error is None else [1e3 * x for x in error.interval]
 
 
 def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array, arm_alone: bool = False) -> float:
-    """RMS distance of the flange from the truth [mm]. arm_alone: the frame put where that is least."""
+    """RMS distance of the flange from the truth [mm]."""
     T, _ = fit.poses.at_postures(q).tool_motions(fit.state.values)
-    said, true = se3.apply(T, tip), se3.apply(s.truth(q), tip)
-    if arm_alone:
-        said, true = said - said.mean(axis=0), true - true.mean(axis=0)
-        U, _, Vt = np.linalg.svd(said.T @ true)
-        said = said @ U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return 1e3 * float(np.sqrt(((said - true) ** 2).sum(1).mean()))
+    return apart(se3.apply(T, tip), se3.apply(s.truth(q), tip), arm_alone)
 
 
-SINGLE = replace(BOARD, square=0.03125)  # a square that single precision, which OpenCV computes with, holds exactly
+def flange(fit: CameraFit) -> Array:
+    """The flange in the frame of the tool."""
+    return se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
+
+
+def arms(task: harness.Task) -> harness.Result:
+    """An arm calibrated by a board."""
+    seed = task["seed"]
+    s = cells.arm(seed, task["rendered"], task["faults"], 1e-3 * task["measured_to_mm"])
+    began = time.process_time()
+    r = solved(s, np.random.default_rng(seed))
+    tip, (near, _) = flange(r.fit), postures_in_view(r.fit, np.random.default_rng(seed + 1))
+    far = postures_anywhere(s.chain, np.random.default_rng(seed + 1))
+    z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[r.fit.poses.count + 1 :][:9]
+    out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.causes]}
+    out |= {"seconds": time.process_time() - began, "images": len(s.views), "lens_sigmas": list(z)}
+    out |= {"mounting": "tip" if s.on_tip else "world", "found": "tip" if r.fit.poses.camera_on_tip else "world"}
+    out |= {"true": true_error(s, r.fit, tip, near), "nominal": true_error(s, r.nominal, tip, near)}
+    out |= {"alone": true_error(s, r.fit, tip, near, arm_alone=True), "anywhere": true_error(s, r.fit, tip, far)}
+    out |= {"said": millimetres(r.in_view), "alone_said": millimetres(r.alone)}
+    out |= {"anywhere_said": millimetres(r.anywhere), "found_of_camera": [f.sentence for f in r.findings]}
+    return {**out, "word": r.decision.word, "because": list(r.decision.because)}
 
 
 def against_opencv(s: CameraScene) -> float:
     """Relative difference of the least cost from that of calibrateCamera on the same corners, without a prior.
 
-    The corners are those of the cell, of a flat board whose size both programs take as it stands.
+    Of a flat board whose size both take as it stands; its square is one that OpenCV's single precision holds exactly.
     """
-    sheet: PrintedTarget = replace(SINGLE, scale=s.board.scale)
-    white = []
+    flat, white = replace(BOARD, square=0.03125, scale=s.board.scale), []
     for v in s.views:
         pixels = v.pixels.astype(np.float32).astype(float)
         white.append(BoardView(v.name, v.ids, pixels, np.tile(np.eye(2), (len(v), 1, 1))))
-    table = CornerTable.of(white, sheet)
+    table = CornerTable.of(white, flat)
     own = fit_lens(table, first_lens(table, s.lens.size))
-    points = [sheet.points[v.ids].astype(np.float32) for v in white]
+    points = [flat.points[v.ids].astype(np.float32) for v in white]
     pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in white]
     end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 500, 1e-15)
     rms = cv2.calibrateCamera(points, pixels, s.lens.size, None, None, flags=0, criteria=end)[0]
     return own.cost / (rms**2 * len(table)) - 1.0
 
 
-def one_cell(seed: int, rendered: bool, faults: float | None, ruler_m: float) -> dict[str, Any]:
-    """What came of a cell, and what is true of it."""
-    out: dict[str, Any] = {"cell": seed}
-    try:
-        s = drawn(seed, rendered, faults, ruler_m)
-        began = time.process_time()
-        r = solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, np.random.default_rng(seed))
-    except ModcalError as error:
-        return out | {"refused": str(error)}
-    tip = se3.inverse(r.fit.poses.model_at(r.fit.state.values).T_tip_tool)[:3, 3]
-    near, _ = postures_in_view(r.fit, np.random.default_rng(seed + 1))
-    far = postures_anywhere(s.chain, np.random.default_rng(seed + 1))
-    P = r.fit.poses.count
-    z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[P + 1 : P + 10]
-    return out | {
-        "opencv": against_opencv(s),
-        "effects": [f"{c.effect.family} {c.effect.label}" for c in r.causes],
-        "seconds": time.process_time() - began,
-        "mounting": "tip" if s.on_tip else "world",
-        "found": "tip" if r.fit.poses.camera_on_tip else "world",
-        "images": len(s.views),
-        "true": true_error(s, r.fit, tip, near),
-        "nominal": true_error(s, r.nominal, tip, near),
-        "said": [1e3 * x for x in r.in_view.interval],
-        "alone": true_error(s, r.fit, tip, near, arm_alone=True),
-        "alone_said": [1e3 * x for x in r.alone.interval] if r.alone is not None else [np.nan] * 3,
-        "anywhere": true_error(s, r.fit, tip, far),
-        "anywhere_said": [1e3 * x for x in r.anywhere.interval],
-        "word": r.decision.word,
-        "because": list(r.decision.because),
-        "found_of_camera": [f.sentence for f in r.findings],
-        "lens_sigmas": [float(x) for x in z],
+def size(task: harness.Task) -> harness.Result:
+    """A sheet that is off what is stated."""
+    s = cells.sheet(task["seed"], task["off"], 1.0 if task["faults"] is None else task["faults"], task["read"])
+    r = solved(s, np.random.default_rng(3))
+    q, _ = postures_in_view(r.fit, np.random.default_rng(1))
+    rests = r.rests_on
+    out = {"word": r.decision.word, "named": any("off its stated size" in said for said in r.decision.problems)}
+    out |= {"said": millimetres(r.in_view), "true": true_error(s, r.fit, flange(r.fit), q)}
+    out |= {"nominal": true_error(s, r.nominal, flange(r.nominal), q)}
+    return {**out, "if_wrong": None if rests is None else 1e3 * rests.if_wrong_m}
+
+
+def named(task: harness.Task) -> harness.Result:
+    """Target and camera: what is named, and what else is blamed."""
+    s, told = cells.faulty(task["seed"], task["kind"])
+    r = solved(s, np.random.default_rng(task["seed"]), **told)
+    right = [(f.family, f.driver, f.direction) == EXPECTED.get(task["kind"]) for f in r.findings]
+    blamed = [f.sentence for f, good in zip(r.findings, right, strict=True) if not good]
+    return {"named": any(right), "blamed": blamed, "effects": [c.effect.label for c in r.causes]}
+
+
+def moved(task: harness.Task) -> harness.Result:
+    """[name of the change, seen, rightly named, and nothing else] of each change; and of quiet images the alarms."""
+    seed, on_tip = task["seed"], bool(task["seed"] % 2)
+    length, angle = DISPLACED[seed // 2 % 2]
+    s = scene(9000 + seed, on_tip, count=25, length_std=length, angle_std=angle, board=cells.MEASURED)
+    rng = np.random.default_rng(seed)
+    fit = solved(s, rng, look_for_effects=False).fit
+    watch = CameraWatch(fit, s.board)
+    said = [watch.image(v, q) is not None for q, v in cells.images(s, rng, QUIET)]
+    out: dict[str, Any] = {"quiet": len(said), "changes": []}
+    out["alarms"] = sum(now and not before for before, now in zip([False, *said], said, strict=False))
+
+    def along(much: float) -> Array:
+        direction = rng.normal(size=3)
+        return much * direction / np.linalg.norm(direction)
+
+    for _ in range(TWICE):
+        joint = int(rng.integers(1, 6))
+        twists = {"2 mm": np.r_[along(SHIFT_M), 0.0, 0.0, 0.0], "0.2°": np.r_[0.0, 0.0, 0.0, along(TURN_RAD)]}
+        halves = (("world", "target" if on_tip else "camera"), ("tip", "camera" if on_tip else "target"))
+        cases = [
+            (f"{what} on the {where}, {much}", what, cells.images(s, rng, BESIDE, **{where: twist}))
+            for where, what in halves
+            for much, twist in twists.items()
+        ]
+        slipped = cells.images(s, rng, BESIDE, joint=joint, slip=TURN_RAD)
+        for name, what, after in [*cases, ("joint, 0.2°", f"joint {s.chain.names[joint]}", slipped)]:
+            watch = CameraWatch(fit, s.board)
+            for q, v in cells.images(s, rng, BESIDE):
+                watch.image(v, q)
+            names = [seen.what for q, v in after[:FIVE] if (seen := watch.image(v, q)) is not None]
+            out["changes"].append(
+                [name, bool(names), what in " or ".join(names[-1:]).split(" or "), names[-1:] == [what]]
+            )
+    return out
+
+
+def bodies(task: harness.Task) -> harness.Result:
+    """Fixed cameras and a body of markers."""
+    s, what = cells.body(task["seed"])
+    first, *others = s.images
+    began = time.process_time()
+    rng = np.random.default_rng(task["seed"])
+    r = solve_camera(s.chain, first.q, first.views, first.target, first.size, rng, further=others)
+    spent, (q, _) = time.process_time() - began, postures_in_view(r.fit, np.random.default_rng(1))
+    out = {**what, "seconds": spent, "word": r.decision.word, "because": r.decision.because[0]}
+    out |= {"said": millimetres(r.in_view), "alone_said": millimetres(r.alone), "px": list(r.held_out_px)}
+    for name, fit in (("", r.fit), ("nominal_", r.nominal)):
+        out |= {name + key: value for key, value in of_body(s, fit, flange_in_tool(r.fit), q).items()}
+    out |= {
+        "effects": [c.effect.label for c in r.causes],
+        "findings": [f"{f.family} {f.direction}" for f in r.findings],
     }
+    return {**out, "out": len(r.left_out), "corners_out": r.corners_out}
 
 
-def show(cells: list[dict[str, Any]]) -> None:
-    """The table, and what it comes to."""
-    good = [c for c in cells if "refused" not in c]
-    print("cell  mount  images  nominal mm  true mm  said mm [95 %]          anywhere mm [95 %]           advice")
-    for c in good:
-        said, far = c["said"], c["anywhere_said"]
-        print(
-            f"{c['cell']:4d}  {c['mounting']:5s}  {c['images']:6d}  {c['nominal']:10.2f}  {c['true']:7.2f}  "
-            f"{said[0]:5.2f} [{said[1]:5.2f}, {said[2]:5.2f}]   "
-            f"{c['anywhere']:6.2f} [{far[1]:5.2f}, {far[2]:6.2f}]   {c['word']}"
-        )
-    for c in cells:
-        if "refused" in c:
-            print(f"{c['cell']:4d}  refused: {c['refused']}")
-
-    def share(some: list[bool]) -> str:
-        return f"{sum(some)} of {len(some)}"
-
-    covered = [c["said"][1] <= c["true"] <= c["said"][2] for c in good]
-    below = [c["true"] <= c["said"][2] for c in good]
-    far = [c["anywhere"] <= c["anywhere_said"][2] for c in good]
-    apply = [c for c in good if c["word"] == "apply"]
-    halved = [c for c in good if c["true"] < 0.5 * c["nominal"]]
-    sigmas = np.abs(np.concatenate([c["lens_sigmas"] for c in good])) if good else np.zeros(1)
-    print(f"mounting told: {share([c['mounting'] == c['found'] for c in good])}; refused: {len(cells) - len(good)}")
-    print(
-        f"true error inside the 95 % interval: {share(covered)}; "
-        f"below its upper end: {share(below)}, anywhere {share(far)}"
-    )
-    print(f"upper end over true error, median: {np.median([c['said'][2] / c['true'] for c in good]):.2f}")
-    print(
-        f"true error, median: {np.median([c['true'] for c in good]):.2f} mm; "
-        f"at most 1 mm: {share([c['true'] <= 1.0 for c in good])}"
-    )
-    alone = [c["alone_said"][1] <= c["alone"] <= c["alone_said"][2] for c in good]
-    print(
-        f"the arm by itself, median: {np.median([c['alone'] for c in good]):.2f} mm; "
-        f"at most 1 mm: {share([c['alone'] <= 1.0 for c in good])}; inside its interval: {share(alone)}; "
-        f"upper end over it, median: {np.median([c['alone_said'][2] / c['alone'] for c in good]):.2f}"
-    )
-    print(f"apply, and worse than nominal: {share([c['true'] >= c['nominal'] for c in apply])}")
-    print(f"error below half of nominal, and apply said: {share([c['word'] == 'apply' for c in halved])}")
-    print(f"intrinsics within 3 sigma: {100.0 * float((sigmas <= 3.0).mean()):.1f} % of {len(sigmas)}")
-    print(f"cost over OpenCV's, less one: {np.abs([c['opencv'] for c in good]).max():.1e} at most of {len(good)} cells")
-    print(f"cells with an effect: {share([bool(c['effects']) for c in good])}")
-    print(f"seconds of processor a cell, corners to report: {np.median([c['seconds'] for c in good]):.1f}")
+def of_body(s: BodyScene, fit: CameraFit, point: Array, q: Array) -> dict[str, float]:
+    """RMS [mm] of the flange in the first camera's frame, with that frame put where it is least, and by a tracker."""
+    T = fit.poses.at_postures(q).tool_at(fit.state.values)
+    true = se3.inverse(s.cameras[0]) @ s.tip(q) @ BODY_ON_TIP @ s.true_body()
+    a, b = se3.apply(T, point), se3.apply(true, point)
+    return {"true": apart(a, b), "alone": apart(a, b, True), "tracker": 1e3 * missed_by_tracker(T, s.tip(q), REFLECTOR)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0)
+def speed(task: harness.Task) -> harness.Result:
+    """Thirty images of 1280 × 720 with a ChArUco board of 7 × 5 squares: seconds of processor."""
+    s = scene(5, True, count=30, board=cells.MEASURED)
+    rng = np.random.default_rng(0)
+    pictures = [render(T, LENS, BOARD, rng) for T in se3.inverse(s.T)]
+    detect(pictures[0], cells.MEASURED, "warm")
+    began = time.process_time()
+    views = [detect(picture, cells.MEASURED, f"{i}.png").view for i, picture in enumerate(pictures)]
+    detected = time.process_time() - began
+    keep = [i for i, view in enumerate(views) if view is not None]
+    began = time.process_time()
+    r = solved(replace(s, q=s.q[keep], views=[views[i] for i in keep]), rng)
+    out = {"images": len(pictures), "with target": len(keep), "corners": int(r.fit.table.weight.sum())}
+    return {**out, "detection_s": detected, "fit_s": time.process_time() - began, "word": r.decision.word}
+
+
+PART = {"arms": arms, "named": named, "size": size, "moved": moved, "bodies": bodies, "speed": speed}
+
+
+def inside(cell: harness.Result, true: str, said: str, below: bool = False) -> bool:
+    """Whether a true error is in what was said of it, or below its upper end."""
+    return (below or cell[said][1] <= cell[true]) and cell[true] <= cell[said][2]
+
+
+def show(part: str, good: list[harness.Result]) -> None:
+    """What the cells of a part come to."""
+    share = harness.share
+    if part in ("arms", "bodies"):
+        error, nominal, own = "true", "nominal", ("images",)
+        if part == "bodies":
+            error, nominal, own = "tracker", "nominal_tracker", ("arm", "cameras", "postures", "true")
+        keys, pairs = ("seed", *own, nominal, error, "alone", "word"), (("true", "said"), ("alone", "alone_said"))
+        rows = [[*(r[k] for k in keys), *("{:.2f} ({:.2f} to {:.2f})".format(*r[s]) for _, s in pairs)] for r in good]
+        harness.table("Errors, mm", (*keys, "said, 95 %", "said of the arm alone"), rows)
+        says = {f"{t} inside its interval": share(inside(r, t, s) for r in good) for t, s in pairs}
+        says |= {f"{t} below its upper end": share(inside(r, t, s, True) for r in good) for t, s in pairs}
+        says |= {f"upper end over {t}, median": f"{np.median([r[s][2] / r[t] for r in good]):.2f}" for t, s in pairs}
+        says["apply, and worse than nominal"] = share(r[error] >= r[nominal] for r in good if r["word"] == "apply")
+        halved = [r["word"] == "apply" for r in good if r[error] < 0.5 * r[nominal]]
+        says["below half of nominal, and apply"] = share(halved)
+        says |= {f"{k}, median": f"{np.median([r[k] for r in good]):.2f}" for k in (error, nominal, "alone", "seconds")}
+    if part == "arms":
+        sigmas = np.abs(np.concatenate([r["lens_sigmas"] for r in good]))
+        says["anywhere below"] = share(inside(r, "anywhere", "anywhere_said", True) for r in good)
+        says["at most 1 mm"] = share(r["true"] <= 1.0 for r in good)
+        says["mounting told"] = share(r["mounting"] == r["found"] for r in good)
+        says["intrinsics within 3 sigma"] = f"{np.mean(sigmas <= 3.0):.1%} of {len(sigmas)}"
+        says["cost over OpenCV's, less one"] = f"{np.abs([r['opencv'] for r in good]).max():.1e} at most"
+        says["cells with an effect"] = share(bool(r["effects"]) for r in good)
+    elif part == "bodies":
+        says["gear of joint 2 found"] = share(any("joint2" in e for e in r["effects"]) for r in good if r["periodic"])
+        says["blamed without one"] = share(bool(r["effects"]) for r in good if not r["periodic"])
+    elif part == "size":
+        says = {}
+        for off in dict.fromkeys(r["off"] for r in good):
+            of = [r for r in good if r["off"] == off]
+            apply = [r for r in of if r["word"] == "apply"]
+            warned = [r["true"] <= r["if_wrong"] for r in apply if r["if_wrong"] is not None]
+            halved = share(r["word"] == "apply" for r in of if r["true"] < 0.5 * r["nominal"])
+            says[f"{off:+.0%}"] = (
+                f"named {sum(r['named'] for r in of)}, cannot tell {sum(r['word'] == 'cannot tell' for r in of)}, "
+                f"apply {len(apply)} (worse than nominal {sum(r['true'] >= r['nominal'] for r in apply)}; the error "
+                f"said for a wrong statement holds in {sum(warned)}) of {len(of)}; interval covers "
+                f"{share(inside(r, 'true', 'said') for r in of)}; below half of nominal, and apply {halved}"
+            )
+    elif part == "named":
+        says = {}
+        for kind in cells.KINDS:
+            of = [r for r in good if r["kind"] == kind]
+            others, arm = (share(bool(r[k]) for r in of) for k in ("blamed", "effects"))
+            told = f"named in {share(r['named'] for r in of)}, " if kind in EXPECTED else ""
+            says[kind] = f"{told}something else of target or camera in {others}, of the arm in {arm}"
+    elif part == "moved":
+        changes = [c for r in good for c in r["changes"]]
+        says = {"nothing": f"{sum(r['alarms'] for r in good)} false alarms in {sum(r['quiet'] for r in good)} images"}
+        for name in sorted({c[0] for c in changes}):
+            seen, among, alone = (share(c[k] for c in changes if c[0] == name) for k in (1, 2, 3))
+            says[name] = f"within {FIVE} images {seen}, rightly named {among}, and nothing else {alone}"
+    else:
+        says = {key: good[0][key] for key in ("images", "with target", "corners", "detection_s", "fit_s", "word")}
+    harness.table(part, ("", ""), list(says.items()))
+
+
+def main() -> int:
+    """Exit code: 0 where nothing failed; what is refused is counted."""
+    parser = harness.parser(__doc__, seeds=None, names=SEEDS)
     parser.add_argument("--rendered", action="store_true", help="make images and find the corners in them")
     parser.add_argument("--faults", type=float, default=None, help="of every arm: 1 for 4 mm and 5 mrad a body")
     parser.add_argument("--measured-to-mm", type=float, default=1e3 * RULER_STD_M, help="of the sheet's rulers")
-    parser.add_argument("--json", type=Path, default=None, help="file that the cells are added to, one a line")
-    chosen = parser.parse_args()
-    cells = []
-    for seed in range(chosen.first, chosen.first + chosen.cells):
-        cells.append(one_cell(seed, chosen.rendered, chosen.faults, 1e-3 * chosen.measured_to_mm))
-        if chosen.json is not None:
-            with chosen.json.open("a") as file:
-                file.write(json.dumps(cells[-1]) + "\n")
-    show(cells)
+    parser.add_argument("--off", type=float, nargs="+", default=[-0.02, 0.02], help="of a sheet's size")
+    parser.add_argument("--read", action="store_true", help="rulers stated at lengths that only who measured states")
+    given = harness.parsed(parser)
+    told = {"arms": ("rendered", "faults", "measured_to_mm"), "size": ("faults", "read")}
+    rows = {"size": [{"off": off} for off in given.off], "named": [{"kind": kind} for kind in cells.KINDS]}
+    tasks = [
+        {"part": part, "seed": given.first + k, **more, **{name: getattr(given, name) for name in told.get(part, ())}}
+        for part in given.names
+        for k in range(SEEDS[part] if given.seeds is None else given.seeds)
+        for more in rows.get(part, [{}])
+    ]
+    results = harness.each(one, tasks, given, lambda r: r.get("refused", r.get("word", "")))
+    for part in given.names:
+        own = [r for r in results if r["part"] == part and not r["failed"]]
+        good = [r for r in own if "refused" not in r]
+        if good:
+            show(part, good)
+        refused = [f"  {r['seed']}: {r['refused']}" for r in own if "refused" in r]
+        harness.say(f"{part}: {len(refused)} refused", *refused)
+    return int(bool(harness.failures(results)))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -5,23 +5,20 @@ Arms, faults and poses come from ``bench/undeclared``. Nothing of what is plante
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
+import harness
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "undeclared"))
-
 from arm import TURN, Arm, Array
 from fault import Deviation, Draw, Fault, Stations
-from recordings import Cell
+from recordings import NOISE_MM, NOISE_MRAD, REPEATABILITY, Cell
 from scenarios import compliance, gear_harmonic
+from scipy.spatial.transform import Rotation
+
+import modcal_core as modcal
 
 STATIONS = 160
-NOISE_MM, NOISE_MRAD, REPEATABILITY = 0.02, 0.02, 1e-5  # per axis; per joint [rad]
 CAMERA_MM, CAMERA_MRAD = 0.3, 0.5  # per axis, of the board's pose as a camera on the hand sees it
 TIMES = 3.0  # a planted change moves the tool by so many floors, RMS
 
@@ -46,6 +43,11 @@ class Change:
     noise: float = 1.0
 
 
+def distance(a: Array, b: Array) -> float:
+    """RMS distance [mm] of points (m, 3) [m]."""
+    return 1e3 * harness.rms(np.linalg.norm(a - b, axis=1))
+
+
 @dataclass
 class Workplace:
     """One arm with its instrument. camera: it is a camera on the hand that sees a board (poses of the board)."""
@@ -58,8 +60,12 @@ class Workplace:
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(0)
-        seen = self.measure(rng.uniform(*self.cell.arm.range, (200, self.cell.arm.n)), rng, ())
-        self.floor_mm = 1e3 * float(np.sqrt(np.mean(np.sum((seen.p - seen.exact_p) ** 2, axis=1))))
+        seen = self.measure(self.postures(rng, 200), rng, ())
+        self.floor_mm = distance(seen.p, seen.exact_p)
+
+    def postures(self, rng: np.random.Generator, count: int = STATIONS) -> Array:
+        """Random ones (count, n)."""
+        return rng.uniform(*self.cell.arm.range, (count, self.cell.arm.n))
 
     @property
     def noise(self) -> tuple[float, float]:
@@ -79,6 +85,24 @@ class Workplace:
         return Readings(q, p, R, exact.p, exact.R)
 
 
+def samples_of(place: Workplace, seen: Readings, begin: float) -> modcal.Samples:
+    """What a user would hand over: points of a tracker, poses, or poses of the board that a camera on the hand sees."""
+    names, stamps = place.cell.arm.names, begin + 2.0 * np.arange(len(seen.q))
+    if place.points:
+        return modcal.Samples.from_arrays(seen.q, points=seen.p, names=names, stamps=stamps)
+    T = np.tile(np.eye(4), (len(seen.q), 1, 1))
+    T[:, :3, 3], T[:, :3, :3] = seen.p, seen.R.as_matrix()
+    return modcal.Samples.from_arrays(seen.q, poses=T, names=names, stamps=stamps)
+
+
+def calibrated(
+    place: Workplace, q: Array, rng: np.random.Generator, changes: tuple[Change, ...], begin: float = 1.7e9
+) -> modcal.Result:
+    """The result of calibrating from these postures."""
+    robot = modcal.Robot.from_urdf(place.cell.arm.urdf, tip=place.cell.arm.tip)
+    return modcal.calibrate(robot, samples_of(place, place.measure(q, rng, changes), begin), seed=0)
+
+
 def workplace(
     robot: str, seed: int, camera: bool = False, points: bool = False
 ) -> tuple[Workplace, np.random.Generator]:
@@ -91,66 +115,54 @@ def workplace(
     return Workplace(cell, old, camera, points), rng
 
 
+def _bends(places: tuple[str, ...], bend: Callable[[Deviation, Stations, float], None]) -> Callable[[float], Fault]:
+    """A fault of any size."""
+
+    def of(size: float) -> Fault:
+        return Fault((), places, (), f"{size:.3g}", lambda arm, stations, deviation: bend(deviation, stations, size))
+
+    return of
+
+
 def _twist(place: str, rng: np.random.Generator) -> Callable[[float], Fault]:
     shift, turn = rng.normal(size=3), rng.normal(size=3)
     twist = np.r_[shift / np.linalg.norm(shift), 2.0 * turn / np.linalg.norm(turn)] * rng.uniform(0.3, 1.0, 6)
 
-    def of(size: float) -> Fault:
-        def bend(arm: Arm, stations: Stations, deviation: Deviation) -> None:
-            (deviation.tool if place == "tool" else deviation.tracker)[:] += size * twist
+    def bend(deviation: Deviation, stations: Stations, size: float) -> None:
+        (deviation.tool if place == "tool" else deviation.tracker)[:] += size * twist
 
-        return Fault((), (place,), (), f"{1e3 * size:.3f}", bend)
-
-    return of
+    return _bends((place,), bend)
 
 
-def _zero(joint: int) -> Callable[[float], Fault]:
-    def of(size: float) -> Fault:
-        def bend(arm: Arm, stations: Stations, deviation: Deviation) -> None:
-            deviation.x[:, joint, TURN] += size
+def at_joint(joint: int, error: Callable[[Array], Array | float]) -> Callable[[float], Fault]:
+    """A joint that is off by a multiple of a function of its position."""
 
-        return Fault((), (), (), f"{1e3 * size:.3f} mrad", bend)
+    def bend(deviation: Deviation, stations: Stations, size: float) -> None:
+        deviation.x[:, joint, TURN] += size * error(stations.q[:, joint])
 
-    return of
+    return _bends((), bend)
 
 
 def _gear(joint: int, rng: np.random.Generator) -> Callable[[float], Fault]:
     ratio, phase, second = int(rng.integers(50, 162)), rng.uniform(0, 2 * np.pi, 2), rng.uniform(0, 0.5)
     if rng.random() < 0.3:  # an eccentric gear or encoder rather than a wave
         ratio = 1
-
-    def of(size: float) -> Fault:
-        def bend(arm: Arm, stations: Stations, deviation: Deviation) -> None:
-            q = stations.q[:, joint]
-            deviation.x[:, joint, TURN] += size * (
-                np.sin(ratio * q + phase[0]) + second * np.sin(2 * ratio * q + phase[1])
-            )
-
-        return Fault((), (), (), f"{1e3 * size:.3f} mrad, {ratio} a turn", bend)
-
-    return of
+    return at_joint(joint, lambda q: np.sin(ratio * q + phase[0]) + second * np.sin(2 * ratio * q + phase[1]))
 
 
-def _grown(old: Fault) -> Callable[[float], Fault]:
+def _grown(old: Fault, arm: Arm) -> Callable[[float], Fault]:
     """The curve that the arm had from the beginning, grown by a share."""
 
-    def of(size: float) -> Fault:
-        def bend(arm: Arm, stations: Stations, deviation: Deviation) -> None:
-            before = deviation.x.copy()
-            plain = Deviation(arm, stations)
-            old.bend(arm, stations, plain)
-            deviation.x[:] = before + size * (plain.x - arm.coordinates(stations.q))
+    def bend(deviation: Deviation, stations: Stations, size: float) -> None:
+        plain = Deviation(arm, stations)
+        old.bend(arm, stations, plain)
+        deviation.x += size * (plain.x - arm.coordinates(stations.q))
 
-        return Fault((), (), (), f"{size:+.0%}", bend)
-
-    return of
+    return _bends((), bend)
 
 
-def _scale(size: float) -> Fault:
-    def bend(arm: Arm, stations: Stations, deviation: Deviation) -> None:
-        deviation.scale *= 1.0 + size
-
-    return Fault((), (), (), f"{1e6 * size:.0f} ppm", bend)
+def _scale(deviation: Deviation, stations: Stations, size: float) -> None:
+    deviation.scale *= 1.0 + size
 
 
 KINDS = ("base", "tool", "joint_zero", "gear", "tracker_scale", "tracker_noise")
@@ -168,15 +180,15 @@ def planted(place: Workplace, kind: str, q: Array, rng: np.random.Generator, tim
         where = "tool" if kind == "camera" else kind
         right, make = ((where, where),), _twist(where, rng)
     elif kind == "joint_zero":
-        right, make = (("joint_zero", names[joint]),), _zero(joint)
+        right, make = (("joint_zero", names[joint]),), at_joint(joint, lambda q: 1.0)
     elif kind == "gear":
         own = [f for f in place.old if f.family == ("gear_harmonic",)]
         if own and rng.random() < 0.5:
-            right, make = (("gear", own[0].place[0]),), _grown(own[0])
+            right, make = (("gear", own[0].place[0]),), _grown(own[0], arm)
         else:
             right, make = (("gear", names[joint]),), _gear(joint, rng)
     else:
-        right, make = (("tracker_scale", "tracker"),), _scale
+        right, make = (("tracker_scale", "tracker"),), _bends((), _scale)
     stations = Stations(q, np.arange(len(q)) * 2.0, np.ones_like(q))
     size = 1e-3
     for _ in range(4):  # what is planted moves the tool in proportion to its size, nearly

@@ -1,230 +1,268 @@
-"""Does ``modcal.check`` name what changed, by ten stations? Cells of MuJoCo, one thing planted, and a table.
+"""Does ``modcal.check`` name what changed, by ten stations? Cells of MuJoCo, one thing planted; and real readings.
 
-    python bench/check/run.py --cells 12 --each 5 --out /tmp/check.jsonl
+    make bench NAME=check ARGS="--only points --seeds 3 --each 5"
 
-Each cell is calibrated from 160 stations once. Results are appended to the file as they come, and a run that is
-interrupted goes on where it was; ``--table`` only prints.
+tracker, points, camera: each cell is calibrated from 160 stations once (poses, points, or a board that a camera on the
+hand sees), then checked after one change of three times the floor. months: does ``modcal history`` see a gear's curve
+grow by a fifth in four months? real: series A of the IPA's UR10, calibrated from 662 of its stations and checked by ten
+others, at random or neighbours, as they are or moved as by a base, a tool or a joint's zero; and series D, another day.
 """
 
 from __future__ import annotations
 
-import os
+import sys
+from pathlib import Path
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import harness
 
-import argparse  # noqa: E402
-import json  # noqa: E402
-import time  # noqa: E402
-from collections.abc import Iterator  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
+# isort: split
+import time
+from collections import Counter
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from typing import Any
 
-import numpy as np  # noqa: E402
-from cells import KINDS, STATIONS, TIMES, Change, Readings, Workplace, planted, workplace  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
-from scipy.stats import beta  # noqa: E402
+import numpy as np
+import recorded
+from cells import KINDS, Workplace, at_joint, calibrated, distance, planted, samples_of, workplace
+from scipy.spatial.transform import Rotation
 
-import modcal_core as modcal  # noqa: E402
-from modcal_core.checking.accuracy import expected_error  # noqa: E402
-from modcal_core.checking.known import pattern_of  # noqa: E402
-from modcal_core.checkup import Checked  # noqa: E402
-from modcal_core.errors import ModcalError  # noqa: E402
+import modcal_core as modcal
+from modcal_core.calibration.store import Calibration
+from modcal_core.checking.accuracy import expected_error
+from modcal_core.checking.known import pattern_of
+from modcal_core.checkup import Checked
+from modcal_core.errors import ModcalError
+from modcal_core.geometry import se3
+from modcal_core.measurements.samples import Samples
+from modcal_nodes.cli.history import read_history
 
-ROBOTS = ("ur10", "panda", "xarm7")
-SETUPS = ("tracker", "points", "camera")
+ROBOTS, SETUPS = ("ur10", "panda", "xarm7"), ("tracker", "points", "camera")
+CAMERA_KINDS = ("camera", "base", "joint_zero", "gear")
 FRESH = 200  # postures at which models are compared with the truth
-Result = dict[str, Any]
+WORDS = {"joint_zero": "zero of {}", "gear": "gear of {}", "base": "base", "tool": "tool"}
+WORDS |= {"tracker_scale": "scale of the {}", "tracker_noise": "noise of the {}"}
+MONTHS, MONTH, BEGIN, EACH_MONTH = 5, timedelta(days=30.44), datetime(2026, 3, 1, tzinfo=UTC), 80
+AMPLITUDE, GROWTH = 4e-4, 0.05  # of the gear's curve that grows [rad]; a month
+CALIBRATED, TEN, MOVED = 662, 10, 3.0  # of series A: stations; of a check; times the spread, RMS at the tool
 
 
-def samples_of(place: Workplace, readings: Readings, begin: float) -> modcal.Samples:
-    """What a user would hand over: points of a tracker, poses, or poses of the board that a camera on the hand sees."""
-    names, stamps = place.cell.arm.names, begin + 2.0 * np.arange(len(readings.q))
-    if place.points:
-        return modcal.Samples.from_arrays(readings.q, points=readings.p, names=names, stamps=stamps)
-    T = np.tile(np.eye(4), (len(readings.q), 1, 1))
-    T[:, :3, 3], T[:, :3, :3] = readings.p, readings.R.as_matrix()
-    return modcal.Samples.from_arrays(readings.q, poses=T, names=names, stamps=stamps)
+def one(task: harness.Task) -> harness.Result:
+    """All checks of one cell."""
+    part = {"real": real, "months": months}.get(task["part"], cell)
+    return part(task)
 
 
-def calibrated(place: Workplace, q: np.ndarray, rng: np.random.Generator, changes: tuple[Change, ...]) -> Any:
-    """The result of calibrating from these postures."""
-    robot = modcal.Robot.from_urdf(place.cell.arm.urdf, tip=place.cell.arm.tip)
-    return modcal.calibrate(robot, samples_of(place, place.measure(q, rng, changes), 1.7e9), seed=0)
+def cell(task: harness.Task) -> harness.Result:
+    """A cell that is calibrated once and checked after one change after the other."""
+    setup, seed = task["part"], task["seed"]
+    place, rng = workplace(task["robot"], seed, camera=setup == "camera", points=setup == "points")
+    before = calibrated(place, place.postures(rng), rng, ())
+    checks = []
+    for kind in ("nothing", *(CAMERA_KINDS if setup == "camera" else KINDS)):
+        for i in range(task["nothing"] if kind == "nothing" else task["each"]):
+            own = np.random.default_rng([seed, i, SETUPS.index(setup), sum(map(ord, kind))])
+            checks.append({"kind": kind, **checked(place, before, kind, own, task, full=i < task["full"])})
+    return {"checks": checks}
 
 
-def pattern(result: Any) -> float:
-    """What ``modcal check`` takes from the report beside a calibration."""
-    share = result.report.judged.predictable
-    return pattern_of(None if share is None else share.share)
-
-
-def miss(calibration: modcal.Calibration, readings: Readings, exact: bool) -> float:
-    """RMS distance [mm] between predictions and readings, or the exact positions."""
-    p = calibration.predict(readings.q)[:, :3, 3]
-    return 1e3 * float(np.sqrt(np.mean(np.sum((p - (readings.exact_p if exact else readings.p)) ** 2, axis=1))))
-
-
-def one(
-    place: Workplace, before: Any, kind: str, rng: np.random.Generator, stations: int, full: bool, follow: bool
-) -> Result:
+def checked(
+    place: Workplace, before: Any, kind: str, rng: np.random.Generator, task: harness.Task, full: bool
+) -> harness.Result:
     """One check after one change, its score, and how well the repaired model does."""
-    arm = place.cell.arm
-    q = rng.uniform(*arm.range, (stations, arm.n))
+    calibration, q = before.calibration, place.postures(rng, task["stations"])
     changes = () if kind == "nothing" else (planted(place, kind, q, rng),)
-    right = {name for change in changes for name in change.names}
-    if place.camera:
-        right = {("tool", "tool")} if kind == "camera" else right
-    seen = place.measure(q, rng, changes)
-    calibration, share = before.calibration, pattern(before)
-    begin = time.process_time()
-    samples = samples_of(place, seen, 1.71e9)
+    right = {("tool", "tool")} if kind == "camera" else {name for change in changes for name in change.names}
+    seen, share = place.measure(q, rng, changes), before.report.judged.predictable
+    share = pattern_of(None if share is None else share.share)
+    samples, began = samples_of(place, seen, 1.71e9), time.process_time()
     try:
         found = modcal.check(calibration, samples, pattern=share)
     except ModcalError as error:
-        none: Result = {"named": False, "first": False, "others": 0, "same_as": [], "status": "refused", "changes": []}
-        return {**none, "seconds": time.process_time() - begin, "right": sorted(map(list, right)), "said": str(error)}
-    seconds = time.process_time() - begin
-    result: Result = {"seconds": seconds, "right": sorted(map(list, right)), **said(found)}
-    labels = {(c.kind, c.place): (c.label, *c.same_as) for c in found.changes}
-    named = [key for key, names in labels.items() if key in right or right_label(right) & set(names)]
+        return {"named": False, "first": False, "others": 0, "status": "refused", "said": str(error)}
+    result = {"seconds": time.process_time() - began, **said(found)}
+    labels = {(c.kind, c.place): {c.label, *c.same_as} for c in found.changes}
+    words = {WORDS[what].format(where) for what, where in right}
+    named = [key for key, names in labels.items() if key in right or words & names]
     result["named"] = bool(named) if changes else not found.changes and found.status == "unchanged"
-    result["first"] = any(key in right for key in labels)
-    result["others"] = len(found.changes) - len(named)
+    result["first"], result["others"] = any(key in right for key in labels), len(found.changes) - len(named)
     result["same_as"] = [len(c.same_as) for c in found.changes]
     if full and changes and found.repaired is not None:
-        fresh = place.measure(rng.uniform(*arm.range, (FRESH, arm.n)), rng, changes)
-        again = calibrated(place, rng.uniform(*arm.range, (STATIONS, arm.n)), rng, changes).calibration
+        fresh = place.measure(place.postures(rng, FRESH), rng, changes)
+        again = calibrated(place, place.postures(rng), rng, changes).calibration
         for name, model in (("old", calibration), ("repaired", found.repaired), ("full", again)):
-            result[f"{name}_mm"] = miss(model, fresh, exact=False)
-            result[f"{name}_true_mm"] = miss(model, fresh, exact=True)
+            p = model.predict(fresh.q)[:, :3, 3]
+            result[f"{name}_mm"], result[f"{name}_true_mm"] = distance(p, fresh.p), distance(p, fresh.exact_p)
             expected = expected_error(model, model.calibrated, samples, fresh.q)
             result[f"{name}_expected_mm"] = None if expected is None else 1e3 * expected
-    if follow and changes and len(found.advice.stations):
-        result["added"] = followed(place, calibration, share, found, seen, changes, rng, right)
+    if task["follow"] and changes and len(found.advice.stations):
+        more = place.measure(np.concatenate([seen.q, found.advice.stations]), rng, changes)
+        after = modcal.check(calibration, samples_of(place, more, 1.72e9), pattern=share)
+        first = any((c.kind, c.place) in right for c in after.changes)
+        result["added"] = {"stations": len(more.q), **said(after), "first": first}
     return result
 
 
-def followed(
-    place: Workplace,
-    calibration: modcal.Calibration,
-    share: float,
-    found: Checked,
-    seen: Readings,
-    changes: tuple[Change, ...],
-    rng: np.random.Generator,
-    right: set[tuple[str, str]],
-) -> Result:
-    """The same after the proposed stations were measured as well."""
-    more = place.measure(np.concatenate([seen.q, found.advice.stations]), rng, changes)
-    again = modcal.check(calibration, samples_of(place, more, 1.72e9), pattern=share)
-    result = {"stations": len(more.q), **said(again)}
-    result["first"] = any((c.kind, c.place) in right for c in again.changes)
-    return result
-
-
-def right_label(right: set[tuple[str, str]]) -> set[str]:
-    """How what is right is called."""
-    words = {"joint_zero": "zero of {}", "gear": "gear of {}", "tracker_scale": "scale of the {}"}
-    words |= {"tracker_noise": "noise of the {}", "base": "base", "tool": "tool"}
-    return {words[kind].format(place) for kind, place in right}
-
-
-def said(found: Checked) -> Result:
+def said(found: Checked) -> harness.Result:
     """What a check said."""
-    return {
-        "status": found.status,
-        "changes": [[c.kind, c.place, *c.same_as] for c in found.changes],
-        "aside": len(found.aside),
-        "action": found.advice.action,
-        "repaired": found.repaired is not None,
+    changes = [[c.kind, c.place, *c.same_as] for c in found.changes]
+    told = {"aside": len(found.aside), "action": found.advice.action, "repaired": found.repaired is not None}
+    return {"status": found.status, "changes": changes, **told}
+
+
+def months(task: harness.Task) -> harness.Result:
+    """A gear's wave calibrated five times a month apart, set up again each time; in every second cell it grows."""
+    place, rng = workplace(task["robot"], 3 * task["seed"])
+    joint, cycles, phase = int(rng.integers(1, 4)), int(rng.integers(1, 120)), rng.uniform(0, 2 * np.pi)
+    growth, wave = GROWTH * (task["number"] % 2 == 0), at_joint(joint, lambda q: np.sin(cycles * q + phase))
+    with harness.scratch() as folder:
+        for month in range(MONTHS):
+            place.old, when = (wave(AMPLITUDE * (1.0 + growth * month)),), BEGIN + month * MONTH
+            q, way = place.postures(rng, EACH_MONTH), rng.normal(0.0, 0.1, 3)
+            place.cell.tracker = place.cell.tracker[0] + way, place.cell.tracker[1] * Rotation.from_rotvec(way)
+            found = calibrated(place, q, rng, (), when.timestamp())
+            found.save(folder / f"{when:%Y-%m-%d}", page=False)
+        (history,) = read_history(folder)
+    name = f"curve of {place.cell.arm.names[joint]}"
+    own = next((s for s in history.series if s.name == name), None)
+    trends = [s for s in history.series if s.trend is not None]
+    true = 1e3 * AMPLITUDE / np.sqrt(2.0) * growth * (MONTHS - 1)  # of the RMS of a wave over whole turns, nearly
+    seen = bool(growth) and own is not None and own.trend is not None
+    out: harness.Result = {
+        "grows": bool(growth),
+        "cycles": cycles,
+        "true_mrad": true,
+        "said": [s.sentence for s in trends],
     }
-
-
-def runs(cells: int, each: int, nothing: int, setups: tuple[str, ...]) -> Iterator[tuple[str, str, int, str, int]]:
-    """(setup, robot, seed, kind, number) of all checks, in rounds, so that a table grows evenly."""
-    for seed in range(cells):
-        robot = ROBOTS[seed % len(ROBOTS)]
-        for setup in setups:
-            kinds = ("camera", "base", "joint_zero", "gear") if setup == "camera" else KINDS
-            for i in range(nothing):
-                yield setup, robot, seed, "nothing", i
-            for kind in kinds:
-                for i in range(each):
-                    yield setup, robot, seed, kind, i
-
-
-def interval(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of a share (Clopper & Pearson 1934)."""
-    low = 0.0 if hits == 0 else float(beta.ppf(0.025, hits, count - hits + 1))
-    high = 1.0 if hits == count else float(beta.ppf(0.975, hits + 1, count - hits))
-    return low, high
-
-
-def table(results: list[Result]) -> Table:
-    """The score by setup and kind."""
-    head = ("setup", "planted", "checks", "named or among same_as", "95 %", "named first", "something else named too")
-    out = Table(*head, "same_as, mean", "repaired ÷ full, noisy", "÷ full, truth", "by covariances", "s")
-    for setup in SETUPS:
-        for kind in ("nothing", *KINDS, "camera"):
-            part = [r for r in results if r["setup"] == setup and r["kind"] == kind]
-            if not part:
-                continue
-            hits = sum(r["named"] for r in part)
-            low, high = interval(hits, len(part))
-            ratio = [r["repaired_mm"] / r["full_mm"] for r in part if "full_mm" in r]
-            true = [r["repaired_true_mm"] / r["full_true_mm"] for r in part if "full_mm" in r]
-            told = [r["repaired_expected_mm"] / r["full_expected_mm"] for r in part if r.get("full_expected_mm")]
-            wide = [n for r in part for n in r["same_as"]]
-            out.add_row(
-                *(setup, kind, str(len(part)), f"{hits / len(part):.1%}", f"{low:.1%} … {high:.1%}"),
-                f"{sum(r['first'] for r in part) / len(part):.0%}" if kind != "nothing" else "",
-                f"{sum(r['others'] > 0 for r in part) / len(part):.1%}",
-                f"{np.mean(wide):.2f}" if wide else "",
-                f"{np.median(ratio):.2f}, worst {max(ratio):.2f}" if ratio else "",
-                f"{np.median(true):.2f}" if true else "",
-                f"{np.median(told):.2f}" if told else "",
-                f"{np.median([r['seconds'] for r in part]):.2f}",
-            )
+    out |= {"named": seen, "covered": seen and bool(own.trend.low <= true <= own.trend.high)}
+    out |= {"false": sum(s is not own or not growth for s in trends)}
     return out
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, default=12)
+def real(task: harness.Task) -> harness.Result:
+    """What was said of the UR10's series, by kind of check, in words, and how often."""
+    with harness.scratch() as folder:
+        robot, a = recorded.series("a", folder)
+        d = replace(recorded.series("d", folder)[1], frames=a.frames)
+        some = np.sort(np.random.default_rng(0).choice(len(a), CALIBRATED, replace=False))
+        modcal.calibrate(robot, a.select(some), seed=0).save(folder / "kept", page=False)
+        calibration, share = Calibration.load(folder / "kept"), harness.report_of(folder / "kept")["predictable"]
+    pattern = pattern_of(None if share is None else share["share"])
+    others, few = np.setdiff1d(np.arange(len(a)), some), max(task["each"] // 5, 1)
+    rng = np.random.default_rng([task["seed"], 26])
+
+    def ten(count: int, neighbours: bool) -> np.ndarray:
+        if neighbours:
+            first = int(rng.integers(count - TEN))
+            return np.arange(first, first + TEN)
+        return np.sort(rng.choice(count, TEN, replace=False))
+
+    def words(samples: Samples, label: str = "") -> str:
+        try:
+            found = modcal.check(calibration, samples, pattern=pattern)
+        except ModcalError as error:
+            return f"refused: {str(error)[:100]}"
+        names = [(c.label, *c.same_as) for c in found.changes]
+        right = "right, " if any(label in some for some in names) else "another, " if label and names else ""
+        return right + found.status + (": " + " + ".join(" | ".join(some) for some in names) if names else "")
+
+    rows = []
+    for neighbours in (False, True):
+        for kind in ("nothing", "base", "tool", "joint_zero"):
+            for _ in range(task["each"] if kind == "nothing" else few):
+                samples, label = a.select(others[ten(len(others), neighbours)]), ""
+                if kind != "nothing":
+                    samples, label = moved(calibration, samples, kind, rng)
+                rows.append([kind, "neighbours" if neighbours else "random", words(samples, label)])
+    for neighbours in (False, True):
+        for _ in range(few):
+            said = words(d.select(ten(len(d), neighbours)))
+            rows.append(["another day", "neighbours" if neighbours else "random", said])
+    return {"pattern": pattern, "rows": [[*key, n] for key, n in Counter(map(tuple, rows)).most_common()]}
+
+
+def moved(calibration: Calibration, samples: Samples, kind: str, rng: np.random.Generator) -> tuple[Samples, str]:
+    """A change that moves the tool by three times the spread, put into readings; with what it is to be called."""
+    chain, spread = calibration.nominal.serial, float(np.sqrt(3.0) * calibration.noise.position)
+    T = se3.transform(samples.R, samples.reading)
+    way, joint = rng.normal(size=6) * np.r_[np.ones(3), 2.0 * np.ones(3)], int(rng.integers(chain.n))
+
+    def after(size: float) -> np.ndarray:
+        if kind != "joint_zero":
+            return se3.exp(size * way) @ T if kind == "base" else T @ se3.exp(size * way)
+        q = samples.q.copy()
+        q[:, joint] += size
+        return calibration.predict(replace(samples, q=q)) @ se3.inverse(calibration.predict(samples)) @ T
+
+    size = 1e-4
+    for _ in range(3):
+        rms = harness.rms(np.linalg.norm(after(size)[:, :3, 3] - T[:, :3, 3], axis=1))
+        size = float(np.clip(size * MOVED * spread / max(rms, 1e-9), -0.05, 0.05))  # a zero that hardly moves the tool
+    new = after(size)
+    label = f"zero of {chain.names[joint]}" if kind == "joint_zero" else kind
+    return replace(samples, reading=new[:, :3, 3], R=new[:, :3, :3]), label
+
+
+def show(setup: str, checks: list[harness.Result]) -> None:
+    """The score of one setup by kind."""
+
+    def ratio(part: list[harness.Result], key: str) -> str:
+        r = [c[f"repaired_{key}"] / c[f"full_{key}"] for c in part if c.get(f"full_{key}")]
+        return f"{np.median(r):.2f}, {max(r):.2f}" if r else ""
+
+    rows = []
+    for kind in ("nothing", *KINDS, "camera"):
+        part = [c for c in checks if c["kind"] == kind]
+        if not part:
+            continue
+        hits, wide = sum(c["named"] for c in part), [n for c in part for n in c.get("same_as", ())]
+        low, high = harness.interval(hits, len(part))
+        shares = [f"{sum(c['first'] for c in part) / len(part):.0%}" if kind != "nothing" else ""]
+        shares += [f"{sum(c['others'] > 0 for c in part) / len(part):.1%}", f"{np.mean(wide):.2f}" if wide else ""]
+        ratios = [ratio(part, key) for key in ("mm", "true_mm", "expected_mm")]
+        seconds = f"{np.median([c['seconds'] for c in part if 'seconds' in c] or [np.nan]):.2f}"
+        rows.append([kind, len(part), f"{hits / len(part):.1%}", f"{low:.1%} … {high:.1%}", *shares, *ratios, seconds])
+    heads = (
+        "planted|checks|named or same_as|95 %|first|something else|same_as, mean|repaired ÷ full, worst|÷ full, truth"
+    )
+    harness.table(setup, [*heads.split("|"), "by covariances", "s"], rows)
+
+
+def main() -> int:
+    """Exit code: 0 where nothing failed."""
+    parser = harness.parser(__doc__, seeds=12, names=(*SETUPS, "months", "real"))
     parser.add_argument("--each", type=int, default=5, help="checks of each kind in a cell")
     parser.add_argument("--nothing", type=int, default=25, help="checks in a cell while nothing has changed")
-    parser.add_argument("--setups", default=",".join(SETUPS), help="some of them, separated by commas")
-    parser.add_argument("--stations", type=int, default=10)
+    parser.add_argument("--stations", type=int, default=TEN)
     parser.add_argument("--full", type=int, default=1, help="of each kind in a cell, beside a full recalibration")
     parser.add_argument("--follow", action="store_true", help="measure the proposed stations too, and check again")
-    parser.add_argument("--seed", type=int, default=0, help="another seed is another set of cells")
-    parser.add_argument("--out", type=Path, default=Path("check.jsonl"))
-    parser.add_argument("--table", action="store_true")
-    asked = parser.parse_args()
-    done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.is_file() else []
-    key = ("setup", "robot", "seed", "kind", "number")
-    have = {tuple(r[k] for k in key) for r in done}
-    now: tuple[Any, ...] = ()
-    for run in runs(asked.cells, asked.each, asked.nothing, tuple(asked.setups.split(","))) if not asked.table else ():
-        setup, robot, number, kind, i = run
-        seed = number + 1000 * asked.seed
-        if (setup, robot, seed, kind, i) in have:
-            continue
-        if now != (setup, robot, seed):
-            now = setup, robot, seed
-            place, rng = workplace(robot, seed, camera=setup == "camera", points=setup == "points")
-            arm = place.cell.arm
-            before = calibrated(place, rng.uniform(*arm.range, (STATIONS, arm.n)), rng, ())
-        own = np.random.default_rng([seed, i, SETUPS.index(setup), sum(map(ord, kind))])
-        result = {**dict(zip(key, (setup, robot, seed, kind, i), strict=True)), "times": TIMES}
-        result |= one(place, before, kind, own, asked.stations, i < asked.full, asked.follow)
-        done.append(result)
-        with asked.out.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(result) + "\n")
-    Console(width=200).print(table(done))
+    parser.add_argument("--real-each", type=int, default=150, help="checks of real readings where nothing has changed")
+    given = harness.parsed(parser)
+    told = {k: getattr(given, k) for k in ("each", "nothing", "stations", "full", "follow")}
+    tasks = [
+        {"part": part, "robot": ROBOTS[k % 3], "seed": given.first + k, "number": k, **told}
+        for k in range(given.seeds)
+        for part in given.names
+        if part != "real"
+    ]
+    if "real" in given.names:
+        harness.data()
+        tasks.append({"part": "real", "seed": given.first, "each": given.real_each})
+    results = harness.each(one, tasks, given)
+    good = {part: [r for r in results if r["part"] == part and not r["failed"]] for part in given.names}
+    for part, own in good.items():
+        if part in SETUPS and own:
+            show(part, [check for r in own for check in r["checks"]])
+        elif part == "months" and own:
+            grown = [r for r in own if r["grows"]]
+            named, covered = (harness.share(r[k] for r in grown) for k in ("named", "covered"))
+            false = sum(r["false"] for r in own)
+            harness.say(f"growth named in {named}, its interval holds the truth in {covered}; {false} false trends")
+        elif own:
+            harness.table("Real readings", ("what", "ten stations", "said", "checks"), own[0]["rows"])
+    return int(bool(harness.failures(results)))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

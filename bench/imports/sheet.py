@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from arms import Recorded
 
 LENGTH = {"mm": 1e3, "m": 1.0, "in": 1.0 / 0.0254, "cm": 1e2}
 ANGLE = {"deg": 180.0 / np.pi, "rad": 1.0, "gon": 200.0 / np.pi}
+DIGITS = {"mm": 4, "m": 7, "in": 5, "cm": 5}
 
 
 @dataclass
@@ -34,19 +36,20 @@ class Sheet:
     """Columns of one file."""
 
     def __init__(self, decimal: str) -> None:
-        self.decimal = decimal
-        self.labels: list[str] = []
-        self.cells: list[list[str]] = []
+        self.decimal, self.labels, self.cells = decimal, [], []
 
     def add(self, label: str, values: np.ndarray, digits: int) -> list[str]:
-        cells = [f"{v:.{digits}f}".replace(".", self.decimal) for v in values]
+        """A column; its cells, which may still be changed."""
         self.labels.append(label)
-        self.cells.append(cells)
-        return cells
+        self.cells.append([f"{v:.{digits}f}".replace(".", self.decimal) for v in values])
+        return self.cells[-1]
 
-    def text(self, rng: np.random.Generator, order: np.ndarray, units: bool = False) -> str:
-        separators = [";", "\t", "|"] + ([","] if self.decimal == "." else [])
-        separator = str(rng.choice(separators))
+    def add_all(self, labels: Iterable[str], values: np.ndarray, digits: int) -> list[list[str]]:
+        """A column for each label, values (N, …)."""
+        return [self.add(label, column, digits) for label, column in zip(labels, values.T, strict=True)]
+
+    def text(self, rng: np.random.Generator, order: np.ndarray) -> str:
+        separator = str(rng.choice([";", "\t", "|"] + ([","] if self.decimal == "." else [])))
         lines = ["Exported by the cell's logger", ""] if rng.random() < 0.3 else []
         lines.append(separator.join(self.labels))
         lines += [separator.join(column[i] for column in self.cells) for i in order]

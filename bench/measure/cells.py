@@ -6,14 +6,9 @@ written as modcal writes them.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "undeclared"))
-
 from fault import Fault, Stations
 from recordings import BEGIN, NOISE_MM, NOISE_MRAD, Cell, plant
 from scenarios import SCENARIOS
@@ -21,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
-from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.advice import Advice, Advisor
 from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.pool import Pool, of_robot
+from modcal_core.measuring.refit import Refit, refit
 from modcal_core.measuring.session import FRAME, Session, Station
 from modcal_core.planning.site import Noise, Site
 from modcal_core.robots.chain import Chain
@@ -83,53 +78,52 @@ class Bench:
             reading = np.r_[reading, turned.as_quat()]
         return station.measured(reading, stamp=BEGIN + self.now, approach=way)
 
+    def done(self, session: Session) -> Session:
+        """The session with its pending stations measured."""
+        for number in session.pending:
+            session = session.with_station(number, self.measure(session.stations[number]))
+        return session
+
+    def refit(self, session: Session) -> Refit:
+        """The model from everything measured."""
+        return refit(session.samples(session.fitted), self.chain, 0, None, self.inertias)
+
+    def run(self, goal: Goal, planned: bool) -> Advice:
+        """A measurement from beginning to end."""
+        self.begin(0)
+        advisor = Advisor(self.chain, self.pool, goal, 0, None, self.inertias, planned)
+        session = Session(self.chain.names, self.kind)
+        while (advice := advisor.advise(session, self.now)).outcome is None:
+            session = self.done(advice.session)
+        return advice
+
+    def _at_random(self, seed: int) -> tuple[np.random.Generator, Array, Array]:
+        """Random allowed postures and the side from which each is reached."""
+        rng = np.random.default_rng([self.seed, seed])
+        q = self.pool.q[self.pool.order[-TRUTH:]]
+        return rng, q, rng.choice([-1.0, 1.0], q.shape)
+
     def floor(self) -> float:
         """RMS over space [m] of what the arm does not repeat at random allowed postures, as its truth has it."""
-        rng = np.random.default_rng([self.seed, 29])
-        q = self.pool.q[self.pool.order[-TRUTH:]]
-        way, now = rng.choice([-1.0, 1.0], q.shape), np.zeros(len(q))
-        p = [
-            self.cell.poses(Stations(q + off, now, way), self.faults).p
-            for off in (np.zeros_like(q), rng.normal(0.0, self.repeats, q.shape))
-        ]
+        rng, q, way = self._at_random(29)
+        off = (np.zeros_like(q), rng.normal(0.0, self.repeats, q.shape))
+        p = [self.cell.poses(Stations(q + o, np.zeros(len(q)), way), self.faults).p for o in off]
         return float(np.sqrt(np.mean(np.sum((p[1] - p[0]) ** 2, axis=1))))
 
-    def error(self, calibration: Calibration, repeats: bool = True) -> float:
+    def error(self, calibration: Calibration) -> float:
         """RMS [m] of the distance between where the model has the tool and where it is, at random allowed postures.
 
-        repeats: what the arm does not repeat is part of it; the instrument's noise never is.
+        What the arm does not repeat is part of it; the instrument's noise never is.
         """
-        rng = np.random.default_rng([self.seed, 28])
-        q = self.pool.q[self.pool.order[-TRUTH:]]
-        way = rng.choice([-1.0, 1.0], q.shape)
-        off = rng.normal(0.0, self.repeats, q.shape) if repeats else np.zeros_like(q)
+        rng, q, way = self._at_random(28)
         now = np.full(len(q), self.now)
+        off = rng.normal(0.0, self.repeats, q.shape)
         exact = self.cell.poses(Stations(q + off, now, way), self.faults)
-        samples = as_samples(self.chain.names, q, exact.p, way, BEGIN + now)
-        e = errors(calibration.calibrated, samples).position_norm
-        return float(np.sqrt(np.mean(e**2)))
+        samples = as_samples(self.chain.names, q, exact.p, way, self.now)
+        return float(np.sqrt(np.mean(errors(calibration.calibrated, samples).position_norm ** 2)))
 
 
-def as_samples(names: tuple[str, ...], q: Array, p: Array, way: Array, stamps: Array) -> Samples:
-    """Points p (N, 3) read at postures q (N, n)."""
-    N = len(q)
-    return Samples(
-        names=names, frames=(FRAME,), q=q, stamps=stamps, station=np.arange(N), frame=np.zeros(N, int),
-        kind=np.full(N, "point", dtype=KIND_NAMES), reading=p, R=np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=np.full(N, np.nan), sigma_rotation=np.full(N, np.nan), velocity=np.zeros_like(q),
-        moving=np.zeros(N, bool), approach=way,
-    )  # fmt: skip
-
-
-def run(bench: Bench, goal: Goal, planned: bool, seed: int = 0) -> Advice:
-    """A measurement from beginning to end."""
-    bench.begin(seed)
-    advisor = Advisor(bench.chain, bench.pool, goal, seed, None, bench.inertias, planned)
-    session = Session(bench.chain.names, bench.kind)
-    while True:
-        advice = advisor.advise(session, bench.now)
-        session = advice.session
-        if advice.outcome is not None:
-            return advice
-        for number in session.pending:
-            session = session.with_station(number, bench.measure(session.stations[number]))
+def as_samples(names: tuple[str, ...], q: Array, p: Array, way: Array, now: float) -> Samples:
+    """Points p (N, 3) read at postures q (N, n), all of them now."""
+    samples = Samples.from_arrays(q, points=p, names=names)
+    return replace(samples, frames=(FRAME,), approach=way, stamps=np.full(len(q), BEGIN + now))

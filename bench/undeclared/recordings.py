@@ -100,9 +100,8 @@ class Cell:
         A = np.moveaxis(columns, 1, 2).reshape(6 * m, -1)
         raw = np.concatenate([with_.p - without.p, (with_.R * without.R.inv()).as_rotvec()], axis=1)
         rest = raw.ravel() - A @ np.linalg.lstsq(A, raw.ravel(), rcond=1e-10)[0]
-        rms = [1e3 * float(np.sqrt(np.mean(np.sum(v[:, s] ** 2, axis=1)))) for v in (raw, rest.reshape(m, 6))
-               for s in (slice(3), slice(3, 6))]  # fmt: skip
-        return Size(*rms)
+        halves = [v[:, s] for v in (raw, rest.reshape(m, 6)) for s in (slice(3), slice(3, 6))]
+        return Size(*(1e3 * float(np.sqrt(np.mean(np.sum(v**2, axis=1)))) for v in halves))
 
 
 @dataclass(frozen=True)

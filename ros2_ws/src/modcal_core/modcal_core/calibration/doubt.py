@@ -26,7 +26,7 @@ from modcal_core.robots.mechanism import is_serial_arm, tool_frames
 # Of the squares that geometry alone leaves: what a covariance says of a model is too little by several times where
 # the model is not quite right, so that at a fifth in RMS the better of the two is no longer known.
 # A judgement, made on parts of one real UR10's series. On 180 parts of other arms and recordings, it is worse than
-# geometry alone in three (bench/fits/outside.md).
+# geometry alone in three (bench/outside.py).
 UNSURE = 0.05
 _CHUNK = 500  # samples, for memory
 

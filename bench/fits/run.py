@@ -1,0 +1,214 @@
+"""Fits beside what can be reached: recordings whose floor is known, calibrated, and what is left of them in floors.
+
+    make bench NAME=fits ARGS="--only wall payloads_unknown --seeds 4"
+
+Four groups of kinds: geometry that is hard to find (``hard_cells.py``), loads as they are (``loads.py``), drivers as
+people record them (``drivers.py``), and Deltas with unequal rods. Beside the floor stands what the truth itself leaves
+of the same stations, and where a fit ends that is begun there (``truth.py``).
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import harness
+
+# isort: split
+import zlib
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import drivers
+import loads
+import numpy as np
+import truth
+from arm import DESCRIBED, ROBOTS
+from deltas import record_delta
+from hard_cells import DISTANCE, KINDS
+from works import Planted
+
+import modcal_core as modcal
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.distances import Distance
+from modcal_core.loop import calibrate
+from modcal_core.measurements.sequence import between
+from modcal_core.preprocess import prepare
+from modcal_core.robot import Robot
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
+
+MAX, NAMED = 1.1, 0.95  # times the floor, and share of the seeds, that a Delta has to reach
+STAGES = ("nominal", "geometric", "final")
+ROWS = {**loads.ROWS, **drivers.ROWS}
+RODS = {"rods_apart": (True, False), "rods_alike": (False, False)}  # unequal, and with a gear
+RODS |= {"rods_apart_gear": (True, True), "rods_alike_gear": (False, True)}
+# Of the Deltas: noise over space [mm], stations, how far rods are apart [m], and the gear: cycles a turn, amplitude
+# [rad], and standard deviations by which its cycles may be off
+FLOOR_MM, STATIONS, HELD_OUT, APART_M, CYCLES, AMPLITUDE, WITHIN = 0.01, 160, 200, 6e-4, 40.0, 3e-4, 3.0
+FIRST = {**dict.fromkeys(KINDS, 100), **dict.fromkeys(RODS, 1)}  # seeds that the published figures begin with
+
+
+def one(task: harness.Task) -> harness.Result:
+    """What came of one recording: everything in units of its floor."""
+    group = geometry if task["kind"] in KINDS else row if task["kind"] in ROWS else delta
+    return group(task["kind"], task["seed"], task["geometry_only"])
+
+
+def geometry(kind: str, seed: int, geometry_only: bool) -> harness.Result:
+    """A cell whose geometry is hard to find."""
+    made = KINDS[kind](np.random.default_rng([zlib.crc32(kind.encode()), seed]))
+    chain = read_chain(made.urdf, tip=made.tip)
+    samples, exact = prepare(made.recording, chain).samples, prepare(made.exact, chain).samples
+    known = Cell(tuple(Distance(pair, DISTANCE) for pair in made.distances))
+    done = calibrate(samples, chain, np.random.default_rng(seed), known, look_for_effects=not geometry_only)
+    report, fit = done.report, done.scored
+    left = {stage: 1e3 * float(np.sqrt(np.nanmean(report.errors[stage].position_norm ** 2))) for stage in STAGES}
+    assert np.array_equal(exact.stamps, report.samples.stamps), "not the same stations with and without noise"
+    beside = truth.of_geometry(done, replace(exact, sockets=report.samples.sockets), known, made.tool)
+    moved = fit.model.T_tip_tool[:3, 3] - done.calibration.nominal.T_tip_tool[:3, 3]
+    out: harness.Result = {
+        "floor_mm": made.floor_mm,
+        "left_mm": left,
+        **beside,
+        "over_floor": left["final"] / made.floor_mm,
+    }
+    out |= {"over_truth": left["final"] / beside["truth_mm"], "over_begun": left["final"] / beside["begun_mm"]}
+    out |= {"expected": float(np.sqrt(1.0 + len(fit.parameters) / (3.0 * len(report.sets.train))))}
+    out |= {"values": len(fit.parameters), "train": len(report.sets.train), "status": report.judged.status}
+    out |= {"rejected": report.rejected, "effects": [f"{e.family} {e.place}" for e in fit.model.effects]}
+    out |= {"tool_moved_mm": 1e3 * float(np.linalg.norm(moved))}
+    out |= {"distance_mm": max((1e3 * abs(d.residual) for d in report.distances), default=0.0)}
+    return out
+
+
+def row(kind: str, seed: int, geometry_only: bool) -> harness.Result:
+    """Loads or drivers: whether the cause is named, and nothing that is not there."""
+    works, planted = ROWS[kind].planted(kind, seed)
+    first = planted.recordings[0]
+    urdf = first.robot_description or ""
+    tip = ROBOTS.get(works.robot) or DESCRIBED[works.robot][1]
+    chain = read_chain(urdf, None, tip, frozenset(first.joints[0].names))
+    parts = [prepare(recording, chain).samples for recording in planted.recordings]
+    samples = parts[0]
+    for later in parts[1:]:
+        samples = samples.followed_by(later)
+    cell = Cell(between=tuple(between(a, b) for a, b in pairwise(parts)))
+    inertias = read_inertias(urdf, chain)
+    done = calibrate(
+        samples, chain, np.random.default_rng(0), cell, inertias=inertias, look_for_effects=not geometry_only
+    )
+    report = done.report
+    found = [(e.family, e.place) for e in report.effects if e.family != "outliers"]
+    gravity, kg = compared(report.loads, planted)
+    named = planted.named is None or any(f in planted.named[0] and p in planted.named[1] for f, p in found)
+    clean = not (found if "*" in planted.never else [f for f, _ in found if f in planted.never])
+    rms = report.size_mm("final").rms
+    out: harness.Result = {
+        "robot": works.robot,
+        "over_floor": rms / planted.floor_mm,
+        "final_mm": rms,
+        "samples": len(samples),
+    }
+    out |= {"named": bool(named and (planted.down is None or gravity < 5.0))}
+    out |= {"clean": bool(clean and (kind not in loads.ROWS or planted.down is not None or np.isnan(gravity)))}
+    out |= {"gravity_deg": gravity, "kg": kg, "status": report.judged.status}
+    out |= {"effects": [f"{e.family} {e.place} {e.driver}" for e in report.effects]}
+    out |= {**(truth.of_effects(done, works.exact_samples(report.samples), cell) if planted.stations else {})}
+    return out
+
+
+def compared(found: Any, planted: Planted) -> tuple[float, float]:
+    """Angle [deg] between found and true weight, and the largest error of a payload [kg]; NaN where nothing is said."""
+    gravity = kg = np.nan
+    if found is not None and found.down is not None:
+        true = np.array([0.0, 0.0, -1.0]) if planted.down is None else planted.down
+        gravity = float(np.degrees(np.arccos(np.clip(found.down @ true, -1.0, 1.0))))
+    if found is not None and found.payloads:
+        masses = np.array([p.mass for p in found.payloads])
+        true_kg = np.array(planted.carried or (0.0,) * len(masses))
+        kg = float(np.abs(masses - true_kg).max()) if len(masses) == len(true_kg) else np.nan
+    return gravity, kg
+
+
+def delta(kind: str, seed: int, geometry_only: bool) -> harness.Result:
+    """A Delta of MuJoCo's closed chains, every constant off: are its rods and its gear named, and nothing else?"""
+    unequal, gear = RODS[kind]
+    rng = np.random.default_rng([seed, 22])
+    apart = APART_M * rng.choice([-1.0, 1.0], 3) if unequal else np.zeros(3)
+    joint = int(rng.integers(3))
+    how = {"noise_m": 1e-3 * FLOOR_MM / np.sqrt(3.0), "unequal": tuple(apart)}
+    how["gear"] = (joint, CYCLES, AMPLITUDE) if gear else None
+    cell = record_delta(seed, STATIONS + HELD_OUT, ("point", "pose")[seed % 2], seed % 4 < 2, **how)
+    found = modcal.calibrate(Robot(cell.nominal), cell.samples.select(np.arange(STATIONS)), seed=0)
+    rest = cell.samples.select(np.arange(STATIONS, STATIONS + HELD_OUT))
+    gap = found.calibration.calibrated.predict_samples(rest)[:, :3, 3] - rest.reading
+    over = 1e3 * float(np.sqrt(np.mean(np.sum(gap**2, axis=1)))) / FLOOR_MM
+    named = sorted(f"{e.family}:{e.place}" for e in found.report.effects)
+    gears = [e.parameters["cycles_per_turn"] for e in found.report.effects if e.family == "gear_harmonic"]
+    there = [f"gear_harmonic:{cell.nominal.names[joint]}"] * gear + ["parallelogram:tool"] * unequal
+    right = named == there and all(abs(value - CYCLES) < WITHIN * std for value, std, *_ in gears)
+    out: harness.Result = {
+        "over_floor": over,
+        "named": right,
+        "clean": right,
+        "effects": named,
+        "status": found.report.status,
+    }
+    out |= {"cycles": [(value, std) for value, std, *_ in gears]}
+    return out
+
+
+def line(r: harness.Result) -> str:
+    words = [f"{r['over_floor']:.2f} x the floor"]
+    if "over_truth" in r:
+        words.append(f"{r['over_truth']:.2f} x the truth, {r['over_begun']:.3f} x begun there")
+    words += [] if r.get("named", True) else ["NOT NAMED"]
+    words += [] if r.get("clean", True) else ["NOT THERE"]
+    return ", ".join([*words, r["status"], *r["effects"]])
+
+
+def together(kind: str, of_seeds: list[harness.Result]) -> list[object]:
+    """A row of the table."""
+
+    def values(key: str) -> np.ndarray:
+        return np.array([r.get(key, np.nan) for r in of_seeds], dtype=float)
+
+    def told(key: str, *ways: Any) -> list[object]:
+        known = values(key)[np.isfinite(values(key))]
+        return [f"{way(known):.3f}" if len(known) else "" for way in ways]
+
+    over = values("over_floor")
+    named = [f"{np.mean([r[key] for r in of_seeds]):.0%}" if key in of_seeds[0] else "" for key in ("named", "clean")]
+    row = [kind, len(of_seeds), *told("over_floor", np.median, harness.rms, np.max), f"{np.mean(over <= MAX):.0%}"]
+    row += [*named, *told("gravity_deg", np.median, np.max), *told("kg", np.median)]
+    row += [*told("over_truth", np.median, np.max), *told("expected", harness.rms)]
+    return row + [*told("lacks", np.median, np.max), *told("over_begun", np.max)]
+
+
+def main() -> int:
+    """Exit code: 0 where nothing failed and the Deltas meet their targets."""
+    parser = harness.parser(__doc__, seeds=20, names=(*KINDS, *ROWS, *RODS), first=None)
+    parser.add_argument("--geometry-only", action="store_true", help="look for no effects")
+    given = harness.parsed(parser)
+    first = {kind: FIRST.get(kind, 0) if given.first is None else given.first for kind in given.names}
+    tasks = [
+        {"kind": kind, "seed": first[kind] + k, "geometry_only": given.geometry_only}
+        for kind in given.names
+        for k in range(given.seeds)
+    ]
+    results = harness.each(one, tasks, given, line)
+    good = {kind: [r for r in results if r["kind"] == kind and not r["failed"]] for kind in given.names}
+    heads = f"recording|seeds|÷ floor|RMS|worst|≤ {MAX:g}|named|nothing else|gravity °|worst|kg|÷ truth|worst|expected"
+    heads = f"{heads}|lacks|worst|÷ begun at the truth".split("|")
+    harness.table("What is left, in floors", heads, [together(kind, rs) for kind, rs in good.items() if rs])
+    deltas = {kind: rs for kind, rs in good.items() if kind in RODS and rs}
+    targets = [(f"{k}: {MAX} floors", harness.rms([r["over_floor"] for r in rs]) <= MAX) for k, rs in deltas.items()]
+    targets += [(f"{k}: {NAMED:.0%} named", np.mean([r["named"] for r in rs]) >= NAMED) for k, rs in deltas.items()]
+    return int(bool(harness.failures(results))) or harness.met(*targets)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
