@@ -35,7 +35,7 @@ BESIDE = "at the floor, unknown"
 class Outcome:
     """What was said of one case. status: of the report, or ``refused``. left: final error over the floor.
 
-    known: of a good one, whether its floor can be known.
+    known: of a good one, whether its floor can be known. false: causes that were named and are none.
     """
 
     outcome: str
@@ -45,6 +45,7 @@ class Outcome:
     seconds: float = 0.0
     known: bool | None = None
     effects: tuple[str, ...] = field(default=())
+    false: tuple[str, ...] = ()
 
 
 def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
@@ -97,16 +98,17 @@ def modcal(*arguments: str) -> tuple[int, str]:
 
 
 def _refused(case: Case, said: str) -> Outcome:
+    false = falsely(case, [said])
     if not case.fault:
-        return Outcome(OPEN, "refused", said)
-    return Outcome(NAMED if _names(case, said) else UNNAMED, "refused", said)
+        return Outcome(OPEN, "refused", said, false=false)
+    return Outcome(NAMED if _names(case, said) else UNNAMED, "refused", said, false=false)
 
 
 def _reported(case: Case, report: dict[str, Any], known: bool | None, beside: dict[str, Any] | None = None) -> Outcome:
     status, text = report["status"], grounds(report)
     left = _left(case, beside or report)
     effects = tuple(f"{e['family']}@{e['place']}" for e in report.get("effects") or [])
-    made = Outcome("", status, text, left, effects=effects)
+    made = Outcome("", status, text, left, effects=effects, false=falsely(case, causes(report)))
     if not case.fault:
         if status == "open":
             return replace(made, outcome=OPEN)
@@ -141,8 +143,26 @@ def passed_wrongly(report: dict[str, Any], beside: dict[str, Any]) -> bool:
 
 def _names(case: Case, text: str) -> bool:
     """Whether the grounds name what is wrong; options and lists of what might be checked name nothing."""
+    return not case.must_name or _holds(text, case.must_name)
+
+
+def _holds(text: str, patterns: tuple[str, ...]) -> bool:
     text = re.sub(r"check that [^|]*|--[a-z-]+", "", text)
-    return not case.must_name or any(re.search(pattern, text, re.I) for pattern in case.must_name)
+    return any(re.search(pattern, text, re.I) for pattern in patterns)
+
+
+def falsely(case: Case, named: list[str]) -> tuple[str, ...]:
+    """The causes among those that were named that hold a false word, and neither a true one nor what was planted."""
+    true = (*case.must_name, *case.planted)
+    return tuple(cause for cause in named if _holds(cause, case.must_not) and not _holds(cause, true))
+
+
+def causes(report: dict[str, Any]) -> list[str]:
+    """What a report blames: effects but those of readings that are left out, regimes, and the convention."""
+    effects = [e for e in report.get("effects") or [] if e.get("family") != "outliers"]
+    blamed = [" ".join(str(e.get(key)) for key in ("family", "place", "driver")) for e in effects]
+    blamed += [str(regime.get("what")) for regime in report.get("regimes") or []]
+    return blamed + ([str(report["convention"])] if report.get("convention") else [])
 
 
 def _left(case: Case, report: dict[str, Any]) -> float:

@@ -1,24 +1,17 @@
-"""Cells of the eighth group: arms, motions and instruments in NumPy alone, written anew for it.
+"""Cells in NumPy alone, of five arms that the other groups do not have: of the eighth group and its healthy cells.
 
-Five arms that the other groups do not have. Truth is a product of matrices in which every link is displaced by half a
-millimetre and a milliradian; what bends or slips is put between two of them. From modcal comes only the writing
-of bags.
+Truth is a product of matrices in which every link is displaced by half a millimetre and a milliradian; what bends or
+slips is put between two of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from workcell import POSE, Array, Bend, Cellwork, Session, Stations
 
-from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
-from modcal_msgs_py.recording_write import write_recording
-
-Array = np.ndarray
 EPOCH, EACH = 1.75e9, 6.0  # s; the stamp of the first station, and from one to the next
 X, Y, Z = np.eye(3)
 H = np.pi / 2
@@ -94,12 +87,8 @@ def described(joints: tuple[Joint, ...]) -> str:
             f'<axis xyz="{j.axis[0]} {j.axis[1]} {j.axis[2]}"/>',
             f'<limit lower="{j.low - 4}" upper="{j.high + 4}" effort="100" velocity="3"/></joint>',
         ]
-    end = len(joints)
-    lines += [
-        '<link name="tool0"/><joint name="flange" type="fixed">'
-        f'<parent link="link_{end}"/><child link="tool0"/></joint></robot>'
-    ]
-    return "\n".join(lines)
+    tip = f'<link name="tool0"/><joint name="flange" type="fixed"><parent link="link_{len(joints)}"/>'
+    return "\n".join([*lines, f'{tip}<child link="tool0"/></joint></robot>'])
 
 
 def small(twist: Array) -> Array:
@@ -110,123 +99,46 @@ def small(twist: Array) -> Array:
     return T
 
 
-@dataclass(frozen=True)
 class Wrong:
-    """What is off at N stations. joints (N, n) [rad, m]; base, tool (N, 6) in the base and in the target; behind: by
-    the number of a joint, twists (N, 6) of what it carries, in its own frame."""
+    """How the arm truly is at N stations.
 
-    joints: Array | float = 0.0
-    base: Array | None = None
-    tool: Array | None = None
-    behind: dict[int, Array] = field(default_factory=dict)
-
-
-Fault = Callable[[Array, Array], Wrong]  # of joints (N, n) and seconds (N,)
-
-
-@dataclass(frozen=True)
-class Take:
-    """One recording, a row a station. The names of its parts are those that the judge of the other groups reads.
-
-    came: the way from which each joint came, (N, n). spoken: what is recorded in place of one reading a station.
+    x (N, n, 4): joints, the last of four, as in the other cells. tracker, tool (N, 6): twists of the base and in the
+    target. behind: by number of a joint, twists (N, 6) of what it carries, in its own frame.
     """
 
-    names: tuple[str, ...]
-    urdf: str
-    t: Array
-    q: Array
-    p: Array
-    R: Rotation
-    floor_mm: float
-    again: Array
-    came: Array
-    kind: str = POSE
-    values: Array | None = None
-    stated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    stream: float = 0.0
-    frame: str = "tracker"
-    signals: tuple[SignalTrack, ...] = ()
-    spoken: Callable[[Take], Recording] | None = None
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    def only(self, rows: Array) -> Take:
-        """These stations alone."""
-        kept = {name: getattr(self, name)[rows] for name in ("t", "q", "p", "R", "again", "came")}
-        return replace(self, values=None if self.values is None else self.values[rows], **kept)
-
-    def raw(self) -> Array:
-        """What the topic holds."""
-        if self.values is not None:
-            return self.values
-        return self.p if self.kind == POINT else np.column_stack([self.p, self.R.as_quat()])
-
-    def recording(self) -> Recording:
-        """The arrays to be written."""
-        if self.spoken is not None:
-            return self.spoken(self)
-        t = EPOCH + self.t
-        readings = ReadingTrack(self.kind, self.frame, t, self.raw(), t)
-        return Recording((joint_track(self.names, t, self.q),), (readings,), self.signals, self.urdf)
-
-    def write(self, folder: Path) -> Path:
-        """The bag of it."""
-        write_recording(self.recording(), folder)
-        return folder
+    def __init__(self, q: Array) -> None:
+        self.x = np.zeros((*q.shape, 4))
+        self.x[..., 3] = q
+        self.tracker, self.tool = np.zeros((len(q), 6)), np.zeros((len(q), 6))
+        self.behind: dict[int, Array] = {}
 
 
-def joint_track(names: tuple[str, ...], t: Array, q: Array) -> JointTrack:
-    """Joint states without speeds and efforts."""
-    return JointTrack(names, t, q, np.full_like(q, np.nan), np.full_like(q, np.nan), t)
-
-
-def after(first: Take, second: Take) -> Take:
-    """The second one behind the first, in one recording."""
-    columns = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in ("t", "q", "p", "came")}
-    weights = [len(first), len(second)]
-    floor = float(np.sqrt(np.average([first.floor_mm**2, second.floor_mm**2], weights=weights)))
-    turned = Rotation.concatenate([first.R, second.R])
-    return replace(
-        first, R=turned, again=np.concatenate([first.again, second.again]), floor_mm=floor, values=None, **columns
-    )
-
-
-class World:
+class World(Cellwork):
     """An arm as built, its target and its tracker."""
 
     def __init__(self, robot: str, rng: np.random.Generator) -> None:
         self.robot, self.rng, self.joints = robot, rng, ARMS[robot]
         self.names = tuple(j.name for j in self.joints)
-        self.n, self.urdf = len(self.joints), described(self.joints)
+        self.urdf = described(self.joints)
         self.low, self.high = (np.array([getattr(j, end) for j in self.joints]) for end in ("low", "high"))
         self.turns = np.array([not j.slides for j in self.joints])
         self.rebuild()
-        self.target = self._place(0.06), Rotation.random(rng=rng)
+        self.target = self.way(0.06) + np.array([0.02, 0.0, 0.08]), Rotation.random(rng=rng)
         self.eye = np.array([0.3, -0.4, 0.5]) + rng.normal(0, 1.0, 3), Rotation.random(rng=rng)
 
     def rebuild(self) -> None:
         """Another arm of the series."""
         scale = np.r_[np.full(3, 5e-4), np.full(3, 1e-3)]
-        self.built = small(self.rng.normal(0, scale, (self.n, 6)))
+        self.built = small(self.rng.normal(0, scale, (len(self.names), 6)))
 
-    def _place(self, size: float) -> Array:
-        return self.way(size) + np.array([0.02, 0.0, 0.08])
-
-    def way(self, size: float) -> Array:
-        """A vector of this length into a random direction."""
-        v = self.rng.normal(0, 1, 3)
-        return size * v / np.linalg.norm(v)
-
-    def some(self, first: int = 1, end: int | None = None) -> int:
+    def any_joint(self, low: int = 0, high: int | None = None) -> int:
         """The number of a joint that turns, drawn."""
-        return int(self.rng.choice([i for i in range(first, end or self.n) if self.turns[i]]))
+        return int(self.rng.choice([i for i in range(low, high or len(self.names)) if self.turns[i]]))
 
-    def frames(self, q: Array, wrong: Wrong) -> Array:
+    def frames(self, q: Array, wrong: Wrong | None = None) -> Array:
         """The frame behind every joint in the base (N, n, 4, 4)."""
-        T = np.tile(np.eye(4), (len(q), 1, 1)) if wrong.base is None else small(wrong.base)
-        q = q + wrong.joints
-        out = []
+        wrong = Wrong(q) if wrong is None else wrong
+        T, q, out = small(wrong.tracker), wrong.x[..., 3], []
         for i, j in enumerate(self.joints):
             fixed = np.eye(4)
             fixed[:3, :3], fixed[:3, 3] = Rotation.from_euler("xyz", j.rpy).as_matrix(), j.xyz
@@ -238,25 +150,23 @@ class World:
             out.append(T)
         return np.stack(out, axis=1)
 
-    def sees(self, q: Array, wrong: Wrong) -> tuple[Array, Rotation]:
+    def sees(self, q: Array, wrong: Wrong | None = None) -> tuple[Array, Rotation]:
         """Where the target truly is in the tracker's frame: (N, 3) and N turns."""
-        T = self.frames(q, wrong)[:, -1]
-        if wrong.tool is not None:
-            T = T @ small(np.r_[self.target[0], 0, 0, 0][None]) @ small(wrong.tool)
-            p, R = T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]) * self.target[1]
-        else:
-            p, R = T[:, :3, 3] + T[:, :3, :3] @ self.target[0], Rotation.from_matrix(T[:, :3, :3]) * self.target[1]
-        turn = self.eye[1]
-        return turn.apply(p) + self.eye[0], turn * R
+        T, (at, turned), (stand, eye) = self.frames(q, wrong)[:, -1], self.target, self.eye
+        if wrong is not None and wrong.tool.any():
+            T = T @ small(np.r_[at, 0, 0, 0][None]) @ small(wrong.tool)
+            at = np.zeros(3)
+        p = T[:, :3, 3] + T[:, :3, :3] @ at
+        return eye.apply(p) + stand, eye * (Rotation.from_matrix(T[:, :3, :3]) * turned)
 
     def torques(self, q: Array, payload: Array | float = 0.0) -> Array:
         """Of weight about each axis (N, n) [N m], with a mass [kg] where the target is."""
-        T = self.frames(q, Wrong())
+        T = self.frames(q)
         pay = np.broadcast_to(np.asarray(payload, dtype=float), len(q))
-        out = np.zeros((len(q), self.n))
+        out = np.zeros(q.shape)
         for i in np.flatnonzero(self.turns):
             axis, at = T[:, i, :3, :3] @ self.joints[i].axis, T[:, i, :3, 3]
-            for k in range(i, self.n):
+            for k in range(i, len(self.names)):
                 com = np.einsum("nab,b->na", T[:, k], np.r_[self.joints[k].com, 1.0])[:, :3]
                 out[:, i] += np.sum(axis * np.cross(com - at, [0, 0, -9.81 * self.joints[k].mass]), axis=1)
             tip = np.einsum("nab,b->na", T[:, -1], np.r_[self.target[0], 1.0])[:, :3]
@@ -265,56 +175,47 @@ class World:
 
     def postures(self, count: int, returns: int = 6, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
         """Random postures (count, n), the last visits of which come back from other sides: and which those are."""
-        q = self.low + (self.high - self.low) * self.rng.uniform(low, high, (count - returns, self.n))
+        q = self.low + (self.high - self.low) * self.rng.uniform(low, high, (count - returns, len(self.names)))
         order, again = list(range(len(q))), [False] * len(q)
         for i in self.rng.choice(len(q) // 2, returns, replace=False):
             here = order.index(i)
-            came = np.sign(q[i] - (q[order[here - 1]] if here else self._middle()))
+            came = np.sign(q[i] - (q[order[here - 1]] if here else 0.5 * (self.low + self.high)))
             best = max(range(here + 4, len(order)), key=lambda k: int(np.sum(came * (q[i] - q[order[k - 1]]) < 0)))
             order.insert(best, int(i))
             again.insert(best, True)
         return q[order], np.array(again)
 
-    def _middle(self) -> Array:
-        return 0.5 * (self.low + self.high)
-
-    def record(
+    def observe(
         self,
         q: Array,
         again: Array | None = None,
-        fault: Fault | Callable[..., Wrong] | None = None,
+        *bends: Bend,
         begin: float = 0.0,
         kind: str = POSE,
         noise_mm: float = 0.025,
         noise_mrad: float = 0.03,
         repeat: float = 8e-6,
-        **options: Any,
-    ) -> Take:
-        """Visits to q, read once each. fault: of joints, seconds and the way each joint came (N, n)."""
-        N, rng = len(q), self.rng
+    ) -> Session:
+        """Visits to q, read once each, with faults that bend the truth."""
+        N, rng, root = len(q), self.rng, np.sqrt(3.0)
         t = begin + EACH * np.arange(N)
         came = np.sign(np.diff(q, axis=0, prepend=q[:1]))  # nobody knows how the first one was reached
-        wrong = Wrong() if fault is None else fault(q, t, came)
-        p0, R0 = self.sees(q, wrong)
-        slip = rng.normal(0, repeat, q.shape)
-        p1, R1 = self.sees(q + slip, wrong)
+
+        def wrong(at: Array) -> Wrong:
+            made, meant = Wrong(at), Stations(q, t, came)
+            for bend in bends:
+                bend(self, meant, made)
+            return made
+
+        p0, R0 = self.sees(q, wrong(q))
+        reached = q + rng.normal(0, repeat, q.shape)
+        p1, R1 = self.sees(reached, wrong(reached))
         p = p1 + rng.normal(0, 1e-3 * noise_mm, p1.shape)
         R = R1 * Rotation.from_rotvec(rng.normal(0, 1e-3 * noise_mrad, p1.shape))
-        root = np.sqrt(3.0)
-        stated = (
-            1e3 * _rms(p1 - p0),
-            float(np.degrees(_rms((R0.inv() * R1).as_rotvec()))),
-            root * noise_mm,
-            float(np.degrees(root * 1e-3 * noise_mrad)),
-        )
-        again = np.zeros(N, bool) if again is None else again
-        return Take(
-            self.names, self.urdf, t, q.copy(), p, R, 1e3 * _rms(p - p0), again, came, kind, stated=stated, **options
-        )
-
-    def plain(self, count: int, fault: Callable[..., Wrong] | None = None, returns: int = 6, **options: Any) -> Take:
-        """Random postures, six of them twice."""
-        return self.record(*self.postures(count, returns), fault, **options)
+        turned = np.degrees(_rms((R0.inv() * R1).as_rotvec()))
+        stated = (1e3 * _rms(p1 - p0), float(turned), root * noise_mm, float(np.degrees(root * 1e-3 * noise_mrad)))
+        again, options = np.zeros(N, bool) if again is None else again, {"came": came, "epoch": EPOCH, "stated": stated}
+        return Session(self.names, self.urdf, t, q.copy(), p, R, 1e3 * _rms(p - p0), again, kind, **options)
 
 
 def _rms(v: Array) -> float:
