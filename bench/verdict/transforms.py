@@ -13,7 +13,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from arm import Arm
 from case import Scene, Step, take
+from recordings import plant
+from scenarios import SCENARIOS
 from scipy.spatial.transform import Rotation
 from workcell import BEGIN, PERIOD, REPEAT, Array, SignalTrack, joined  # noqa: F401 (kinds take all names from here)
 
@@ -41,6 +44,16 @@ def pick(low: int = 0, high: int | None = None) -> Step:
 def between(low: int, high: int) -> Callable[[Scene], int]:
     """A whole number, drawn."""
     return lambda c: int(c.rng.integers(low, high))
+
+
+def uniform(low: float, high: float, size: Any = None) -> Callable[[Scene], Any]:
+    """Even numbers, drawn."""
+    return lambda c: c.rng.uniform(low, high, size)
+
+
+def normal(scale: float, size: Any = None) -> Callable[[Scene], Any]:
+    """Normal numbers, drawn."""
+    return lambda c: c.rng.normal(0, scale, size)
 
 
 def way(size: float) -> Callable[[Scene], Array]:
@@ -130,12 +143,12 @@ def frozen(*options: str) -> Step:
     return step
 
 
-def before(count: int, *options: str) -> Step:
-    """A calibration on an earlier recording, made now and without faults, is evaluated on the one that there is."""
+def before(count: int, *options: str, faults: bool = False, **observed: Any) -> Step:
+    """A calibration on a recording that is made now is evaluated on the one that there is. faults: of that, as well."""
 
     def step(c: Scene) -> None:
         _evaluated(c, options)
-        c.sessions = {"first": c.clean(count)}
+        c.sessions = {"first": c.clean(count, *(c.used if faults else ()), **observed)}
 
     return step
 
@@ -170,14 +183,10 @@ def waits(c: Scene, bend: Any, *families: str) -> None:
     c.planted += families
 
 
-def joint(error: Callable[[Scene], Array], i: Of = "i") -> Step:
+def joint(error: Of, i: Of = "i") -> Step:
     """A joint is off by an error (N,) [rad]."""
 
-    def step(c: Scene) -> None:
-        k = c.of(i)
-        waits(c, c.joint(int(k), lambda s: error(c.at(s))))
-
-    return step
+    return lambda c: waits(c, c.joint(int(c.of(i)), lambda s: c.at(s).of(error)))
 
 
 def tool(shift: Of, turn: Of, when: Callable[[Scene], Array] | None = None) -> Step:
@@ -199,14 +208,14 @@ def _moved(part: str, shift: Of, turn: Of, when: Callable[[Scene], Array] | None
     return step
 
 
-def bend(part: str, where: Any, by: Callable[[Scene], Any]) -> Step:
+def bend(part: str, where: Any, by: Of) -> Step:
     """Adds to a part of the deviation (x, tool, tracker, payload) where an index says; the scene has d, t, q, came."""
 
     def bent(c: Scene, s: Any, d: Any) -> None:
         if part == "payload":
-            d.payload += by(c)
+            d.payload += c.of(by)
         else:
-            getattr(d, part)[where] += by(c.at(s, d))
+            getattr(d, part)[where] += c.at(s, d).of(by)
 
     return lambda c: waits(c, lambda arm, s, d: bent(c, s, d))
 
@@ -218,17 +227,17 @@ def elastic(sag: float = 4e-4, payload: float = 0.0) -> Step:
 
 def payload(mass: float) -> Step:
     """A mass at the flange [kg]."""
-    return bend("payload", None, lambda c: mass)
+    return bend("payload", None, mass)
 
 
-def tilted(turn: Callable[[Scene], Array]) -> Step:
+def tilted(turn: Of) -> Step:
     """A stand turns about the base's origin by rotation vectors (N, 3)."""
 
     def step(c: Scene) -> None:
         stand = c.cell.tracker[0]
 
         def bent(arm: Any, s: Any, d: Any) -> None:
-            back = Rotation.from_rotvec(-turn(c.at(s)))
+            back = Rotation.from_rotvec(-c.at(s).of(turn))
             d.tracker[:, :3] += back.apply(stand) - stand
             d.tracker[:, 3:] += back.as_rotvec()
 
@@ -375,18 +384,54 @@ def block_of(text: str, tag: str, name: str) -> str:
     return found[0]
 
 
+def inertial(link: int, pattern: str, by: str) -> Step:
+    """Another URDF, in which something of a link's inertial is another."""
+
+    def change(c: Scene, text: str) -> str:
+        whole = block_of(text, "link", c.arm.links[link])
+        (inside,) = re.findall(r"<inertial>.*?</inertial>", whole, re.DOTALL)
+        return text.replace(whole, whole.replace(inside, re.sub(pattern, by, inside, count=1)))
+
+    return described(change)
+
+
+def shorter(c: Scene, text: str) -> str:
+    """A URDF whose first long link is a tenth shorter."""
+    values = [v for v in re.findall(r'xyz="([^"]*)"', text) if max(abs(float(x)) for x in v.split()) > 0.25]
+    long = [f"{float(x) * (0.9 if abs(float(x)) > 0.25 else 1.0):.6g}" for x in values[0].split()]
+    return text.replace(f'"{values[0]}"', f'"{" ".join(long)}"')
+
+
+def dwells(count: int, begin: float = 0.0) -> Step:
+    """Streams of joint states and readings, ten readings a second while the arm stands."""
+
+    def step(c: Scene) -> None:
+        session = c.clean(count, noise_mm=0.0, noise_mrad=0.0, begin=begin)
+        arm_mm, arm_deg, _, _ = session.stated
+        eye_mm, eye_deg = 0.02 * np.sqrt(3.0), np.degrees(2e-5 * np.sqrt(3.0))
+        stated, floor = (arm_mm, arm_deg, eye_mm, eye_deg), float(np.hypot(arm_mm, eye_mm / np.sqrt(15)))
+        c.session = replace(session, stream=10.0, stated=stated, floor_mm=floor)
+
+    return step
+
+
 # --- what the arm is -------------------------------------------------------------------------------------------------
 
 
-def centres(c: Scene) -> Array:
-    """The arm's centre of mass in its base at the postures (N, 3), and from there its moment: times weight."""
-    model, data = c.arm._model, c.arm._data
-    out = np.empty((len(c.q), 3))
-    for i, x in enumerate(c.arm.coordinates(c.q)):
+def centres(c: Scene, q: Array | None = None) -> Array:
+    """The arm's centre of mass in its base at the postures (N, 3)."""
+    model, data, q = c.arm._model, c.arm._data, c.q if q is None else q
+    out = np.empty((len(q), 3))
+    for i, x in enumerate(c.arm.coordinates(q)):
         c.arm._place(x)
         mujoco.mj_comPos(model, data)
         out[i] = data.subtree_com[1]
     return out
+
+
+def moment(com: Array, x: float = 1.0, y: float = 1.0) -> Array:
+    """The moment (N, 3) of a centre of mass about the base, times weight, of a stand of two softnesses."""
+    return np.stack([-x * com[:, 1], y * com[:, 0], np.zeros(len(com))], axis=1)
 
 
 def scaled(values: Array, size: float) -> Array:
@@ -394,8 +439,28 @@ def scaled(values: Array, size: float) -> Array:
     return size / float(np.sqrt(np.mean(np.sum((values - values.mean(axis=0)) ** 2, axis=-1)))) * values
 
 
+def carrying(heavy: Callable[[Scene], Array], mass: Callable[[Scene], float]) -> Step:
+    """An elastic arm at the postures that were drawn, with a payload at some of them, (N,) of bool."""
+
+    def step(c: Scene) -> None:
+        rows, kilograms, bends = heavy(c), mass(c), [c.elastic(3e-4)]
+        q, again, state = c.__dict__.pop("q"), c.__dict__.pop("again"), c.rng.bit_generator.state
+        light = c.observe(q, again, *bends)
+        c.rng.bit_generator.state = state
+        payload(kilograms)(c)
+        loaded = c.observe(q, again, *bends, *c.bends)
+        c.session, c.bends = joined(light.only(np.flatnonzero(~rows)), loaded.only(np.flatnonzero(rows))), []
+
+    return step
+
+
+def kinds_of(q: Array) -> Array:
+    """Numbers of the postures, the same for second visits (N,)."""
+    return np.unique(q, axis=0, return_inverse=True)[1].ravel()
+
+
 def flange(c: Scene) -> tuple[Array, Array]:
-    """The flange at the postures: where (N, 3), and how it is turned (N, 3, 3), nominally displaced as the arm is."""
+    """The flange at the postures: where it is (N, 3), and how it is turned (N, 3, 3)."""
     p, R = c.arm.frames(c.arm.coordinates(c.q))
     return p[:, -1], R[:, -1]
 
@@ -405,9 +470,24 @@ def tool_axes(c: Scene) -> Array:
     return np.asarray(flange(c)[1] @ c.cell.tool[1].as_matrix())
 
 
+def by_drawing(c: Scene) -> None:
+    """Readings are computed from the joints for the arm of the drawing."""
+    p, R = Arm(c.robot).frames(c.arm.coordinates(c.q))
+    c.session = replace(c.session, p=p[:, -1], R=Rotation.from_matrix(R[:, -1]))
+
+
 def moves(q: Array, begin: Any = None) -> Array:
     """How far joints went to each station; to the first one from ``begin``, or not at all."""
     return np.diff(q, axis=0, prepend=q[:1] if begin is None else np.asarray(begin)[None])
+
+
+def dragged(values: Array, slack: float) -> Array:
+    """What follows values over a slack only, as friction holds it."""
+    held, out = np.zeros_like(values[0]), []
+    for value in values:
+        held = np.clip(held, value - slack, value + slack)
+        out.append(held)
+    return np.array(out)
 
 
 def middle(c: Scene) -> Array:
@@ -415,6 +495,87 @@ def middle(c: Scene) -> Array:
     return np.asarray(c.arm.range.mean(axis=0))
 
 
-def signal(name: str, clock: Array, values: Array, topic: str) -> SignalTrack:
+def share(c: Scene, *joints: int) -> Array:
+    """Where joints are in their ranges, from -1 to 1 (joints, N)."""
+    return ((c.q - middle(c)) / (0.5 * np.ptp(c.arm.range, axis=0)))[:, joints].T
+
+
+def travel(c: Scene) -> Array:
+    """Where the joint that was drawn is in its range, from 0 to 1 (N,)."""
+    low, high = c.arm.range[:, c.i]
+    return (c.x - low) / (high - low)
+
+
+def far(c: Scene) -> Array:
+    """Distances of the readings (N, 1)."""
+    return np.linalg.norm(c.p, axis=1, keepdims=True)
+
+
+def sight(c: Scene) -> Array:
+    """Unit vectors from the instrument to the target (N, 3)."""
+    return c.p / far(c)
+
+
+def azimuth(c: Scene) -> Array:
+    """Azimuths of the readings (N,)."""
+    return np.arctan2(c.p[:, 1], c.p[:, 0])
+
+
+def gear(size: float = 4e-4, i: Of = "i") -> Step:
+    """A gear that errs, some times a turn."""
+
+    def step(c: Scene) -> None:
+        cycles, k = int(c.rng.integers(20, 90)), c.of(i)
+        waits(c, c.joint(k, lambda s: size * np.sin(cycles * s.q[:, k])))
+
+    return step
+
+
+def warm(begin: float, seconds: float, low: float, high: float) -> Callable[[Scene], tuple[Array, Array]]:
+    """Times and a temperature that goes up and down, of a phase that is drawn."""
+
+    def made(c: Scene) -> tuple[Array, Array]:
+        clock = np.arange(begin, begin + seconds, 2.0)
+        phase = c.rng.uniform(0, 2 * np.pi)
+        return clock, low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * clock / 310.0 + phase))
+
+    return made
+
+
+def signal(name: str, clock: Array, values: Array, topic: str) -> tuple[SignalTrack, ...]:
     """A signal at times since the beginning of the session."""
-    return SignalTrack(name, BEGIN + clock, np.reshape(values, (len(clock), -1)), topic)
+    return (SignalTrack(name, BEGIN + clock, np.reshape(values, (len(clock), -1)), topic),)
+
+
+EXACT: dict[str, Any] = {"noise_mm": 0.0, "noise_mrad": 0.0, "repeat": 0.0}
+
+
+def heat_told(c: Scene) -> None:
+    """The temperature ``heat``, times and values, is recorded as that of the third joint's link."""
+    c.session = replace(c.session, signals=signal(f"temperature:{c.arm.parents[2]}", *c.heat, "/temperature"))
+
+
+def scenario(name: str, count: int) -> Step:
+    """Faults of bench/undeclared, of which the vocabulary has all, wait; what sensors they have is kept."""
+
+    def step(c: Scene) -> None:
+        c.faults = plant(c.cell, SCENARIOS[name], c.rng, count * PERIOD)
+        for fault in c.faults:
+            waits(c, fault.bend, *fault.family)
+
+    return step
+
+
+def sensed(c: Scene) -> None:
+    """The temperatures of planted faults are recorded."""
+    clock = np.arange(0.0, c.N * PERIOD + 1.0)
+    for link, temperature in (fault.sensor for fault in c.faults if fault.sensor is not None):
+        seen = temperature(clock) + c.rng.normal(0, 0.05, len(clock))
+        c.session = replace(c.session, signals=signal(f"temperature:{link}", clock, seen, "/temperature"))
+
+
+def five_times(c: Scene) -> None:
+    """Each row five times, a tenth of a period apart, with more scatter of the instrument."""
+    often = c.session.only(np.repeat(c.rows, 5))
+    later = np.tile(0.1 * PERIOD * np.arange(5), c.N)
+    c.session = replace(often, t=often.t + later, p=often.p + c.rng.normal(0, 4e-6, often.p.shape))

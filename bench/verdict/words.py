@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from case import Scene
 
 QUATERNION = ("quaternion", r"\borientation", "rotation")
@@ -62,3 +64,19 @@ def HAND(c: Scene) -> tuple[str, ...]:
 def FOOT(c: Scene) -> tuple[str, ...]:
     """The first joint, and the link that it stands on."""
     return (c.names[0], c.arm.parents[0])
+
+
+def OR_END(c: Scene) -> tuple[str, ...]:
+    """The joint, the one before it, and at an end of the arm what is beyond."""
+    beyond = BASE if c.i == 0 else ("tool",) if c.i == c.n - 1 else ()
+    return (c.names[max(c.i - 1, 0)], c.names[c.i], *beyond)
+
+
+def JOINT(*numbers: int) -> Callable[[Scene], tuple[str, ...]]:
+    """Joints by number."""
+    return lambda c: tuple(c.names[k] for k in numbers)
+
+
+def LINK(k: int) -> Callable[[Scene], str]:
+    """The link behind a joint."""
+    return lambda c: str(c.arm.links[k])

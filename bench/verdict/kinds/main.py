@@ -89,3 +89,131 @@ S(140, rows(lambda c: np.r_[:70, 69 : c.N - 1]))
 K("readings_shuffled", "Readings belong to other postures.")(120, rows(lambda c: c.rng.permutation(c.N)))
 K("nonsense", "Random poses.")
 S(100, put(p=lambda c: c.rng.uniform(-1, 1, (c.N, 3)), R=lambda c: Rotation.random(c.N, rng=c.rng)))
+
+# --- what an arm, its tool or its stand do that no entry of the vocabulary was written for; what the URDF has wrong --
+
+K("base_tilts_under_load", "The stand deflects under the arm's moment, more one way than the other.", BASE, FOOT)
+S(visit(150), let(com=centres, soft=uniform(0.5, 1.5, 2), turn=lambda c: scaled(moment(c.com, *c.soft), 4e-4)))
+S(tilted("turn"), see())
+K("stand_settles", "The tripod turns and sinks, ever more slowly.", BASE, JOINT(0), "drift")
+S(let(tau=uniform(100, 250), v=way(4e-4)), tilted(lambda c: np.outer(1 - np.exp(-c.t / c.tau), c.v)), 150)
+K("two_arms", "Another arm, recorded too, weighs on the torso that carries both.", "left_", BASE)
+S(visit(160), let(other=lambda c: c.rng.uniform(*c.arm.range, c.q.shape)))
+S(let(turn=lambda c: scaled(moment(centres(c, c.other)), 2e-3)), tilted("turn"), see())
+S(put(more=lambda c: {f"left_{name}": c.other[:, i] for i, name in enumerate(c.names)}))
+K("payload_from_the_middle", "An elastic arm picks up kilograms half way.", LOAD, EITHER, ALL, "step")
+S(visit(160), carrying(lambda c: c.rows >= 80, uniform(4.0, 8.0)))
+K("payload_of_the_posture", "An elastic arm carries a part in some postures; nothing says which.", LOAD, ALL)
+S(visit(160), carrying(lambda c: (c.rng.random(160) < 0.5)[kinds_of(c.q)], uniform(6.0, 10.0)))
+K(
+    "payload_at_random",
+    "An elastic arm carries a part now and then; it may be taken for scatter.",
+    LOAD,
+    ALL,
+    shown=False,
+)
+S(visit(160, 0), carrying(lambda c: c.rng.random(160) < 0.5, uniform(6.0, 10.0)))
+K("centre_of_mass_far_off", "A link's centre of mass is in millimetres: 500 m away.", LINK(2), "centre of mass", "mass")
+S(elastic(), 150, inertial(2, r'xyz="[^"]*"', 'xyz="0.0 0.0 500.0"'))
+K("mass_hundredfold", "A link's mass is in units of ten grams.", LINK(-2), LOAD, ALL, shown="if left")
+S(elastic(), 150, inertial(-2, r'(<mass value=")[^"]*', r"\g<1>150.0"))
+K("masses_missing", "An elastic arm whose URDF knows no masses.", LOAD, ALL, shown="if left")
+S(elastic(6e-4), 150, sub(r"<inertial>.*?</inertial>", ""))
+K("tool_has_free_play", "The tool drops to the lower side of a loose seat.", r"\btool\b", HAND, WRIST)
+S(visit(150), let(side=lambda c: np.sign(tool_axes(c)[:, 2, 0])), bend("tool", np.s_[:, 0], lambda c: 3e-4 * c.side))
+S(see())
+K("cable_drags", "A cable that becomes taut over two joints pulls one of them.", JJ)
+S(pick(0, -2), let(pull=lambda c: lambda u, v: np.maximum(u + v - 0.2, 0.0) * (1.0 + 0.5 * np.cos(2.0 * u * v))))
+S(joint(lambda c: 6e-4 * c.pull(*share(c, c.i, c.i + 1))), 180)
+K("joint_with_memory", "A joint's error follows its motion over a wide slack only.", J)
+S(pick(0, 4), joint(lambda c: 5e-4 * (c.x - dragged(c.x, 0.8))), 180)
+K("two_joints_together", "A joint is off by a product of functions of two others.", lambda c: [c.names[k] for k in c.u])
+S(let(u=lambda c: c.rng.permutation(c.n)[:3], i=lambda c: int(c.u[0])))
+S(joint(lambda c: 6e-4 * np.sin(1.7 * c.q[:, c.u[1]]) * np.sin(1.3 * c.q[:, c.u[2]] + 0.4)), 200)
+K("tracker_bends_its_rays", "Readings are off with the tracker's azimuth.", "tracker", "reading", r"\bbase\b", JOINT(0))
+S(160, let(turn=lambda c: 2.5e-4 * np.sin(3.0 * azimuth(c))[:, None] * c.way(1.0)))
+S(put(p=lambda c: Rotation.from_rotvec(c.turn).apply(c.p)))
+K("tracker_scale_with_distance", "A camera's scale errs with distance.", "tracker", "reading", "scale", r"\bbase\b")
+S(160, times(lambda c: 1.0 + 4e-4 * (far(c) - far(c).mean()) ** 2))
+K("joints_lag", "One joint's logged position lags the arm by a share of its last move.", J)
+S(160, pick(0, 4), col(lambda c: c.x - 1.5e-3 * moves(c.x)))
+K("all_joints_lag", "All joints are logged before they have arrived, each by its own share.", ALL)
+S(160, let(share=lambda c: c.rng.uniform(5e-4, 2e-3, c.n)), put(q=lambda c: c.q - c.share * moves(c.q)))
+K("other_robot", "The URDF's forearm is four centimetres shorter.", shown="if left")(140, described(shorter))
+K("spring_that_hardens_one_way", "Beyond some angle a joint is pushed back by the square of the way.", J)
+S(pick(1, 4), joint(lambda c: 1.2e-3 * np.maximum(c.x - middle(c)[c.i] - 0.5, 0.0) ** 2), 160)
+K("step_in_a_joint", "An encoder lost counts: from some station on a joint is off by a milliradian.", OR_END)
+S(pick(), let(k=between(50, 110)), joint(lambda c: 1e-3 * (c.rows >= c.k)), 160)
+K("few_stations", "Twelve poses.", FEW, floor=False)(clean(12, returns=0))
+K("few_points", "Twenty points of an arm with a gear error.", FEW, floor=False)
+S(joint(lambda c: 4e-4 * np.sin(37 * c.q[:, 2]), 2), points(20, returns=0))
+K("computed_from_the_drawing", "A driver computes readings with the URDF.", COMPUTED, "joint")(
+    clean(120, **EXACT), by_drawing
+)
+K("computed_by_the_controller", "The controller computes readings, calibrated.", COMPUTED)(clean(120, **EXACT))
+K("computed_and_rounded", "The same, to a micrometre and a microradian.", COMPUTED)
+S(let(drawn=lambda c: c.rng.random() < 0.5), clean(120, **EXACT), lambda c: by_drawing(c) if c.drawn else None)
+S(put(p=lambda c: np.round(c.p, 6), R=lambda c: Rotation.from_rotvec(np.round(c.R.as_rotvec(), 6))))
+
+# --- calibrations used where they do not hold ------------------------------------------------------------------------
+
+K("drift_carried_on", "A steady drift, evaluated days after it ended.", "time", "drift", "outside", shown="if left")
+S(let(v=way(2e-3)), tilted(lambda c: np.outer(c.t / 560.0, c.v)), 140, frozen("--refit-base"), clean(70, begin=3 * DAY))
+OVER = ("time", "drift", "outside")
+K("tool_drift_carried_on", "A tool that crept, evaluated a day later.", OVER, r"\btool\b", shown="if left")
+S(let(v=way(1e-3)), bend("tool", np.s_[:, :3], lambda c: np.outer(np.minimum(c.t, 560.0) / 560.0, c.v)), 140)
+S(frozen(), same, clean(70, begin=DAY))
+K(
+    "order_taken_for_a_clock",
+    "A drift by order of rows is carried on.",
+    "order",
+    "clock",
+    "time",
+    "drift",
+    shown="if left",
+)
+S(let(v=way(8e-4)), tilted(lambda c: np.outer((c.t - c.t[0]) / 560.0, c.v)), clean(140, period=10.0))
+S(frozen("--refit-base"), clean(60, period=10.0))
+K("tool_changed_frozen", "Another tool, which is not found again.", TOOL)(120, frozen(), tool(0.003, 0.34), 70)
+K("base_moved_frozen", "The tracker elsewhere, not found again.", BASE)(120, frozen(), base(0.02, 0.01), 70)
+K("base_moved_within_the_frozen", "Frozen, on a recording in which the tracker is moved half way.", BASE)
+S(120, frozen(), base(0.02, 0.01, since(45)), 90)
+K("joint_adjusted_frozen", "A joint has a new zero since the calibration.", NEAR)
+S(pick(1, -1), joint(lambda c: np.full(c.N, 1.5e-3)), 80, before(120))
+K("payload_unknown_frozen", "An elastic arm carries 8 kg that it did not carry when calibrated.", LOAD, ALL)
+S(elastic(4e-4), 140, frozen(), same, payload(8.0), 80)
+K("effort_missing", "Springs found by effort, on a recording without any.", "effort", LOAD, ALL, shown="if left")
+S(elastic(5e-4), 80, before(140, faults=True, effort=True))
+K("effort_missing_with_a_payload", "The same with a payload that effort shows.", "effort", LOAD, ALL, shown="if left")
+S(elastic(5e-4, payload=5.0), clean(140, effort=True), frozen(), same, 80)
+K("temperature_missing", "A link grows with a temperature that is recorded first only.", "temperature", "thermal")
+GROWS = bend("x", np.s_[:, 2, 0], lambda c: 2e-5 * (np.interp(c.t, *c.heat) - 20.0))
+S(let(heat=warm(0.0, 140 * PERIOD + 1.0, 20.0, 50.0)), GROWS, 140)
+S(let(heat=lambda c: (c.heat[0], c.heat[1] + c.rng.normal(0, 0.05, len(c.heat[1])))), heat_told, frozen())
+S(let(heat=warm(2000.0, 80 * PERIOD + 1.0, 30.0, 70.0)), GROWS, clean(80, begin=2000.0))
+K("temperature_out_of_range", "A link, used much warmer.", "temperature", "thermal", "outside", shown="if left")
+S(let(heat=warm(0.0, 600.0, 20.0, 35.0), hot=warm(2000.0, 400.0, 60.0, 80.0)))
+S(bend("x", np.s_[:, 2, 0], lambda c: 1e-6 * (np.interp(c.t, *c.heat) - 20.0) ** 2), 140, heat_told, frozen())
+S(let(heat=lambda c: c.hot), same, clean(80, begin=2000.0), heat_told)
+K(
+    "curve_out_of_range",
+    "A curve of a joint's error, used where it was not seen.",
+    J,
+    "outside",
+    "range",
+    shown="if left",
+)
+S(pick(0, 4), joint(lambda c: 1.5e-3 * travel(c) * np.sin(5.0 * travel(c)) * (1.0 + travel(c))), visit(160, high=0.6))
+S(see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
+K("geometry_out_of_range", "An elastic arm, used elsewhere.", "outside", "range", LOAD, ALL, shown="if left")
+S(elastic(8e-4), visit(160, high=0.6), see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
+K("geometry_only", "A gear that errs, and --geometry-only.", J, BOLTED)(
+    pick(0, 4), gear(), 150, asked("--geometry-only")
+)
+K("geometry_only_with_a_drift", "A stand turns, and --geometry-only.", BASE, "time", "order", BOLTED)
+S(let(v=way(6e-4)), tilted(lambda c: np.outer(c.t / 600.0, c.v)), 150, asked("--geometry-only"))
+K("gear_seen_too_rarely", "Gears of many cycles at few stations.")
+S(gear(8e-4, 0), gear(8e-4, 1), gear(8e-4, 2), points(60))
+K("worn_since", "A gear that errs now and did not then.", J, "held-out", "floor", "repeat", "spread")
+S(pick(0, 4), 120, frozen(), gear(5e-4), 100)
+K("nonsense_frozen", "Readings of another arm.")(80, rows(lambda c: c.rng.permutation(c.N)), before(120))
