@@ -18,7 +18,7 @@ from case import Scene, Step, take
 from recordings import plant
 from scenarios import SCENARIOS
 from scipy.spatial.transform import Rotation
-from workcell import BEGIN, PERIOD, REPEAT, Array, SignalTrack, joined  # noqa: F401 (kinds take all names from here)
+from workcell import BEGIN, PERIOD, REPEAT, Array, SignalTrack, Works, joined  # noqa: F401 (kinds take all names from here)
 
 DAY = 86_400.0
 Of = Any  # a value, a name that ``let`` gave, or a function of the scene
@@ -143,12 +143,13 @@ def frozen(*options: str) -> Step:
     return step
 
 
-def before(count: int, *options: str, faults: bool = False, **observed: Any) -> Step:
-    """A calibration on a recording that is made now is evaluated on the one that there is. faults: of that, as well."""
+def before(count: int | None, *options: str, **observed: Any) -> Step:
+    """A calibration on a recording that is made now is evaluated on the one that there is; None: of postures drawn."""
 
     def step(c: Scene) -> None:
         _evaluated(c, options)
-        c.sessions = {"first": c.clean(count, *(c.used if faults else ()), **observed)}
+        visits = c.postures(count) if count else (c.__dict__.pop("q"), c.__dict__.pop("again"))
+        c.sessions, c.bends = {"first": c.observe(*visits, *c.bends, **observed)}, []
 
     return step
 
@@ -215,7 +216,7 @@ def bend(part: str, where: Any, by: Of) -> Step:
         if part == "payload":
             d.payload += c.of(by)
         else:
-            getattr(d, part)[where] += c.at(s, d).of(by)
+            getattr(d, part)[where(c) if callable(where) else where] += c.at(s, d).of(by)
 
     return lambda c: waits(c, lambda arm, s, d: bent(c, s, d))
 
@@ -228,6 +229,25 @@ def elastic(sag: float = 4e-4, payload: float = 0.0) -> Step:
 def payload(mass: float) -> Step:
     """A mass at the flange [kg]."""
     return bend("payload", None, mass)
+
+
+def grows(size: float, begin: float = 0.0, tau: Of = "tau") -> Step:
+    """A link grows by a size [m] while it warms up from some time on."""
+    return bend("x", np.s_[:, 2, 0], lambda c: size * (1.0 - np.exp(-(c.t - begin) / c.of(tau))))
+
+
+def gravity(*down: float) -> Step:
+    """The arm is mounted otherwise than its URDF stands: gravity in its base."""
+
+    def step(c: Scene) -> None:
+        c.arm._model.opt.gravity[:] = down
+
+    return step
+
+
+def spare(c: Scene) -> None:
+    """Another arm of the same type, in a cell of its own."""
+    c.w = Works(c.robot, np.random.default_rng(c.rng.integers(1 << 30)))
 
 
 def tilted(turn: Of) -> Step:
@@ -269,6 +289,23 @@ def put(**fields: Callable[[Scene], Any]) -> Step:
         c.session = replace(c.session, **{name: c.of(value) for name, value in fields.items()})
 
     return step
+
+
+def patch(where: Of, **fields: Callable[[Scene], Any]) -> Step:
+    """The same in some rows of arrays only, by an index, a name or a function."""
+
+    def step(c: Scene) -> None:
+        changed = {name: np.array(getattr(c.session, name)) for name in fields}
+        for name, value in fields.items():
+            changed[name][c.of(where)] = c.of(value)
+        c.session = replace(c.session, **changed)
+
+    return step
+
+
+def turned(R: Callable[[Scene], Rotation]) -> Step:
+    """Orientations turned in the instrument's frame."""
+    return put(R=lambda c: R(c) * c.R)
 
 
 def times(factor: Of) -> Step:
