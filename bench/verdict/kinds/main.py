@@ -5,9 +5,7 @@ from transforms import *
 from words import *
 
 K, S = kinds("main")
-
-# --- a convention that is not the one expected, in whole or in part --------------------------------------------------
-
+# a convention that is not the one expected, in whole or in part
 K("quaternion_w_first", "Quaternions are written w x y z.", QUATERNION)(120, W_FIRST)
 K("quaternion_conjugate", "Orientations are the tracker's in the tool.", QUATERNION, "conjugate", "inver")
 S(120, quaternion(0, 1, 2, 3, sign=(-1, -1, -1, 1)))
@@ -34,9 +32,7 @@ K("readings_mirrored", "The instrument's frame is left-handed.", "mirror", "hand
 S(points(120), times([1.0, -1.0, 1.0]))
 K("coordinates_swapped", "x and y are exchanged.", "mirror", "handed", "axes|axis|swap|column")
 S(points(120), put(p=lambda c: c.p[:, [1, 0, 2]]))
-
-# --- parts of a recording with a base or a tool of their own, readings that are shifted, what stands still -----------
-
+# parts of a recording with a base or a tool of their own, readings that are shifted, what stands still
 K("tool_turned_early", "The tool is turned after a seventh of the stations.", TOOL)(tool(0, 0.1, since(25)), 180)
 K("first_twelve_with_another_tool", "The first twelve had another tool.", TOOL)(tool(0.03, 0.2, until(12)), 120)
 K("last_ten_with_another_tool", "The last ten had another tool.", TOOL)(tool(0.05, 0.3, since(110)), 120)
@@ -89,9 +85,7 @@ S(140, rows(lambda c: np.r_[:70, 69 : c.N - 1]))
 K("readings_shuffled", "Readings belong to other postures.")(120, rows(lambda c: c.rng.permutation(c.N)))
 K("nonsense", "Random poses.")
 S(100, put(p=lambda c: c.rng.uniform(-1, 1, (c.N, 3)), R=lambda c: Rotation.random(c.N, rng=c.rng)))
-
-# --- what an arm, its tool or its stand do that no entry of the vocabulary was written for; what the URDF has wrong --
-
+# what an arm, its tool or its stand do that no entry of the vocabulary was written for; what the URDF has wrong
 K("base_tilts_under_load", "The stand deflects under the arm's moment, more one way than the other.", BASE, FOOT)
 S(visit(150), let(com=centres, soft=uniform(0.5, 1.5, 2), turn=lambda c: scaled(moment(c.com, *c.soft), 4e-4)))
 S(tilted("turn"), see())
@@ -104,7 +98,7 @@ S(put(more=lambda c: {f"left_{name}": c.other[:, i] for i, name in enumerate(c.n
 K("payload_from_the_middle", "An elastic arm picks up kilograms half way.", LOAD, EITHER, ALL, "step")
 S(visit(160), carrying(lambda c: c.rows >= 80, uniform(4.0, 8.0)))
 K("payload_of_the_posture", "An elastic arm carries a part in some postures; nothing says which.", LOAD, ALL)
-S(visit(160), carrying(lambda c: (c.rng.random(160) < 0.5)[kinds_of(c.q)], uniform(6.0, 10.0)))
+S(visit(160), carrying(lambda c: (c.rng.random(160) < 0.5)[c.posture], uniform(6.0, 10.0)))
 K(
     "payload_at_random",
     "An elastic arm carries a part now and then; it may be taken for scatter.",
@@ -120,7 +114,7 @@ S(elastic(), 150, inertial(-2, r'(<mass value=")[^"]*', r"\g<1>150.0"))
 K("masses_missing", "An elastic arm whose URDF knows no masses.", LOAD, ALL, shown="if left")
 S(elastic(6e-4), 150, sub(r"<inertial>.*?</inertial>", ""))
 K("tool_has_free_play", "The tool drops to the lower side of a loose seat.", r"\btool\b", HAND, WRIST)
-S(visit(150), let(side=lambda c: np.sign(tool_axes(c)[:, 2, 0])), bend("tool", np.s_[:, 0], lambda c: 3e-4 * c.side))
+S(visit(150), let(side=lambda c: np.sign(c.tool_axes[:, 2, 0])), bend("tool", np.s_[:, 0], lambda c: 3e-4 * c.side))
 S(see())
 K("cable_drags", "A cable that becomes taut over two joints pulls one of them.", JJ)
 S(pick(0, -2), let(pull=lambda c: lambda u, v: np.maximum(u + v - 0.2, 0.0) * (1.0 + 0.5 * np.cos(2.0 * u * v))))
@@ -131,17 +125,17 @@ K("two_joints_together", "A joint is off by a product of functions of two others
 S(let(u=lambda c: c.rng.permutation(c.n)[:3], i=lambda c: int(c.u[0])))
 S(joint(lambda c: 6e-4 * np.sin(1.7 * c.q[:, c.u[1]]) * np.sin(1.3 * c.q[:, c.u[2]] + 0.4)), 200)
 K("tracker_bends_its_rays", "Readings are off with the tracker's azimuth.", "tracker", "reading", r"\bbase\b", JOINT(0))
-S(160, let(turn=lambda c: 2.5e-4 * np.sin(3.0 * azimuth(c))[:, None] * c.way(1.0)))
+S(160, let(turn=lambda c: 2.5e-4 * np.sin(3.0 * c.azimuth)[:, None] * c.way(1.0)))
 S(put(p=lambda c: Rotation.from_rotvec(c.turn).apply(c.p)))
 K("tracker_scale_with_distance", "A camera's scale errs with distance.", "tracker", "reading", "scale", r"\bbase\b")
-S(160, times(lambda c: 1.0 + 4e-4 * (far(c) - far(c).mean()) ** 2))
+S(160, times(lambda c: 1.0 + 4e-4 * (c.far - c.far.mean()) ** 2))
 K("joints_lag", "One joint's logged position lags the arm by a share of its last move.", J)
 S(160, pick(0, 4), col(lambda c: c.x - 1.5e-3 * moves(c.x)))
 K("all_joints_lag", "All joints are logged before they have arrived, each by its own share.", ALL)
 S(160, let(share=lambda c: c.rng.uniform(5e-4, 2e-3, c.n)), put(q=lambda c: c.q - c.share * moves(c.q)))
 K("other_robot", "The URDF's forearm is four centimetres shorter.", shown="if left")(140, described(shorter))
 K("spring_that_hardens_one_way", "Beyond some angle a joint is pushed back by the square of the way.", J)
-S(pick(1, 4), joint(lambda c: 1.2e-3 * np.maximum(c.x - middle(c)[c.i] - 0.5, 0.0) ** 2), 160)
+S(pick(1, 4), joint(lambda c: 1.2e-3 * np.maximum(c.x - c.middle[c.i] - 0.5, 0.0) ** 2), 160)
 K("step_in_a_joint", "An encoder lost counts: from some station on a joint is off by a milliradian.", OR_END)
 S(pick(), let(k=between(50, 110)), joint(lambda c: 1e-3 * (c.rows >= c.k)), 160)
 K("few_stations", "Twelve poses.", FEW, floor=False)(clean(12, returns=0))
@@ -154,9 +148,7 @@ K("computed_by_the_controller", "The controller computes readings, calibrated.",
 K("computed_and_rounded", "The same, to a micrometre and a microradian.", COMPUTED)
 S(let(drawn=lambda c: c.rng.random() < 0.5), clean(120, **EXACT), lambda c: by_drawing(c) if c.drawn else None)
 S(put(p=lambda c: np.round(c.p, 6), R=lambda c: Rotation.from_rotvec(np.round(c.R.as_rotvec(), 6))))
-
-# --- calibrations used where they do not hold ------------------------------------------------------------------------
-
+# calibrations used where they do not hold
 K("drift_carried_on", "A steady drift, evaluated days after it ended.", "time", "drift", "outside", shown="if left")
 S(let(v=way(2e-3)), tilted(lambda c: np.outer(c.t / 560.0, c.v)), 140, frozen("--refit-base"), clean(70, begin=3 * DAY))
 OVER = ("time", "drift", "outside")
@@ -203,7 +195,7 @@ K(
     "range",
     shown="if left",
 )
-S(pick(0, 4), joint(lambda c: 1.5e-3 * travel(c) * np.sin(5.0 * travel(c)) * (1.0 + travel(c))), visit(160, high=0.6))
+S(pick(0, 4), joint(lambda c: 1.5e-3 * c.travel * np.sin(5.0 * c.travel) * (1.0 + c.travel)), visit(160, high=0.6))
 S(see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
 K("geometry_out_of_range", "An elastic arm, used elsewhere.", "outside", "range", LOAD, ALL, shown="if left")
 S(elastic(8e-4), visit(160, high=0.6), see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
