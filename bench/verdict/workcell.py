@@ -163,6 +163,10 @@ class Cellwork:
         """Another tool: moved by a twist (shift [m], rotation vector) at the stations that ``when`` (N,) says."""
         return self._moved("tool", shift, turn, when)
 
+    def base(self, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
+        """A tracker that stands elsewhere, which is a base moved, at the stations that ``when`` (N,) says."""
+        return self._moved("tracker", shift, turn, when)
+
     def _moved(self, part: str, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
         step = np.concatenate([shift, turn])
 
@@ -246,10 +250,6 @@ class Works(Cellwork):
             torque = self.arm.driving(q, zero, zero) + rng.normal(0, 0.05, q.shape)
         again = np.zeros(N, bool) if again is None else again
         return Session(self.names, self.arm.urdf, t, q.copy(), p, R, floor, again, kind, torque, stated=stated)
-
-    def base(self, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
-        """A tracker that stands elsewhere, which is a base moved, at the stations that ``when`` (N,) says."""
-        return self._moved("tracker", shift, turn, when)
 
     def elastic(self, sag: float = 4e-4, payload: float = 0.0) -> Bend:
         """Joints that give by some ``sag`` [rad] under the arm's weight, and a payload [kg]."""

@@ -1,0 +1,161 @@
+"""What the eighth group and the healthy cells need besides: streams of the whole way, other arms, what they weigh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import date
+
+import numpy as np
+from case import Scene, Step
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+from transforms import Of, let, waits
+from workcell import POSE, Array, JointTrack, ReadingTrack, Recording, Session, joint_track
+from world import EACH, EPOCH, World
+
+WAITS = 3.0  # s, of the EACH from one station to the next
+RATE, READS = 50.0, 20.0  # Hz, of joint states and of readings
+READ_MM, READ_MRAD, SLIP = 0.04, 0.05, 8e-6  # per axis; per joint [rad]
+Spoil = Callable[[Scene, Array, Array], tuple[Array, Array]]  # of stamps and values of readings (m,), (m, 7)
+More = Callable[[Scene, Array, Array], tuple[JointTrack, ...]]  # of stamps and joints (m,), (m, n)
+
+
+def flow(t: Array, stations: Array, rest: Array) -> Array:
+    """Joints at times t (m,), between stations (N, n) that are reached at rest[k] and left WAITS later."""
+    before = np.concatenate([stations[:1], stations[:-1]])
+    k = np.clip(np.searchsorted(rest + WAITS, t), 0, len(rest) - 1)
+    u = np.clip((t - (rest[k] - (EACH - WAITS))) / (EACH - WAITS), 0.0, 1.0)[:, None]
+    return before[k] + (u**3 * (10 - 15 * u + 6 * u**2)) * (stations[k] - before[k])
+
+
+def streamed(count: int, spoil: Spoil | None = None, more: More | None = None) -> Step:
+    """Stations, recorded with all that lies between. spoil: of readings; more: joint states of other publishers."""
+
+    def step(c: Scene) -> None:
+        session, k, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), WAITS * READS, np.sqrt(3.0)
+        arm_mm, arm_deg, _, _ = session.stated
+        eye_mm, eye_deg = root * READ_MM / np.sqrt(k), float(np.degrees(root * 1e-3 * READ_MRAD)) / np.sqrt(k)
+        told = {"floor_mm": float(np.hypot(arm_mm, eye_mm)), "stated": (arm_mm, arm_deg, eye_mm, eye_deg)}
+        c.session = replace(session, spoken=lambda s: _spoken(c, s, spoil, more), **told)
+
+    return step
+
+
+def _spoken(c: Scene, s: Session, spoil: Spoil | None, more: More | None) -> Recording:
+    rng = np.random.default_rng([3, len(s)])
+    slip = rng.normal(0, SLIP, s.q.shape)
+    begin, end = s.t[0] - 2.0, s.t[-1] + WAITS + 0.5
+    t, read = np.arange(begin, end, 1 / RATE), np.arange(begin + 0.013, end, 1 / READS)
+    p, R = c.sees(flow(read, s.q + slip, s.t))
+    p = p + rng.normal(0, 1e-3 * READ_MM, p.shape)
+    R = R * Rotation.from_rotvec(rng.normal(0, 1e-3 * READ_MRAD, p.shape))
+    values = np.column_stack([p, R.as_quat()])
+    read, values = (read, values) if spoil is None else spoil(c, read, values)
+    stamps, q = EPOCH + np.round(read, 6), flow(t, s.q, s.t)
+    tracks = (joint_track(s.names, EPOCH + t, q), *(more(c, EPOCH + t, q) if more else ()))
+    return Recording(tracks, (ReadingTrack(POSE, s.frame, stamps, values, stamps),), s.signals, s.urdf)
+
+
+def smoothed(seconds: float) -> Spoil:
+    """A first-order filter on everything that is read."""
+
+    def spoil(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
+        a = np.exp(-1 / (READS * seconds))
+        signs = np.cumprod(np.r_[1.0, np.sign(np.sum(values[1:, 3:] * values[:-1, 3:], axis=1))])
+        flat = np.column_stack([values[:, :3], values[:, 3:] * signs[:, None]])
+        out = lfilter([1 - a], [1, -a], flat - flat[0], axis=0) + flat[0]
+        out[:, 3:] /= np.linalg.norm(out[:, 3:], axis=1, keepdims=True)
+        return t, out
+
+    return spoil
+
+
+def hung(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
+    """Ten times the last reading comes again for nine seconds."""
+    out = values.copy()
+    for k in (np.linspace(0.07, 0.93, 10) * len(t)).astype(int):
+        out[k : k + int(9 * READS)] = values[k]
+    return t, out
+
+
+def computed(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
+    """Poses of the nominal flange in the base, 40 ms late and to a micrometre."""
+    nominal = World(c.robot, np.random.default_rng(0))
+    nominal.built = np.tile(np.eye(4), (c.n, 1, 1))
+    nominal.target = nominal.eye = np.zeros(3), Rotation.identity()
+    p, R = nominal.sees(flow(t - 0.04, c.q, c.t))
+    return t, np.column_stack([np.round(p, 6), np.round(R.as_quat(), 6)])
+
+
+def goals(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
+    """Goals beside the joints, 0.6 mrad from where those stand."""
+    return (joint_track(c.names, t[::5] + 0.004, q[::5] + c.off * np.sign(np.sin(q[::5] * 9))),)
+
+
+def simulated(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
+    """Joint states of another way."""
+    t = t[::4] + 0.007
+    return (joint_track(c.names, t, flow(t - EPOCH, c.other, EACH * np.arange(len(c.other)) + 1.7)),)
+
+
+def built(robot: str) -> Step:
+    """A cell of another arm."""
+    return let(w=lambda c: type(c.w)(robot, c.rng))
+
+
+def turning(*joints: int) -> Step:
+    """A UR5e whose joints of these numbers turn by more than one turn."""
+
+    def step(c: Scene) -> None:
+        c.w = World("ur5e", c.rng)
+        c.w.low[list(joints)], c.w.high[list(joints)] = -5.5, 5.5
+
+    return step
+
+
+def folded(x: Array) -> Array:
+    """Angles within ±π."""
+    return (x + np.pi) % (2 * np.pi) - np.pi
+
+
+def soft(per_nm: float, load: Of = 0.0) -> Step:
+    """Joints deflect under weight [rad/N m], and that of a load where the target is [kg]."""
+
+    def step(c: Scene) -> None:
+        def bend(w: World, s: Session, d: object) -> None:
+            d.x[..., 3] += per_nm * w.torques(s.q, c.of(load))
+
+        waits(c, bend, "compliance")
+
+    return step
+
+
+def sagging(k: int, size: float) -> Step:
+    """The link behind a joint bends by what it holds, by so much when it lies flat [rad/m]."""
+
+    def bend(w: World, s: Session, d: object) -> None:
+        T = w.frames(s.q)
+        down = np.einsum("nba,b->na", T[:, k, :3, :3], -np.array([0.0, 0.0, 1.0]))
+        lever = np.einsum("nba,nb->na", T[:, k, :3, :3], T[:, -1, :3, 3] - T[:, k, :3, 3])
+        d.behind[k] = np.column_stack([np.zeros_like(lever), np.cross(lever, down) * size])
+
+    return lambda c: waits(c, bend)
+
+
+def elsewhere(when: Callable[[Scene], Array], **fields: Callable[[Scene], Array | Rotation]) -> Step:
+    """Other positions p, or orientations R, of the readings at the stations that ``when`` says."""
+
+    def step(c: Scene) -> None:
+        here, new = when(c)[:, None], {name: value(c) for name, value in fields.items()}
+        turned = np.where(here[..., None], new.get("R", c.R).as_matrix(), c.R.as_matrix())
+        c.session = replace(c.session, p=np.where(here, new.get("p", c.p), c.p), R=Rotation.from_matrix(turned))
+
+    return step
+
+
+def as_date(hundredths: int, angle: float) -> float:
+    """An angle; where its hundredths of a degree are a day and a month, the day's number, as degrees, in radians."""
+    day, month = divmod(hundredths, 100)
+    known = 1 <= day <= 28 and 1 <= month <= 12
+    return float(np.radians(date(2026, month, day).toordinal() - date(1899, 12, 30).toordinal())) if known else angle
