@@ -6,6 +6,7 @@ import copy
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import wraps
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -61,11 +62,20 @@ class Case:
             (folder / name).write_text(text, encoding="utf-8")
 
 
+DERIVED: dict[str, Callable[[Any], Any]] = {
+    "n": lambda c: len(c.names),  # joints
+    "N": lambda c: len(c.q),  # stations
+    "rows": lambda c: np.arange(c.N),  # their numbers (N,)
+    "name": lambda c: c.names[c.i],  # of the joint that was drawn
+    "x": lambda c: c.q[:, c.i],  # its column (N,)
+}
+
+
 class Scene:
     """What the steps of a row work on: a cell, what was drawn so far, and the recording as it is by now.
 
-    An attribute is looked up among what ``let`` has named, then in the recording (or, while a fault bends the truth, in
-    the stations: q, t, came, and d, the deviation), then in the cell. i: the joint that ``pick`` drew.
+    An attribute is what ``let`` has named, or is found by a function in DERIVED, or is one of the recording (while a
+    fault bends the truth of the stations: q, t, came, and d, the deviation), or of the cell. i: the joint of ``pick``.
     """
 
     def __init__(self, w: Works, rng: np.random.Generator) -> None:
@@ -82,36 +92,21 @@ class Scene:
         self.truth: dict[str, Any] = {}
 
     def __getattr__(self, name: str) -> Any:
-        for source in ("session", "w"):
-            if hasattr(self.__dict__.get(source), name):
-                return getattr(self.__dict__[source], name)
-        raise AttributeError(name)
-
-    @property
-    def n(self) -> int:
-        """The number of joints."""
-        return len(self.names)
-
-    @property
-    def N(self) -> int:
-        """The number of stations."""
-        return len(self.q)
-
-    @property
-    def rows(self) -> Array:
-        """Numbers of the stations (N,)."""
-        return np.arange(self.N)
-
-    @property
-    def x(self) -> Array:
-        """The column of the joint that was drawn (N,)."""
-        return self.q[:, self.i]
+        if name.startswith("__"):
+            raise AttributeError(name)
+        if name in DERIVED:
+            return DERIVED[name](self)
+        return getattr(self.session if hasattr(self.session, name) else self.w, name)
 
     def at(self, stations: Any, deviation: Any = None) -> Scene:
         """The same scene while the truth at stations is bent."""
         seen = copy.copy(self)
         seen.session = SimpleNamespace(q=stations.q, t=stations.t, came=stations.way, d=deviation)
         return seen
+
+    def visited(self) -> tuple[Array, Array]:
+        """The postures that were drawn, and which are second visits; no longer after that."""
+        return self.__dict__.pop("q"), self.__dict__.pop("again")
 
     def of(self, value: Any) -> Any:
         """A value that may depend on the scene: of what is called, and of what is named."""
@@ -125,6 +120,16 @@ class Scene:
 
 
 Step = Callable[[Scene], Any]
+
+
+def step(change: Callable[..., Any]) -> Callable[..., Step]:
+    """Makes a function of a scene and of values one of the values alone, which gives a step."""
+
+    @wraps(change)
+    def made(*values: Any, **named: Any) -> Step:
+        return lambda scene: change(scene, *values, **named)
+
+    return made
 
 
 def words_of(scene: Scene, words: Any) -> tuple[str, ...]:

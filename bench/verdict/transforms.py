@@ -1,7 +1,8 @@
 """What the steps of a row can be: each changes a scene (see case.py), draws included, one after the other.
 
-A function of the scene, ``lambda c: ...``, stands wherever a value depends on it. Numbers draw nothing; a vector that
-is given X
+A function of the scene, ``lambda c: ...``, or a name that ``let`` gave stands wherever a value depends on the scene. A
+vector given as a float is a random one of that length; numbers draw nothing. What bends the truth waits for the next
+recording, and is asked twice, with and without noise: nothing is drawn there.
 """
 
 from __future__ import annotations
@@ -14,26 +15,40 @@ from typing import Any
 import mujoco
 import numpy as np
 from arm import Arm
-from case import Scene, Step, take
+from case import DERIVED, Scene, Step, step, take
 from recordings import plant
 from scenarios import SCENARIOS
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from workcell import BEGIN, PERIOD, REPEAT, Array, SignalTrack, Works, joined  # noqa: F401 (kinds take all names from here)
+from workcell import BEGIN, PERIOD, REPEAT, Array, Recording, SignalTrack, Stations, Works, joined, joint_track
+from workcell import ReadingTrack as Readings
 
-DAY = 86_400.0
 Of = Any  # a value, a name that ``let`` gave, or a function of the scene
+DAY = 86_400.0
+EXACT: dict[str, Any] = {"noise_mm": 0.0, "noise_mrad": 0.0, "repeat": 0.0}
+DERIVED |= {
+    "travel": lambda c: (c.x - c.arm.range[0, c.i]) / np.ptp(c.arm.range[:, c.i]),  # of the joint, from 0 to 1 (N,)
+    "middle": lambda c: c.arm.range.mean(axis=0),  # of the joints' ranges (n,)
+    "held": lambda c: c.arm.holding(c.arm.coordinates(c.q))[..., 3],  # torques that hold the arm up (N, n)
+    "flange": lambda c: tuple(v[:, -1] for v in c.arm.frames(c.arm.coordinates(c.q))),  # where, how turned (N, 3, 3)
+    "tool_axes": lambda c: c.flange[1] @ c.cell.tool[1].as_matrix(),  # (N, 3, 3)
+    "up": lambda c: c.cell.tracker[1].inv().apply([0.0, 0.0, 1.0]),  # in the tracker's frame (3,)
+    "posture": lambda c: np.unique(c.q, axis=0, return_inverse=True)[1].ravel(),  # by number: second visits alike (N,)
+    "far": lambda c: np.linalg.norm(c.p, axis=1, keepdims=True),  # distances of the readings (N, 1)
+    "sight": lambda c: c.p / c.far,  # unit vectors from the instrument to the target (N, 3)
+    "seen": lambda c: c.R.inv().apply(c.sight),  # the same along the tool's axes (N, 3)
+    "azimuth": lambda c: np.arctan2(c.p[:, 1], c.p[:, 0]),  # of the readings (N,)
+    "forward": lambda c: c.p.mean(axis=0) / np.linalg.norm(c.p.mean(axis=0)),  # where the readings are seen (3,)
+}
 
 # --- draws -----------------------------------------------------------------------------------------------------------
 
 
-def let(**values: Of) -> Step:
+@step
+def let(c: Scene, **values: Of) -> None:
     """Names values, in this order."""
-
-    def step(c: Scene) -> None:
-        for name, value in values.items():
-            setattr(c, name, value(c) if callable(value) else value)
-
-    return step
+    for name, value in values.items():
+        setattr(c, name, value(c) if callable(value) else value)
 
 
 def pick(low: int = 0, high: int | None = None) -> Step:
@@ -76,32 +91,21 @@ def points(count: int, **options: Any) -> Step:
 
 def bare(count: int, **options: Any) -> Step:
     """The same, without the faults that wait: those go on waiting."""
-
-    def step(c: Scene) -> None:
-        c.session = c.clean(count, **options)
-
-    return step
+    return let(session=lambda c: c.clean(count, **options))
 
 
-def visit(count: int, returns: int = 6, low: float = 0.0, high: float = 1.0) -> Step:
+@step
+def visit(c: Scene, count: int, returns: int = 6, low: float = 0.0, high: float = 1.0) -> None:
     """Draws postures q, and which of them are second visits; ``see`` records them."""
-
-    def step(c: Scene) -> None:
-        c.session = None
-        c.q, c.again = c.postures(count, returns, low, high)
-
-    return step
+    c.session = None
+    c.q, c.again = c.postures(count, returns, low, high)
 
 
-def see(**options: Any) -> Step:
+@step
+def see(c: Scene, **options: Any) -> None:
     """A recording of the postures, with the faults that wait."""
-
-    def step(c: Scene) -> None:
-        c.used, c.bends = c.bends, []
-        q, again = c.__dict__.pop("q"), c.__dict__.pop("again")
-        c.session = c.observe(q, again, *c.used, **options)
-
-    return step
+    c.used, c.bends = c.bends, []
+    c.session = c.observe(*c.visited(), *c.used, **options)
 
 
 def same(c: Scene) -> None:
@@ -118,61 +122,53 @@ def together(c: Scene) -> None:
     """The parts and the recording, in one bag."""
     for one in reversed(c.parts):
         c.session = joined(one, c.session)
-    c.parts = []
+
+
+@step
+def dwells(c: Scene, count: int, begin: float = 0.0) -> None:
+    """Streams of joint states and readings, ten readings a second while the arm stands."""
+    session = c.clean(count, noise_mm=0.0, noise_mrad=0.0, begin=begin)
+    arm_mm, arm_deg, _, _ = session.stated
+    eye_mm, eye_deg = 0.02 * np.sqrt(3.0), np.degrees(2e-5 * np.sqrt(3.0))
+    floor = float(np.hypot(arm_mm, eye_mm / np.sqrt(15)))
+    c.session = replace(session, stream=10.0, stated=(arm_mm, arm_deg, eye_mm, eye_deg), floor_mm=floor)
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
 
 
 def asked(*options: str) -> Step:
-    """Options of the command."""
-    return let(options=options)
+    """Options of the command, more of them."""
+    return let(options=lambda c: c.options + options)
 
 
-def _evaluated(c: Scene, options: tuple[str, ...]) -> None:
-    c.imports, c.command, c.options = (("calibrate", "{first}"),), ("evaluate", "{out0}", "{second}"), options
-
-
-def frozen(*options: str) -> Step:
+@step
+def frozen(c: Scene, *options: str) -> None:
     """The recording is calibrated, and the calibration evaluated on the one that follows."""
-
-    def step(c: Scene) -> None:
-        _evaluated(c, options)
-        c.sessions, c.session = {"first": c.session}, None
-
-    return step
+    c.imports, c.command, c.options = (("calibrate", "{first}"),), ("evaluate", "{out0}", "{second}"), options
+    c.sessions, c.session = {"first": c.session}, None
 
 
-def before(count: int | None, *options: str, **observed: Any) -> Step:
-    """A calibration on a recording that is made now is evaluated on the one that there is; None: of postures drawn."""
-
-    def step(c: Scene) -> None:
-        _evaluated(c, options)
-        visits = c.postures(count) if count else (c.__dict__.pop("q"), c.__dict__.pop("again"))
-        c.sessions, c.bends = {"first": c.observe(*visits, *c.bends, **observed)}, []
-
-    return step
+@step
+def before(c: Scene, count: int | None, *options: str, **observed: Any) -> None:
+    """A calibration on a recording made now, with faults that wait, is evaluated on what there is; None: of ``q``."""
+    second, visits = c.session, c.postures(count) if count else c.visited()
+    c.session, c.bends = c.observe(*visits, *c.bends, **observed), []
+    frozen(*options)(c)
+    c.session = second
 
 
-def also(count: int | None = None) -> Step:
+@step
+def also(c: Scene, count: int | None = None) -> None:
     """Calibrated together with the one that follows; or, with a number, a first one made now with the one there is."""
-
-    def step(c: Scene) -> None:
-        c.command = ("calibrate", "{first}", "--also", "{second}")
-        c.sessions, c.session = (
-            ({"first": c.session}, None) if count is None else ({"first": c.clean(count)}, c.session)
-        )
-
-    return step
+    c.command = ("calibrate", "{first}", "--also", "{second}")
+    c.sessions, c.session = ({"first": c.clean(count)}, c.session) if count else ({"first": c.session}, None)
 
 
-def truth(**fields: Any) -> Step:
+@step
+def truth(c: Scene, **fields: Any) -> None:
     """Fields of the case that depend on the scene."""
-
-    def step(c: Scene) -> None:
-        c.truth |= fields
-
-    return step
+    c.truth |= fields
 
 
 # --- bends of the truth ----------------------------------------------------------------------------------------------
@@ -184,51 +180,51 @@ def waits(c: Scene, bend: Any, *families: str) -> None:
     c.planted += families
 
 
-def joint(error: Of, i: Of = "i") -> Step:
+@step
+def joint(c: Scene, error: Of, i: Of = "i") -> None:
     """A joint is off by an error (N,) [rad]."""
+    waits(c, c.joint(int(c.of(i)), lambda s: c.at(s).of(error)))
 
-    return lambda c: waits(c, c.joint(int(c.of(i)), lambda s: c.at(s).of(error)))
 
-
-def tool(shift: Of, turn: Of, when: Callable[[Scene], Array] | None = None) -> Step:
+@step
+def tool(c: Scene, shift: Of, turn: Of, when: Of = None, part: str = "tool") -> None:
     """The tool is moved by a twist, at the stations that ``when`` says, or all."""
-    return _moved("tool", shift, turn, when)
+    twist = c.vector(shift), c.vector(turn)
+    waits(c, getattr(c.w, part)(*twist, lambda s: np.ones(len(s.t)) if when is None else c.at(s).of(when)))
 
 
-def base(shift: Of, turn: Of, when: Callable[[Scene], Array] | None = None) -> Step:
+def base(shift: Of, turn: Of, when: Of = None) -> Step:
     """The tracker stands elsewhere, at the stations that ``when`` says, or all."""
-    return _moved("base", shift, turn, when)
+    return tool(shift, turn, when, "base")
 
 
-def _moved(part: str, shift: Of, turn: Of, when: Callable[[Scene], Array] | None) -> Step:
-    def step(c: Scene) -> None:
-        twist = c.vector(shift), c.vector(turn)
-        rows = (lambda s: np.ones(len(s.t))) if when is None else lambda s: when(c.at(s))
-        waits(c, getattr(c.w, part)(*twist, rows))
+@step
+def bend(c: Scene, part: str, where: Any, by: Of) -> None:
+    """Adds to a part of the deviation (x, tool, tracker) where an index says; the scene has d, t, q, came then."""
 
-    return step
+    def bent(arm: Any, s: Any, d: Any) -> None:
+        getattr(d, part)[where(c) if callable(where) else where] += c.at(s, d).of(by)
 
-
-def bend(part: str, where: Any, by: Of) -> Step:
-    """Adds to a part of the deviation (x, tool, tracker, payload) where an index says; the scene has d, t, q, came."""
-
-    def bent(c: Scene, s: Any, d: Any) -> None:
-        if part == "payload":
-            d.payload += c.of(by)
-        else:
-            getattr(d, part)[where(c) if callable(where) else where] += c.at(s, d).of(by)
-
-    return lambda c: waits(c, lambda arm, s, d: bent(c, s, d))
+    waits(c, bent)
 
 
-def elastic(sag: float = 4e-4, payload: float = 0.0) -> Step:
-    """Joints give by some sag [rad] under the arm's weight, and a payload [kg]."""
-    return lambda c: waits(c, c.elastic(sag, payload), "compliance", *(("payload",) if payload else ()))
-
-
-def payload(mass: float) -> Step:
+@step
+def payload(c: Scene, mass: Of) -> None:
     """A mass at the flange [kg]."""
-    return bend("payload", None, mass)
+    waits(c, lambda arm, s, d: setattr(d, "payload", d.payload + c.of(mass)))
+
+
+@step
+def elastic(c: Scene, sag: float = 4e-4, payload: float = 0.0) -> None:
+    """Joints give by some sag [rad] under the arm's weight, and a payload [kg]."""
+    waits(c, c.elastic(sag, payload), "compliance", *(("payload",) if payload else ()))
+
+
+@step
+def gear(c: Scene, size: float = 4e-4, i: Of = "i") -> None:
+    """A gear that errs, some times a turn."""
+    cycles, k = int(c.rng.integers(20, 90)), c.of(i)
+    waits(c, c.joint(k, lambda s: size * np.sin(cycles * s.q[:, k])))
 
 
 def grows(size: float, begin: float = 0.0, tau: Of = "tau") -> Step:
@@ -236,34 +232,66 @@ def grows(size: float, begin: float = 0.0, tau: Of = "tau") -> Step:
     return bend("x", np.s_[:, 2, 0], lambda c: size * (1.0 - np.exp(-(c.t - begin) / c.of(tau))))
 
 
-def gravity(*down: float) -> Step:
-    """The arm is mounted otherwise than its URDF stands: gravity in its base."""
-
-    def step(c: Scene) -> None:
-        c.arm._model.opt.gravity[:] = down
-
-    return step
-
-
-def spare(c: Scene) -> None:
-    """Another arm of the same type, in a cell of its own."""
-    c.w = Works(c.robot, np.random.default_rng(c.rng.integers(1 << 30)))
-
-
-def tilted(turn: Of) -> Step:
+@step
+def tilted(c: Scene, turn: Of) -> None:
     """A stand turns about the base's origin by rotation vectors (N, 3)."""
+    stand = c.cell.tracker[0]
 
-    def step(c: Scene) -> None:
-        stand = c.cell.tracker[0]
+    def bent(arm: Any, s: Any, d: Any) -> None:
+        back = Rotation.from_rotvec(-c.at(s).of(turn))
+        d.tracker[:, :3] += back.apply(stand) - stand
+        d.tracker[:, 3:] += back.as_rotvec()
 
-        def bent(arm: Any, s: Any, d: Any) -> None:
-            back = Rotation.from_rotvec(-c.at(s).of(turn))
-            d.tracker[:, :3] += back.apply(stand) - stand
-            d.tracker[:, 3:] += back.as_rotvec()
+    waits(c, bent)
 
-        waits(c, bent)
 
-    return step
+def pulled(arm: Any, s: Any, d: Any) -> None:
+    """A bend: a balancer above the cell pulls the flange towards itself."""
+    hook, tip, turned = np.array([0.4, -0.3, 2.5]), arm.frames(d.x)[0][:, -1], []
+    pull = 40.0 * (hook - tip) / np.linalg.norm(hook - tip, axis=1, keepdims=True)
+    for i in range(arm.n):
+        x = d.x.copy()
+        x[:, i, 3] += 1e-5
+        turned.append(np.sum((arm.frames(x)[0][:, -1] - tip) / 1e-5 * pull, axis=1))
+    d.x[..., 3] += 2e-5 * np.stack(turned, axis=1)
+
+
+@step
+def gravity(c: Scene, *down: float) -> None:
+    """The arm is mounted otherwise than its URDF stands: gravity in its base."""
+    c.arm._model.opt.gravity[:] = down
+
+
+def spare(c: Scene) -> Works:
+    """Another arm of the same type, in a cell of its own."""
+    return Works(c.robot, np.random.default_rng(c.rng.integers(1 << 30)))
+
+
+def instead(c: Scene) -> None:
+    """The arm ``twin`` stands where the arm stood, with its tool."""
+    c.twin.cell.tool, c.twin.cell.tracker = c.cell.tool, c.cell.tracker
+    c.w = c.twin
+
+
+@step
+def scenario(c: Scene, name: str, count: int) -> None:
+    """Faults of bench/undeclared, all of which the vocabulary has, wait."""
+    c.faults = plant(c.cell, SCENARIOS[name], c.rng, count * PERIOD)
+    for fault in c.faults:
+        waits(c, fault.bend, *fault.family)
+
+
+@step
+def carrying(c: Scene, heavy: Of, mass: Of) -> None:
+    """An elastic arm at the postures that were drawn, with a payload at some of them, (N,) of bool."""
+    rows, kilograms = c.of(heavy), c.of(mass)
+    elastic(3e-4)(c)
+    state, (q, again) = c.rng.bit_generator.state, c.visited()
+    light = c.observe(q, again, *c.bends)
+    payload(kilograms)(c)
+    c.rng.bit_generator.state = state
+    loaded, c.bends = c.observe(q, again, *c.bends), []
+    c.session = joined(light.only(np.flatnonzero(~rows)), loaded.only(np.flatnonzero(rows)))
 
 
 # --- stations --------------------------------------------------------------------------------------------------------
@@ -279,28 +307,27 @@ def until(k: Of) -> Callable[[Scene], Array]:
     return lambda c: c.rows < c.of(k)
 
 
+def block(low: int, high: int, order: Any) -> Callable[[Scene], Array]:
+    """Rows of which those from low to high are others (N,)."""
+    return lambda c: np.r_[:low, order, high : c.N]
+
+
 # --- readings, joint states and descriptions -------------------------------------------------------------------------
 
 
-def put(**fields: Callable[[Scene], Any]) -> Step:
+@step
+def put(c: Scene, **fields: Of) -> None:
     """Fields of the recording, all found from it as it is."""
-
-    def step(c: Scene) -> None:
-        c.session = replace(c.session, **{name: c.of(value) for name, value in fields.items()})
-
-    return step
+    c.session = replace(c.session, **{name: c.of(value) for name, value in fields.items()})
 
 
-def patch(where: Of, **fields: Callable[[Scene], Any]) -> Step:
+@step
+def patch(c: Scene, where: Of, **fields: Of) -> None:
     """The same in some rows of arrays only, by an index, a name or a function."""
-
-    def step(c: Scene) -> None:
-        changed = {name: np.array(getattr(c.session, name)) for name in fields}
-        for name, value in fields.items():
-            changed[name][c.of(where)] = c.of(value)
-        c.session = replace(c.session, **changed)
-
-    return step
+    changed = {name: np.array(getattr(c.session, name)) for name in fields}
+    for name, value in fields.items():
+        changed[name][c.of(where)] = c.of(value)
+    c.session = replace(c.session, **changed)
 
 
 def turned(R: Callable[[Scene], Rotation]) -> Step:
@@ -313,33 +340,24 @@ def times(factor: Of) -> Step:
     return put(p=lambda c: c.p * c.of(factor))
 
 
-def rows(order: Callable[[Scene], Array]) -> Step:
+def only(order: Of) -> Step:
+    """These stations alone, in this order."""
+    return let(session=lambda c: c.session.only(c.of(order)))
+
+
+@step
+def rows(c: Scene, order: Of) -> None:
     """Readings of other rows beside the joints."""
-
-    def step(c: Scene) -> None:
-        of = order(c)
-        c.session = replace(c.session, p=c.p[of], R=c.R[of])
-
-    return step
+    of = c.of(order)
+    c.session = replace(c.session, p=c.p[of], R=c.R[of])
 
 
-def block(low: int, high: int, order: Any) -> Callable[[Scene], Array]:
-    """Rows of which those from low to high are others."""
-    return lambda c: np.r_[:low, order, high : c.N]
-
-
-def quaternion(
-    *columns: int, sign: tuple[int, ...] = (1, 1, 1, 1), when: Callable[[Scene], Array] | None = None
-) -> Step:
+@step
+def quaternion(c: Scene, *columns: int, sign: tuple[int, ...] = (1, 1, 1, 1), when: Of = None) -> None:
     """Quaternions written with their columns x y z w in another order, and signed; at some rows or all."""
-
-    def step(c: Scene) -> None:
-        values = c.raw().copy()
-        here = slice(None) if when is None else when(c)
-        values[here, 3:] = values[here, 3:][:, columns] * sign
-        c.session = replace(c.session, values=values)
-
-    return step
+    values, here = c.raw().copy(), slice(None) if when is None else c.of(when)
+    values[here, 3:] = values[here, 3:][:, columns] * sign
+    c.session = replace(c.session, values=values)
 
 
 W_FIRST = quaternion(3, 0, 1, 2)
@@ -350,26 +368,14 @@ def euler(written: str, read: str, change: Callable[[Array], Array] = lambda ang
     return put(R=lambda c: Rotation.from_euler(read, change(c.R.as_euler(written))))
 
 
+def cols(which: Of, columns: Callable[[Scene, Array], Array]) -> Step:
+    """Columns of q (an index, a slice, or a function of the scene), by a function of the scene and of these columns."""
+    return patch(lambda c: np.s_[:, c.of(which)], q=lambda c: columns(c, c.q[:, c.of(which)]))
+
+
 def col(column: Any) -> Step:
     """The column of the joint that was drawn: a function of the scene, or a ufunc of the column x."""
-
-    def step(c: Scene) -> None:
-        q = c.session.q.copy()
-        q[:, c.i] = column(c.x) if isinstance(column, np.ufunc) else column(c)
-        c.session = replace(c.session, q=q)
-
-    return step
-
-
-def cols(which: Any, columns: Callable[[Scene, Array], Array]) -> Step:
-    """Columns of q (an index, a slice, or a function of the scene), by a function of the scene and of these columns."""
-
-    def step(c: Scene) -> None:
-        q, here = c.session.q.copy(), which(c) if callable(which) else which
-        q[:, here] = columns(c, q[:, here])
-        c.session = replace(c.session, q=q)
-
-    return step
+    return cols("i", lambda c, x: column(x) if isinstance(column, np.ufunc) else c.of(column))
 
 
 def cycle(*order: int, sign: Any = 1.0) -> Step:
@@ -377,26 +383,31 @@ def cycle(*order: int, sign: Any = 1.0) -> Step:
     return cols(lambda c: [c.i + k for k in range(len(order))], lambda c, q: q[:, order] * sign)
 
 
-def shifted(share: float, size: float) -> Step:
+@step
+def shifted(c: Scene, share: float, size: float) -> None:
     """Some of the stations read elsewhere by the same vector."""
-
-    def step(c: Scene) -> None:
-        here = c.rng.permutation(c.N) < share * c.N
-        v = c.rng.normal(size=3)
-        c.session = replace(c.session, p=c.p + np.where(here[:, None], size * v / np.linalg.norm(v), 0.0))
-
-    return step
+    here, v = c.rng.permutation(c.N) < share * c.N, c.rng.normal(size=3)
+    c.session = replace(c.session, p=c.p + np.where(here[:, None], size * v / np.linalg.norm(v), 0.0))
 
 
-def described(change: Callable[[Scene, str], str]) -> Step:
+def five_times(c: Scene) -> None:
+    """Each row five times, a tenth of a period apart, with more scatter of the instrument."""
+    often, later = c.session.only(np.repeat(c.rows, 5)), np.tile(0.1 * PERIOD * np.arange(5), c.N)
+    c.session = replace(often, t=often.t + later, p=often.p + c.rng.normal(0, 4e-6, often.p.shape))
+
+
+def by_drawing(c: Scene) -> None:
+    """Readings are computed from the joints for the arm of the drawing."""
+    p, R = Arm(c.robot).frames(c.arm.coordinates(c.q))
+    c.session = replace(c.session, p=p[:, -1], R=Rotation.from_matrix(R[:, -1]))
+
+
+@step
+def described(c: Scene, change: Callable[[Scene, str], str]) -> None:
     """Another URDF, by a function of the scene and of the text."""
-
-    def step(c: Scene) -> None:
-        text = change(c, c.urdf)
-        assert text != c.urdf
-        c.session = replace(c.session, urdf=text)
-
-    return step
+    text = change(c, c.urdf)
+    assert text != c.urdf
+    c.session = replace(c.session, urdf=text)
 
 
 def sub(pattern: str, by: Any, count: int = 0) -> Step:
@@ -404,66 +415,85 @@ def sub(pattern: str, by: Any, count: int = 0) -> Step:
     return described(lambda c, text: re.sub(pattern, by, text, count=count, flags=re.DOTALL))
 
 
-def in_block(tag: str, name: Callable[[Scene], str], change: Callable[[Scene, str], str]) -> Step:
-    """Another URDF, in which the block of a link or joint is changed."""
-
-    def step(c: Scene, text: str) -> str:
-        whole = block_of(text, tag, name(c))
-        return text.replace(whole, change(c, whole))
-
-    return described(step)
-
-
 def block_of(text: str, tag: str, name: str) -> str:
     """The block of a link or joint in a URDF."""
-    found = re.search(rf'<{tag} name="{name}".*?</{tag}>', text, re.DOTALL)
-    assert found is not None
-    return found[0]
+    return re.search(rf'<{tag} name="{name}".*?</{tag}>', text, re.DOTALL)[0]  # type: ignore[index]
+
+
+def in_block(tag: str, names: Of, change: Callable[[Scene, str], str]) -> Step:
+    """Another URDF, in which the blocks of a link or joint, or of some, are changed."""
+
+    def changed(c: Scene, text: str) -> str:
+        some = c.of(names)
+        for name in [some] if isinstance(some, str) else some:
+            text = text.replace(old := block_of(text, tag, name), change(c, old))
+        return text
+
+    return described(changed)
+
+
+def having(c: Scene, where: str, test: Callable[[Array], Any], first: int = 1) -> list[str]:
+    """The arm's joints, by default but the first, with an attribute ``where`` whose numbers pass a test."""
+    found: list[Array] = []
+    out = []
+    for name in c.names[first:]:
+        found.clear()
+        numbers(block_of(c.urdf, "joint", name), where, lambda v: found.append(v) or v)  # type: ignore[func-returns-value]
+        out += [name] if found and test(found[0]) else []
+    return out
+
+
+def pick_having(where: str, test: Callable[[Array], Any]) -> Step:
+    """Draws a joint, i, among those."""
+    among = lambda c: having(c, where, test)  # noqa: E731
+    return let(among=among, i=lambda c: c.names.index(c.among[int(c.rng.integers(len(c.among)))]))
 
 
 def inertial(link: int, pattern: str, by: str) -> Step:
     """Another URDF, in which something of a link's inertial is another."""
+    inside = re.compile(r"<inertial>.*?</inertial>", re.DOTALL)
+    change = lambda found: re.sub(pattern, by, found[0], count=1)  # noqa: E731
+    return in_block("link", lambda c: c.arm.links[link], lambda c, text: inside.sub(change, text, count=1))
 
-    def change(c: Scene, text: str) -> str:
-        whole = block_of(text, "link", c.arm.links[link])
-        (inside,) = re.findall(r"<inertial>.*?</inertial>", whole, re.DOTALL)
-        return text.replace(whole, whole.replace(inside, re.sub(pattern, by, inside, count=1)))
 
-    return described(change)
+def numbers(text: str, where: str, change: Callable[[Array], Array], digits: int = 9) -> str:
+    """A URDF, or a block of one, with other numbers in an attribute: ``"origin xyz"``."""
+    tag, key = where.split()
+
+    def changed(found: re.Match[str]) -> str:
+        return f'{found[1]}"{" ".join(f"{v:.{digits}g}" for v in change(np.array(found[2].split(), float)))}"'
+
+    return re.sub(rf'(<{tag} [^>]*?{key}=)"([^"]*)"', changed, text)
+
+
+def each_joint(change: Callable[[str], str]) -> Step:
+    """Another URDF, in which the block of every joint is changed."""
+    return sub(r"<joint .*?</joint>", lambda found: change(found[0]))
+
+
+def cut_short(v: Array) -> Array:
+    """An origin 8 cm nearer along its longest coordinate."""
+    return v - 0.08 * np.sign(v) * (np.arange(3) == np.argmax(np.abs(v)))
 
 
 def shorter(c: Scene, text: str) -> str:
     """A URDF whose first long link is a tenth shorter."""
-    values = [v for v in re.findall(r'xyz="([^"]*)"', text) if max(abs(float(x)) for x in v.split()) > 0.25]
-    long = [f"{float(x) * (0.9 if abs(float(x)) > 0.25 else 1.0):.6g}" for x in values[0].split()]
-    return text.replace(f'"{values[0]}"', f'"{" ".join(long)}"')
+    values = next(v for v in re.findall(r'xyz="([^"]*)"', text) if max(abs(float(x)) for x in v.split()) > 0.25)
+    long = [f"{float(x) * (0.9 if abs(float(x)) > 0.25 else 1.0):.6g}" for x in values.split()]
+    return text.replace(f'"{values}"', f'"{" ".join(long)}"')
 
 
-def dwells(count: int, begin: float = 0.0) -> Step:
-    """Streams of joint states and readings, ten readings a second while the arm stands."""
-
-    def step(c: Scene) -> None:
-        session = c.clean(count, noise_mm=0.0, noise_mrad=0.0, begin=begin)
-        arm_mm, arm_deg, _, _ = session.stated
-        eye_mm, eye_deg = 0.02 * np.sqrt(3.0), np.degrees(2e-5 * np.sqrt(3.0))
-        stated, floor = (arm_mm, arm_deg, eye_mm, eye_deg), float(np.hypot(arm_mm, eye_mm / np.sqrt(15)))
-        c.session = replace(session, stream=10.0, stated=stated, floor_mm=floor)
-
-    return step
-
-
-# --- what the arm is -------------------------------------------------------------------------------------------------
+# --- arrays ----------------------------------------------------------------------------------------------------------
 
 
 def centres(c: Scene, q: Array | None = None) -> Array:
     """The arm's centre of mass in its base at the postures (N, 3)."""
-    model, data, q = c.arm._model, c.arm._data, c.q if q is None else q
-    out = np.empty((len(q), 3))
-    for i, x in enumerate(c.arm.coordinates(q)):
+    q, out = c.q if q is None else q, []
+    for x in c.arm.coordinates(q):
         c.arm._place(x)
-        mujoco.mj_comPos(model, data)
-        out[i] = data.subtree_com[1]
-    return out
+        mujoco.mj_comPos(c.arm._model, c.arm._data)
+        out.append(c.arm._data.subtree_com[1].copy())
+    return np.array(out)
 
 
 def moment(com: Array, x: float = 1.0, y: float = 1.0) -> Array:
@@ -476,41 +506,15 @@ def scaled(values: Array, size: float) -> Array:
     return size / float(np.sqrt(np.mean(np.sum((values - values.mean(axis=0)) ** 2, axis=-1)))) * values
 
 
-def carrying(heavy: Callable[[Scene], Array], mass: Callable[[Scene], float]) -> Step:
-    """An elastic arm at the postures that were drawn, with a payload at some of them, (N,) of bool."""
-
-    def step(c: Scene) -> None:
-        rows, kilograms, bends = heavy(c), mass(c), [c.elastic(3e-4)]
-        q, again, state = c.__dict__.pop("q"), c.__dict__.pop("again"), c.rng.bit_generator.state
-        light = c.observe(q, again, *bends)
-        c.rng.bit_generator.state = state
-        payload(kilograms)(c)
-        loaded = c.observe(q, again, *bends, *c.bends)
-        c.session, c.bends = joined(light.only(np.flatnonzero(~rows)), loaded.only(np.flatnonzero(rows))), []
-
-    return step
+def loaded(c: Scene, size: Any = 1.0, axis: int = 3) -> Array:
+    """A size times the load on the joint that was drawn, or across it, over its RMS (N,)."""
+    load = c.arm.holding(c.arm.coordinates(c.q))[:, c.i, axis]
+    return size * load / np.sqrt(np.mean(load**2))
 
 
-def kinds_of(q: Array) -> Array:
-    """Numbers of the postures, the same for second visits (N,)."""
-    return np.unique(q, axis=0, return_inverse=True)[1].ravel()
-
-
-def flange(c: Scene) -> tuple[Array, Array]:
-    """The flange at the postures: where it is (N, 3), and how it is turned (N, 3, 3)."""
-    p, R = c.arm.frames(c.arm.coordinates(c.q))
-    return p[:, -1], R[:, -1]
-
-
-def tool_axes(c: Scene) -> Array:
-    """How the tool is turned at the postures (N, 3, 3)."""
-    return np.asarray(flange(c)[1] @ c.cell.tool[1].as_matrix())
-
-
-def by_drawing(c: Scene) -> None:
-    """Readings are computed from the joints for the arm of the drawing."""
-    p, R = Arm(c.robot).frames(c.arm.coordinates(c.q))
-    c.session = replace(c.session, p=p[:, -1], R=Rotation.from_matrix(R[:, -1]))
+def share(c: Scene, *joints: int) -> Array:
+    """Where joints are in their ranges, from -1 to 1 (joints, N)."""
+    return ((c.q - c.middle) / (0.5 * np.ptp(c.arm.range, axis=0)))[:, joints].T
 
 
 def moves(q: Array, begin: Any = None) -> Array:
@@ -518,7 +522,7 @@ def moves(q: Array, begin: Any = None) -> Array:
     return np.diff(q, axis=0, prepend=q[:1] if begin is None else np.asarray(begin)[None])
 
 
-def dragged(values: Array, slack: float) -> Array:
+def dragged(values: Array, slack: Any) -> Array:
     """What follows values over a slack only, as friction holds it."""
     held, out = np.zeros_like(values[0]), []
     for value in values:
@@ -527,56 +531,26 @@ def dragged(values: Array, slack: float) -> Array:
     return np.array(out)
 
 
-def middle(c: Scene) -> Array:
-    """The middle of the joints' ranges (n,)."""
-    return np.asarray(c.arm.range.mean(axis=0))
+def continuous(R: Rotation) -> Array:
+    """Quaternions (N, 4), each on the side of the one before."""
+    quat = R.as_quat()
+    return quat * np.cumprod(np.r_[1.0, np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)])[:, None]
 
 
-def share(c: Scene, *joints: int) -> Array:
-    """Where joints are in their ranges, from -1 to 1 (joints, N)."""
-    return ((c.q - middle(c)) / (0.5 * np.ptp(c.arm.range, axis=0)))[:, joints].T
+def filtered(values: Array, b: Any, a: Any = 1.0) -> Array:
+    """Values behind a filter that has been at rest at the first."""
+    return lfilter(b, a, values - values[0], axis=0) + values[0]
 
 
-def travel(c: Scene) -> Array:
-    """Where the joint that was drawn is in its range, from 0 to 1 (N,)."""
-    low, high = c.arm.range[:, c.i]
-    return (c.x - low) / (high - low)
+def flipped(c: Scene) -> tuple[Array, Array]:
+    """Angles (N,) and axes (N, 3) that bring a flat marker to its other tilt."""
+    along, normal = c.sight, c.R.apply([0.0, 0.0, 1.0])
+    other = 2.0 * np.sum(normal * along, axis=1, keepdims=True) * along - normal
+    axis = np.cross(normal, other)
+    return np.arccos(np.clip(np.sum(normal * other, axis=1), -1.0, 1.0)), axis / np.linalg.norm(axis, axis=1)[:, None]
 
 
-def far(c: Scene) -> Array:
-    """Distances of the readings (N, 1)."""
-    return np.linalg.norm(c.p, axis=1, keepdims=True)
-
-
-def sight(c: Scene) -> Array:
-    """Unit vectors from the instrument to the target (N, 3)."""
-    return c.p / far(c)
-
-
-def azimuth(c: Scene) -> Array:
-    """Azimuths of the readings (N,)."""
-    return np.arctan2(c.p[:, 1], c.p[:, 0])
-
-
-def gear(size: float = 4e-4, i: Of = "i") -> Step:
-    """A gear that errs, some times a turn."""
-
-    def step(c: Scene) -> None:
-        cycles, k = int(c.rng.integers(20, 90)), c.of(i)
-        waits(c, c.joint(k, lambda s: size * np.sin(cycles * s.q[:, k])))
-
-    return step
-
-
-def warm(begin: float, seconds: float, low: float, high: float) -> Callable[[Scene], tuple[Array, Array]]:
-    """Times and a temperature that goes up and down, of a phase that is drawn."""
-
-    def made(c: Scene) -> tuple[Array, Array]:
-        clock = np.arange(begin, begin + seconds, 2.0)
-        phase = c.rng.uniform(0, 2 * np.pi)
-        return clock, low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * clock / 310.0 + phase))
-
-    return made
+# --- signals, and what is recorded in place of one reading a station -------------------------------------------------
 
 
 def signal(name: str, clock: Array, values: Array, topic: str) -> tuple[SignalTrack, ...]:
@@ -584,7 +558,11 @@ def signal(name: str, clock: Array, values: Array, topic: str) -> tuple[SignalTr
     return (SignalTrack(name, BEGIN + clock, np.reshape(values, (len(clock), -1)), topic),)
 
 
-EXACT: dict[str, Any] = {"noise_mm": 0.0, "noise_mrad": 0.0, "repeat": 0.0}
+def warm(begin: float, seconds: float, low: float, high: float) -> Callable[[Scene], tuple[Array, Array]]:
+    """Times and a temperature that goes up and down, of a phase that is drawn."""
+    clock = np.arange(begin, begin + seconds, 2.0)
+    angle = 2 * np.pi * clock / 310.0
+    return lambda c: (clock, low + (high - low) * (0.5 - 0.5 * np.cos(angle + c.rng.uniform(0, 2 * np.pi))))
 
 
 def heat_told(c: Scene) -> None:
@@ -592,27 +570,69 @@ def heat_told(c: Scene) -> None:
     c.session = replace(c.session, signals=signal(f"temperature:{c.arm.parents[2]}", *c.heat, "/temperature"))
 
 
-def scenario(name: str, count: int) -> Step:
-    """Faults of bench/undeclared, of which the vocabulary has all, wait; what sensors they have is kept."""
-
-    def step(c: Scene) -> None:
-        c.faults = plant(c.cell, SCENARIOS[name], c.rng, count * PERIOD)
-        for fault in c.faults:
-            waits(c, fault.bend, *fault.family)
-
-    return step
-
-
 def sensed(c: Scene) -> None:
-    """The temperatures of planted faults are recorded."""
+    """The temperature of a planted fault is recorded."""
+    ((link, temperature),) = (fault.sensor for fault in c.faults)
     clock = np.arange(0.0, c.N * PERIOD + 1.0)
-    for link, temperature in (fault.sensor for fault in c.faults if fault.sensor is not None):
-        seen = temperature(clock) + c.rng.normal(0, 0.05, len(clock))
-        c.session = replace(c.session, signals=signal(f"temperature:{link}", clock, seen, "/temperature"))
+    seen = temperature(clock) + c.rng.normal(0, 0.05, len(clock))
+    c.session = replace(c.session, signals=signal(f"temperature:{link}", clock, seen, "/temperature"))
 
 
-def five_times(c: Scene) -> None:
-    """Each row five times, a tenth of a period apart, with more scatter of the instrument."""
-    often = c.session.only(np.repeat(c.rows, 5))
-    later = np.tile(0.1 * PERIOD * np.arange(5), c.N)
-    c.session = replace(often, t=often.t + later, p=often.p + c.rng.normal(0, 4e-6, often.p.shape))
+@step
+def written(c: Scene, change: Callable[[Recording], Recording]) -> None:
+    """A bag that holds something else than the session's arrays say."""
+    whole = change(c.session.recording())
+    c.session = replace(c.session, spoken=lambda session: whole)
+
+
+def restamped(stamps: Callable[[Array], Array]) -> Step:
+    """Readings with other stamps."""
+
+    def change(whole: Recording) -> Recording:
+        (track,) = whole.readings
+        other = stamps(track.stamps)
+        return replace(whole, readings=(Readings(track.kind, track.frame, other, track.values, other),))
+
+    return written(change)
+
+
+def zeros_between(whole: Recording) -> Recording:
+    """A second publisher of zeros among the joint states."""
+    (joints,) = whole.joints
+    stamps = np.concatenate([joints.stamps, joints.stamps + 0.013])
+    q, order = np.concatenate([joints.position, np.zeros_like(joints.position)]), np.argsort(stamps, kind="stable")
+    return replace(whole, joints=(joint_track(joints.names, stamps[order], q[order]),))
+
+
+@step
+def stream(c: Scene, count: int, rate: float = 25.0) -> None:
+    """Joint states and readings all the time: clock, flow (joints), sent (p, R) without noise; ``streamed`` ends it."""
+    q, again = c.postures(count)
+    session = c.observe(q, again, **EXACT)
+    when = np.arange(0.0, PERIOD, 1.0 / rate)
+    u = np.clip(when / (0.5 * PERIOD), 0.0, 1.0)[:, None]
+    reached = q + c.rng.normal(0, REPEAT, q.shape)
+
+    def flow(ends: Array) -> Array:
+        start = np.concatenate([ends[:1] - 0.1, ends[:-1]])
+        return (start[:, None] + (10 * u**3 - 15 * u**4 + 6 * u**5) * (ends - start)[:, None]).reshape(-1, c.n)
+
+    c.clock, c.flow = np.round((session.t[:, None] - 0.5 * PERIOD + when).ravel(), 6), flow(q)
+    c.sent = c.cell.poses(Stations(flow(reached), c.clock, np.ones_like(c.flow)), ())
+    missed = c.cell.poses(Stations(reached, session.t, np.ones_like(q)), ()).p - session.p
+    floor = np.hypot(1e3 * np.sqrt(np.mean(np.sum(missed**2, axis=1))), 0.035 / np.sqrt(25.0))
+    c.session = replace(session, floor_mm=float(floor))
+
+
+@step
+def streamed(c: Scene, read: Of = None, p: Of = None, R: Of = None, received: bool = False) -> None:
+    """The stream is recorded, with noise: stamps, positions and turns of the readings are others where given."""
+    at, turn = (c.sent.p if p is None else c.of(p)), (c.sent.R if R is None else c.of(R))
+    at = at + c.rng.normal(0, 2e-5, at.shape)
+    turn = turn * Rotation.from_rotvec(c.rng.normal(0, 2e-5, at.shape))
+    stamps = BEGIN + c.clock
+    told = stamps if read is None else c.of(read)
+    values = np.concatenate([at, turn.as_quat()], axis=1)
+    readings = Readings(c.kind, c.frame, told, values, told if received else stamps)
+    whole = Recording((joint_track(c.names, stamps, c.flow),), (readings,), (), c.urdf)
+    c.session = replace(c.session, spoken=lambda session: whole)

@@ -1,8 +1,9 @@
-"""Words that name what is wrong: patterns, and what depends on the joint that was drawn (i)."""
+"""Words that name what is wrong: patterns, and what depends on the scene, on the joint i that was drawn most of all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 
 from case import Scene
 
@@ -31,47 +32,6 @@ READINGS = (
 STATIONS = r"stations? \d"
 
 
-def J(c: Scene) -> str:
-    """The joint."""
-    return str(c.names[c.i])
-
-
-def JJ(c: Scene) -> tuple[str, ...]:
-    """The joint and the next one."""
-    return tuple(c.names[c.i : c.i + 2])
-
-
-def NEAR(c: Scene) -> tuple[str, ...]:
-    """The joint, the one before it and the next one."""
-    return tuple(c.names[max(c.i - 1, 0) : c.i + 2])
-
-
-def ALL(c: Scene) -> tuple[str, ...]:
-    """All joints."""
-    return tuple(c.names)
-
-
-def WRIST(c: Scene) -> tuple[str, ...]:
-    """The last three joints."""
-    return tuple(c.names[-3:])
-
-
-def HAND(c: Scene) -> tuple[str, ...]:
-    """The links behind the last joint."""
-    return tuple(c.arm.hand)
-
-
-def FOOT(c: Scene) -> tuple[str, ...]:
-    """The first joint, and the link that it stands on."""
-    return (c.names[0], c.arm.parents[0])
-
-
-def OR_END(c: Scene) -> tuple[str, ...]:
-    """The joint, the one before it, and at an end of the arm what is beyond."""
-    beyond = BASE if c.i == 0 else ("tool",) if c.i == c.n - 1 else ()
-    return (c.names[max(c.i - 1, 0)], c.names[c.i], *beyond)
-
-
 def JOINT(*numbers: int) -> Callable[[Scene], tuple[str, ...]]:
     """Joints by number."""
     return lambda c: tuple(c.names[k] for k in numbers)
@@ -80,3 +40,22 @@ def JOINT(*numbers: int) -> Callable[[Scene], tuple[str, ...]]:
 def LINK(k: int) -> Callable[[Scene], str]:
     """The link behind a joint."""
     return lambda c: str(c.arm.links[k])
+
+
+def around(low: int, high: int) -> Callable[[Scene], tuple[str, ...]]:
+    """Joints from the one that was drawn, counted from it, those that there are."""
+    return lambda c: tuple(c.names[max(c.i + low, 0) : c.i + high])
+
+
+def OR_END(c: Scene) -> tuple[str, ...]:
+    """The joint, the one before it, and at an end of the arm what is beyond."""
+    return (*around(-1, 1)(c), *(BASE if c.i == 0 else ("tool",) if c.i == c.n - 1 else ()))
+
+
+J, JJ, JJJ, NEAR = around(0, 1), around(0, 2), around(0, 3), around(-1, 2)
+ALL, HAND, WRIST = attrgetter("names"), attrgetter("arm.hand"), JOINT(-3, -2, -1)
+
+
+def FOOT(c: Scene) -> tuple[str, ...]:
+    """The first joint, and the link that it stands on."""
+    return (c.names[0], c.arm.parents[0])

@@ -5,9 +5,7 @@ from transforms import *
 from words import *
 
 K, S = kinds("main")
-
-# --- a convention that is not the one expected, in whole or in part --------------------------------------------------
-
+# a convention that is not the one expected, in whole or in part
 K("quaternion_w_first", "Quaternions are written w x y z.", QUATERNION)(120, W_FIRST)
 K("quaternion_conjugate", "Orientations are the tracker's in the tool.", QUATERNION, "conjugate", "inver")
 S(120, quaternion(0, 1, 2, 3, sign=(-1, -1, -1, 1)))
@@ -24,19 +22,15 @@ K("millimetres_in_a_part", "From some station on positions are in millimetres.",
 S(120, let(k=between(30, 90)), times(lambda c: np.where(c.rows >= c.k, 1e3, 1.0)[:, None]))
 K("millimetres_throughout", "All positions are written in millimetres.", UNIT)(100, times(1e3))
 K("degrees_of_one_joint", "One joint is written in degrees.", J, "degree")(120, pick(0, 4), col(np.degrees))
-K("degrees_throughout", "All joints are written in degrees.", "degree", r"\bdeg\b", "limit")
-S(100, put(q=lambda c: np.degrees(c.q)))
+K("degrees_throughout", "Joints are in degrees.", "degree", r"\bdeg\b", "limit")(100, put(q=lambda c: np.degrees(c.q)))
 K("degrees_in_a_part", "From some station on joints are in degrees.", "degree", r"\bdeg\b", "limit", "joint")
 S(120, let(k=between(40, 90)), put(q=lambda c: c.q * np.where(c.rows >= c.k, 180.0 / np.pi, 1.0)[:, None]))
 K("joint_of_other_sign", "A joint counts the other way round.", J)(120, pick(), col(np.negative))
 K("joints_swapped", "Two joints stand under each other's name.", JJ)(120, pick(0, -1), cycle(1, 0))
-K("readings_mirrored", "The instrument's frame is left-handed.", "mirror", "handed", "sign")
-S(points(120), times([1.0, -1.0, 1.0]))
+K("readings_mirrored", "The frame is left-handed.", "mirror", "handed", "sign")(points(120), times([1.0, -1.0, 1.0]))
 K("coordinates_swapped", "x and y are exchanged.", "mirror", "handed", "axes|axis|swap|column")
 S(points(120), put(p=lambda c: c.p[:, [1, 0, 2]]))
-
-# --- parts of a recording with a base or a tool of their own, readings that are shifted, what stands still -----------
-
+# parts of a recording with a base or a tool of their own, readings that are shifted, what stands still
 K("tool_turned_early", "The tool is turned after a seventh of the stations.", TOOL)(tool(0, 0.1, since(25)), 180)
 K("first_twelve_with_another_tool", "The first twelve had another tool.", TOOL)(tool(0.03, 0.2, until(12)), 120)
 K("last_ten_with_another_tool", "The last ten had another tool.", TOOL)(tool(0.05, 0.3, since(110)), 120)
@@ -55,8 +49,7 @@ K("joined_with_the_base_moved", "--also a recording before which the tracker was
 S(base(0.4, 0.2), bare(90), also(), clean(90, begin=90 * PERIOD + 600.0))
 K("joined_in_one_bag", "Two recordings with different tools in one bag.", TOOL)
 S(tool(0.02, 0.1), bare(90), part, clean(90, begin=90 * PERIOD + 600.0), together)
-K("near_half_shifted_frozen", "Frozen, on a recording of which 45 % is shifted by 5 mm.", LEFT_OUT)
-S(120, frozen(), 100, shifted(0.45, 5e-3))
+K("near_half_shifted_frozen", "Of the second 45 % is 5 mm off.", LEFT_OUT)(120, frozen(), 100, shifted(0.45, 5e-3))
 K("more_than_half_shifted_frozen", "Frozen, on a recording of which 55 % is shifted by 5 mm.", LEFT_OUT, BASE)
 S(120, frozen(), 100, shifted(0.55, 5e-3))
 K("near_half_shifted_fitted", "45 % of what is fitted is shifted by 5 mm.", LEFT_OUT, BASE)(140, shifted(0.45, 5e-3))
@@ -84,14 +77,12 @@ K("sorted_by_the_first_joint", "Joint 1 goes by rings, and is off in each.", lam
 S(visit(160, 0), let(again=None, rings=lambda c: np.linspace(*c.arm.range[:, 0], 8)))
 S(let(q=lambda c: np.column_stack([np.repeat(c.rings, 20), c.q[:, 1:]]), off=lambda c: c.rng.normal(0, 6e-4, 8)))
 S(joint(lambda c: c.off[np.argmin(np.abs(c.q[:, :1] - c.rings), axis=1)], 0), see())
-K("clock_off_by_a_station", "From the middle on every reading belongs to the posture before.")
+K("clock_off_by_a_station", "Then readings belong to the posture before.")
 S(140, rows(lambda c: np.r_[:70, 69 : c.N - 1]))
 K("readings_shuffled", "Readings belong to other postures.")(120, rows(lambda c: c.rng.permutation(c.N)))
-K("nonsense", "Random poses.")
+K("nonsense", "Noise.")
 S(100, put(p=lambda c: c.rng.uniform(-1, 1, (c.N, 3)), R=lambda c: Rotation.random(c.N, rng=c.rng)))
-
-# --- what an arm, its tool or its stand do that no entry of the vocabulary was written for; what the URDF has wrong --
-
+# what an arm, its tool or its stand do that no entry of the vocabulary was written for; what the URDF has wrong
 K("base_tilts_under_load", "The stand deflects under the arm's moment, more one way than the other.", BASE, FOOT)
 S(visit(150), let(com=centres, soft=uniform(0.5, 1.5, 2), turn=lambda c: scaled(moment(c.com, *c.soft), 4e-4)))
 S(tilted("turn"), see())
@@ -104,14 +95,8 @@ S(put(more=lambda c: {f"left_{name}": c.other[:, i] for i, name in enumerate(c.n
 K("payload_from_the_middle", "An elastic arm picks up kilograms half way.", LOAD, EITHER, ALL, "step")
 S(visit(160), carrying(lambda c: c.rows >= 80, uniform(4.0, 8.0)))
 K("payload_of_the_posture", "An elastic arm carries a part in some postures; nothing says which.", LOAD, ALL)
-S(visit(160), carrying(lambda c: (c.rng.random(160) < 0.5)[kinds_of(c.q)], uniform(6.0, 10.0)))
-K(
-    "payload_at_random",
-    "An elastic arm carries a part now and then; it may be taken for scatter.",
-    LOAD,
-    ALL,
-    shown=False,
-)
+S(visit(160), carrying(lambda c: (c.rng.random(160) < 0.5)[c.posture], uniform(6.0, 10.0)))
+K("payload_at_random", "An elastic arm carries a part now and then, as if it scattered.", LOAD, ALL, shown=False)
 S(visit(160, 0), carrying(lambda c: c.rng.random(160) < 0.5, uniform(6.0, 10.0)))
 K("centre_of_mass_far_off", "A link's centre of mass is in millimetres: 500 m away.", LINK(2), "centre of mass", "mass")
 S(elastic(), 150, inertial(2, r'xyz="[^"]*"', 'xyz="0.0 0.0 500.0"'))
@@ -120,7 +105,7 @@ S(elastic(), 150, inertial(-2, r'(<mass value=")[^"]*', r"\g<1>150.0"))
 K("masses_missing", "An elastic arm whose URDF knows no masses.", LOAD, ALL, shown="if left")
 S(elastic(6e-4), 150, sub(r"<inertial>.*?</inertial>", ""))
 K("tool_has_free_play", "The tool drops to the lower side of a loose seat.", r"\btool\b", HAND, WRIST)
-S(visit(150), let(side=lambda c: np.sign(tool_axes(c)[:, 2, 0])), bend("tool", np.s_[:, 0], lambda c: 3e-4 * c.side))
+S(visit(150), let(side=lambda c: np.sign(c.tool_axes[:, 2, 0])), bend("tool", np.s_[:, 0], lambda c: 3e-4 * c.side))
 S(see())
 K("cable_drags", "A cable that becomes taut over two joints pulls one of them.", JJ)
 S(pick(0, -2), let(pull=lambda c: lambda u, v: np.maximum(u + v - 0.2, 0.0) * (1.0 + 0.5 * np.cos(2.0 * u * v))))
@@ -131,47 +116,35 @@ K("two_joints_together", "A joint is off by a product of functions of two others
 S(let(u=lambda c: c.rng.permutation(c.n)[:3], i=lambda c: int(c.u[0])))
 S(joint(lambda c: 6e-4 * np.sin(1.7 * c.q[:, c.u[1]]) * np.sin(1.3 * c.q[:, c.u[2]] + 0.4)), 200)
 K("tracker_bends_its_rays", "Readings are off with the tracker's azimuth.", "tracker", "reading", r"\bbase\b", JOINT(0))
-S(160, let(turn=lambda c: 2.5e-4 * np.sin(3.0 * azimuth(c))[:, None] * c.way(1.0)))
+S(160, let(turn=lambda c: 2.5e-4 * np.sin(3.0 * c.azimuth)[:, None] * c.way(1.0)))
 S(put(p=lambda c: Rotation.from_rotvec(c.turn).apply(c.p)))
 K("tracker_scale_with_distance", "A camera's scale errs with distance.", "tracker", "reading", "scale", r"\bbase\b")
-S(160, times(lambda c: 1.0 + 4e-4 * (far(c) - far(c).mean()) ** 2))
+S(160, times(lambda c: 1.0 + 4e-4 * (c.far - c.far.mean()) ** 2))
 K("joints_lag", "One joint's logged position lags the arm by a share of its last move.", J)
 S(160, pick(0, 4), col(lambda c: c.x - 1.5e-3 * moves(c.x)))
 K("all_joints_lag", "All joints are logged before they have arrived, each by its own share.", ALL)
 S(160, let(share=lambda c: c.rng.uniform(5e-4, 2e-3, c.n)), put(q=lambda c: c.q - c.share * moves(c.q)))
 K("other_robot", "The URDF's forearm is four centimetres shorter.", shown="if left")(140, described(shorter))
 K("spring_that_hardens_one_way", "Beyond some angle a joint is pushed back by the square of the way.", J)
-S(pick(1, 4), joint(lambda c: 1.2e-3 * np.maximum(c.x - middle(c)[c.i] - 0.5, 0.0) ** 2), 160)
+S(pick(1, 4), joint(lambda c: 1.2e-3 * np.maximum(c.x - c.middle[c.i] - 0.5, 0.0) ** 2), 160)
 K("step_in_a_joint", "An encoder lost counts: from some station on a joint is off by a milliradian.", OR_END)
 S(pick(), let(k=between(50, 110)), joint(lambda c: 1e-3 * (c.rows >= c.k)), 160)
 K("few_stations", "Twelve poses.", FEW, floor=False)(clean(12, returns=0))
 K("few_points", "Twenty points of an arm with a gear error.", FEW, floor=False)
 S(joint(lambda c: 4e-4 * np.sin(37 * c.q[:, 2]), 2), points(20, returns=0))
-K("computed_from_the_drawing", "A driver computes readings with the URDF.", COMPUTED, "joint")(
-    clean(120, **EXACT), by_drawing
-)
+K("computed_from_the_drawing", "A driver computes with the URDF.", COMPUTED, "joint")(clean(120, **EXACT), by_drawing)
 K("computed_by_the_controller", "The controller computes readings, calibrated.", COMPUTED)(clean(120, **EXACT))
 K("computed_and_rounded", "The same, to a micrometre and a microradian.", COMPUTED)
 S(let(drawn=lambda c: c.rng.random() < 0.5), clean(120, **EXACT), lambda c: by_drawing(c) if c.drawn else None)
 S(put(p=lambda c: np.round(c.p, 6), R=lambda c: Rotation.from_rotvec(np.round(c.R.as_rotvec(), 6))))
-
-# --- calibrations used where they do not hold ------------------------------------------------------------------------
-
+# calibrations used where they do not hold
 K("drift_carried_on", "A steady drift, evaluated days after it ended.", "time", "drift", "outside", shown="if left")
 S(let(v=way(2e-3)), tilted(lambda c: np.outer(c.t / 560.0, c.v)), 140, frozen("--refit-base"), clean(70, begin=3 * DAY))
 OVER = ("time", "drift", "outside")
 K("tool_drift_carried_on", "A tool that crept, evaluated a day later.", OVER, r"\btool\b", shown="if left")
-S(let(v=way(1e-3)), bend("tool", np.s_[:, :3], lambda c: np.outer(np.minimum(c.t, 560.0) / 560.0, c.v)), 140)
-S(frozen(), same, clean(70, begin=DAY))
-K(
-    "order_taken_for_a_clock",
-    "A drift by order of rows is carried on.",
-    "order",
-    "clock",
-    "time",
-    "drift",
-    shown="if left",
-)
+S(let(v=way(1e-3)), bend("tool", np.s_[:, :3], lambda c: np.outer(np.minimum(c.t, 560.0) / 560.0, c.v)), 140, frozen())
+S(same, clean(70, begin=DAY))
+K("order_taken_for_a_clock", "A drift by order of rows goes on.", "order", "clock", "time", "drift", shown="if left")
 S(let(v=way(8e-4)), tilted(lambda c: np.outer((c.t - c.t[0]) / 560.0, c.v)), clean(140, period=10.0))
 S(frozen("--refit-base"), clean(60, period=10.0))
 K("tool_changed_frozen", "Another tool, which is not found again.", TOOL)(120, frozen(), tool(0.003, 0.34), 70)
@@ -186,7 +159,7 @@ K("effort_missing", "Springs found by effort, on a recording without any.", "eff
 S(elastic(5e-4), 80, same, before(140, effort=True))
 K("effort_missing_with_a_payload", "The same with a payload that effort shows.", "effort", LOAD, ALL, shown="if left")
 S(elastic(5e-4, payload=5.0), clean(140, effort=True), frozen(), same, 80)
-K("temperature_missing", "A link grows with a temperature that is recorded first only.", "temperature", "thermal")
+K("temperature_missing", "A link grows with a temperature that is recorded first only.", "temperature", "thermal")()
 GROWS = bend("x", np.s_[:, 2, 0], lambda c: 2e-5 * (np.interp(c.t, *c.heat) - 20.0))
 S(let(heat=warm(0.0, 140 * PERIOD + 1.0, 20.0, 50.0)), GROWS, 140)
 S(let(heat=lambda c: (c.heat[0], c.heat[1] + c.rng.normal(0, 0.05, len(c.heat[1])))), heat_told, frozen())
@@ -195,24 +168,15 @@ K("temperature_out_of_range", "A link, used much warmer.", "temperature", "therm
 S(let(heat=warm(0.0, 600.0, 20.0, 35.0), hot=warm(2000.0, 400.0, 60.0, 80.0)))
 S(bend("x", np.s_[:, 2, 0], lambda c: 1e-6 * (np.interp(c.t, *c.heat) - 20.0) ** 2), 140, heat_told, frozen())
 S(let(heat=lambda c: c.hot), same, clean(80, begin=2000.0), heat_told)
-K(
-    "curve_out_of_range",
-    "A curve of a joint's error, used where it was not seen.",
-    J,
-    "outside",
-    "range",
-    shown="if left",
-)
-S(pick(0, 4), joint(lambda c: 1.5e-3 * travel(c) * np.sin(5.0 * travel(c)) * (1.0 + travel(c))), visit(160, high=0.6))
+K("curve_out_of_range", "A joint's curve, used where it was not seen.", J, "outside", "range", shown="if left")
+S(pick(0, 4), joint(lambda c: 1.5e-3 * c.travel * np.sin(5.0 * c.travel) * (1.0 + c.travel)), visit(160, high=0.6))
 S(see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
 K("geometry_out_of_range", "An elastic arm, used elsewhere.", "outside", "range", LOAD, ALL, shown="if left")
 S(elastic(8e-4), visit(160, high=0.6), see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
-K("geometry_only", "A gear that errs, and --geometry-only.", J, BOLTED)(
-    pick(0, 4), gear(), 150, asked("--geometry-only")
-)
+K("geometry_only", "A gear errs; --geometry-only.", J, BOLTED)(pick(0, 4), gear(), 150, asked("--geometry-only"))
 K("geometry_only_with_a_drift", "A stand turns, and --geometry-only.", BASE, "time", "order", BOLTED)
 S(let(v=way(6e-4)), tilted(lambda c: np.outer(c.t / 600.0, c.v)), 150, asked("--geometry-only"))
-K("gear_seen_too_rarely", "Gears of many cycles at few stations.")
+K("gear_seen_too_rarely", "Gears of many cycles, few stations.")
 S(gear(8e-4, 0), gear(8e-4, 1), gear(8e-4, 2), points(60))
 K("worn_since", "A gear that errs now and did not then.", J, "held-out", "floor", "repeat", "spread")
 S(pick(0, 4), 120, frozen(), gear(5e-4), 100)
