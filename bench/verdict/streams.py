@@ -7,12 +7,12 @@ from dataclasses import replace
 from datetime import date
 
 import numpy as np
-from case import Scene, Step
+from case import Scene, Step, step
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from transforms import Of, let, waits
-from workcell import POSE, Array, JointTrack, ReadingTrack, Recording, Session, joint_track
-from world import EACH, EPOCH, World
+from transforms import Of, bend, let
+from workcell import POSE, Array, JointTrack, ReadingTrack, Recording, Session, Stations, joint_track
+from world import EACH, EPOCH, World, Wrong
 
 WAITS = 3.0  # s, of the EACH from one station to the next
 RATE, READS = 50.0, 20.0  # Hz, of joint states and of readings
@@ -29,17 +29,14 @@ def flow(t: Array, stations: Array, rest: Array) -> Array:
     return before[k] + (u**3 * (10 - 15 * u + 6 * u**2)) * (stations[k] - before[k])
 
 
-def streamed(count: int, spoil: Spoil | None = None, more: More | None = None) -> Step:
+@step
+def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None = None) -> None:
     """Stations, recorded with all that lies between. spoil: of readings; more: joint states of other publishers."""
-
-    def step(c: Scene) -> None:
-        session, k, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), WAITS * READS, np.sqrt(3.0)
-        arm_mm, arm_deg, _, _ = session.stated
-        eye_mm, eye_deg = root * READ_MM / np.sqrt(k), float(np.degrees(root * 1e-3 * READ_MRAD)) / np.sqrt(k)
-        told = {"floor_mm": float(np.hypot(arm_mm, eye_mm)), "stated": (arm_mm, arm_deg, eye_mm, eye_deg)}
-        c.session = replace(session, spoken=lambda s: _spoken(c, s, spoil, more), **told)
-
-    return step
+    session, k, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), WAITS * READS, np.sqrt(3.0)
+    arm_mm, arm_deg, _, _ = session.stated
+    eye_mm, eye_deg = root * READ_MM / np.sqrt(k), float(np.degrees(root * 1e-3 * READ_MRAD)) / np.sqrt(k)
+    told = {"floor_mm": float(np.hypot(arm_mm, eye_mm)), "stated": (arm_mm, arm_deg, eye_mm, eye_deg)}
+    c.session = replace(session, spoken=lambda s: _spoken(c, s, spoil, more), **told)
 
 
 def _spoken(c: Scene, s: Session, spoil: Spoil | None, more: More | None) -> Recording:
@@ -104,14 +101,11 @@ def built(robot: str) -> Step:
     return let(w=lambda c: type(c.w)(robot, c.rng))
 
 
-def turning(*joints: int) -> Step:
-    """A UR5e whose joints of these numbers turn by more than one turn."""
-
-    def step(c: Scene) -> None:
-        c.w = World("ur5e", c.rng)
-        c.w.low[list(joints)], c.w.high[list(joints)] = -5.5, 5.5
-
-    return step
+@step
+def turning(c: Scene, *joints: int) -> None:
+    """A UR5e whose joints of these numbers turn by more than one turn; i is the last of them."""
+    c.w, c.i = World("ur5e", c.rng), joints[-1]
+    c.w.low[list(joints)], c.w.high[list(joints)] = -5.5, 5.5
 
 
 def folded(x: Array) -> Array:
@@ -119,39 +113,27 @@ def folded(x: Array) -> Array:
     return (x + np.pi) % (2 * np.pi) - np.pi
 
 
-def soft(per_nm: float, load: Of = 0.0) -> Step:
-    """Joints deflect under weight [rad/N m], and that of a load where the target is [kg]."""
-
-    def step(c: Scene) -> None:
-        def bend(w: World, s: Session, d: object) -> None:
-            d.x[..., 3] += per_nm * w.torques(s.q, c.of(load))
-
-        waits(c, bend, "compliance")
-
-    return step
+@step
+def soft(c: Scene, per_nm: float) -> None:
+    """Joints deflect under weight [rad/N m]."""
+    bend("x", np.s_[..., 3], lambda c: per_nm * c.torques(c.q))(c)
+    c.planted += ("compliance",)
 
 
-def sagging(k: int, size: float) -> Step:
-    """The link behind a joint bends by what it holds, by so much when it lies flat [rad/m]."""
-
-    def bend(w: World, s: Session, d: object) -> None:
-        T = w.frames(s.q)
-        down = np.einsum("nba,b->na", T[:, k, :3, :3], -np.array([0.0, 0.0, 1.0]))
-        lever = np.einsum("nba,nb->na", T[:, k, :3, :3], T[:, -1, :3, 3] - T[:, k, :3, 3])
-        d.behind[k] = np.column_stack([np.zeros_like(lever), np.cross(lever, down) * size])
-
-    return lambda c: waits(c, bend)
+def sagging(w: World, s: Stations, d: Wrong) -> None:
+    """A bend: the link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
+    T = w.frames(s.q)
+    down = np.einsum("nba,b->na", T[:, 2, :3, :3], [0.0, 0.0, -1.0])
+    lever = np.einsum("nba,nb->na", T[:, 2, :3, :3], T[:, -1, :3, 3] - T[:, 2, :3, 3])
+    d.behind[2] = np.column_stack([np.zeros_like(lever), np.cross(lever, down) * 3e-3])
 
 
-def elsewhere(when: Callable[[Scene], Array], **fields: Callable[[Scene], Array | Rotation]) -> Step:
-    """Other positions p, or orientations R, of the readings at the stations that ``when`` says."""
-
-    def step(c: Scene) -> None:
-        here, new = when(c)[:, None], {name: value(c) for name, value in fields.items()}
-        turned = np.where(here[..., None], new.get("R", c.R).as_matrix(), c.R.as_matrix())
-        c.session = replace(c.session, p=np.where(here, new.get("p", c.p), c.p), R=Rotation.from_matrix(turned))
-
-    return step
+@step
+def elsewhere(c: Scene, when: Of, p: Of = "p", R: Of = "R") -> None:
+    """Readings of other positions or orientations at the stations that ``when`` says."""
+    here = c.of(when)[:, None]
+    turned = np.where(here[..., None], c.of(R).as_matrix(), c.R.as_matrix())
+    c.session = replace(c.session, p=np.where(here, c.of(p), c.p), R=Rotation.from_matrix(turned))
 
 
 def as_date(hundredths: int, angle: float) -> float:
