@@ -8,10 +8,24 @@ from datetime import date
 
 import numpy as np
 from case import Scene, Step, step
-from scipy.signal import lfilter
+from fault import Fault
+from recordings import Plan, course
 from scipy.spatial.transform import Rotation
-from transforms import Of, bend, let
-from workcell import POSE, Array, JointTrack, ReadingTrack, Recording, Session, Stations, joint_track
+from transforms import Of, bend, filtered, let
+from workcell import (
+    BEGIN,
+    NOISE_MM,
+    NOISE_MRAD,
+    PERIOD,
+    POSE,
+    Array,
+    JointTrack,
+    ReadingTrack,
+    Recording,
+    Session,
+    Stations,
+    joint_track,
+)
 from world import EACH, EPOCH, World, Wrong
 
 WAITS = 3.0  # s, of the EACH from one station to the next
@@ -61,7 +75,7 @@ def smoothed(seconds: float) -> Spoil:
         a = np.exp(-1 / (READS * seconds))
         signs = np.cumprod(np.r_[1.0, np.sign(np.sum(values[1:, 3:] * values[:-1, 3:], axis=1))])
         flat = np.column_stack([values[:, :3], values[:, 3:] * signs[:, None]])
-        out = lfilter([1 - a], [1, -a], flat - flat[0], axis=0) + flat[0]
+        out = filtered(flat, [1 - a], [1, -a])
         out[:, 3:] /= np.linalg.norm(out[:, 3:], axis=1, keepdims=True)
         return t, out
 
@@ -83,6 +97,12 @@ def computed(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
     nominal.target = nominal.eye = np.zeros(3), Rotation.identity()
     p, R = nominal.sees(flow(t - 0.04, c.q, c.t))
     return t, np.column_stack([np.round(p, 6), np.round(R.as_quat(), 6)])
+
+
+def gripper(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
+    """A gripper that opens and closes, and wheels that stand."""
+    hand, still = 0.02 + 0.02 * np.sign(np.sin(t / 17.0)), np.zeros_like(t)
+    return (joint_track(("finger_joint", "wheel_left", "wheel_right"), t, np.column_stack([hand, still, still])),)
 
 
 def goals(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
@@ -136,8 +156,58 @@ def elsewhere(c: Scene, when: Of, p: Of = "p", R: Of = "R") -> None:
     c.session = replace(c.session, p=np.where(here, c.of(p), c.p), R=Rotation.from_matrix(turned))
 
 
-def as_date(hundredths: int, angle: float) -> float:
-    """An angle; where its hundredths of a degree are a day and a month, the day's number, as degrees, in radians."""
-    day, month = divmod(hundredths, 100)
-    known = 1 <= day <= 28 and 1 <= month <= 12
-    return float(np.radians(date(2026, month, day).toordinal() - date(1899, 12, 30).toordinal())) if known else angle
+def as_dates(c: Scene) -> list[float]:
+    """The column of a joint; where an angle's hundredths of a degree are a date, the day's number."""
+    out = []
+    for x, (day, month) in zip(c.x, (divmod(round(100 * np.degrees(x)), 100) for x in c.x), strict=True):
+        known = 1 <= day <= 28 and 1 <= month <= 12
+        out.append(np.radians(date(2026, month, day).toordinal() - date(1899, 12, 30).toordinal()) if known else x)
+    return out
+
+
+def warmth(c: Scene) -> Array:
+    """How warm a spindle is that runs, has a break of 420 s after 80 stations, and runs on (N,)."""
+    tau, noon, rest = 170.0, 80 * PERIOD, 420.0
+    left = (1.0 - np.exp(-noon / tau)) * np.exp(-rest / tau)
+    after = 1.0 - (1.0 - left) * np.exp(-np.maximum(c.t - noon - rest, 0.0) / tau)
+    return np.where(c.t <= noon, 1.0 - np.exp(-np.minimum(c.t, noon) / tau), after)
+
+
+def along(plan: Plan, late: Array) -> Array:
+    """Joints of a plan at its stations, each by so many seconds earlier (m, n)."""
+    return np.stack([np.interp(plan.stations.t - s, plan.t, plan.q[:, i]) for i, s in enumerate(late)], axis=1)
+
+
+def planned(c: Scene) -> None:
+    """The arm shall go on a smooth course of several sines a joint; ``moving`` records it."""
+    c.plan = course(c.cell, c.rng, 60.0, 0.0)
+
+
+def moving(c: Scene) -> None:
+    """Joint states at 125 Hz and readings at 50 Hz of a plan, with the faults that wait; nothing is visited twice."""
+    q, t, way = c.plan.stations.q, c.plan.stations.t, c.plan.stations.way
+    seen = c.cell.poses(c.plan.stations, tuple(Fault((), (), (), "", bend) for bend in c.bends))
+    p = seen.p + c.rng.normal(0, 1e-3 * NOISE_MM, q.shape[:1] + (3,))
+    R = seen.R * Rotation.from_rotvec(c.rng.normal(0, 1e-3 * NOISE_MRAD, p.shape))
+    still, joints = np.zeros(len(t), bool), joint_track(c.names, BEGIN + c.plan.t, c.plan.q)
+    joints = replace(joints, velocity=c.plan.v)
+
+    def spoken(s: Session) -> Recording:
+        read = BEGIN + np.round(s.t, 6)
+        return Recording((joints,), (ReadingTrack(POSE, s.frame, read, s.raw(), read),), s.signals, s.urdf)
+
+    floor, c.bends = float(np.sqrt(3.0)) * NOISE_MM, []
+    c.session = Session(c.names, c.arm.urdf, t.copy(), q, p, R, floor, still, came=way, spoken=spoken)
+
+
+def pressing(c: Scene) -> Array:
+    """Torques (N, n) by which the forces ``force`` (N,) along the tool's axis, at its point, turn the joints."""
+    out, at = np.empty_like(c.q), lambda q: _point(c, q)
+    for i, by in enumerate(1e-6 * np.eye(c.n)):
+        out[:, i] = c.force * np.sum((at(c.q + by) - at(c.q)) / 1e-6 * -c.tool_axes[:, :, 2], axis=1)
+    return out
+
+
+def _point(c: Scene, q: Array) -> Array:
+    p, R = c.arm.frames(c.arm.coordinates(q))
+    return np.asarray(p[:, -1] + R[:, -1] @ c.cell.tool[0])
