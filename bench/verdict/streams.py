@@ -149,11 +149,12 @@ def sagging(w: World, s: Stations, d: Wrong) -> None:
 
 
 @step
-def elsewhere(c: Scene, when: Of, p: Of = "p", R: Of = "R") -> None:
-    """Readings of other positions or orientations at the stations that ``when`` says."""
-    here = c.of(when)[:, None]
-    turned = np.where(here[..., None], c.of(R).as_matrix(), c.R.as_matrix())
-    c.session = replace(c.session, p=np.where(here, c.of(p), c.p), R=Rotation.from_matrix(turned))
+def elsewhere(c: Scene, when: Of, p: Of = "p", R: Of = "R", form: str = "matrix") -> None:
+    """Readings of other positions or orientations, put together in a form, at the stations that ``when`` says."""
+    here, new, old = c.of(when), *(getattr(turn, f"as_{form}")() for turn in (c.of(R), c.R))
+    turned = np.where(here.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+    at = np.where(here[:, None], c.of(p), c.p)
+    c.session = replace(c.session, p=at, R=getattr(Rotation, f"from_{form}")(turned))
 
 
 def as_dates(c: Scene) -> list[float]:
