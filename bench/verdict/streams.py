@@ -7,11 +7,11 @@ from dataclasses import replace
 from datetime import date
 
 import numpy as np
-from case import Scene, Step, step
+from case import Scene, export
 from fault import Fault
 from recordings import Plan, course
 from scipy.spatial.transform import Rotation
-from transforms import Of, bend, filtered, let
+from transforms import Of, bend, filtered
 from workcell import (
     BEGIN,
     NOISE_MM,
@@ -43,17 +43,17 @@ def flow(t: Array, stations: Array, rest: Array) -> Array:
     return before[k] + (u**3 * (10 - 15 * u + 6 * u**2)) * (stations[k] - before[k])
 
 
-@step
 def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None = None) -> None:
     """Stations, recorded with all that lies between. spoil: of readings; more: joint states of other publishers."""
     session, k, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), WAITS * READS, np.sqrt(3.0)
     arm_mm, arm_deg, _, _ = session.stated
     eye_mm, eye_deg = root * READ_MM / np.sqrt(k), float(np.degrees(root * 1e-3 * READ_MRAD)) / np.sqrt(k)
     told = {"floor_mm": float(np.hypot(arm_mm, eye_mm)), "stated": (arm_mm, arm_deg, eye_mm, eye_deg)}
-    c.session = replace(session, spoken=lambda s: _spoken(c, s, spoil, more), **told)
+    c.session = replace(session, spoken=lambda s: spoken(c, s, spoil, more), **told)
 
 
-def _spoken(c: Scene, s: Session, spoil: Spoil | None, more: More | None) -> Recording:
+def spoken(c: Scene, s: Session, spoil: Spoil | None, more: More | None) -> Recording:
+    """The whole way."""
     rng = np.random.default_rng([3, len(s)])
     slip = rng.normal(0, SLIP, s.q.shape)
     begin, end = s.t[0] - 2.0, s.t[-1] + WAITS + 0.5
@@ -116,12 +116,11 @@ def simulated(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
     return (joint_track(c.names, t, flow(t - EPOCH, c.other, EACH * np.arange(len(c.other)) + 1.7)),)
 
 
-def built(robot: str) -> Step:
+def built(c: Scene, robot: str) -> None:
     """A cell of another arm."""
-    return let(w=lambda c: type(c.w)(robot, c.rng))
+    c.w = type(c.w)(robot, c.rng)
 
 
-@step
 def turning(c: Scene, *joints: int) -> None:
     """A UR5e whose joints of these numbers turn by more than one turn; i is the last of them."""
     c.w, c.i = World("ur5e", c.rng), joints[-1]
@@ -133,10 +132,9 @@ def folded(x: Array) -> Array:
     return (x + np.pi) % (2 * np.pi) - np.pi
 
 
-@step
 def soft(c: Scene, per_nm: float) -> None:
     """Joints deflect under weight [rad/N m]."""
-    bend("x", np.s_[..., 3], lambda c: per_nm * c.torques(c.q))(c)
+    bend(c, "x", np.s_[..., 3], lambda c: per_nm * c.torques(c.q))
     c.planted += ("compliance",)
 
 
@@ -148,7 +146,6 @@ def sagging(w: World, s: Stations, d: Wrong) -> None:
     d.behind[2] = np.column_stack([np.zeros_like(lever), np.cross(lever, down) * 3e-3])
 
 
-@step
 def elsewhere(c: Scene, when: Of, p: Of = "p", R: Of = "R", form: str = "matrix") -> None:
     """Readings of other positions or orientations, put together in a form, at the stations that ``when`` says."""
     here, new, old = c.of(when), *(getattr(turn, f"as_{form}")() for turn in (c.of(R), c.R))
@@ -212,3 +209,6 @@ def pressing(c: Scene) -> Array:
 def _point(c: Scene, q: Array) -> Array:
     p, R = c.arm.frames(c.arm.coordinates(q))
     return np.asarray(p[:, -1] + R[:, -1] @ c.cell.tool[0])
+
+
+export(globals(), {})

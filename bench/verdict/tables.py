@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 import yaml
-from case import Scene, Step, step
+from case import Scene, export
 from scipy.spatial.transform import Rotation
 from streams import elsewhere
-from transforms import Of, sub
+from transforms import Of, described, put
 from workcell import POINT, POSE, Array, Session
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -148,14 +148,12 @@ def cubes(c: Scene) -> None:
 # --- steps -----------------------------------------------------------------------------------------------------------
 
 
-@step
 def table(c: Scene, *names: str) -> None:
     """One of some recordings."""
     c.session, c.aside = recording(names[0] if len(names) == 1 else str(c.rng.choice(names)))
 
 
-@step
-def aside(c: Scene, *steps: Step) -> None:
+def aside(c: Scene, *steps: Callable[[Scene], None]) -> None:
     """Steps on what is kept aside."""
     c.session, c.aside = c.aside, c.session
     for change in steps:
@@ -163,12 +161,11 @@ def aside(c: Scene, *steps: Step) -> None:
     c.session, c.aside = c.aside, c.session
 
 
-@step
-def both(c: Scene, *steps: Step) -> None:
+def both(c: Scene, *steps: Callable[[Scene], None]) -> None:
     """Steps on what is calibrated, and then on what is kept aside."""
     for change in steps:
         change(c)
-    aside(*steps)(c)
+    aside(c, *steps)
 
 
 def later(c: Scene) -> None:
@@ -177,15 +174,14 @@ def later(c: Scene) -> None:
         c.aside = replace(c.aside, t=c.aside.t + c.t[-1] - c.aside.t[0] + 10.0)
 
 
-@step
 def cells(c: Scene, label: Of, values: Of) -> None:
     """A column holds other cells than the numbers."""
-    c.session = replace(c.session, more=c.more | {c.of(label): c.of(values)})
+    put(c, more=c.more | {c.of(label): c.of(values)})
 
 
-def exchanged(other: dict[str, str]) -> Step:
+def exchanged(c: Scene, other: dict[str, str]) -> None:
     """Another description, in which texts are others."""
-    return sub("|".join(map(re.escape, other)), lambda found: other[found[0]])
+    described(c, lambda c, text: re.sub("|".join(map(re.escape, other)), lambda found: other[found[0]], text))
 
 
 def side(x: Array) -> Array:
@@ -195,16 +191,14 @@ def side(x: Array) -> Array:
     return np.sign(move)[np.maximum.accumulate(moved)]
 
 
-@step
 def knocked(c: Scene, part: str, shift: float, turn: float, when: Of) -> None:
     """The target on the tool, or the tracker, was moved at the rows that ``when`` says."""
     v, by = c.way(shift), Rotation.from_rotvec(c.way(turn))
     centre, on_tool = c.p.mean(axis=0), part == "tool"
     p = c.p + c.R.apply(v) if on_tool else by.apply(c.p - centre) + centre + v
-    elsewhere(when, p, c.R * by if on_tool else by * c.R, "quat")(c)
+    elsewhere(c, when, p, c.R * by if on_tool else by * c.R, "quat")
 
 
-@step
 def calibrated(c: Scene, *options: str) -> None:
     """The table is imported and calibrated; the truth is how far the arm misses on what was kept aside."""
     judged = ("evaluate", "{made}", "{aside}", "--refit-base", "--refit-tool", "--out", "{aside_out}")
@@ -213,7 +207,6 @@ def calibrated(c: Scene, *options: str) -> None:
     _told(c, c.aside.files("aside") | c.session.files("bag"), *options)
 
 
-@step
 def evaluated(c: Scene, *options: str) -> None:
     """The table is calibrated, and the calibration judged on the one that was kept aside."""
     made = ("calibrate", "{first}", "--out", "{made}")
@@ -263,7 +256,6 @@ def in_sockets(c: Scene) -> None:
     c.options = ("--tip", "ball_link", "--cell", "{cell.yaml}", "--tolerance-mm", "0.8")
 
 
-@step
 def on_plates(c: Scene, arm: str, distance: str = "0.05") -> None:
     """A ball in sockets of a plate, with their distance as it is or as somebody wrote it down."""
     c.imports = (("import", str(IMPORTS / f"mukca_{arm}.yaml"), "--data", str(DATA), "--out", "{bag}"),)
@@ -271,3 +263,6 @@ def on_plates(c: Scene, arm: str, distance: str = "0.05") -> None:
     text = (IMPORTS / f"mukca_{arm}_cell.yaml").read_text(encoding="utf-8")
     cell = text.replace("distance_m: 0.05,", f"distance_m: {distance},")
     c.truth |= {"floor": False, "floor_mm": 0.31, "files": {"cell.yaml": cell}}
+
+
+export(globals(), {})

@@ -35,7 +35,7 @@ K("degrees_and_two_joints_swapped", "All joints in degrees, and two names exchan
 S(pick(1, -1), 140, put(q=lambda c: np.degrees(c.q)), cycle(1, 0))
 K("left_handed_until_the_base_moved", "A left-handed frame at first; put right, its origin moved.", MIRROR, BASE, ROWS)
 S(base(0.05, 0.02, since(75)), 150, let(flipped=lambda c: Rotation.from_matrix(FLIP @ c.R.as_matrix() @ FLIP)))
-S(elsewhere(until(75), p=lambda c: c.p @ FLIP, R=lambda c: c.flipped))
+S(elsewhere(since(0, 75), p=lambda c: c.p @ FLIP, R=lambda c: c.flipped))
 K("sign_and_zero_of_a_joint", "A joint counts the other way than in the URDF, from a right angle on.", J)
 S(pick(1), 140, col(lambda c: np.pi / 2 - c.x))
 K("two_joints_swapped_and_both_negated", "Two joints under each other's name and of the other sign.", JJ)

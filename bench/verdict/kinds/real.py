@@ -11,7 +11,7 @@ K("cubes_reversed_sequence", "The tracker's angles are read as ZYX.", ORIENTATIO
 K("cubes_w_first", "Quaternions are written w x y z.", QUATERNION)(cubes, W_FIRST)
 K("cubes_tool_turned", "The tool is turned after 80 stations.", TOOL)(cubes, knocked("tool", 0.03, 0.1, since(80)))
 K("cubes_first_with_another_tool", "The first twelve stations have another tool.", TOOL)
-S(cubes, knocked("tool", 0.02, 0.2, until(12)))
+S(cubes, knocked("tool", 0.02, 0.2, since(0, 12)))
 K("cubes_base_moved", "The tracker stands some centimetres aside from the middle on.", BASE)
 S(cubes, let(by=lambda c: Rotation.from_rotvec(c.way(0.02)), v=way(0.03)))
 S(elsewhere(since(300), lambda c: c.by.apply(c.p) + c.v, lambda c: c.by * c.R, "quat"))
