@@ -14,8 +14,7 @@ LINKS = lambda c: c.arm.links  # noqa: E731
 GOAL = (r"\blags?\b", "goal", "speed", "veloc")
 COLUMNS, AXES = r"\bcolumns?\b", r"\baxes\b"
 # exports and spreadsheets
-K("wrist_joints_in_degrees", "The last three joints are in degrees still.", WRIST, r"\bdegrees?\b")
-S(140, cols(np.s_[-3:], lambda c, q: np.degrees(q)))
+K("wrist_joints_in_degrees", "Degrees.", WRIST, r"\bdegrees?\b")(140, cols(np.s_[-3:], lambda c, q: np.degrees(q)))
 K("pendant_rpy_as_rotation_vector", "Roll, pitch and yaw were taken for a rotation vector.", ORIENTED)
 S(140, put(R=lambda c: Rotation.from_rotvec(c.R.as_euler("xyz"))))
 K("decimal_comma_lost_in_a_joint", "A joint's column lost its decimal commas: 45,123 is 45123, and 45,1 is 451.", J)
