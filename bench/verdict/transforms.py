@@ -85,6 +85,7 @@ STEPS: dict[str, Callable[..., Any]] = {
     ),
     # stations from a number on, and before an end; rows of which some are others
     "since": lambda c, k, end=None: (c.rows >= c.of(k)) & (True if end is None else c.rows < c.of(end)),
+    "until": lambda c, k: c.rows < c.of(k),
     "block": lambda c, low, high, order: np.r_[:low, order, high : c.N],
     # readings: positions times a factor, turned orientations, angles of one sequence read as another, other rows
     "times": lambda c, factor: put(c, p=c.p * c.of(factor)),
@@ -115,6 +116,7 @@ STEPS: dict[str, Callable[..., Any]] = {
 def let(c: Scene, **values: Of) -> None:
     """Names values, in this order."""
     for name, value in values.items():
+        assert not hasattr(Scene, name), name
         setattr(c, name, value(c) if callable(value) else value)
 
 

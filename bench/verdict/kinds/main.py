@@ -32,7 +32,7 @@ K("coordinates_swapped", "x and y are exchanged.", "mirror", "handed", "axes|axi
 S(points(120), put(p=lambda c: c.p[:, [1, 0, 2]]))
 # parts of a recording with a base or a tool of their own, readings that are shifted, what stands still
 K("tool_turned_early", "The tool is turned after a seventh of the stations.", TOOL)(tool(0, 0.1, since(25)), 180)
-K("first_twelve_with_another_tool", "The first twelve had another tool.", TOOL)(tool(0.03, 0.2, since(0, 12)), 120)
+K("first_twelve_with_another_tool", "The first twelve had another tool.", TOOL)(tool(0.03, 0.2, until(12)), 120)
 K("last_ten_with_another_tool", "The last ten had another tool.", TOOL)(tool(0.05, 0.3, since(110)), 120)
 K("base_moved_midway", "The tracker is put elsewhere in the middle.", BASE)(base(0.05, 0.02, since(70)), 140)
 K("base_moved_far", "The tracker is put a metre aside and turned by 40 degrees.", BASE)
