@@ -129,15 +129,9 @@ def runner(bench: str) -> ModuleType:
 def recordings(every: int, benches: str = "undeclared,verdict") -> list[tuple[str, str, int]]:
     """The panel: some of bench/undeclared, and every so manyth kind of bench/verdict; of the benches that are named."""
     sys.path.insert(0, str(HERE.parent / "verdict"))
-    import conventions  # noqa: F401
-    import good  # noqa: F401
-    import later  # noqa: F401
-    import physics  # noqa: F401
-    import regimes  # noqa: F401
-    import use  # noqa: F401
-    from case import KINDS  # the kinds are registered by the imports above
 
-    verdict = [(group, kind, 40 + k) for group in VERDICT for k, kind in enumerate(KINDS[group])]
+    kinds = runner("verdict").KINDS
+    verdict = [(group, kind, 40 + k) for group in VERDICT for k, kind in enumerate(kinds[group])]
     both = [*(("undeclared", kind, seed) for kind, seed in UNDECLARED), *verdict[::every]]
     return [task for task in both if ("undeclared" if task[0] == "undeclared" else "verdict") in benches.split(",")]
 

@@ -18,6 +18,7 @@ from arm import Arm
 from case import DERIVED, Scene, Step, step, take
 from recordings import plant
 from scenarios import SCENARIOS
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from workcell import BEGIN, PERIOD, REPEAT, Array, Recording, SignalTrack, Stations, Works, joined, joint_track
 from workcell import ReadingTrack as Readings
@@ -261,9 +262,15 @@ def gravity(c: Scene, *down: float) -> None:
     c.arm._model.opt.gravity[:] = down
 
 
-def spare(c: Scene) -> None:
+def spare(c: Scene) -> Works:
     """Another arm of the same type, in a cell of its own."""
-    c.w = Works(c.robot, np.random.default_rng(c.rng.integers(1 << 30)))
+    return Works(c.robot, np.random.default_rng(c.rng.integers(1 << 30)))
+
+
+def instead(c: Scene) -> None:
+    """The arm ``twin`` stands where the arm stood, with its tool."""
+    c.twin.cell.tool, c.twin.cell.tracker = c.cell.tool, c.cell.tracker
+    c.w = c.twin
 
 
 @step
@@ -413,9 +420,33 @@ def block_of(text: str, tag: str, name: str) -> str:
     return re.search(rf'<{tag} name="{name}".*?</{tag}>', text, re.DOTALL)[0]  # type: ignore[index]
 
 
-def in_block(tag: str, name: Of, change: Callable[[Scene, str], str]) -> Step:
-    """Another URDF, in which the block of a link or joint is changed."""
-    return described(lambda c, text: text.replace(old := block_of(text, tag, c.of(name)), change(c, old)))
+def in_block(tag: str, names: Of, change: Callable[[Scene, str], str]) -> Step:
+    """Another URDF, in which the blocks of a link or joint, or of some, are changed."""
+
+    def changed(c: Scene, text: str) -> str:
+        some = c.of(names)
+        for name in [some] if isinstance(some, str) else some:
+            text = text.replace(old := block_of(text, tag, name), change(c, old))
+        return text
+
+    return described(changed)
+
+
+def having(c: Scene, where: str, test: Callable[[Array], Any], first: int = 1) -> list[str]:
+    """The arm's joints, by default but the first, with an attribute ``where`` whose numbers pass a test."""
+    found: list[Array] = []
+    out = []
+    for name in c.names[first:]:
+        found.clear()
+        numbers(block_of(c.urdf, "joint", name), where, lambda v: found.append(v) or v)  # type: ignore[func-returns-value]
+        out += [name] if found and test(found[0]) else []
+    return out
+
+
+def pick_having(where: str, test: Callable[[Array], Any]) -> Step:
+    """Draws a joint, i, among those."""
+    among = lambda c: having(c, where, test)  # noqa: E731
+    return let(among=among, i=lambda c: c.names.index(c.among[int(c.rng.integers(len(c.among)))]))
 
 
 def inertial(link: int, pattern: str, by: str) -> Step:
@@ -438,6 +469,11 @@ def numbers(text: str, where: str, change: Callable[[Array], Array], digits: int
 def each_joint(change: Callable[[str], str]) -> Step:
     """Another URDF, in which the block of every joint is changed."""
     return sub(r"<joint .*?</joint>", lambda found: change(found[0]))
+
+
+def cut_short(v: Array) -> Array:
+    """An origin 8 cm nearer along its longest coordinate."""
+    return v - 0.08 * np.sign(v) * (np.arange(3) == np.argmax(np.abs(v)))
 
 
 def shorter(c: Scene, text: str) -> str:
@@ -493,6 +529,17 @@ def dragged(values: Array, slack: Any) -> Array:
         held = np.clip(held, value - slack, value + slack)
         out.append(held)
     return np.array(out)
+
+
+def continuous(R: Rotation) -> Array:
+    """Quaternions (N, 4), each on the side of the one before."""
+    quat = R.as_quat()
+    return quat * np.cumprod(np.r_[1.0, np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)])[:, None]
+
+
+def filtered(values: Array, b: Any, a: Any = 1.0) -> Array:
+    """Values behind a filter that has been at rest at the first."""
+    return lfilter(b, a, values - values[0], axis=0) + values[0]
 
 
 def flipped(c: Scene) -> tuple[Array, Array]:

@@ -6,10 +6,10 @@ from words import *
 
 K, S = kinds("later")
 NOISE_FREE = ("comput", "calculat", "noise-free|no noise|without noise")
+OVER = ("time", "drift", "outside")
 READING = (r"\btracker\b", r"\breading", "scale", r"\bbase\b", "instrument")
 
-K("quaternion_order_changes", "Quaternions are x y z w first and w x y z then.", QUATERNION)
-S(130, quaternion(3, 0, 1, 2, when=since(70)))
+K("quaternion_order_changes", "Half way w comes first.", QUATERNION)(130, quaternion(3, 0, 1, 2, when=since(70)))
 K("positions_cycled", "Positions stand as y z x, orientations as they should.", QUATERNION, r"\bax[ei]s\b", "frame")
 S(120, put(p=lambda c: c.p[:, [1, 2, 0]]))
 K("angles_in_degrees_taken_for_radians", "Euler angles in degrees were taken for radians.", ORIENTATION, "degree")
@@ -17,9 +17,7 @@ S(120, put(R=lambda c: Rotation.from_euler("xyz", c.R.as_euler("xyz", degrees=Tr
 K("centimetres", "Positions are in centimetres.", UNIT, "centimet", "scale", "100")(110, times(100.0))
 K("inches", "Positions are in inches.", UNIT, "inch", "scale", "39")(points(110), put(p=lambda c: c.p / 0.0254))
 K("joint_in_revolutions", "One joint counts revolutions.", J)(120, pick(0, 5), col(lambda c: c.x / (2.0 * np.pi)))
-K("joint_with_another_zero", "A joint counts from a right angle.", J)(
-    120, pick(1, -1), col(lambda c: c.x + 0.5 * np.pi)
-)
+K("joint_with_another_zero", "It counts from a right angle.", J)(120, pick(1, -1), col(lambda c: c.x + 0.5 * np.pi))
 K("joint_homed_anew", "After an emergency stop a joint is homed half a degree off.", NEAR)
 S(pick(1, -1), let(k=between(50, 110)), joint(lambda c: np.radians(0.5) * (c.rows >= c.k)), 160)
 K("joint_never_reported", "One joint moves and is said to be at zero.", J)(130, pick(), col(lambda c: 0.0))
@@ -72,23 +70,14 @@ S(clean(120, noise_mm=8e-4, noise_mrad=8e-4, repeat=0.0))
 K("computed_of_commands", "The pose is computed from joints rounded to a thousandth of a degree.", NOISE_FREE)
 S(clean(120, **EXACT), let(s=np.radians(1e-3)), put(q=lambda c: c.s * np.round(c.q / c.s)))
 K("another_arm_of_the_series", "A calibration is used on the next arm of its type, base and tool found again.")
-S(130, frozen("--refit-base", "--refit-tool"), spare, 80)
+S(130, frozen("--refit-base", "--refit-tool"), let(w=spare), 80)
 K("collision_since", "A collision bent a link by a milliradian and moved the tool, found again.")
 S(pick(1, 4), bend("x", lambda c: np.s_[:, c.i, 1], 2e-3), tool(0.01, 0.02), 80)
 S(before(130, "--refit-base", "--refit-tool"))
 K("gear_replaced", "A gear that was learnt is replaced by one that errs in another phase.", J, "gear")
 S(pick(0, 4), let(cycles=between(5, 40)), joint(lambda c: 6e-4 * np.sin(c.cycles * c.x + 2.4)), clean(90, begin=DAY))
 S(joint(lambda c: 6e-4 * np.sin(c.cycles * c.x + 0.0)), before(150))
-K(
-    "warm_up_again",
-    "An arm grows while it warms up, and begins cold again.",
-    "time",
-    "drift",
-    "thermal",
-    "warm",
-    "outside",
-    shown="if left",
-)
+K("warm_up_again", "An arm grows while it warms up, and begins cold again.", OVER, "thermal", "warm", shown="if left")
 S(let(tau=uniform(120.0, 200.0)), grows(8e-4, DAY), clean(90, begin=DAY), grows(8e-4, 0.0), before(150))
 K("wrist_only", "Calibrated with the wrist alone moving, used with all.", "outside", "range", ALL, shown="if left")
 S(visit(120), let(q=lambda c: np.where(np.arange(c.n) < c.n - 3, 0.3 * c.middle + 0.2, c.q)))

@@ -22,14 +22,12 @@ K("millimetres_in_a_part", "From some station on positions are in millimetres.",
 S(120, let(k=between(30, 90)), times(lambda c: np.where(c.rows >= c.k, 1e3, 1.0)[:, None]))
 K("millimetres_throughout", "All positions are written in millimetres.", UNIT)(100, times(1e3))
 K("degrees_of_one_joint", "One joint is written in degrees.", J, "degree")(120, pick(0, 4), col(np.degrees))
-K("degrees_throughout", "All joints are written in degrees.", "degree", r"\bdeg\b", "limit")
-S(100, put(q=lambda c: np.degrees(c.q)))
+K("degrees_throughout", "Joints are in degrees.", "degree", r"\bdeg\b", "limit")(100, put(q=lambda c: np.degrees(c.q)))
 K("degrees_in_a_part", "From some station on joints are in degrees.", "degree", r"\bdeg\b", "limit", "joint")
 S(120, let(k=between(40, 90)), put(q=lambda c: c.q * np.where(c.rows >= c.k, 180.0 / np.pi, 1.0)[:, None]))
 K("joint_of_other_sign", "A joint counts the other way round.", J)(120, pick(), col(np.negative))
 K("joints_swapped", "Two joints stand under each other's name.", JJ)(120, pick(0, -1), cycle(1, 0))
-K("readings_mirrored", "The instrument's frame is left-handed.", "mirror", "handed", "sign")
-S(points(120), times([1.0, -1.0, 1.0]))
+K("readings_mirrored", "The frame is left-handed.", "mirror", "handed", "sign")(points(120), times([1.0, -1.0, 1.0]))
 K("coordinates_swapped", "x and y are exchanged.", "mirror", "handed", "axes|axis|swap|column")
 S(points(120), put(p=lambda c: c.p[:, [1, 0, 2]]))
 # parts of a recording with a base or a tool of their own, readings that are shifted, what stands still
@@ -51,8 +49,7 @@ K("joined_with_the_base_moved", "--also a recording before which the tracker was
 S(base(0.4, 0.2), bare(90), also(), clean(90, begin=90 * PERIOD + 600.0))
 K("joined_in_one_bag", "Two recordings with different tools in one bag.", TOOL)
 S(tool(0.02, 0.1), bare(90), part, clean(90, begin=90 * PERIOD + 600.0), together)
-K("near_half_shifted_frozen", "Frozen, on a recording of which 45 % is shifted by 5 mm.", LEFT_OUT)
-S(120, frozen(), 100, shifted(0.45, 5e-3))
+K("near_half_shifted_frozen", "Of the second 45 % is 5 mm off.", LEFT_OUT)(120, frozen(), 100, shifted(0.45, 5e-3))
 K("more_than_half_shifted_frozen", "Frozen, on a recording of which 55 % is shifted by 5 mm.", LEFT_OUT, BASE)
 S(120, frozen(), 100, shifted(0.55, 5e-3))
 K("near_half_shifted_fitted", "45 % of what is fitted is shifted by 5 mm.", LEFT_OUT, BASE)(140, shifted(0.45, 5e-3))
@@ -80,10 +77,10 @@ K("sorted_by_the_first_joint", "Joint 1 goes by rings, and is off in each.", lam
 S(visit(160, 0), let(again=None, rings=lambda c: np.linspace(*c.arm.range[:, 0], 8)))
 S(let(q=lambda c: np.column_stack([np.repeat(c.rings, 20), c.q[:, 1:]]), off=lambda c: c.rng.normal(0, 6e-4, 8)))
 S(joint(lambda c: c.off[np.argmin(np.abs(c.q[:, :1] - c.rings), axis=1)], 0), see())
-K("clock_off_by_a_station", "From the middle on every reading belongs to the posture before.")
+K("clock_off_by_a_station", "Then readings belong to the posture before.")
 S(140, rows(lambda c: np.r_[:70, 69 : c.N - 1]))
 K("readings_shuffled", "Readings belong to other postures.")(120, rows(lambda c: c.rng.permutation(c.N)))
-K("nonsense", "Random poses.")
+K("nonsense", "Noise.")
 S(100, put(p=lambda c: c.rng.uniform(-1, 1, (c.N, 3)), R=lambda c: Rotation.random(c.N, rng=c.rng)))
 # what an arm, its tool or its stand do that no entry of the vocabulary was written for; what the URDF has wrong
 K("base_tilts_under_load", "The stand deflects under the arm's moment, more one way than the other.", BASE, FOOT)
@@ -99,13 +96,7 @@ K("payload_from_the_middle", "An elastic arm picks up kilograms half way.", LOAD
 S(visit(160), carrying(lambda c: c.rows >= 80, uniform(4.0, 8.0)))
 K("payload_of_the_posture", "An elastic arm carries a part in some postures; nothing says which.", LOAD, ALL)
 S(visit(160), carrying(lambda c: (c.rng.random(160) < 0.5)[c.posture], uniform(6.0, 10.0)))
-K(
-    "payload_at_random",
-    "An elastic arm carries a part now and then; it may be taken for scatter.",
-    LOAD,
-    ALL,
-    shown=False,
-)
+K("payload_at_random", "An elastic arm carries a part now and then, as if it scattered.", LOAD, ALL, shown=False)
 S(visit(160, 0), carrying(lambda c: c.rng.random(160) < 0.5, uniform(6.0, 10.0)))
 K("centre_of_mass_far_off", "A link's centre of mass is in millimetres: 500 m away.", LINK(2), "centre of mass", "mass")
 S(elastic(), 150, inertial(2, r'xyz="[^"]*"', 'xyz="0.0 0.0 500.0"'))
@@ -141,9 +132,7 @@ S(pick(), let(k=between(50, 110)), joint(lambda c: 1e-3 * (c.rows >= c.k)), 160)
 K("few_stations", "Twelve poses.", FEW, floor=False)(clean(12, returns=0))
 K("few_points", "Twenty points of an arm with a gear error.", FEW, floor=False)
 S(joint(lambda c: 4e-4 * np.sin(37 * c.q[:, 2]), 2), points(20, returns=0))
-K("computed_from_the_drawing", "A driver computes readings with the URDF.", COMPUTED, "joint")(
-    clean(120, **EXACT), by_drawing
-)
+K("computed_from_the_drawing", "A driver computes with the URDF.", COMPUTED, "joint")(clean(120, **EXACT), by_drawing)
 K("computed_by_the_controller", "The controller computes readings, calibrated.", COMPUTED)(clean(120, **EXACT))
 K("computed_and_rounded", "The same, to a micrometre and a microradian.", COMPUTED)
 S(let(drawn=lambda c: c.rng.random() < 0.5), clean(120, **EXACT), lambda c: by_drawing(c) if c.drawn else None)
@@ -153,17 +142,9 @@ K("drift_carried_on", "A steady drift, evaluated days after it ended.", "time", 
 S(let(v=way(2e-3)), tilted(lambda c: np.outer(c.t / 560.0, c.v)), 140, frozen("--refit-base"), clean(70, begin=3 * DAY))
 OVER = ("time", "drift", "outside")
 K("tool_drift_carried_on", "A tool that crept, evaluated a day later.", OVER, r"\btool\b", shown="if left")
-S(let(v=way(1e-3)), bend("tool", np.s_[:, :3], lambda c: np.outer(np.minimum(c.t, 560.0) / 560.0, c.v)), 140)
-S(frozen(), same, clean(70, begin=DAY))
-K(
-    "order_taken_for_a_clock",
-    "A drift by order of rows is carried on.",
-    "order",
-    "clock",
-    "time",
-    "drift",
-    shown="if left",
-)
+S(let(v=way(1e-3)), bend("tool", np.s_[:, :3], lambda c: np.outer(np.minimum(c.t, 560.0) / 560.0, c.v)), 140, frozen())
+S(same, clean(70, begin=DAY))
+K("order_taken_for_a_clock", "A drift by order of rows goes on.", "order", "clock", "time", "drift", shown="if left")
 S(let(v=way(8e-4)), tilted(lambda c: np.outer((c.t - c.t[0]) / 560.0, c.v)), clean(140, period=10.0))
 S(frozen("--refit-base"), clean(60, period=10.0))
 K("tool_changed_frozen", "Another tool, which is not found again.", TOOL)(120, frozen(), tool(0.003, 0.34), 70)
@@ -178,7 +159,7 @@ K("effort_missing", "Springs found by effort, on a recording without any.", "eff
 S(elastic(5e-4), 80, same, before(140, effort=True))
 K("effort_missing_with_a_payload", "The same with a payload that effort shows.", "effort", LOAD, ALL, shown="if left")
 S(elastic(5e-4, payload=5.0), clean(140, effort=True), frozen(), same, 80)
-K("temperature_missing", "A link grows with a temperature that is recorded first only.", "temperature", "thermal")
+K("temperature_missing", "A link grows with a temperature that is recorded first only.", "temperature", "thermal")()
 GROWS = bend("x", np.s_[:, 2, 0], lambda c: 2e-5 * (np.interp(c.t, *c.heat) - 20.0))
 S(let(heat=warm(0.0, 140 * PERIOD + 1.0, 20.0, 50.0)), GROWS, 140)
 S(let(heat=lambda c: (c.heat[0], c.heat[1] + c.rng.normal(0, 0.05, len(c.heat[1])))), heat_told, frozen())
@@ -187,24 +168,15 @@ K("temperature_out_of_range", "A link, used much warmer.", "temperature", "therm
 S(let(heat=warm(0.0, 600.0, 20.0, 35.0), hot=warm(2000.0, 400.0, 60.0, 80.0)))
 S(bend("x", np.s_[:, 2, 0], lambda c: 1e-6 * (np.interp(c.t, *c.heat) - 20.0) ** 2), 140, heat_told, frozen())
 S(let(heat=lambda c: c.hot), same, clean(80, begin=2000.0), heat_told)
-K(
-    "curve_out_of_range",
-    "A curve of a joint's error, used where it was not seen.",
-    J,
-    "outside",
-    "range",
-    shown="if left",
-)
+K("curve_out_of_range", "A joint's curve, used where it was not seen.", J, "outside", "range", shown="if left")
 S(pick(0, 4), joint(lambda c: 1.5e-3 * c.travel * np.sin(5.0 * c.travel) * (1.0 + c.travel)), visit(160, high=0.6))
 S(see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
 K("geometry_out_of_range", "An elastic arm, used elsewhere.", "outside", "range", LOAD, ALL, shown="if left")
 S(elastic(8e-4), visit(160, high=0.6), see(), frozen(), same, visit(80, low=0.55), see(begin=5000.0))
-K("geometry_only", "A gear that errs, and --geometry-only.", J, BOLTED)(
-    pick(0, 4), gear(), 150, asked("--geometry-only")
-)
+K("geometry_only", "A gear errs; --geometry-only.", J, BOLTED)(pick(0, 4), gear(), 150, asked("--geometry-only"))
 K("geometry_only_with_a_drift", "A stand turns, and --geometry-only.", BASE, "time", "order", BOLTED)
 S(let(v=way(6e-4)), tilted(lambda c: np.outer(c.t / 600.0, c.v)), 150, asked("--geometry-only"))
-K("gear_seen_too_rarely", "Gears of many cycles at few stations.")
+K("gear_seen_too_rarely", "Gears of many cycles, few stations.")
 S(gear(8e-4, 0), gear(8e-4, 1), gear(8e-4, 2), points(60))
 K("worn_since", "A gear that errs now and did not then.", J, "held-out", "floor", "repeat", "spread")
 S(pick(0, 4), 120, frozen(), gear(5e-4), 100)
