@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
-from case import DERIVED, Scene, Step
+from case import DERIVED, Scene, Step, step
 from scipy.spatial.transform import Rotation
-from transforms import Of, cols, let, rows
-from workcell import Array
+from transforms import Of, cols, elastic, let, payload, rows
+from workcell import Array, joined
 
 DERIVED |= {
     "links": lambda c: c.arm.frames(c.arm.coordinates(c.q)),  # where (N, n, 3) and how turned (N, n, 3, 3)
@@ -45,6 +47,44 @@ def on_link(c: Scene, k: int) -> tuple[Array, Rotation]:
     (p, R), (stand, eye) = c.links, c.cell.tracker
     turn = Rotation.from_matrix(R[:, k])
     return eye.inv().apply(p[:, k] + turn.apply(c.cell.tool[0]) - stand), eye.inv() * turn * c.cell.tool[1]
+
+
+def typed(value: float) -> float:
+    """A number typed with its first two decimals in each other's place."""
+    return float(re.sub(r"\.(.)(.)", r".\2\1", f"{value:.5f}"))
+
+
+def origin(block: str) -> Array:
+    """The place of a joint, by its block of a URDF (3,)."""
+    return np.array(re.search(r'<origin[^>]*xyz="([^"]*)"', block)[1].split(), float)  # type: ignore[index]
+
+
+def summed(values: Array, share: float) -> Array:
+    """How many of the values so far were larger than this share of them, counted by sign (N,)."""
+    return np.cumsum(np.sign(values) * (np.abs(values) > np.quantile(np.abs(values), share)))
+
+
+# --- loads and contacts ----------------------------------------------------------------------------------------------
+
+
+@step
+def laden(c: Scene, mass: Of) -> None:
+    """An elastic arm at the postures that were drawn, with a payload of its own at each, (N,) [kg]."""
+    elastic(6e-4)(c)
+    state, (q, again), whole = c.rng.bit_generator.state, c.visited(), None
+    for kilograms in np.unique(c.of(mass)):
+        c.rng.bit_generator.state = state
+        payload(kilograms)(c)
+        here = c.observe(q, again, *c.bends).only(np.flatnonzero(c.of(mass) == kilograms))
+        whole = here if whole is None else joined(whole, here)
+        c.bends.pop()
+    c.session, c.bends = whole, []
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+CARRIED = ("payload", "carrie[sd]", "weight", r"\bload of", "mass at")
+UNRELATED = ("do(?:es)? not (?:fit|follow|belong|go with)", "unrelated", "nothing to do with", "random")
 
 
 def SOME(c: Scene) -> list[str]:

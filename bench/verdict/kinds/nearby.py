@@ -6,7 +6,6 @@ mixtures of the true ones, folded, clipped, copied, units that change from cell 
 
 from case import kinds
 from mechanisms import *
-from scipy.signal import lfilter
 from transforms import *
 from words import *
 
@@ -95,8 +94,7 @@ K("tracker_holds_its_last_value", "After each motion the tracker repeats what it
 S(stream(80), let(r=np.arange(8000), old=lambda c: c.r - 50 * ((c.r % 100 >= 50) & (c.r % 100 < 82))))
 S(streamed(p=lambda c: c.sent.p[c.old], R=lambda c: c.sent.R[c.old]))
 K("tracker_smooths", "Positions follow, ever more slowly.", READ, "filter", "last move", "settl", shown="if left")
-S(stream(80), let(s=1.0 - np.exp(-0.04 / 0.6), p0=lambda c: c.sent.p[0]))
-S(streamed(p=lambda c: lfilter([c.s], [1.0, c.s - 1.0], c.sent.p - c.p0, axis=0) + c.p0))
+S(stream(80), let(s=1.0 - np.exp(-0.04 / 0.6)), streamed(p=lambda c: filtered(c.sent.p, [c.s], [1.0, c.s - 1.0])))
 K("joint_states_delayed", "Readings bear stamps of 0.4 s before the joints' clock.", CLOCK, shown="if left")
 S(stream(80), streamed(lambda c: BEGIN + c.clock - 0.4))
 # more
