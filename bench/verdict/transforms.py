@@ -233,13 +233,13 @@ def grows(size: float, begin: float = 0.0, tau: Of = "tau") -> Step:
 
 
 @step
-def tilted(c: Scene, turn: Of) -> None:
-    """A stand turns about the base's origin by rotation vectors (N, 3)."""
+def tilted(c: Scene, turn: Of, pin: Any = (0.0, 0.0, 0.0)) -> None:
+    """A stand turns about the base's origin, or another point, by rotation vectors (N, 3)."""
     stand = c.cell.tracker[0]
 
     def bent(arm: Any, s: Any, d: Any) -> None:
         back = Rotation.from_rotvec(-c.at(s).of(turn))
-        d.tracker[:, :3] += back.apply(stand) - stand
+        d.tracker[:, :3] += pin + back.apply(stand - pin) - stand
         d.tracker[:, 3:] += back.as_rotvec()
 
     waits(c, bent)
