@@ -13,9 +13,9 @@ from case import DERIVED, Scene, Step, step
 from fault import Fault
 from recordings import course
 from scipy.spatial.transform import Rotation
-from transforms import Of, cols, elastic, let, payload, rows, waits
-from workcell import BEGIN, NOISE_MM, NOISE_MRAD, PERIOD, POINT, REPEAT, Array, JointTrack, ReadingTrack, Recording
-from workcell import Session, Works, joined, joint_track
+from transforms import Of, Readings, Works, cols, elastic, joined, joint_track, let, payload, rows, waits
+from words import STATIONS
+from workcell import BEGIN, NOISE_MM, NOISE_MRAD, PERIOD, POINT, REPEAT, Array, JointTrack, Recording, Session
 
 from modcal_core.measurements.recording import RANGE
 
@@ -24,6 +24,16 @@ DERIVED |= {
 }
 WIDEST = let(i=lambda c: int(np.argmax(c.arm.range[1] - c.arm.range[0])))  # the joint of the widest range
 BY_NAME = rows(lambda c: np.array(sorted(c.rows, key=lambda k: str(k + 1))))  # 1, 10, 100, 101, ...
+CARRIED = ("payload", "carrie[sd]", "weight", r"\bload of", "mass at")
+UNRELATED = ("do(?:es)? not (?:fit|follow|belong|go with)", "unrelated", "nothing to do with", "random")
+# rows that belong elsewhere; "stations 40 to 60" or "rejected stations 3, 9" lead there as well
+ELSEWHERE = (r"\brows?\b", "order of", "belong", "swapped", "exchanged", "shuffl", "station before", STATIONS)
+
+
+def SOME(c: Scene) -> list[str]:
+    """Words: the joints that were drawn as ``some``."""
+    return [c.names[k] for k in c.some]
+
 
 # --- arrays ----------------------------------------------------------------------------------------------------------
 
@@ -58,11 +68,6 @@ def on_link(c: Scene, k: int) -> tuple[Array, Rotation]:
     return eye.inv().apply(p[:, k] + turn.apply(c.cell.tool[0]) - stand), eye.inv() * turn * c.cell.tool[1]
 
 
-def typed(value: float) -> float:
-    """A number typed with its first two decimals in each other's place."""
-    return float(re.sub(r"\.(.)(.)", r".\2\1", f"{value:.5f}"))
-
-
 def origin(block: str) -> Array:
     """The place of a joint, by its block of a URDF (3,)."""
     return np.array(re.search(r'<origin[^>]*xyz="([^"]*)"', block)[1].split(), float)  # type: ignore[index]
@@ -83,14 +88,15 @@ def tour(c: Scene, q: Of) -> None:
 
 
 @step
-def laden(c: Scene, mass: Of) -> None:
+def laden(c: Scene, mass: Of, sag: float = 6e-4) -> None:
     """An elastic arm at the postures that were drawn, with a payload of its own at each, (N,) [kg]."""
-    elastic(6e-4)(c)
+    masses = c.of(mass)
+    elastic(sag)(c)
     state, (q, again), whole = c.rng.bit_generator.state, c.visited(), None
-    for kilograms in np.unique(c.of(mass)):
+    for kilograms in np.unique(masses):
         c.rng.bit_generator.state = state
         payload(kilograms)(c)
-        here = c.observe(q, again, *c.bends).only(np.flatnonzero(c.of(mass) == kilograms))
+        here = c.observe(q, again, *c.bends).only(np.flatnonzero(masses == kilograms))
         whole = here if whole is None else joined(whole, here)
         c.bends.pop()
     c.session, c.bends = whole, []
@@ -154,7 +160,7 @@ def moving(c: Scene) -> None:
     def spoken(session: Session) -> Recording:
         unknown, stamps, read = np.full_like(plan.q, np.nan), BEGIN + plan.t, BEGIN + np.round(session.t, 6)
         joints = JointTrack(session.names, stamps, plan.q, plan.v, unknown, stamps)
-        readings = ReadingTrack(session.kind, session.frame, read, session.raw(), read)
+        readings = Readings(session.kind, session.frame, read, session.raw(), read)
         return Recording((joints,), (readings,), (), session.urdf)
 
     c.session = Session(c.names, c.arm.urdf, s.t.copy(), s.q, p, R, floor, never, spoken=spoken)
@@ -167,7 +173,7 @@ def told(c: Scene) -> None:
     """Readings of several frames are recorded: ``reads``, rows among the stations and values by frame."""
     reads, s = c.reads, c.session
     stamps = BEGIN + s.t
-    tracks = [ReadingTrack(s.kind, name, stamps[k], v, stamps[k]) for name, (k, v) in reads.items()]
+    tracks = [Readings(s.kind, name, stamps[k], v, stamps[k]) for name, (k, v) in reads.items()]
     whole = Recording((joint_track(s.names, stamps, s.q),), tuple(tracks), (), s.urdf)
     c.session = replace(s, spoken=lambda session: whole)
 
@@ -305,14 +311,3 @@ def delta(c: Scene, count: int, lost: Callable[[Array], Array], longer: Callable
     names, R = ("arm_1", "arm_2", "arm_3"), Rotation.identity(count)
     c.session = Session(names, "", PERIOD * rows, q, p, R, floor, rows >= count - 6, POINT)
     c.options = ("--delta", "{delta.yaml}")
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
-
-CARRIED = ("payload", "carrie[sd]", "weight", r"\bload of", "mass at")
-UNRELATED = ("do(?:es)? not (?:fit|follow|belong|go with)", "unrelated", "nothing to do with", "random")
-
-
-def SOME(c: Scene) -> list[str]:
-    """Words: the joints that were drawn as ``some``."""
-    return [c.names[k] for k in c.some]

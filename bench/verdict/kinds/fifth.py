@@ -12,8 +12,6 @@ from transforms import *
 from words import *
 
 K, S = kinds("fresh_fifth")
-# rows that belong elsewhere; "stations 40 to 60" or "rejected stations 3, 9" lead there as well
-ROWS = (r"\brows?\b", "order of", "belong", "swapped", "exchanged", "shuffl", "station before", STATIONS)
 OUT = ("left out", "reject")
 # conventions
 K("yaw_folded_at_ninety", "Yaw by atan where atan2 is meant.", ORIENTATION, QUATERNION)
@@ -21,8 +19,7 @@ S(140, euler("xyz", "xyz", lambda angles: np.where([False, False, True], folded(
 HAND_WORDS = (ORIENTATION, QUATERNION, "mirror", "handed")
 K("orientations_of_the_other_hand", "Of a left-handed frame's poses the positions were put right.", HAND_WORDS)
 S(130, put(R=lambda c: mirrored(c.R)))
-K("wrist_as_sum_and_difference", "The two motors of a differential wrist are reported.", JOINT(-2, -1))
-S(140, mixed(-2, [1, 1], [1, -1]))
+K("wrist_as_sum_and_difference", "A differential wrist's motors.", JOINT(-2, -1))(140, mixed(-2, [1, 1], [1, -1]))
 RAW = ("column", r"\baxes\b", r"\bunits?\b", "spherical", "polar", "angles", "coordinates", READINGS)
 K("range_azimuth_elevation", "Columns x, y, z hold the tracker's raw distance and its two angles.", RAW)
 S(points(140), put(p=lambda c: np.column_stack([c.far, c.azimuth, np.arcsin(c.sight[:, 2])])))
@@ -37,14 +34,13 @@ S(col(lambda c: c.low + c.span * c.travel / (1.0 + 0.01 * c.travel * (1.0 - c.tr
 # rows
 K("one_joint_refreshed_every_third", "A joint on a slow bus is refreshed at every third station.", J)
 S(140, pick(0, -1), col(lambda c: c.x[c.rows // 3 * 3]))
-STALE = ("repeat", "same reading", "identical", "stale", "duplicate", "froze", "stood still", "did not change", ROWS)
-K("reading_before_the_trigger", "At a fifth of the stations the row holds the reading of the station before.", STALE)
+STALE = ("repeat", "same reading", "identical", "stale", "duplicate", "froze", "stood still", "did not change")
+K("reading_before_the_trigger", "At a fifth of the stations the row holds the reading of the station before.", STALE, ELSEWHERE)
 S(150, rows(lambda c: np.maximum.accumulate(c.rows * np.r_[True, c.rng.random(149) >= 0.2])))
-K("packets_in_swapped_pairs", "For forty stations readings arrive in pairs the wrong way round.", ROWS, OUT)
+K("packets_in_swapped_pairs", "For forty stations readings arrive in pairs the wrong way round.", ELSEWHERE, OUT)
 S(150, rows(block(60, 100, np.arange(60, 100) ^ 1)))
-K("files_sorted_as_text", "Readings lie in files that were read in the order 1, 10, 100, 101.", ROWS, UNRELATED)
-S(130, BY_NAME)
-K("gaps_filled_by_interpolation", "Failures are filled in on a straight line.", "interpolat", "filled", OUT, ROWS)
+K("files_sorted_as_text", "Files are read in the order 1, 10, 100.", ELSEWHERE, UNRELATED)(130, BY_NAME)
+K("gaps_filled_by_interpolation", "Failures are filled in on a straight line.", "interpolat", "filled", OUT, ELSEWHERE)
 S(150, let(k=lambda c: 1 + c.rng.choice(49, 12, replace=False) * 3, before=lambda c: c.R[c.k - 1]))
 S(let(half=lambda c: (c.before.inv() * c.R[c.k + 1]).as_rotvec() / 2.0))
 S(let(turn=lambda c: (c.before * Rotation.from_rotvec(c.half)).as_rotvec()))
@@ -55,7 +51,7 @@ K("one_coordinate_stands_still", "From some station on y keeps its last value.",
 S(points(140), patch(np.s_[90:, 1], p=lambda c: c.p[90, 1]))
 K("joints_typed_by_hand", "One joint was typed; at some stations two digits changed places.", J, OUT)
 S(150, pick(0, -1), let(k=lambda c: c.rng.choice(150, 22, replace=False)))
-S(col(lambda c: placed(c.x, c.k, [typed(x) for x in c.x[c.k]])))
+S(col(lambda c: placed(c.x, c.k, [float(re.sub(r"\.(.)(.)", r".\2\1", f"{x:.5f}")) for x in c.x[c.k]])))
 # instruments and topics
 K("cyclic_error_of_the_distance_meter", "Errs with its wave's phase.", READINGS, r"\brange\b", "distance")
 S(160, times(lambda c: 1.0 + 3.5e-4 * np.sin(2.0 * np.pi * c.far / 0.3 + 0.4) / c.far))
@@ -143,5 +139,4 @@ S(let(a=lambda c: c.drawn(c.azimuth), e=lambda c: c.drawn(np.arcsin(c.sight[:, 2
 S(put(p=lambda c: np.stack([c.flat * np.cos(c.a), c.flat * np.sin(c.a), c.r * np.sin(c.e)], axis=1)))
 K("head_of_the_tripod_loose", "The camera shakes by 0.2 mm; nothing is visited twice.", shown=False)
 S(clean(150, returns=0), put(p=lambda c: c.p + c.rng.normal(0, 2e-4, (150, 3))))
-K("scale_of_fifty_millionths", "A scale that the arm's lengths take up.", READINGS, "scale", shown="if left")
-S(140, times(1.0 + 5e-5))
+K("scale_of_fifty_millionths", "Lengths take up 50 ppm.", READINGS, "scale", shown="if left")(140, times(1.0 + 5e-5))
