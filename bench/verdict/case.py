@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import wraps
+from inspect import isfunction
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -122,14 +123,22 @@ class Scene:
 Step = Callable[[Scene], Any]
 
 
-def step(change: Callable[..., Any]) -> Callable[..., Step]:
-    """Makes a function of a scene and of values one of the values alone, which gives a step."""
+def step(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Lets a function of a scene and of values be called without the scene: that gives a function of it, a step."""
 
-    @wraps(change)
-    def made(*values: Any, **named: Any) -> Step:
-        return lambda scene: change(scene, *values, **named)
+    @wraps(function)
+    def either(*values: Any, **named: Any) -> Any:
+        if values and isinstance(values[0], Scene):
+            return function(*values, **named)
+        return lambda c: function(c, *values, **named)
 
-    return made
+    return either
+
+
+def export(names: dict[str, Any], more: dict[str, Callable[..., Any]]) -> None:
+    """Makes steps of the functions among names whose first value is a scene c, and of more."""
+    made = {n: f for n, f in names.items() if isfunction(f) and f.__code__.co_varnames[:1] == ("c",)} | more
+    names.update({name: step(function) for name, function in made.items()})
 
 
 def words_of(scene: Scene, words: Any) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""More steps: joints mixed by linkages, targets on other links, loads and contacts; motion, sockets, wires, a Delta."""
+"""More vocabulary of rows: joints mixed by linkages, targets on other links, loads and contacts; motion, sockets, a Delta."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 from arm import Arm
-from case import DERIVED, Scene, Step, step
+from case import DERIVED, Scene, export
 from fault import Fault
 from recordings import course
 from scipy.spatial.transform import Rotation
-from transforms import Of, Readings, Works, cols, elastic, joined, joint_track, let, payload, rows, waits
+from transforms import Of, ReadingTrack, Works, cols, elastic, joined, let, payload, rows, waits, written
 from words import STATIONS
 from workcell import BEGIN, NOISE_MM, NOISE_MRAD, PERIOD, POINT, REPEAT, Array, JointTrack, Recording, Session
 
@@ -22,18 +22,21 @@ from modcal_core.measurements.recording import RANGE
 DERIVED |= {
     "links": lambda c: c.arm.frames(c.arm.coordinates(c.q)),  # where (N, n, 3) and how turned (N, n, 3, 3)
 }
-WIDEST = let(i=lambda c: int(np.argmax(c.arm.range[1] - c.arm.range[0])))  # the joint of the widest range
-BY_NAME = rows(lambda c: np.array(sorted(c.rows, key=lambda k: str(k + 1))))  # 1, 10, 100, 101, ...
 CARRIED = ("payload", "carrie[sd]", "weight", r"\bload of", "mass at")
 UNRELATED = ("do(?:es)? not (?:fit|follow|belong|go with)", "unrelated", "nothing to do with", "random")
 # rows that belong elsewhere; "stations 40 to 60" or "rejected stations 3, 9" lead there as well
 ELSEWHERE = (r"\brows?\b", "order of", "belong", "swapped", "exchanged", "shuffl", "station before", STATIONS)
-
-
-def SOME(c: Scene) -> list[str]:
-    """Words: the joints that were drawn as ``some``."""
-    return [c.names[k] for k in c.some]
-
+STEPS = {
+    # joints from a number on hold a linear map of their true positions, row by row
+    "mixed": lambda c, i, *B: cols(c, np.s_[i : i + len(B) or None], lambda c, q: q @ np.array(B, float).T),
+    # these postures, with second visits among them; a smooth course of several sines a joint, of a minute
+    "tour": lambda c, q: let(c, visits=c.with_returns(c.of(q)), q=lambda c: c.visits[0], again=lambda c: c.visits[1]),
+    "planned": lambda c: let(c, plan=course(c.cell, c.rng, 60.0, 0.0)),
+    # the second joint has a softer belt; the third link weighs more than any description knows [kg]
+    "sprung": lambda c, k: waits(c, lambda arm, s, d: d.linear.__setitem__(1, k * d.linear[1])),
+    "weighted": lambda c, kg: np.add.at(c.arm._model.body_mass, c.arm._model.body(c.arm.links[2]).id, kg),
+    "SOME": lambda c: [c.names[k] for k in c.some],  # words: the joints that were drawn
+}
 
 # --- arrays ----------------------------------------------------------------------------------------------------------
 
@@ -56,11 +59,6 @@ def mirrored(R: Rotation) -> Rotation:
     return Rotation.from_matrix(flip @ R.as_matrix() @ flip)
 
 
-def mixed(first: int, *rows: list[float]) -> Step:
-    """Joints from a number on hold a linear map of their true positions, row by row."""
-    return cols(np.s_[first : first + len(rows) or None], lambda c, q: q @ np.array(rows, float).T)
-
-
 def on_link(c: Scene, k: int) -> tuple[Array, Rotation]:
     """What the instrument sees of a target that sits on a link as the tool does on the flange, (N, 3) and (N,)."""
     (p, R), (stand, eye) = c.links, c.cell.tracker
@@ -78,40 +76,21 @@ def summed(values: Array, share: float) -> Array:
     return np.cumsum(np.sign(values) * (np.abs(values) > np.quantile(np.abs(values), share)))
 
 
-@step
-def tour(c: Scene, q: Of) -> None:
-    """These postures, with second visits among them."""
-    c.q, c.again = c.with_returns(c.of(q))
-
-
 # --- loads and contacts ----------------------------------------------------------------------------------------------
 
 
-@step
 def laden(c: Scene, mass: Of, sag: float = 6e-4) -> None:
     """An elastic arm at the postures that were drawn, with a payload of its own at each, (N,) [kg]."""
     masses = c.of(mass)
-    elastic(sag)(c)
+    elastic(c, sag)
     state, (q, again), whole = c.rng.bit_generator.state, c.visited(), None
     for kilograms in np.unique(masses):
         c.rng.bit_generator.state = state
-        payload(kilograms)(c)
+        payload(c, kilograms)
         here = c.observe(q, again, *c.bends).only(np.flatnonzero(masses == kilograms))
         whole = here if whole is None else joined(whole, here)
         c.bends.pop()
     c.session, c.bends = whole, []
-
-
-def sprung(c: Scene) -> None:
-    """The second joint is softer than its fellows: a belt of two fifths of its stiffness."""
-    waits(c, lambda arm, s, d: np.multiply(d.linear, np.where(np.arange(c.n) == 1, 0.4, 1.0)[:, None], out=d.linear))
-
-
-@step
-def weighted(c: Scene, mass: float) -> None:
-    """The third link weighs more than any description knows [kg]."""
-    c.arm._model.body_mass[c.arm._model.body(c.arm.links[2]).id] += mass
-    c.arm.carry(0.0)
 
 
 def sagging(c: Scene) -> Array:
@@ -144,13 +123,8 @@ def as_drawn(c: Scene) -> Works:
 # --- motion: joint states at 125 Hz, readings at 50 Hz ---------------------------------------------------------------
 
 
-def planned(c: Scene) -> None:
-    """Draws a smooth course of several sines a joint, of a minute: ``plan``; nothing is visited twice."""
-    c.plan = course(c.cell, c.rng, 60.0, 0.0)
-
-
 def moving(c: Scene) -> None:
-    """The arm on its course, with the faults that wait: t, q, p and R are those of the readings."""
+    """The arm on its ``plan``, with the faults that wait: t, q, p and R are those of the readings."""
     plan, s, bends, c.bends = c.plan, c.plan.stations, c.bends, []
     seen, m = c.cell.poses(s, tuple(Fault((), (), (), "", bend) for bend in bends)), len(s.t)
     p = seen.p + c.rng.normal(0, 1e-3 * NOISE_MM, (m, 3))
@@ -160,7 +134,7 @@ def moving(c: Scene) -> None:
     def spoken(session: Session) -> Recording:
         unknown, stamps, read = np.full_like(plan.q, np.nan), BEGIN + plan.t, BEGIN + np.round(session.t, 6)
         joints = JointTrack(session.names, stamps, plan.q, plan.v, unknown, stamps)
-        readings = Readings(session.kind, session.frame, read, session.raw(), read)
+        readings = ReadingTrack(session.kind, session.frame, read, session.raw(), read)
         return Recording((joints,), (readings,), (), session.urdf)
 
     c.session = Session(c.names, c.arm.urdf, s.t.copy(), s.q, p, R, floor, never, spoken=spoken)
@@ -171,11 +145,9 @@ def moving(c: Scene) -> None:
 
 def told(c: Scene) -> None:
     """Readings of several frames are recorded: ``reads``, rows among the stations and values by frame."""
-    reads, s = c.reads, c.session
-    stamps = BEGIN + s.t
-    tracks = [Readings(s.kind, name, stamps[k], v, stamps[k]) for name, (k, v) in reads.items()]
-    whole = Recording((joint_track(s.names, stamps, s.q),), tuple(tracks), (), s.urdf)
-    c.session = replace(s, spoken=lambda session: whole)
+    stamps = BEGIN + c.t
+    tracks = tuple(ReadingTrack(c.kind, name, stamps[k], v, stamps[k]) for name, (k, v) in c.reads.items())
+    written(c, lambda whole: replace(whole, readings=tracks))
 
 
 def reaching(c: Scene, q: Array, goals: Array) -> tuple[Array, Array]:
@@ -205,7 +177,6 @@ def resting(c: Scene, socket: str, goal: Array, aside: Aside | None) -> Array:
     return q[good][:EACH]
 
 
-@step
 def sockets(c: Scene, aside: Aside | None = None) -> None:
     """A ball on the tool rests in two sockets on each of three plates. aside: of its place (m, 3), by socket, q."""
     usual = tip(c, c.rng.uniform(*c.arm.range, (400, c.n)))
@@ -237,7 +208,6 @@ def distances(**lengths: float) -> dict[str, str]:
     return {"cell.yaml": "distances:\n" + "\n".join(lines) + "\n"}
 
 
-@step
 def wires(c: Scene, count: int, off: Callable[[int, Array, Array], Array]) -> None:
     """Three draw wires, each to its own anchor. off: of its length (N,), by wire, where it goes (N, 3), length."""
     q, again = c.postures(count)
@@ -287,7 +257,6 @@ def platform(theta: Array, offset: Array, proximal: Array, distal: Array, azimut
     return elbows[:, 0] + x * ex + y * ey - np.sign(ez[:, 2:]) * z * ez
 
 
-@step
 def delta(c: Scene, count: int, lost: Callable[[Array], Array], longer: Callable[[Array], Array]) -> None:
     """Points of a Delta that is off as built. lost: of the second encoder, by row; longer: its rods, by its angle."""
     rng, side = c.rng, np.array([0.0, 1.0, 0.0])
@@ -311,3 +280,8 @@ def delta(c: Scene, count: int, lost: Callable[[Array], Array], longer: Callable
     names, R = ("arm_1", "arm_2", "arm_3"), Rotation.identity(count)
     c.session = Session(names, "", PERIOD * rows, q, p, R, floor, rows >= count - 6, POINT)
     c.options = ("--delta", "{delta.yaml}")
+
+
+export(globals(), STEPS)
+WIDEST = let(i=lambda c: int(np.argmax(c.arm.range[1] - c.arm.range[0])))  # the joint of the widest range
+BY_NAME = rows(lambda c: np.array(sorted(c.rows, key=lambda k: str(k + 1))))  # 1, 10, 100, 101, ...

@@ -10,30 +10,29 @@ from __future__ import annotations
 
 import os
 
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-import argparse  # noqa: E402
-import importlib  # noqa: E402
-import json  # noqa: E402
-import multiprocessing  # noqa: E402
-import sys  # noqa: E402
-import tempfile  # noqa: E402
-import traceback  # noqa: E402
-import zlib  # noqa: E402
-from collections import Counter  # noqa: E402
-from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: E402
-from dataclasses import asdict, dataclass  # noqa: E402
-from pathlib import Path  # noqa: E402
-from typing import Any  # noqa: E402
+import argparse
+import importlib
+import json
+import multiprocessing
+import sys
+import tempfile
+import traceback
+import zlib
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
-import judge as j  # noqa: E402
-import numpy as np  # noqa: E402
-from case import KINDS, Case  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
-from workcell import Works  # noqa: E402
-from world import World  # noqa: E402
+import judge as j
+import numpy as np
+from case import KINDS, Case
+from rich.console import Console
+from rich.table import Table
+from workcell import Works
+from world import ARMS, World
 
 for _file in sorted((Path(__file__).parent / "kinds").glob("*.py")):
     importlib.import_module(f"kinds.{_file.stem}")  # which registers its rows
@@ -49,7 +48,6 @@ class Group:
     robots: tuple[str, ...] = ("ur10", "panda", "xarm7")
 
 
-ARMS = {"cell": World, "robots": ("ur5e", "irb", "iiwa7")}
 ONCE = "Kinds once written after the last change"
 GROUPS = {
     "main": Group("Faults", 2),
@@ -63,11 +61,11 @@ GROUPS = {
     "fresh_fifth": Group(f"{ONCE}, fifth group"),
     "fresh_sixth": Group(f"{ONCE}, sixth group"),
     "fresh_seventh": Group(f"{ONCE}, seventh group"),
-    "fresh_eighth": Group("Kinds written after the last change, in cells of their own", **ARMS),
+    "fresh_eighth": Group(f"{ONCE}, eighth group, in cells of its own", 1, World, tuple(ARMS)[:3]),
     "ninth": Group("Real recordings, tampered with"),
     "good": Group("Good recordings", 4),
     "good_fifth": Group("Good recordings of other builds"),
-    "good_eighth": Group("Good recordings in cells of their own", **ARMS),
+    "good_eighth": Group("Good recordings, in cells of their own", 1, World, tuple(ARMS)[:3]),
 }
 FAULTS = (j.CALM_AND_WRONG, j.NAMED, j.FOUND, j.UNNAMED, j.SILENT, j.HARMLESS, j.FAILED)
 
@@ -120,49 +118,42 @@ def tasks_of(groups: list[str], only: list[str], seeds: int | None, first: int =
 def confusion(results: list[dict[str, Any]], console: Console) -> None:
     """The tables, calm and wrong first."""
     for group, rows in ((g, [r for r in results if r["group"] == g]) for g in GROUPS if not g.startswith("good")):
-        if not rows:
-            continue
-        title, counts = GROUPS[group].title, Counter(r["outcome"] for r in rows)
-        _print(console, title, rows, [(name, lambda r, name=name: r["outcome"] == name) for name in FAULTS])
-        shown, named = len(rows) - counts[j.HARMLESS], counts[j.NAMED] + counts[j.FOUND]
-        console.print(
-            f"{title}: calm and wrong {counts[j.CALM_AND_WRONG]} of {len(rows)}; of {shown} whose data show the fault "
-            f"{counts[j.NAMED]} open and named, {counts[j.FOUND]} modelled down to the floor and named: "
+        title, n = GROUPS[group].title, Counter(r["outcome"] for r in rows)
+        shown, named = len(rows) - n[j.HARMLESS], n[j.NAMED] + n[j.FOUND]
+        told = (
+            f"{title}: calm and wrong {n[j.CALM_AND_WRONG]} of {len(rows)}; of {shown} whose data show the fault "
+            f"{n[j.NAMED]} open and named, {n[j.FOUND]} modelled down to the floor and named: "
             f"{100 * named / max(shown, 1):.0f} %; named falsely in {sum(bool(r['false']) for r in rows)}\n"
         )
+        table(console, title, rows, FAULTS, told)
     rows = [r for r in results if r["group"].startswith("good")]
+    for known, words, floor in ((True, "floor known", j.AT_FLOOR), (False, "floor not known", j.BESIDE)):
+        here = [r for r in rows if r["known"] is known]
+        n = Counter(r["outcome"] for r in here)
+        told = (
+            f"Good, {words}: {len(here)} recordings, {n[j.OPEN]} open, {n[floor]} at the floor "
+            f"({100 * n[floor] / max(len(here), 1):.0f} %), {n[j.CANNOT_TELL]} cannot tell, {n[j.FAILED]} failed; "
+            f"effects that nobody planted in {sum(bool(r['false']) for r in here)}\n"
+        )
+        table(console, f"Good recordings, {words}", here, (floor, j.CANNOT_TELL, j.OPEN), told)
+
+
+def table(console: Console, title: str, rows: list[dict[str, Any]], columns: tuple[str, ...], told: str) -> None:
+    """A row a kind and one of all, a column for each outcome and one of what is named falsely; a sentence below."""
     if not rows:
         return
-    ways, columns = ((True, "floor known", j.AT_FLOOR), (False, "not known", j.BESIDE)), []
-    for known, words, floor in ways:
-        for name, outcome in ((j.AT_FLOOR, floor), (j.CANNOT_TELL, j.CANNOT_TELL), (j.OPEN, j.OPEN)):
-            is_one = lambda r, known=known, outcome=outcome: r["known"] is known and r["outcome"] == outcome  # noqa: E731
-            columns.append((f"{words}: {name}", is_one))
-    _print(console, "Good recordings", rows, columns)
-    for known, words, _ in ways:
-        here = [r for r in rows if r["known"] is known]
-        counts = Counter(r["outcome"] for r in here)
-        console.print(
-            f"Good, {words}: {len(here)} recordings, {counts[j.OPEN]} open, "
-            f"{counts[j.AT_FLOOR] + counts[j.BESIDE]} at the floor "
-            f"({100 * (counts[j.AT_FLOOR] + counts[j.BESIDE]) / max(len(here), 1):.0f} %), "
-            f"{counts[j.CANNOT_TELL]} cannot tell, {counts[j.FAILED]} failed; "
-            f"effects that nobody planted in {sum(bool(r['false']) for r in here)}"
-        )
-
-
-def _print(console: Console, title: str, rows: list[dict[str, Any]], columns: list[tuple[str, Any]]) -> None:
-    """One table: a row a kind and one of all, a column for each count and one of what was named falsely."""
-    table = Table("kind", title=title)
-    columns = [*columns, ("named falsely", lambda r: bool(r["false"]))]
-    for name, _ in columns:
-        table.add_column(name, justify="right")
+    made = Table("kind", title=title)
+    for name in (*columns, "named falsely"):
+        made.add_column(name, justify="right")
     for kind in [*dict.fromkeys(r["kind"] for r in rows), "all"]:
         here = [r for r in rows if kind in (r["kind"], "all")]
+        n = Counter(r["outcome"] for r in here)
         if kind == "all":
-            table.add_section()
-        table.add_row(kind, *(str(sum(map(of, here)) or ("0" if kind == "all" else "")) for _, of in columns))
-    console.print(table)
+            made.add_section()
+        counts = [*(n[name] for name in columns), sum(bool(r["false"]) for r in here)]
+        made.add_row(kind, *(str(v or ("0" if kind == "all" else "")) for v in counts))
+    console.print(made)
+    console.print(told)
 
 
 def main() -> int:
@@ -172,42 +163,35 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, help="of each kind; default: main and later 2, good 4, others 1")
     parser.add_argument("--first", type=int, default=0, help="seed of each kind; default: 0")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON a recording")
+    parser.add_argument(
+        "--json", type=Path, default=Path(os.devnull), metavar="FILE", help="a line of JSON a recording"
+    )
     given = parser.parse_args()
     only = [part for part in given.only.split(",") if part]
     tasks = tasks_of(given.groups.split(","), only, given.seeds, given.first)
-    results: list[dict[str, Any]] = []
-    log = given.json.open("w", encoding="utf-8") if given.json else None
-    with ProcessPoolExecutor(given.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn, results = multiprocessing.get_context("spawn"), {}
+    with given.json.open("w", encoding="utf-8") as log, ProcessPoolExecutor(given.jobs, mp_context=spawn) as pool:
         waiting = {pool.submit(one, task): task for task in tasks}
         for done, future in enumerate(as_completed(waiting), 1):
-            results.append(future.result())
-            print(f"[{done}/{len(tasks)}] {line(results[-1])}", file=sys.stderr, flush=True)
-            if log:
-                log.write(json.dumps(results[-1]) + "\n")
-                log.flush()
-    if log:
-        log.close()
-    order = {task: k for k, task in enumerate(tasks)}
-    results.sort(key=lambda r: order[Task(r["group"], r["kind"], r["seed"], r["way"])])
+            results[waiting[future]] = result = future.result()
+            print(f"[{done}/{len(tasks)}] {line(result)}", file=sys.stderr, flush=True)
+            print(json.dumps(result), file=log, flush=True)
+    said = [results[task] for task in tasks]
     console = Console(width=None if sys.stdout.isatty() else 170)
-    confusion(results, console)
-    bad = (j.CALM_AND_WRONG, j.UNNAMED, j.SILENT, j.FAILED, j.OPEN, j.BESIDE)
-    for r in sorted((r for r in results if r["outcome"] in bad), key=lambda r: bad.index(r["outcome"])):
-        console.print(line(r), markup=False, soft_wrap=True)
-    for r in (r for r in results if r["false"]):
-        console.print(f"named falsely: {r['kind']} {r['robot']} {r['seed']}: {' | '.join(r['false'])}", markup=False)
-    return 1 if any(r["outcome"] in (j.CALM_AND_WRONG, j.FAILED) for r in results) else 0
+    confusion(said, console)
+    for outcome in (j.CALM_AND_WRONG, j.UNNAMED, j.SILENT, j.FAILED, j.OPEN, j.BESIDE):
+        for r in (r for r in said if r["outcome"] == outcome):
+            console.print(line(r), markup=False, soft_wrap=True)
+    for r in (r for r in said if r["false"]):
+        console.print("named falsely:", *r["false"], line(r), sep=" | ", markup=False, soft_wrap=True)
+    return 1 if any(r["outcome"] in (j.CALM_AND_WRONG, j.FAILED) for r in said) else 0
 
 
 def line(r: dict[str, Any]) -> str:
     """One recording in a line."""
-    way = f" {r['way']}" if r["way"] else ""
-    left = f", {r['left']:.2f} x floor" if r["left"] == r["left"] else ""
-    return (
-        f"{r['outcome']}: {r['kind']} {r['robot']} {r['seed']}{way}: {r['status']}{left}, {r['seconds']:.1f} s"
-        f": {r['text'][:400]}"
-    )
+    way, left = f" {r['way']}" if r["way"] else "", f", {r['left']:.2f} x floor" if r["left"] == r["left"] else ""
+    here = f"{r['outcome']}: {r['kind']} {r['robot']} {r['seed']}{way}: {r['status']}{left}, {r['seconds']:.1f} s"
+    return f"{here}: {r['text'][:400]}"
 
 
 if __name__ == "__main__":

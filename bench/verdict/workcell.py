@@ -134,10 +134,52 @@ def joined(first: Session, second: Session) -> Session:
 
 
 class Cellwork:
-    """What every cell does: random vectors and joints, recordings of random postures."""
+    """What every cell does: random vectors and joints, and recordings of what is true of it."""
 
-    rng: np.random.Generator
     names: tuple[str, ...]
+    urdf: str
+    rng: np.random.Generator
+    noise = NOISE_MM, NOISE_MRAD, REPEAT
+    period, epoch = PERIOD, BEGIN
+
+    def begins(self, q: Array) -> Array:
+        """The posture (1, n) from which the first station is reached."""
+        raise NotImplementedError
+
+    def truth(self, reached: Stations, meant: Stations, bends: tuple[Bend, ...]) -> tuple[Array, Rotation]:
+        """Where the target truly is in the instrument's frame: (N, 3) and N turns."""
+        raise NotImplementedError
+
+    def observe(
+        self,
+        q: Array,
+        again: Array | None = None,
+        *bends: Bend,
+        begin: float = 0.0,
+        kind: str = POSE,
+        noise_mm: float | None = None,
+        noise_mrad: float | None = None,
+        repeat: float | None = None,
+        effort: bool = False,
+        period: float | None = None,
+    ) -> Session:
+        """What a recorder notes of visits to q (N, n), with faults that bend the truth."""
+        asked = zip((noise_mm, noise_mrad, repeat), self.noise, strict=True)
+        mm, mrad, slip = (usual if given is None else given for given, usual in asked)
+        N, rng, root = len(q), self.rng, np.sqrt(3.0)
+        t, came = begin + (period or self.period) * np.arange(N), np.sign(np.diff(q, axis=0, prepend=self.begins(q)))
+        meant = Stations(q, t, came)
+        p0, R0 = self.truth(meant, meant, bends)
+        p1, R1 = self.truth(replace(meant, q=q + rng.normal(0, slip, q.shape)), meant, bends)
+        p = p1 + rng.normal(0, 1e-3 * mm, (N, 3))
+        R = R1 * Rotation.from_rotvec(rng.normal(0, 1e-3 * mrad, (N, 3)))
+        turned = np.degrees(float(np.sqrt(np.mean((R0.inv() * R1).magnitude() ** 2))))
+        stated = 1e3 * _rms(p1 - p0), turned, root * mm, np.degrees(root * 1e-3 * mrad)
+        zero = np.zeros_like(q)
+        torque = self.arm.driving(q, zero, zero) + rng.normal(0, 0.05, q.shape) if effort else None  # type: ignore[attr-defined]
+        made = {"effort": torque, "stated": stated, "came": came, "epoch": self.epoch}
+        again = np.zeros(N, bool) if again is None else again
+        return Session(self.names, self.urdf, t, q.copy(), p, R, 1e3 * _rms(p - p0), again, kind, **made)
 
     def way(self, size: float) -> Array:
         """A random vector of a length."""
@@ -179,7 +221,7 @@ class Works(Cellwork):
     def __init__(self, robot: str, rng: np.random.Generator) -> None:
         self.cell, self.rng, self.robot = Cell(robot, rng), rng, robot
         self.arm = self.cell.arm
-        self.names = self.arm.names
+        self.names, self.urdf = self.arm.names, self.arm.urdf
 
     def postures(self, count: int, returns: int = RETURNS, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
         """Random postures (count, n) in a part of the joints' ranges, and which are second visits, (count,)."""
@@ -212,40 +254,14 @@ class Works(Cellwork):
         again = np.array([i in seen or bool(seen.add(i)) for i in order])  # type: ignore[func-returns-value]
         return np.array(order), again
 
-    def observe(
-        self,
-        q: Array,
-        again: Array | None = None,
-        *bends: Bend,
-        begin: float = 0.0,
-        kind: str = POSE,
-        noise_mm: float = NOISE_MM,
-        noise_mrad: float = NOISE_MRAD,
-        repeat: float = REPEAT,
-        effort: bool = False,
-        way: Array | None = None,
-        period: float = PERIOD,
-    ) -> Session:
-        """What a recorder notes of visits to q (N, n), with faults that bend the truth."""
-        N, rng = len(q), self.rng
-        t = begin + period * np.arange(N)
-        came = np.sign(np.diff(q, axis=0, prepend=self.arm.range.mean(axis=0)[None])) if way is None else way
-        stations = Stations(q, t, came)
-        faults = tuple(Fault((), (), (), "", bend) for bend in bends)
-        exact = self.cell.poses(stations, faults)
-        seen = self.cell.poses(replace(stations, q=q + rng.normal(0, repeat, q.shape)), faults)
-        p = seen.p + rng.normal(0, 1e-3 * noise_mm, (N, 3))
-        R = seen.R * Rotation.from_rotvec(rng.normal(0, 1e-3 * noise_mrad, (N, 3)))
-        floor = 1e3 * float(np.sqrt(np.mean(np.sum((p - exact.p) ** 2, axis=1))))
-        missed = 1e3 * float(np.sqrt(np.mean(np.sum((seen.p - exact.p) ** 2, axis=1))))
-        turned = np.degrees(float(np.sqrt(np.mean((exact.R.inv() * seen.R).magnitude() ** 2))))
-        stated = (missed, turned, np.sqrt(3.0) * noise_mm, np.degrees(np.sqrt(3.0) * 1e-3 * noise_mrad))
-        torque = None
-        if effort:
-            zero = np.zeros_like(q)
-            torque = self.arm.driving(q, zero, zero) + rng.normal(0, 0.05, q.shape)
-        again = np.zeros(N, bool) if again is None else again
-        return Session(self.names, self.arm.urdf, t, q.copy(), p, R, floor, again, kind, torque, stated=stated)
+    def begins(self, q: Array) -> Array:
+        """The middle of the joints' ranges."""
+        return self.arm.range.mean(axis=0)[None]
+
+    def truth(self, reached: Stations, meant: Stations, bends: tuple[Bend, ...]) -> tuple[Array, Rotation]:
+        """By MuJoCo; faults go by the postures that are reached."""
+        seen = self.cell.poses(reached, tuple(Fault((), (), (), "", bend) for bend in bends))
+        return seen.p, seen.R
 
     def base(self, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
         """A tracker that stands elsewhere, which is a base moved, at the stations that ``when`` (N,) says."""
@@ -262,3 +278,7 @@ class Works(Cellwork):
             deviation.payload += payload
 
         return bend
+
+
+def _rms(v: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(v**2, axis=1))))

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from workcell import POSE, Array, Bend, Cellwork, Session, Stations
+from workcell import Array, Bend, Cellwork, Stations
 
-EPOCH, EACH = 1.75e9, 6.0  # s; the stamp of the first station, and from one to the next
+EPOCH, EACH = 1.75e9, 6.0  # s
 X, Y, Z = np.eye(3)
 H = np.pi / 2
 
@@ -116,6 +116,9 @@ class Wrong:
 class World(Cellwork):
     """An arm as built, its target and its tracker."""
 
+    noise = 0.025, 0.03, 8e-6
+    period, epoch = EACH, EPOCH
+
     def __init__(self, robot: str, rng: np.random.Generator) -> None:
         self.robot, self.rng, self.joints = robot, rng, ARMS[robot]
         self.names = tuple(j.name for j in self.joints)
@@ -185,38 +188,13 @@ class World(Cellwork):
             again.insert(best, True)
         return q[order], np.array(again)
 
-    def observe(
-        self,
-        q: Array,
-        again: Array | None = None,
-        *bends: Bend,
-        begin: float = 0.0,
-        kind: str = POSE,
-        noise_mm: float = 0.025,
-        noise_mrad: float = 0.03,
-        repeat: float = 8e-6,
-    ) -> Session:
-        """Visits to q, read once each, with faults that bend the truth."""
-        N, rng, root = len(q), self.rng, np.sqrt(3.0)
-        t = begin + EACH * np.arange(N)
-        came = np.sign(np.diff(q, axis=0, prepend=q[:1]))  # nobody knows how the first one was reached
+    def begins(self, q: Array) -> Array:
+        """The first posture: nobody knows how it was reached."""
+        return q[:1]
 
-        def wrong(at: Array) -> Wrong:
-            made, meant = Wrong(at), Stations(q, t, came)
-            for bend in bends:
-                bend(self, meant, made)
-            return made
-
-        p0, R0 = self.sees(q, wrong(q))
-        reached = q + rng.normal(0, repeat, q.shape)
-        p1, R1 = self.sees(reached, wrong(reached))
-        p = p1 + rng.normal(0, 1e-3 * noise_mm, p1.shape)
-        R = R1 * Rotation.from_rotvec(rng.normal(0, 1e-3 * noise_mrad, p1.shape))
-        turned = np.degrees(_rms((R0.inv() * R1).as_rotvec()))
-        stated = (1e3 * _rms(p1 - p0), float(turned), root * noise_mm, float(np.degrees(root * 1e-3 * noise_mrad)))
-        again, options = np.zeros(N, bool) if again is None else again, {"came": came, "epoch": EPOCH, "stated": stated}
-        return Session(self.names, self.urdf, t, q.copy(), p, R, 1e3 * _rms(p - p0), again, kind, **options)
-
-
-def _rms(v: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(v**2, axis=1))))
+    def truth(self, reached: Stations, meant: Stations, bends: tuple[Bend, ...]) -> tuple[Array, Rotation]:
+        """By products of matrices; faults go by the postures that are meant."""
+        wrong = Wrong(reached.q)
+        for bend in bends:
+            bend(self, meant, wrong)
+        return self.sees(reached.q, wrong)

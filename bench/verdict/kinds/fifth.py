@@ -35,7 +35,7 @@ S(col(lambda c: c.low + c.span * c.travel / (1.0 + 0.01 * c.travel * (1.0 - c.tr
 K("one_joint_refreshed_every_third", "A joint on a slow bus is refreshed at every third station.", J)
 S(140, pick(0, -1), col(lambda c: c.x[c.rows // 3 * 3]))
 STALE = ("repeat", "same reading", "identical", "stale", "duplicate", "froze", "stood still", "did not change")
-K("reading_before_the_trigger", "At a fifth of the stations the row holds the reading of the station before.", STALE, ELSEWHERE)
+K("reading_before_the_trigger", "At a fifth of the stations the row is that of the one before.", STALE, ELSEWHERE)
 S(150, rows(lambda c: np.maximum.accumulate(c.rows * np.r_[True, c.rng.random(149) >= 0.2])))
 K("packets_in_swapped_pairs", "For forty stations readings arrive in pairs the wrong way round.", ELSEWHERE, OUT)
 S(150, rows(block(60, 100, np.arange(60, 100) ^ 1)))
