@@ -8,24 +8,10 @@ from datetime import date
 
 import numpy as np
 from case import Scene, export
-from fault import Fault
-from recordings import Plan, course
+from recordings import Plan
 from scipy.spatial.transform import Rotation
-from transforms import Of, bend, filtered
-from workcell import (
-    BEGIN,
-    NOISE_MM,
-    NOISE_MRAD,
-    PERIOD,
-    POSE,
-    Array,
-    JointTrack,
-    ReadingTrack,
-    Recording,
-    Session,
-    Stations,
-    joint_track,
-)
+from transforms import Of, filtered, waits
+from workcell import PERIOD, POSE, Array, JointTrack, ReadingTrack, Recording, Session, Stations, joint_track
 from world import EACH, EPOCH, World, Wrong
 
 WAITS = 3.0  # s, of the EACH from one station to the next
@@ -33,6 +19,14 @@ RATE, READS = 50.0, 20.0  # Hz, of joint states and of readings
 READ_MM, READ_MRAD, SLIP = 0.04, 0.05, 8e-6  # per axis; per joint [rad]
 Spoil = Callable[[Scene, Array, Array], tuple[Array, Array]]  # of stamps and values of readings (m,), (m, 7)
 More = Callable[[Scene, Array, Array], tuple[JointTrack, ...]]  # of stamps and joints (m,), (m, n)
+STEPS = {
+    # a cell of another arm; joints deflect under weight [rad/N m]; a link bends by what it holds
+    "built": lambda c, robot: setattr(c, "w", type(c.w)(robot, c.rng)),
+    "soft": lambda c, k: waits(
+        c, lambda w, s, d: np.add(d.x, k * w.torques(s.q)[..., None] * [0, 0, 0, 1], d.x), "compliance"
+    ),
+    "drooping": lambda c: waits(c, droop),
+}
 
 
 def flow(t: Array, stations: Array, rest: Array) -> Array:
@@ -45,37 +39,33 @@ def flow(t: Array, stations: Array, rest: Array) -> Array:
 
 def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None = None) -> None:
     """Stations, recorded with all that lies between. spoil: of readings; more: joint states of other publishers."""
-    session, k, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), WAITS * READS, np.sqrt(3.0)
-    arm_mm, arm_deg, _, _ = session.stated
-    eye_mm, eye_deg = root * READ_MM / np.sqrt(k), float(np.degrees(root * 1e-3 * READ_MRAD)) / np.sqrt(k)
-    told = {"floor_mm": float(np.hypot(arm_mm, eye_mm)), "stated": (arm_mm, arm_deg, eye_mm, eye_deg)}
-    c.session = replace(session, spoken=lambda s: spoken(c, s, spoil, more), **told)
+    session, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), np.sqrt(3.0)
+    (arm_mm, arm_deg, _, _), dwell = session.stated, np.sqrt(WAITS * READS)
+    eye_mm, eye_deg = root * READ_MM / dwell, float(np.degrees(root * 1e-3 * READ_MRAD)) / dwell
+    stated = arm_mm, arm_deg, eye_mm, eye_deg
 
+    def spoken(s: Session) -> Recording:
+        rng = np.random.default_rng([3, len(s)])
+        slip, begin, end = rng.normal(0, SLIP, s.q.shape), s.t[0] - 2.0, s.t[-1] + WAITS + 0.5
+        t, read = np.arange(begin, end, 1 / RATE), np.arange(begin + 0.013, end, 1 / READS)
+        p, R = c.sees(flow(read, s.q + slip, s.t))
+        p = p + rng.normal(0, 1e-3 * READ_MM, p.shape)
+        values = np.c_[p, (R * Rotation.from_rotvec(rng.normal(0, 1e-3 * READ_MRAD, p.shape))).as_quat()]
+        read, values = (read, values) if spoil is None else spoil(c, read, values)
+        stamps, q = EPOCH + np.round(read, 6), flow(t, s.q, s.t)
+        tracks = (joint_track(s.names, EPOCH + t, q), *(more(c, EPOCH + t, q) if more else ()))
+        return Recording(tracks, (ReadingTrack(POSE, s.frame, stamps, values, stamps),), s.signals, s.urdf)
 
-def spoken(c: Scene, s: Session, spoil: Spoil | None, more: More | None) -> Recording:
-    """The whole way."""
-    rng = np.random.default_rng([3, len(s)])
-    slip = rng.normal(0, SLIP, s.q.shape)
-    begin, end = s.t[0] - 2.0, s.t[-1] + WAITS + 0.5
-    t, read = np.arange(begin, end, 1 / RATE), np.arange(begin + 0.013, end, 1 / READS)
-    p, R = c.sees(flow(read, s.q + slip, s.t))
-    p = p + rng.normal(0, 1e-3 * READ_MM, p.shape)
-    R = R * Rotation.from_rotvec(rng.normal(0, 1e-3 * READ_MRAD, p.shape))
-    values = np.column_stack([p, R.as_quat()])
-    read, values = (read, values) if spoil is None else spoil(c, read, values)
-    stamps, q = EPOCH + np.round(read, 6), flow(t, s.q, s.t)
-    tracks = (joint_track(s.names, EPOCH + t, q), *(more(c, EPOCH + t, q) if more else ()))
-    return Recording(tracks, (ReadingTrack(POSE, s.frame, stamps, values, stamps),), s.signals, s.urdf)
+    c.session = replace(session, floor_mm=float(np.hypot(arm_mm, eye_mm)), stated=stated, spoken=spoken)
 
 
 def smoothed(seconds: float) -> Spoil:
     """A first-order filter on everything that is read."""
+    a = np.exp(-1 / (READS * seconds))
 
     def spoil(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
-        a = np.exp(-1 / (READS * seconds))
         signs = np.cumprod(np.r_[1.0, np.sign(np.sum(values[1:, 3:] * values[:-1, 3:], axis=1))])
-        flat = np.column_stack([values[:, :3], values[:, 3:] * signs[:, None]])
-        out = filtered(flat, [1 - a], [1, -a])
+        out = filtered(np.c_[values[:, :3], values[:, 3:] * signs[:, None]], [1 - a], [1, -a])
         out[:, 3:] /= np.linalg.norm(out[:, 3:], axis=1, keepdims=True)
         return t, out
 
@@ -96,13 +86,13 @@ def computed(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
     nominal.built = np.tile(np.eye(4), (c.n, 1, 1))
     nominal.target = nominal.eye = np.zeros(3), Rotation.identity()
     p, R = nominal.sees(flow(t - 0.04, c.q, c.t))
-    return t, np.column_stack([np.round(p, 6), np.round(R.as_quat(), 6)])
+    return t, np.round(np.c_[p, R.as_quat()], 6)
 
 
 def gripper(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
     """A gripper that opens and closes, and wheels that stand."""
     hand, still = 0.02 + 0.02 * np.sign(np.sin(t / 17.0)), np.zeros_like(t)
-    return (joint_track(("finger_joint", "wheel_left", "wheel_right"), t, np.column_stack([hand, still, still])),)
+    return (joint_track(("finger_joint", "wheel_left", "wheel_right"), t, np.c_[hand, still, still]),)
 
 
 def goals(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
@@ -116,34 +106,23 @@ def simulated(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
     return (joint_track(c.names, t, flow(t - EPOCH, c.other, EACH * np.arange(len(c.other)) + 1.7)),)
 
 
-def built(c: Scene, robot: str) -> None:
-    """A cell of another arm."""
-    c.w = type(c.w)(robot, c.rng)
-
-
 def turning(c: Scene, *joints: int) -> None:
     """A UR5e whose joints of these numbers turn by more than one turn; i is the last of them."""
     c.w, c.i = World("ur5e", c.rng), joints[-1]
     c.w.low[list(joints)], c.w.high[list(joints)] = -5.5, 5.5
 
 
-def folded(x: Array) -> Array:
+def within_pi(x: Array) -> Array:
     """Angles within ±π."""
     return (x + np.pi) % (2 * np.pi) - np.pi
 
 
-def soft(c: Scene, per_nm: float) -> None:
-    """Joints deflect under weight [rad/N m]."""
-    bend(c, "x", np.s_[..., 3], lambda c: per_nm * c.torques(c.q))
-    c.planted += ("compliance",)
-
-
-def sagging(w: World, s: Stations, d: Wrong) -> None:
-    """A bend: the link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
+def droop(w: World, s: Stations, d: Wrong) -> None:
+    """The link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
     T = w.frames(s.q)
     down = np.einsum("nba,b->na", T[:, 2, :3, :3], [0.0, 0.0, -1.0])
     lever = np.einsum("nba,nb->na", T[:, 2, :3, :3], T[:, -1, :3, 3] - T[:, 2, :3, 3])
-    d.behind[2] = np.column_stack([np.zeros_like(lever), np.cross(lever, down) * 3e-3])
+    d.behind[2] = np.c_[np.zeros_like(lever), np.cross(lever, down) * 3e-3]
 
 
 def elsewhere(c: Scene, when: Of, p: Of = "p", R: Of = "R", form: str = "matrix") -> None:
@@ -176,39 +155,4 @@ def along(plan: Plan, late: Array) -> Array:
     return np.stack([np.interp(plan.stations.t - s, plan.t, plan.q[:, i]) for i, s in enumerate(late)], axis=1)
 
 
-def planned(c: Scene) -> None:
-    """The arm shall go on a smooth course of several sines a joint; ``moving`` records it."""
-    c.plan = course(c.cell, c.rng, 60.0, 0.0)
-
-
-def moving(c: Scene) -> None:
-    """Joint states at 125 Hz and readings at 50 Hz of a plan, with the faults that wait; nothing is visited twice."""
-    q, t, way = c.plan.stations.q, c.plan.stations.t, c.plan.stations.way
-    seen = c.cell.poses(c.plan.stations, tuple(Fault((), (), (), "", bend) for bend in c.bends))
-    p = seen.p + c.rng.normal(0, 1e-3 * NOISE_MM, q.shape[:1] + (3,))
-    R = seen.R * Rotation.from_rotvec(c.rng.normal(0, 1e-3 * NOISE_MRAD, p.shape))
-    still, joints = np.zeros(len(t), bool), joint_track(c.names, BEGIN + c.plan.t, c.plan.q)
-    joints = replace(joints, velocity=c.plan.v)
-
-    def spoken(s: Session) -> Recording:
-        read = BEGIN + np.round(s.t, 6)
-        return Recording((joints,), (ReadingTrack(POSE, s.frame, read, s.raw(), read),), s.signals, s.urdf)
-
-    floor, c.bends = float(np.sqrt(3.0)) * NOISE_MM, []
-    c.session = Session(c.names, c.arm.urdf, t.copy(), q, p, R, floor, still, came=way, spoken=spoken)
-
-
-def pressing(c: Scene) -> Array:
-    """Torques (N, n) by which the forces ``force`` (N,) along the tool's axis, at its point, turn the joints."""
-    out, at = np.empty_like(c.q), lambda q: _point(c, q)
-    for i, by in enumerate(1e-6 * np.eye(c.n)):
-        out[:, i] = c.force * np.sum((at(c.q + by) - at(c.q)) / 1e-6 * -c.tool_axes[:, :, 2], axis=1)
-    return out
-
-
-def _point(c: Scene, q: Array) -> Array:
-    p, R = c.arm.frames(c.arm.coordinates(q))
-    return np.asarray(p[:, -1] + R[:, -1] @ c.cell.tool[0])
-
-
-export(globals(), {})
+export(globals(), STEPS)

@@ -1,6 +1,7 @@
 """The seventh group: exports and spreadsheets, plugs and name spaces, stands, drives, sensors, sources put together."""
 
 from case import kinds
+from mechanisms import *
 from streams import *
 from transforms import *
 from words import *
@@ -8,8 +9,6 @@ from words import *
 K, S = kinds("fresh_seventh")
 ORIENTED = (*ORIENTATION, *QUATERNION)
 TIMING = (r"\bclock", r"\bstamp", "latency", "delay", r"\btim(?:e|es|ing)\b")
-ROWS = (r"\brows?\b", "order of", "belong", "swapped", "exchanged", "shuffl", "station before", STATIONS)
-UNRELATED = ("do(?:es)? not (?:fit|follow|belong|go with)", "unrelated", "nothing to do with", "random")
 LINKS = lambda c: c.arm.links  # noqa: E731
 GOAL = (r"\blags?\b", "goal", "speed", "veloc")
 COLUMNS, AXES = r"\bcolumns?\b", r"\baxes\b"
@@ -21,9 +20,8 @@ K("decimal_comma_lost_in_a_joint", "A joint's column lost its decimal commas: 45
 S(150, pick(1), let(shown=lambda c: [f"{x:.3f}".rstrip("0") for x in np.degrees(c.x)]))
 S(col(lambda c: np.radians([float(x.replace(".", "")) for x in c.shown])))
 K("angles_turned_into_dates", "Angles such as 12.05 were taken for dates.", JOINT(0), "joint states?", STATIONS)
-S(visit(150, 0), let(hundredths=lambda c: c.rng.integers(100, 2900, 144), q=lambda c: c.q[:144], i=0))
-S(let(q=lambda c: np.c_[np.radians(c.hundredths / 100.0), c.q[:, 1:]], tour=lambda c: c.with_returns(c.q)))
-S(let(q=lambda c: c.tour[0], again=lambda c: c.tour[1]), see(), col(as_dates))
+S(visit(150, 0), let(i=0, angle=lambda c: np.radians(c.rng.integers(100, 2900, 144) / 100.0)))
+S(tour(lambda c: np.c_[c.angle, c.q[:144, 1:]]), see(), col(as_dates))
 K("columns_shifted_by_one", "An error without a title stands before x.", ORIENTED, COLUMNS, r"\bnorm\b", AXES)
 S(140, put(values=lambda c: np.c_[c.rng.uniform(1e-4, 6e-4, 140), c.p, c.R.as_quat()[:, :3]]))
 CUT = (UNIT, "coordinate", COLUMNS, r"\bcells?\b", "digit", "cut off", "clip", "whole", "thousand")
@@ -41,11 +39,11 @@ S(let(stand=lambda c: (np.array([0.4, -0.3, 0.1]), Rotation.from_rotvec(c.rng.no
 S(lambda c: setattr(c.cell, "tracker", c.stand), 150, let(read=lambda c: c.p), by_drawing)
 S(put(p="read", R=lambda c: c.R * c.cell.tool[1]))
 # rows and columns that do not belong together
-JOINED = (ROWS, UNRELATED, "identical", "same reading", r"\bcop(?:y|ied|ies)", "repeated")
+JOINED = (ELSEWHERE, UNRELATED, "identical", "same reading", r"\bcop(?:y|ied|ies)", "repeated")
 K("joined_by_whole_degrees", "Tables were joined by whole degrees of a joint: the first reading of each.", JOINED)
 S(150, let(degree=lambda c: np.round(np.degrees(c.q[:, 0]))))
 S(rows(lambda c: np.argmax(c.degree[:, None] == c.degree, axis=1)))
-K("part_of_the_table_sorted_alone", "Forty rows of the readings were sorted by z.", ROWS, UNRELATED)
+K("part_of_the_table_sorted_alone", "Forty rows of the readings were sorted by z.", ELSEWHERE, UNRELATED)
 S(150, rows(lambda c: np.r_[:62, 62 + np.argsort(c.p[62:102, 2]), 102:150]))
 K("joint_column_filled_as_a_series", "26 cells of a joint were filled with an even series.", J)
 S(150, pick(1), col(lambda c: np.r_[c.x[:83], np.linspace(c.x[83], c.x[110], 28), c.x[111:]]))
@@ -70,7 +68,7 @@ S(joint(lambda c: np.minimum(c.end - c.x, 0.0)), 160)
 LED = (STATIONS, LOAD, "scatter", "spread", "repeat", "force", r"\bnoise of", r"\btime\b")
 K("last_third_led_by_hand", "In the last third somebody pushed the tool by 30 to 80 N while it was measured.", LED)
 S(visit(150), let(size=uniform(30.0, 80.0, 150), sign=lambda c: c.rng.choice([-1.0, 1.0], 150)))
-S(let(force=lambda c: c.size * c.sign * (c.rows >= 100), off=lambda c: pressing(c) / 6e4))
+S(let(force=lambda c: c.size * c.sign * (c.rows >= 100), off=lambda c: pressing(c, c.force) / 6e4))
 S(let(state=lambda c: c.rng.bit_generator.state, free=lambda c: c.observe(c.q, c.again).p))
 S(lambda c: setattr(c.rng.bit_generator, "state", c.state), bend("x", np.s_[..., 3], "off"), see())
 S(let(pushed=lambda c: 1e3 * float(np.sqrt(np.mean(np.sum((c.p - c.free) ** 2, axis=1))))))
