@@ -10,7 +10,7 @@ import numpy as np
 from case import Scene, export
 from recordings import Plan
 from scipy.spatial.transform import Rotation
-from transforms import Of, filtered, waits
+from transforms import Of, bend, filtered
 from workcell import PERIOD, POSE, Array, JointTrack, ReadingTrack, Recording, Session, Stations, joint_track
 from world import EACH, EPOCH, World, Wrong
 
@@ -19,14 +19,6 @@ RATE, READS = 50.0, 20.0  # Hz, of joint states and of readings
 READ_MM, READ_MRAD, SLIP = 0.04, 0.05, 8e-6  # per axis; per joint [rad]
 Spoil = Callable[[Scene, Array, Array], tuple[Array, Array]]  # of stamps and values of readings (m,), (m, 7)
 More = Callable[[Scene, Array, Array], tuple[JointTrack, ...]]  # of stamps and joints (m,), (m, n)
-STEPS = {
-    # a cell of another arm; joints deflect under weight [rad/N m]; a link bends by what it holds
-    "built": lambda c, robot: setattr(c, "w", type(c.w)(robot, c.rng)),
-    "soft": lambda c, k: waits(
-        c, lambda w, s, d: np.add(d.x, k * w.torques(s.q)[..., None] * [0, 0, 0, 1], d.x), "compliance"
-    ),
-    "drooping": lambda c: waits(c, droop),
-}
 
 
 def flow(t: Array, stations: Array, rest: Array) -> Array:
@@ -106,6 +98,11 @@ def simulated(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
     return (joint_track(c.names, t, flow(t - EPOCH, c.other, EACH * np.arange(len(c.other)) + 1.7)),)
 
 
+def built(c: Scene, robot: str) -> None:
+    """A cell of another arm."""
+    c.w = type(c.w)(robot, c.rng)
+
+
 def turning(c: Scene, *joints: int) -> None:
     """A UR5e whose joints of these numbers turn by more than one turn; i is the last of them."""
     c.w, c.i = World("ur5e", c.rng), joints[-1]
@@ -117,8 +114,14 @@ def within_pi(x: Array) -> Array:
     return (x + np.pi) % (2 * np.pi) - np.pi
 
 
-def droop(w: World, s: Stations, d: Wrong) -> None:
-    """The link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
+def soft(c: Scene, k: float) -> None:
+    """Joints deflect under weight [rad/N m]."""
+    bend(c, "x", np.s_[..., 3], lambda c: k * c.torques(c.q))
+    c.planted += ("compliance",)
+
+
+def drooping(w: World, s: Stations, d: Wrong) -> None:
+    """A bend: the link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
     T = w.frames(s.q)
     down = np.einsum("nba,b->na", T[:, 2, :3, :3], [0.0, 0.0, -1.0])
     lever = np.einsum("nba,nb->na", T[:, 2, :3, :3], T[:, -1, :3, 3] - T[:, 2, :3, 3])
@@ -155,4 +158,4 @@ def along(plan: Plan, late: Array) -> Array:
     return np.stack([np.interp(plan.stations.t - s, plan.t, plan.q[:, i]) for i, s in enumerate(late)], axis=1)
 
 
-export(globals(), STEPS)
+export(globals(), {})

@@ -85,7 +85,7 @@ S(pick(1, 4), let(load=3.0 * (np.arange(170) >= 90), one=lambda c: np.arange(c.n
 S(let(ring=lambda c: lambda x: 1.5e-3 * np.sin(x + 0.6)[:, None] * c.one))
 S(bend("x", np.s_[..., 3], lambda c: 1e-5 * c.torques(c.q, c.load) + c.ring(c.x)), 170)
 K("link_bends_by_the_part_it_holds", "A link bends by its load.", LOAD, JOINT(1, 2, 3, 4), "link_2", "link_3")
-S(drooping(), 160)
+S(lambda c: waits(c, drooping), 160)
 K("joint_of_two_values", "A cracked coupling sits in one of two places, by a neighbour's last move.", JJ)
 S(let(i=2), joint(lambda c: 3.5e-4 * c.came[:, 3]), 160)
 # instruments

@@ -14,7 +14,7 @@ K("healthy_seven_axes", "An iiwa, measured by points alone.")(built("iiwa14"), p
 K("healthy_at_few_stations", "Twenty-six poses, six of them second visits.")(26)
 
 K, S = kinds("good_eighth", fault=False)
-K("tracker_clock_drifts_while_it_waits", "The tracker's clock is off by 80 ppm and a fifth of a second.")
+K("tracker_clock_drifts_while_it_waits", "The clock is off by 80 ppm and 0.2 s.", planted=("latency", "clock"))
 S(flowing(70, lambda c, t, v: (t * (1 + 8e-5) + 0.2, v)))
 K("gripper_and_mobile_base_beside_it", "Another publisher sends a gripper and wheels.")(flowing(70, more=gripper))
 K("every_packet_twice", "The network delivers every reading twice, with the same stamp.")
@@ -31,5 +31,5 @@ S(lambda c: setattr(c.w, "eye", (np.array([31.0, -24.0, 4.0]), Rotation.random(r
 K("elastic_arm", "Joints deflect by 20 µrad/Nm.")(soft(2e-5), 150)
 K("on_a_rail", "A UR5e on a rail of one metre and a half.")(built("rail"), 140)
 K("scara", "Four joints with upright axes.")(built("scara"), 110)
-K("smoothed_a_little", "A filter of 60 ms, which has long settled where the arm waits.")(flowing(70, smoothed(0.06)))
+K("smoothed_a_little", "A filter of 60 ms has settled.", planted=("latency",))(flowing(70, smoothed(0.06)))
 K("points_of_a_coarse_camera", "Points with 0.3 mm of noise.")(points(200, noise_mm=0.3))
