@@ -236,6 +236,11 @@ def in_sockets(c: Scene) -> None:
     c.imports = (("import", "{bag.yaml}", "--urdf", "{arm.urdf}", "--out", "{bag}"),)
 
 
+def each(c: Scene, change: Callable[[Scene, str, Array], Array]) -> None:
+    """The joints at each socket are others, by a function of the scene, the socket and of them."""
+    c.told = {socket: change(c, socket, q) for socket, q in c.told.items()}
+
+
 def on_plates(c: Scene, arm: str, distance: str = "0.05") -> None:
     """A ball in sockets of a plate, with their distance as it is or as somebody wrote it down."""
     cell = _mukca(arm, "_cell").replace("distance_m: 0.05,", f"distance_m: {distance},")
