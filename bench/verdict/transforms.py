@@ -185,13 +185,13 @@ def gear(c: Scene, size: float = 4e-4, i: Of = "i") -> None:
     waits(c, c.joint(k, lambda s: size * np.sin(cycles * s.q[:, k])))
 
 
-def tilted(c: Scene, turn: Of) -> None:
-    """A stand turns about the base's origin by rotation vectors (N, 3)."""
+def tilted(c: Scene, turn: Of, pin: Any = (0.0, 0.0, 0.0)) -> None:
+    """A stand turns about the base's origin, or another point, by rotation vectors (N, 3)."""
     stand = c.cell.tracker[0]
 
     def bent(arm: Any, s: Any, d: Any) -> None:
         back = Rotation.from_rotvec(-c.at(s).of(turn))
-        d.tracker += np.concatenate([back.apply(stand) - stand, back.as_rotvec()], axis=1)
+        d.tracker += np.concatenate([pin + back.apply(stand - pin) - stand, back.as_rotvec()], axis=1)
 
     waits(c, bent)
 
