@@ -1,4 +1,4 @@
-"""More vocabulary of rows: joints mixed by linkages, targets on other links, loads and contacts; motion, sockets, a Delta."""
+"""More vocabulary: joints mixed by linkages, targets on other links, loads; motion, sockets, draw wires, a Delta."""
 
 from __future__ import annotations
 
@@ -38,8 +38,6 @@ STEPS = {
     "SOME": lambda c: [c.names[k] for k in c.some],  # words: the joints that were drawn
 }
 
-# --- arrays ----------------------------------------------------------------------------------------------------------
-
 
 def placed(values: Array, where: Array, others: Of) -> Array:
     """The values, with others at some places."""
@@ -74,9 +72,6 @@ def origin(block: str) -> Array:
 def summed(values: Array, share: float) -> Array:
     """How many of the values so far were larger than this share of them, counted by sign (N,)."""
     return np.cumsum(np.sign(values) * (np.abs(values) > np.quantile(np.abs(values), share)))
-
-
-# --- loads and contacts ----------------------------------------------------------------------------------------------
 
 
 def laden(c: Scene, mass: Of, sag: float = 6e-4) -> None:
@@ -120,9 +115,6 @@ def as_drawn(c: Scene) -> Works:
     return twin
 
 
-# --- motion: joint states at 125 Hz, readings at 50 Hz ---------------------------------------------------------------
-
-
 def moving(c: Scene) -> None:
     """The arm on its ``plan``, with the faults that wait: t, q, p and R are those of the readings."""
     plan, s, bends, c.bends = c.plan, c.plan.stations, c.bends, []
@@ -138,9 +130,6 @@ def moving(c: Scene) -> None:
         return Recording((joints,), (readings,), (), session.urdf)
 
     c.session = Session(c.names, c.arm.urdf, s.t.copy(), s.q, p, R, floor, never, spoken=spoken)
-
-
-# --- readings of several frames: sockets and draw wires --------------------------------------------------------------
 
 
 def told(c: Scene) -> None:

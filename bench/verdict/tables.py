@@ -129,9 +129,6 @@ def cubes(c: Scene) -> None:
     c.session, c.planted = replace(published("cubes"), t=10.0 * np.arange(632), more={}, floor_mm=0.2), REAL
 
 
-# --- steps -----------------------------------------------------------------------------------------------------------
-
-
 def table(c: Scene, *names: str) -> None:
     """One of some recordings."""
     c.session, c.aside = recording(names[0] if len(names) == 1 else str(c.rng.choice(names)))
@@ -200,9 +197,6 @@ def evaluated(c: Scene, *options: str) -> None:
 def _told(c: Scene, files: dict[str, str], *options: str) -> None:
     c.truth |= {"floor": False, "floor_mm": c.floor_mm, "files": files}
     c.options, c.names, c.session = ("--tolerance-mm", str(c.tolerance_mm), *options), c.names, None
-
-
-# --- balls in sockets of plates --------------------------------------------------------------------------------------
 
 
 def _mukca(arm: str, part: str = "") -> str:

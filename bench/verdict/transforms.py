@@ -120,9 +120,6 @@ def let(c: Scene, **values: Of) -> None:
         setattr(c, name, value(c) if callable(value) else value)
 
 
-# --- recordings and commands -----------------------------------------------------------------------------------------
-
-
 def visit(c: Scene, count: int, returns: int = 6, low: float = 0.0, high: float = 1.0) -> None:
     """Draws postures q, and which of them are second visits; ``see`` records them."""
     c.session = None
@@ -153,9 +150,6 @@ def also(c: Scene, count: int | None = None) -> None:
     """Calibrated together with the one that follows; or, with a number, a first one made now with the one there is."""
     c.command = ("calibrate", "{first}", "--also", "{second}")
     c.sessions, c.session = ({"first": c.clean(count)}, c.session) if count else ({"first": c.session}, None)
-
-
-# --- bends of the truth ----------------------------------------------------------------------------------------------
 
 
 def waits(c: Scene, bend: Any, *families: str) -> None:
@@ -234,9 +228,6 @@ def instead(c: Scene) -> None:
     """The arm ``twin`` stands where the arm stood, with its tool."""
     c.twin.cell.tool, c.twin.cell.tracker = c.cell.tool, c.cell.tracker
     c.w = c.twin
-
-
-# --- readings, joint states and descriptions -------------------------------------------------------------------------
 
 
 def put(c: Scene, **fields: Of) -> None:
@@ -344,9 +335,6 @@ def shorter(c: Scene, text: str) -> str:
     return text.replace(f'"{values}"', f'"{" ".join(long)}"')
 
 
-# --- arrays ----------------------------------------------------------------------------------------------------------
-
-
 def centres(c: Scene, q: Of = "q") -> Array:
     """The arm's centre of mass in its base at postures (N, 3)."""
     out = []
@@ -409,9 +397,6 @@ def flipped(c: Scene) -> tuple[Array, Array]:
     other = 2.0 * np.sum(normal * along, axis=1, keepdims=True) * along - normal
     axis = np.cross(normal, other)
     return np.arccos(np.clip(np.sum(normal * other, axis=1), -1.0, 1.0)), axis / np.linalg.norm(axis, axis=1)[:, None]
-
-
-# --- signals, and what is recorded in place of one reading a station -------------------------------------------------
 
 
 def signal(name: str, clock: Array, values: Array, topic: str) -> tuple[SignalTrack, ...]:

@@ -157,7 +157,7 @@ K("effort_missing", "Springs found by effort, on a recording without any.", "eff
 S(elastic(5e-4), 80, same, before(140, effort=True))
 K("effort_missing_with_a_payload", "The same with a payload that effort shows.", "effort", LOAD, ALL, shown="if left")
 S(elastic(5e-4, payload=5.0), clean(140, effort=True), frozen(), same, 80)
-K("temperature_missing", "A link grows with a temperature that is recorded first only.", "temperature", "thermal")()
+K("temperature_missing", "A link grows with a temperature that is recorded first only.", "temperature", "thermal")
 GROWS = bend("x", np.s_[:, 2, 0], lambda c: 2e-5 * (np.interp(c.t, *c.heat) - 20.0))
 S(let(heat=warm(0.0, 140 * PERIOD + 1.0, 20.0, 50.0)), GROWS, 140)
 S(let(heat=lambda c: (c.heat[0], c.heat[1] + c.rng.normal(0, 0.05, len(c.heat[1])))), heat_told, frozen())
