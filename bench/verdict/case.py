@@ -80,16 +80,9 @@ class Scene:
     """
 
     def __init__(self, w: Works, rng: np.random.Generator) -> None:
-        self.w, self.rng = w, rng
-        self.session: Any = None
-        self.bends: list[Any] = []
-        self.used: list[Any] = []
-        self.parts: list[Session] = []
-        self.sessions: dict[str, Session] = {}
-        self.command: tuple[str, ...] = ("calibrate", "{bag}")
-        self.options: tuple[str, ...] = ()
-        self.imports: tuple[tuple[str, ...], ...] = ()
-        self.planted: tuple[str, ...] = ()
+        self.w, self.rng, self.session = w, rng, None
+        self.bends, self.used, self.parts, self.sessions = [], [], [], {}
+        self.imports, self.command, self.options, self.planted = (), ("calibrate", "{bag}"), (), ()
         self.truth: dict[str, Any] = {}
 
     def __getattr__(self, name: str) -> Any:

@@ -74,7 +74,7 @@ STEPS: dict[str, Callable[..., Any]] = {
     "truth": lambda c, **fields: c.truth.update(fields),
     # bends of the truth, until the next recording: a joint is off by an error (N,) [rad]; the tracker stands elsewhere
     "joint": lambda c, error, i="i": waits(c, c.joint(int(c.of(i)), lambda s: c.at(s).of(error))),
-    "base": lambda c, shift, turn, when=None: tool(c, shift, turn, when, "base"),
+    "base": lambda c, shift, turn, when=None: tool(c, shift, turn, when, "tracker"),
     # springs that sag [rad] under the arm's weight, with a mass [kg]; a mass at the flange; a link that grows [m]
     "elastic": lambda c, sag=4e-4, payload=0.0: waits(
         c, c.elastic(sag, payload), "compliance", *("payload",) * bool(payload)
@@ -167,7 +167,7 @@ def waits(c: Scene, bend: Any, *families: str) -> None:
 def tool(c: Scene, shift: Of, turn: Of, when: Of = None, part: str = "tool") -> None:
     """The tool is moved by a twist, at the stations that ``when`` says, or all."""
     twist = c.vector(shift), c.vector(turn)
-    waits(c, getattr(c.w, part)(*twist, lambda s: np.ones(len(s.t)) if when is None else c.at(s).of(when)))
+    waits(c, c.moved(part, *twist, lambda s: np.ones(len(s.t)) if when is None else c.at(s).of(when)))
 
 
 def bend(c: Scene, part: str, where: Any, by: Of) -> None:

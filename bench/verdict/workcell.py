@@ -141,14 +141,9 @@ class Cellwork:
     rng: np.random.Generator
     noise = NOISE_MM, NOISE_MRAD, REPEAT
     period, epoch = PERIOD, BEGIN
-
-    def begins(self, q: Array) -> Array:
-        """The posture (1, n) from which the first station is reached."""
-        raise NotImplementedError
-
-    def truth(self, reached: Stations, meant: Stations, bends: tuple[Bend, ...]) -> tuple[Array, Rotation]:
-        """Where the target truly is in the instrument's frame: (N, 3) and N turns."""
-        raise NotImplementedError
+    begins: Callable[[Array], Array]  # of the postures: from where (1, n) the first one is reached
+    truth: Callable[[Stations, Stations, tuple[Bend, ...]], tuple[Array, Rotation]]  # of reached, meant: where it is
+    postures: Callable[[int, int], tuple[Array, Array]]
 
     def observe(
         self,
@@ -191,7 +186,7 @@ class Cellwork:
 
     def clean(self, count: int, *bends: Bend, returns: int = RETURNS, **options: Any) -> Session:
         """A recording of random postures, six of them twice."""
-        return self.observe(*self.postures(count, returns), *bends, **options)  # type: ignore[attr-defined]
+        return self.observe(*self.postures(count, returns), *bends, **options)
 
     def joint(self, i: int, error: Callable[[Stations], Array]) -> Bend:
         """A joint that is off by what ``error`` (N,) says [rad]."""
@@ -201,11 +196,8 @@ class Cellwork:
 
         return bend
 
-    def tool(self, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
-        """Another tool: moved by a twist (shift [m], rotation vector) at the stations that ``when`` (N,) says."""
-        return self._moved("tool", shift, turn, when)
-
-    def _moved(self, part: str, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
+    def moved(self, part: str, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
+        """The tool, or the tracker, moved by a twist (shift [m], rotation vector) where ``when`` (N,) says."""
         step = np.concatenate([shift, turn])
 
         def bend(arm: Any, stations: Stations, deviation: Any) -> None:
@@ -262,10 +254,6 @@ class Works(Cellwork):
         """By MuJoCo; faults go by the postures that are reached."""
         seen = self.cell.poses(reached, tuple(Fault((), (), (), "", bend) for bend in bends))
         return seen.p, seen.R
-
-    def base(self, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
-        """A tracker that stands elsewhere, which is a base moved, at the stations that ``when`` (N,) says."""
-        return self._moved("tracker", shift, turn, when)
 
     def elastic(self, sag: float = 4e-4, payload: float = 0.0) -> Bend:
         """Joints that give by some ``sag`` [rad] under the arm's weight, and a payload [kg]."""
