@@ -30,7 +30,7 @@ def flow(t: Array, stations: Array, rest: Array) -> Array:
 
 
 def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None = None) -> None:
-    """Stations, recorded with all that lies between. spoil: of readings; more: names, stamps, joints of another source."""
+    """Stations, recorded with all that lies between. spoil: of readings; more: names, stamps, joints of another."""
     session, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), np.sqrt(3.0)
     (arm_mm, arm_deg, _, _), dwell = session.stated, np.sqrt(WAITS * READS)
     eye_mm, eye_deg = root * READ_MM / dwell, float(np.degrees(root * 1e-3 * READ_MRAD)) / dwell
