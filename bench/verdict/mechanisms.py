@@ -1,4 +1,4 @@
-"""More vocabulary: joints mixed by linkages, targets on other links, loads; motion, sockets, draw wires, a Delta."""
+"""More vocabulary of rows: mixed joints, targets on other links, loads, contacts; motion, sockets, wires, a Delta."""
 
 from __future__ import annotations
 

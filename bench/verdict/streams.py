@@ -11,14 +11,14 @@ from case import Scene, export
 from recordings import Plan
 from scipy.spatial.transform import Rotation
 from transforms import Of, bend, filtered
-from workcell import PERIOD, POSE, Array, JointTrack, ReadingTrack, Recording, Session, Stations, joint_track
+from workcell import PERIOD, POSE, Array, ReadingTrack, Recording, Session, Stations, joint_track
 from world import EACH, EPOCH, World, Wrong
 
 WAITS = 3.0  # s, of the EACH from one station to the next
 RATE, READS = 50.0, 20.0  # Hz, of joint states and of readings
 READ_MM, READ_MRAD, SLIP = 0.04, 0.05, 8e-6  # per axis; per joint [rad]
 Spoil = Callable[[Scene, Array, Array], tuple[Array, Array]]  # of stamps and values of readings (m,), (m, 7)
-More = Callable[[Scene, Array, Array], tuple[JointTrack, ...]]  # of stamps and joints (m,), (m, n)
+More = Callable[[Scene, Array, Array], tuple[tuple[str, ...], Array, Array]]  # of stamps and joints (m,), (m, n)
 
 
 def flow(t: Array, stations: Array, rest: Array) -> Array:
@@ -30,7 +30,7 @@ def flow(t: Array, stations: Array, rest: Array) -> Array:
 
 
 def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None = None) -> None:
-    """Stations, recorded with all that lies between. spoil: of readings; more: joint states of other publishers."""
+    """Stations, recorded with all that lies between. spoil: of readings; more: names, stamps, joints of another."""
     session, root = c.clean(count, noise_mm=0.0, noise_mrad=0.0), np.sqrt(3.0)
     (arm_mm, arm_deg, _, _), dwell = session.stated, np.sqrt(WAITS * READS)
     eye_mm, eye_deg = root * READ_MM / dwell, float(np.degrees(root * 1e-3 * READ_MRAD)) / dwell
@@ -45,7 +45,7 @@ def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None 
         values = np.c_[p, (R * Rotation.from_rotvec(rng.normal(0, 1e-3 * READ_MRAD, p.shape))).as_quat()]
         read, values = (read, values) if spoil is None else spoil(c, read, values)
         stamps, q = EPOCH + np.round(read, 6), flow(t, s.q, s.t)
-        tracks = (joint_track(s.names, EPOCH + t, q), *(more(c, EPOCH + t, q) if more else ()))
+        tracks = (joint_track(s.names, EPOCH + t, q), *((joint_track(*more(c, EPOCH + t, q)),) if more else ()))
         return Recording(tracks, (ReadingTrack(POSE, s.frame, stamps, values, stamps),), s.signals, s.urdf)
 
     c.session = replace(session, floor_mm=float(np.hypot(arm_mm, eye_mm)), stated=stated, spoken=spoken)
@@ -81,23 +81,6 @@ def computed(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
     return t, np.round(np.c_[p, R.as_quat()], 6)
 
 
-def gripper(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
-    """A gripper that opens and closes, and wheels that stand."""
-    hand, still = 0.02 + 0.02 * np.sign(np.sin(t / 17.0)), np.zeros_like(t)
-    return (joint_track(("finger_joint", "wheel_left", "wheel_right"), t, np.c_[hand, still, still]),)
-
-
-def goals(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
-    """Goals beside the joints, 0.6 mrad from where those stand."""
-    return (joint_track(c.names, t[::5] + 0.004, q[::5] + c.off * np.sign(np.sin(q[::5] * 9))),)
-
-
-def simulated(c: Scene, t: Array, q: Array) -> tuple[JointTrack, ...]:
-    """Joint states of another way."""
-    t = t[::4] + 0.007
-    return (joint_track(c.names, t, flow(t - EPOCH, c.other, EACH * np.arange(len(c.other)) + 1.7)),)
-
-
 def built(c: Scene, robot: str) -> None:
     """A cell of another arm."""
     c.w = type(c.w)(robot, c.rng)
@@ -107,11 +90,6 @@ def turning(c: Scene, *joints: int) -> None:
     """A UR5e whose joints of these numbers turn by more than one turn; i is the last of them."""
     c.w, c.i = World("ur5e", c.rng), joints[-1]
     c.w.low[list(joints)], c.w.high[list(joints)] = -5.5, 5.5
-
-
-def within_pi(x: Array) -> Array:
-    """Angles within ±π."""
-    return (x + np.pi) % (2 * np.pi) - np.pi
 
 
 def soft(c: Scene, k: float) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import lru_cache
@@ -27,11 +28,11 @@ ROOT = Path(__file__).resolve().parents[2]
 DATA, IMPORTS, ROBOTS = ROOT.parent / "shared" / "data", ROOT / "examples" / "import", ROOT / "examples" / "robots"
 GOAL, XYZ = ("x", "y", "z", "roll", "pitch", "yaw"), ("x", "y", "z")
 UR = tuple(f"{j}_joint" for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
-FILES = {
-    "cubes": "ipa_ur10/series_d_iso_cubes.csv",
-    "grid": "ipa_ur10/series_a_grid.csv",
-    "ur5": "serial_robots/ur5_grid.csv",
-    "wam7": "serial_robots/wam_grid.csv",
+KNOWN = {  # file, what is left on rows kept aside [mm], a tolerance [mm]
+    "cubes": ("ipa_ur10/series_d_iso_cubes.csv", 0.24, 1.0),
+    "grid": ("ipa_ur10/series_a_grid.csv", 0.28, 1.0),
+    "ur5": ("serial_robots/ur5_grid.csv", 0.07, 0.3),
+    "wam7": ("serial_robots/wam_grid.csv", 1.75, 8.0),
 }
 REAL = "gear_harmonic", "compliance", "backlash", "thermal", "unknown"  # what is found in them untouched
 
@@ -93,7 +94,8 @@ def _numbers(path: Path, delimiter: str) -> tuple[list[dict[str, str]], Callable
 def published(name: str) -> Table:
     """The UR10's "cubes" or "grid", with a tracker's poses, or the grid of "ur5" or "wam7", with its points."""
     poses, grid, t, more = name in ("cubes", "grid"), name == "grid", None, {}
-    rows, columns = _numbers(DATA / FILES[name], ";" if poses else ",")
+    file, floor, tolerance = KNOWN[name]
+    rows, columns = _numbers(DATA / file, ";" if poses else ",")
     if poses:
         q, goal, p = columns(UR), columns([f"Goal {k}" for k in GOAL]), columns([f"measurement_{k}" for k in XYZ])
         p, R = 1e-3 * p, Rotation.from_euler("XYZ", columns([f"measurement_r{k}" for k in XYZ]), degrees=True)
@@ -104,7 +106,6 @@ def published(name: str) -> Table:
         p = goal - 1e-3 * columns([f"{k}_dif" for k in XYZ])
     if grid:
         t = np.array([datetime.strptime(row["Timestamp"], "%Y%m%d%H%M%S").timestamp() for row in rows])
-    floor, tolerance = {"cubes": (0.24, 1.0), "grid": (0.28, 1.0), "ur5": (0.07, 0.3), "wam7": (1.75, 8.0)}[name]
     names = tuple(f"joint_{j + 1}" for j in range(7)) if name == "wam7" else UR
     text = (ROBOTS / ("ur10.urdf" if poses else f"{name}.yaml")).read_text(encoding="utf-8")
     told = {"kind": POSE if poses else POINT, "more": more, "tolerance_mm": tolerance, "goal": goal}
@@ -213,16 +214,9 @@ def sockets(c: Scene) -> None:
 
 def in_sockets(c: Scene) -> None:
     """The tables of the sockets are imported and calibrated, with the distances of the cell file."""
-    tables = [
-        {
-            "files": f"{socket}.csv",
-            "header": False,
-            "time": {"order": {"period_s": 10.0}},
-            "joints": {"unit": "rad", "columns": {name: j for j, name in enumerate(c.names)}},
-            "same_point": {"frame": socket},
-        }
-        for socket in c.told
-    ]
+    every = {"joints": {"unit": "rad", "columns": {name: j for j, name in enumerate(c.names)}}, "header": False}
+    every["time"] = {"order": {"period_s": 10.0}}
+    tables = [deepcopy(every) | {"files": f"{s}.csv", "same_point": {"frame": s}} for s in c.told]
     files = {f"{s}.csv": "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in q) for s, q in c.told.items()}
     arm = DATA / "mukca" / "urdf" / f"{'iiwa14' if c.mukca.startswith('kuka') else 'panda'}.urdf"
     files |= {"arm.urdf": arm.read_text(encoding="utf-8"), "bag.yaml": yaml.safe_dump({"tables": tables})}

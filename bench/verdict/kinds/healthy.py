@@ -1,6 +1,6 @@
 """Healthy cells: builds that the other good recordings lack, and the cells of world.py with streams and frames."""
 
-import builds  # noqa: F401 (describes them)
+import urdfs  # noqa: F401 (describes them)
 from case import kinds
 from streams import *
 from transforms import *
@@ -14,12 +14,16 @@ K("healthy_seven_axes", "An iiwa, measured by points alone.")(built("iiwa14"), p
 K("healthy_at_few_stations", "Twenty-six poses, six of them second visits.")(26)
 
 K, S = kinds("good_eighth", fault=False)
+BESIDE = ("finger_joint", "wheel_left", "wheel_right")
 K("tracker_clock_drifts_while_it_waits", "The clock is off by 80 ppm and 0.2 s.", planted=("latency", "clock"))
 S(flowing(70, lambda c, t, v: (t * (1 + 8e-5) + 0.2, v)))
-K("gripper_and_mobile_base_beside_it", "Another publisher sends a gripper and wheels.")(flowing(70, more=gripper))
+K("gripper_and_mobile_base_beside_it", "Another publisher sends a gripper and wheels.")
+S(let(open=lambda c: lambda t: 0.02 + 0.02 * np.sign(np.sin(t / 17.0))))
+S(flowing(70, more=lambda c, t, q: (BESIDE, t, np.c_[c.open(t), 0.0 * t, 0.0 * t])))
 K("every_packet_twice", "The network delivers every reading twice, with the same stamp.")
 S(flowing(70, lambda c, t, v: (np.repeat(t, 2), np.repeat(v, 2, axis=0))))
-K("angles_within_half_a_turn", "Joints turn by more.")(turning(0, 3, 4, 5), 130, put(q=lambda c: within_pi(c.q)))
+K("angles_within_half_a_turn", "Joints turn by more.")
+S(turning(0, 3, 4, 5), 130, put(q=lambda c: (c.q + np.pi) % (2 * np.pi) - np.pi))
 K("whole_turn_more_since", "The last joint counts one turn more than when the arm was calibrated, as its limits allow.")
 S(let(wide=lambda c: tuple(replace(j, low=j.low - 3.0, high=j.high + 3.0) for j in c.joints)))
 S(lambda c: setattr(c.w, "urdf", drawn(c.wide)), clean(70, begin=DAY), cols(-1, lambda c, q: q + 2 * np.pi))
