@@ -46,11 +46,6 @@ def placed(values: Array, where: Array, others: Of) -> Array:
     return out
 
 
-def folded(angles: Array) -> Array:
-    """Angles by atan where atan2 is meant."""
-    return (angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
-
-
 def mirrored(R: Rotation) -> Rotation:
     """Rotations written in a frame whose y points the other way."""
     flip = np.diag([1.0, -1.0, 1.0])
@@ -67,11 +62,6 @@ def on_link(c: Scene, k: int) -> tuple[Array, Rotation]:
 def origin(block: str) -> Array:
     """The place of a joint, by its block of a URDF (3,)."""
     return np.array(re.search(r'<origin[^>]*xyz="([^"]*)"', block)[1].split(), float)  # type: ignore[index]
-
-
-def summed(values: Array, share: float) -> Array:
-    """How many of the values so far were larger than this share of them, counted by sign (N,)."""
-    return np.cumsum(np.sign(values) * (np.abs(values) > np.quantile(np.abs(values), share)))
 
 
 def laden(c: Scene, mass: Of, sag: float = 6e-4) -> None:
@@ -218,8 +208,6 @@ def eyelet(k: int, way: Array, length: Array) -> Array:
     angle = np.arccos(np.clip(way @ out / np.linalg.norm(out), -1.0, 1.0))
     return (16e-3 * (angle - np.sin(angle)) + 2e-3 * angle) * (k == 2)
 
-
-# --- a Delta ---------------------------------------------------------------------------------------------------------
 
 DELTA = """modcal_delta: 1
 joints: [arm_1, arm_2, arm_3]

@@ -10,7 +10,7 @@ import numpy as np
 from case import Scene, export
 from recordings import Plan
 from scipy.spatial.transform import Rotation
-from transforms import Of, bend, filtered
+from transforms import Of, filtered, waits
 from workcell import PERIOD, POSE, Array, ReadingTrack, Recording, Session, Stations, joint_track
 from world import EACH, EPOCH, World, Wrong
 
@@ -19,6 +19,9 @@ RATE, READS = 50.0, 20.0  # Hz, of joint states and of readings
 READ_MM, READ_MRAD, SLIP = 0.04, 0.05, 8e-6  # per axis; per joint [rad]
 Spoil = Callable[[Scene, Array, Array], tuple[Array, Array]]  # of stamps and values of readings (m,), (m, 7)
 More = Callable[[Scene, Array, Array], tuple[tuple[str, ...], Array, Array]]  # of stamps and joints (m,), (m, n)
+STEPS = {  # joints that deflect under weight [rad/N m]
+    "soft": lambda c, k: waits(c, c.joint(slice(None), lambda s: k * c.torques(s.q)), "compliance"),
+}
 
 
 def flow(t: Array, stations: Array, rest: Array) -> Array:
@@ -92,12 +95,6 @@ def turning(c: Scene, *joints: int) -> None:
     c.w.low[list(joints)], c.w.high[list(joints)] = -5.5, 5.5
 
 
-def soft(c: Scene, k: float) -> None:
-    """Joints deflect under weight [rad/N m]."""
-    bend(c, "x", np.s_[..., 3], lambda c: k * c.torques(c.q))
-    c.planted += ("compliance",)
-
-
 def drooping(w: World, s: Stations, d: Wrong) -> None:
     """A bend: the link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
     T = w.frames(s.q)
@@ -136,4 +133,4 @@ def along(plan: Plan, late: Array) -> Array:
     return np.stack([np.interp(plan.stations.t - s, plan.t, plan.q[:, i]) for i, s in enumerate(late)], axis=1)
 
 
-export(globals(), {})
+export(globals(), STEPS)

@@ -52,6 +52,20 @@ DERIVED |= {
     "azimuth": lambda c: np.arctan2(c.p[:, 1], c.p[:, 0]),  # of the readings (N,)
     "forward": lambda c: c.p.mean(axis=0) / np.linalg.norm(c.p.mean(axis=0)),  # where the readings are seen (3,)
 }
+VALUES: dict[str, Callable[..., Any]] = {
+    # the moment (N, 3) of a centre of mass about the base, times weight, of a stand of two softnesses
+    "moment": lambda com, x=1.0, y=1.0: np.stack([-x * com[:, 1], y * com[:, 0], np.zeros(len(com))], axis=1),
+    # values brought, about their mean, to an RMS; behind a filter that has been at rest at the first
+    "scaled": lambda v, size: size / float(np.sqrt(np.mean(np.sum((v - v.mean(axis=0)) ** 2, axis=-1)))) * v,
+    "filtered": lambda values, b, a=1.0: lfilter(b, a, values - values[0], axis=0) + values[0],
+    # how far joints went to each station; to the first one from ``begin``, or not at all
+    "moves": lambda q, begin=None: np.diff(q, axis=0, prepend=q[:1] if begin is None else np.asarray(begin)[None]),
+    # an origin 8 cm nearer along its longest coordinate; angles by atan where atan2 is meant
+    "cut_short": lambda v: v - 0.08 * np.sign(v) * (np.arange(3) == np.argmax(np.abs(v))),
+    "folded": lambda angles: (angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi,
+    # how many of the values so far were larger than this share of them, counted by sign (N,)
+    "summed": lambda v, share: np.cumsum(np.sign(v) * (np.abs(v) > np.quantile(np.abs(v), share))),
+}
 STEPS: dict[str, Callable[..., Any]] = {
     # draws: a joint i (a negative end counts from the last), a whole number, even and normal ones, a vector of a length
     "pick": lambda c, low=0, high=None: let(c, i=c.any_joint(low, high if high is None or high > 0 else c.n + high)),
@@ -209,7 +223,7 @@ def scenario(c: Scene, name: str, count: int) -> None:
     """Faults of bench/undeclared, all of which the vocabulary has, wait."""
     c.faults = plant(c.cell, SCENARIOS[name], c.rng, count * PERIOD)
     for fault in c.faults:
-        waits(c, fault.bend, *fault.family)
+        waits(c, fault.bend, *fault.family, *(place for place in fault.place if place in ("tool", "base", "tracker")))
 
 
 def carrying(c: Scene, heavy: Of, mass: Of) -> None:
@@ -323,11 +337,6 @@ def numbers(text: str, where: str, change: Callable[[Array], Array], digits: int
     return re.sub(rf'(<{tag} [^>]*?{key}=)"([^"]*)"', changed, text)
 
 
-def cut_short(v: Array) -> Array:
-    """An origin 8 cm nearer along its longest coordinate."""
-    return v - 0.08 * np.sign(v) * (np.arange(3) == np.argmax(np.abs(v)))
-
-
 def shorter(c: Scene, text: str) -> str:
     """A URDF whose first long link is a tenth shorter."""
     values = next(v for v in re.findall(r'xyz="([^"]*)"', text) if max(abs(float(x)) for x in v.split()) > 0.25)
@@ -345,16 +354,6 @@ def centres(c: Scene, q: Of = "q") -> Array:
     return np.array(out)
 
 
-def moment(com: Array, x: float = 1.0, y: float = 1.0) -> Array:
-    """The moment (N, 3) of a centre of mass about the base, times weight, of a stand of two softnesses."""
-    return np.stack([-x * com[:, 1], y * com[:, 0], np.zeros(len(com))], axis=1)
-
-
-def scaled(values: Array, size: float) -> Array:
-    """Values brought, about their mean, to an RMS."""
-    return size / float(np.sqrt(np.mean(np.sum((values - values.mean(axis=0)) ** 2, axis=-1)))) * values
-
-
 def loaded(c: Scene, size: Any = 1.0, axis: int = 3) -> Array:
     """A size times the load on the joint that was drawn, or across it, over its RMS (N,)."""
     load = c.arm.holding(c.arm.coordinates(c.q))[:, c.i, axis]
@@ -364,11 +363,6 @@ def loaded(c: Scene, size: Any = 1.0, axis: int = 3) -> Array:
 def share(c: Scene, *joints: int) -> Array:
     """Where joints are in their ranges, from -1 to 1 (joints, N)."""
     return ((c.q - c.middle) / (0.5 * np.ptp(c.arm.range, axis=0)))[:, joints].T
-
-
-def moves(q: Array, begin: Any = None) -> Array:
-    """How far joints went to each station; to the first one from ``begin``, or not at all."""
-    return np.diff(q, axis=0, prepend=q[:1] if begin is None else np.asarray(begin)[None])
 
 
 def dragged(values: Array, slack: Any) -> Array:
@@ -384,11 +378,6 @@ def continuous(R: Rotation) -> Array:
     """Quaternions (N, 4), each on the side of the one before."""
     quat = R.as_quat()
     return quat * np.cumprod(np.r_[1.0, np.where(np.sum(quat[1:] * quat[:-1], axis=1) < 0, -1.0, 1.0)])[:, None]
-
-
-def filtered(values: Array, b: Any, a: Any = 1.0) -> Array:
-    """Values behind a filter that has been at rest at the first."""
-    return lfilter(b, a, values - values[0], axis=0) + values[0]
 
 
 def flipped(c: Scene) -> tuple[Array, Array]:
@@ -475,5 +464,6 @@ def streamed(c: Scene, read: Of = None, p: Of = None, R: Of = None, received: bo
     c.session = replace(c.session, spoken=lambda session: whole)
 
 
+globals().update(VALUES)
 export(globals(), STEPS)
 W_FIRST = quaternion(3, 0, 1, 2)

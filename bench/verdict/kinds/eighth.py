@@ -24,7 +24,6 @@ OTHER = ("robot", "calibration", "pattern", "geometry", "fail")
 FLIP, TODAY = np.diag([1.0, -1.0, 1.0]), {"begin": DAY}
 WELL = asked("--repeatability-mm", "0.02", "--instrument-mm", "0.044", "--tolerance-mm", "0.3")
 WORN = bend("x", np.s_[:, :3, 3], lambda c: 8e-4 * np.sin(c.q[:, :3] * [43.0, 57.0, 71.0] + 1.0))
-# two things wrong at once
 K("w_first_and_the_tool_bent", "Bent half way.", TURNED, TOOL)(tool(4e-3, 0.03, since(82)), 150, W_FIRST)
 K("w_first_and_a_joint_negated", "Both, from the start on.", TURNED, J)(pick(1), 140, col(np.negative), W_FIRST)
 K("millimetres_and_the_tripod_kicked", "Millimetres since the tripod was kicked by 3 mm.", UNIT, BASE)
@@ -39,7 +38,6 @@ S(pick(1), 140, col(lambda c: np.pi / 2 - c.x))
 K("two_joints_swapped_and_both_negated", "Both are negated.", JJ)(pick(1, -1), 140, cycle(1, 0, sign=-1.0))
 K("tool_bent_and_backlash", "One gear has play of a milliradian, and the tool was knocked by 0.6 mm.", J)
 S(pick(1, 4), tool(6e-4, 5e-4, since(64)), joint(lambda c: 5e-4 * c.came[:, c.i]), 160)
-# units and columns of some parts
 K("y_in_inches", "Points, of which y is in inches.", UNIT, "inch", r"\by\b", "coordinate")
 S(points(150), times([1.0, 39.3701, 1.0]))
 K("left_handed_points", "Points have a mirrored x.", MIRROR, "x")(points(150), times([-1.0, 1.0, 1.0]))
@@ -49,7 +47,6 @@ K("rail_runs_the_other_way", "It counts from its end.", "rail_joint")(built("rai
 K("scara_z_in_millimetres", "Its quill counts mm.", UNIT, "scara_z")(built("scara"), 120, cols(2, lambda c, q: 1e3 * q))
 K("quill_screws_when_it_turns", "Turning a SCARA's last joint lifts its quill by 20 mm a turn.", "scara_z", "scara_4")
 S(built("scara"), bend("x", np.s_[:, 2, 3], lambda c: 0.02 * c.q[:, 3] / (2 * np.pi)), 140)
-# encoders
 K("turn_of_the_motor_lost", "From some station on a joint is off by one turn of its motor, 1 in 101.", J)
 S(pick(1), 150, col(lambda c: c.x - (c.rows >= 90) * 2 * np.pi / 101))
 K("odd_gear_and_a_folded_angle", "A gear errs twice and a half a turn, its angle is written within ±π.", JOINT(5))
@@ -60,7 +57,6 @@ S(turning(4), joint(lambda c: 5e-4 * c.x), 160, col(lambda c: (c.x + np.pi) % (2
 K("whole_turns_come_and_go", "Today the last joint is a turn larger, beyond its gear's curve.", J, shown="if left")
 S(let(i=lambda c: c.n - 1), joint(lambda c: 2.5e-3 * np.sin(3 * c.x + 0.4)), clean(70, **TODAY))
 S(col(lambda c: c.x + 2 * np.pi), same, before(150))
-# descriptions, arms
 K("urdf_of_the_older_series", "A UR5e with the URDF of a UR5.", "urdf", "description", ALL, BASE, shown="if left")
 S(built("ur5e"), 150, put(urdf=lambda c: drawn(UR5)))
 K("another_arm_from_the_middle_on", "The second half is of the next arm of the series.", ROWS, ALL, "robot", BASE, TOOL)
@@ -72,7 +68,6 @@ S(150, elsewhere(since(50, 100), p=lambda c: c.p + c.R.apply([0.0, 0.0, 0.012]))
 K("whole_bag_written_twice", "A gear errs; each row stands twice, a millisecond later.", J, "twice", "repeat", "cop")
 S(pick(1, 4), joint(lambda c: 8e-4 * np.sin(70 * c.x + 1.0)), 110, only(lambda c: np.repeat(c.rows, 2)))
 S(put(t=lambda c: c.t + np.tile([0.0, 1e-3], 110)))
-# joints, stands
 K("lost_motion_grows_with_load", "A gear's hysteresis is as wide as its load is large.", JOINT(1))
 S(joint(lambda c: 9e-4 * (load := np.abs(c.torques(c.q)[:, 1])) / load.max() * c.came[:, 1], i=lambda c: 1), 170)
 K("dress_pack_pulls_at_the_wrist", "A hose round the last joint twists the one before, with friction.", JOINT(-2, -1))
@@ -87,7 +82,6 @@ K("link_bends_by_the_part_it_holds", "A link bends by its load.", LOAD, JOINT(1,
 S(lambda c: waits(c, drooping), 160)
 K("joint_of_two_values", "A cracked coupling sits in one of two places, by a neighbour's last move.", JJ)
 S(let(i=2), joint(lambda c: 3.5e-4 * c.came[:, 3]), 160)
-# instruments
 K("prism_constant_and_a_kick", "Distances are 1.2 mm too long; the tripod was kicked.", BASE, RANGE)
 S(base(5e-4, 2e-4, since(80)), points(160), times(lambda c: 1 + 1.2e-3 / c.far))
 K("levels_itself_wrongly_after_a_nudge", "Readings turn to and fro.", BASE, r"\btime\b", JOINT(0))
@@ -104,7 +98,6 @@ S(points(170, noise_mm=0.01), times(lambda c: (1 + 6e-5 * np.sin(c.t / 330.0 + 1
 K("press_next_door", "A press shakes the stand by 0.1 mm now and then, as scatter.", BASE, shown="if left")
 S(let(hits=lambda c: 1e-4 * (c.rng.random(150) < 0.4)), bend("tracker", np.s_[:, 2], "hits"), 150)
 S(put(floor_mm=lambda c: float(np.hypot(c.floor_mm, 1e3 * np.std(c.hits)))))
-# later
 K("other_arm_base_and_tool_refitted", "The calibration is of another arm of the type, refitted.", ALL, OTHER)
 S(130, frozen("--refit-base", "--refit-tool", "--tolerance-mm", "0.5"), lambda c: c.rebuild(), clean(60, **TODAY))
 K("one_joint_in_degrees_today", "Today one joint is written in degrees; the calibration is from before.", J)
@@ -116,7 +109,6 @@ S(soft(1e-5), 140, frozen("--refit-base"), let(twice=lambda c: np.where(np.arang
 S(bend("x", np.s_[..., 3], lambda c: 1e-5 * c.torques(c.q) * c.twice), clean(70, **TODAY))
 K("handful_of_stations_today", "Nine stations; the third joint was mastered 1 mrad off since.", JOINT(2), "fail")
 S(clean(9, returns=0, **TODAY), cols(2, lambda c, q: q + 1e-3), before(130, "--tolerance-mm", "0.2"))
-# stated, and contradicted by the data
 K("repeatability_stated_far_too_large", "2 mm are stated of an arm that repeats to 0.02; a gear errs.", STATED, J)
 S(pick(1, 4), joint(lambda c: 4e-4 * np.sin(70 * c.x + 1.0)), 170)
 S(asked("--repeatability-mm", "2.0", "--instrument-mm", "0.04", "--geometry-only"))
@@ -131,14 +123,12 @@ K("known_distance_is_another_ones", "Scale off, tool known.", UNIT, BASE, TOOL, 
 S(let(at_=lambda c: ", ".join(f"{v:.5f}" for v in c.target[0])), points(160), times(1.003))
 S(asked("--cell", "{cell.yaml}"))
 S(truth(files=lambda c: {"cell.yaml": f"tool: {{position_m: [{c.at_}], std_m: 0.0001}}\n"}))
-# read again and again
 K("sixteen_points_read_five_times", "Sixteen points, however often read, are too few.", r"\bpostures\b", JOINT(0, 1, 2))
 S(visit(16, 0), let(q=lambda c: np.repeat(c.q, 5, axis=0), again=None), WORN, see(kind="point", repeat=0.0), WELL)
 K("thirty_points_read_four_times", "Thirty are enough for geometry, and not for gears.", shown="if left")
 S(visit(30, 0), let(q=lambda c: np.repeat(c.q, 4, axis=0), again=None), WORN, see(kind="point", repeat=0.0), WELL)
 K("five_rounds_of_twenty_poses", "Twenty poses are gone to five times.", shown="if left")(visit(100, 0))
 S(see(repeat=0.0), let(q=lambda c: np.tile(c.q[:20], (5, 1)), again=None), WORN, see(), asked("--tolerance-mm", "0.3"))
-# streams
 K("atomic_time_for_universal", "Stamps are 37 s ahead.", CLOCK)(flowing(80, lambda c, t, v: (t + 37.0, v)))
 K("stamps_since_switched_on", "The tracker counts seconds since it was switched on.", CLOCK, "joint states")
 S(flowing(60, lambda c, t, v: (t + 812.0 - EPOCH, v)))

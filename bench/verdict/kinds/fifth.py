@@ -13,7 +13,6 @@ from words import *
 
 K, S = kinds("fresh_fifth")
 OUT = ("left out", "reject")
-# conventions
 K("yaw_folded_at_ninety", "Yaw by atan where atan2 is meant.", ORIENTATION, QUATERNION)
 S(140, euler("xyz", "xyz", lambda angles: np.where([False, False, True], folded(angles), angles)))
 HAND_WORDS = (ORIENTATION, QUATERNION, "mirror", "handed")
@@ -31,7 +30,6 @@ S(140, cols([-3, -1], lambda c, q: q * [1.25, 0.8]))
 K("potentiometer_loaded", "A potentiometer's wiper is loaded: its reading sags towards the middle.", J)
 S(150, pick(0, 4), let(low=lambda c: c.arm.range[0, c.i], span=lambda c: c.arm.range[1, c.i] - c.low))
 S(col(lambda c: c.low + c.span * c.travel / (1.0 + 0.01 * c.travel * (1.0 - c.travel))))
-# rows
 K("one_joint_refreshed_every_third", "A joint on a slow bus is refreshed at every third station.", J)
 S(140, pick(0, -1), col(lambda c: c.x[c.rows // 3 * 3]))
 STALE = ("repeat", "same reading", "identical", "stale", "duplicate", "froze", "stood still", "did not change")
@@ -52,7 +50,6 @@ S(points(140), patch(np.s_[90:, 1], p=lambda c: c.p[90, 1]))
 K("joints_typed_by_hand", "One joint was typed; at some stations two digits changed places.", J, OUT)
 S(150, pick(0, -1), let(k=lambda c: c.rng.choice(150, 22, replace=False)))
 S(col(lambda c: placed(c.x, c.k, [float(re.sub(r"\.(.)(.)", r".\2\1", f"{x:.5f}")) for x in c.x[c.k]])))
-# instruments and topics
 K("cyclic_error_of_the_distance_meter", "Errs with its wave's phase.", READINGS, r"\brange\b", "distance")
 S(160, times(lambda c: 1.0 + 3.5e-4 * np.sin(2.0 * np.pi * c.far / 0.3 + 0.4) / c.far))
 K("glass_door_closed_half_way", "Half way a door of 2 cm of glass closes, aslant.", READINGS, BASE, STATIONS)
@@ -76,7 +73,6 @@ S(put(p=lambda c: c.p[0] + c.off, R=lambda c: c.R[0] * Rotation.from_rotvec(c.tu
 COARSE = ("digit", "resolution", "round", "precision", "quanti", r"\bgrid\b", "float", "multiples", "coarse")
 K("survey_coordinates_single_precision", "Kilometres from their origin, positions went through float32.", COARSE)
 S(140, put(p=lambda c: (c.p + [4321.0, 8765.0, 12.0]).astype(np.float32).astype(float)))
-# surroundings
 K("neighbour_leans_on_the_table", "Another robot on the table reaches out in three of seven steps.", BASE, FOOT)
 S(let(v=way(6e-4)), tilted(lambda c: np.outer(c.rows % 7 < 3, c.v)), 160)
 K("tank_empties", "A tank of 8 kg empties.", CARRIED, TOOL, "drift", r"\btime\b", "changed on the way")
@@ -86,7 +82,6 @@ S(visit(160), let(closed=lambda c: (c.rng.random(160) < 0.5)[c.posture]), laden(
 S(put(more=lambda c: {"finger_joint": np.where(c.closed, 0.012, 0.04) + c.rng.normal(0, 1e-5, 160)}))
 K("balancer_leaks", "A gas spring loses pressure: the second joint sags ever more.", JOINT(1))
 S(let(i=1), visit(150), let(off=lambda c: 9e-4 * c.rows / 149.0 * loaded(c)), joint("off"), see())
-# the robot
 K("tool_screws_work_loose", "The tool drops to its lower side by more and more.", TOOL, HAND, JOINT(-1))
 S(visit(160), let(off=lambda c: 5e-4 * (c.rows / 159.0) ** 2 * np.sign(c.tool_axes[:, 2, 1])))
 S(bend("tool", np.s_[:, 1], lambda c: -c.off), see())
@@ -105,7 +100,6 @@ S(160, pick(1, 5), col(lambda c: c.x - 3e-4 * summed(moves(c.x), 0.7)))
 K("plastic_gear_remembers_its_load", "A joint of plastic follows its load slowly.", J)
 S(pick(1, 4), visit(170), let(state=lambda c: accumulate(loaded(c), lambda s, x: s + 0.33 * (x - s), initial=0.0)))
 S(let(off=lambda c: 1.2e-3 * np.array(list(c.state)[1:])), joint("off"), see())
-# descriptions
 K("two_origins_exchanged", "In the URDF the places of two joints are exchanged.", around(-1, 3), shown="if left")
 S(140, let(at_=lambda c: np.array([origin(block_of(c.urdf, "joint", name)) for name in c.names])))
 S(let(i=lambda c: 1 + int(np.argmax(np.linalg.norm(np.diff(c.at_[1:], axis=0), axis=1)))))
@@ -115,7 +109,6 @@ OTHERS = ("left_", "another arm", "other arm", "other joints", UNRELATED)
 K("names_of_the_other_arm", "Of a robot with two arms the names are exchanged.", OTHERS, floor=False)
 S(140, let(other=lambda c: c.rng.uniform(*c.arm.range, c.q.shape)))
 S(put(q=lambda c: c.other, more=lambda c: {f"left_{c.names[k]}": c.q[:, k] for k in range(c.n)}))
-# use
 K("two_joints_swapped_today", "The driver was exchanged since and swaps two joints.", JJ)
 S(clean(80, begin=DAY), pick(1, -1), cycle(1, 0), before(120))
 LEFT = ("mirror", "handed", r"\baxes\b", "column", r"\bsign", QUATERNION)
@@ -131,7 +124,6 @@ S(let(some=lambda c: c.rng.permutation(c.n - 1)[:2]))
 S(joint(lambda c: 4e-4 * np.sin(53.0 * c.q[:, c.some[0]]), lambda c: c.some[0]))
 S(joint(lambda c: 4e-4 * np.sin(71.0 * c.q[:, c.some[1]] + 1.0), lambda c: c.some[1]), 60, also())
 S(let(session=lambda c: c.sessions["first"]))
-# what the data cannot show: anything but calm will do
 K("corners_of_a_marker_lock_to_pixels", "A camera's directions are drawn to the pixels' middles.", shown=False)
 S(150, let(drawn=lambda c: lambda u: u + 1.2e-4 * np.sin(2.0 * np.pi * u / 6e-4), r=lambda c: c.far[:, 0]))
 S(let(a=lambda c: c.drawn(c.azimuth), e=lambda c: c.drawn(np.arcsin(c.sight[:, 2])), flat=lambda c: c.r * np.cos(c.e)))

@@ -10,7 +10,6 @@ from words import *
 
 K, S = kinds("fresh")
 TARGET = (r"\btool\b", r"\btarget\b", TRACKER)
-# joint states
 K("joint_folded_at_a_right_angle", "A driver computes a joint's angle by atan where atan2 is meant.", J)
 S(130, pick(0, -1), col(lambda c: np.arctan(np.tan(c.x))))
 K("joint_clipped", "A joint is reported up to one radian.", J)(140, pick(0, 5), col(lambda c: np.clip(c.x, -1.0, 1.0)))
@@ -23,7 +22,6 @@ K("tracker_in_another_time_zone", "Readings' stamps are an hour later.", "clock"
 S(100, restamped(lambda stamps: stamps + 3600.0))
 
 FILTER = ("filter", "last move", "arrived", "previous")
-# readings
 K("height_in_millimetres", "z is in mm, x and y in metres.", UNIT, r"\bz\b", "scale")(120, times([1.0, 1.0, 1e3]))
 K("flat_camera", "z is written as zero.", r"\bz\b", "plane", "flat", r"\bax[ei]s\b")(120, times([1.0, 1.0, 0.0]))
 K("only_yaw_is_measured", "Roll and pitch are written as zero.", ORIENTATION)
@@ -57,7 +55,6 @@ S(put(p=lambda c: c.p + 3e-3 * c.bump * c.way(1.0)))
 K("seen_in_a_mirror", "On one side of the cell the target is seen in a mirror.", "mirror", "handed", LEFT_OUT, TRACKER)
 S(150, let(v=way(1.0), height=lambda c: c.p @ c.v, wall=lambda c: np.quantile(c.height, 0.75)))
 S(put(p=lambda c: c.p - 2.0 * np.maximum(c.height - c.wall, 0.0)[:, None] * c.v))
-# targets, tools, arms
 K("corner_cube_off_centre", "A glass reflector's path is longer the more obliquely the beam comes in.", TARGET)
 S(150, put(p=lambda c: c.p + 9e-4 * (1.0 - np.abs(c.seen[:, 2:])) * c.sight))
 K("marker_hidden_from_one_side", "From one side one of four balls is hidden, and the body sits elsewhere.", TARGET)
@@ -73,14 +70,12 @@ K("description_in_millimetres", "All lengths of the URDF's joints are in millime
 S(120, each_joint(lambda joint: numbers(joint, "origin xyz", lambda v: 1e3 * v)))
 K("remounted_on_a_wall_frozen", "Calibrated standing, used on a wall.", LOAD, ALL, "gravity", shown="if left")
 S(elastic(8e-4), 140, frozen("--refit-base"), same, gravity(9.81, 0.0, 0.0), clean(80, begin=90_000.0))
-# statements
 JAGGED = joint(lambda c: 9e-4 * ((1.1 * c.x + 0.9 * c.q[:, c.i + 1]) % 1.0 - 0.5))
 K("microns_stated_as_millimetres", "Micrometres are stated as millimetres.", "stated", "repeatab", JJ, floor=False)
 S(pick(0, 4), JAGGED, clean(150, returns=0), asked("--repeatability-mm", "20", "--instrument-mm", "35"))
 S(asked("--repeatability-deg", "2", "--instrument-deg", "2"))
 K("recorded_twice_without_leaving", "Every posture is recorded twice: no returns.", JJ, floor=False)
 S(pick(0, 4), visit(90, 0), let(q=lambda c: np.repeat(c.q, 2, axis=0), again=None), JAGGED, see())
-# the second group: joint states and clocks
 K, S = kinds("fresh_again")
 K("three_joints_in_alphabetical_order", "Of three joints the names are sorted.", JJJ)(130, pick(0, -2), cycle(1, 2, 0))
 K("two_joints_of_other_sign", "A driver counts two joints the other way round.", lambda c: [c.names[k] for k in c.two])
@@ -98,7 +93,6 @@ K("readings_stamped_on_arrival", "Readings are stamped a third of a second late.
 S(stream(90), streamed(lambda c: BEGIN + c.clock + 0.35, received=True))
 K("stamps_of_whole_seconds", "Stamps are cut to whole seconds; the arm stands for two.", CLOCK, shown="if left")
 S(dwells(90, begin=0.5), restamped(np.floor))
-# instruments
 K("beam_bends_while_the_air_warms", "The beam is bent upwards, ever more.", TRACKER, BASE, r"\btime\b", "drift")
 S(150, put(p=lambda c: c.p + 8e-5 * (c.t / c.t[-1])[:, None] * np.sum(c.p**2, axis=1, keepdims=True) * c.up))
 K("range_constant_wrong", "Every distance is 2 mm too long.", TRACKER, r"\bbase\b", "scale", shown="if left")
@@ -114,7 +108,6 @@ S(put(p=lambda c: c.p + 0.02 * (np.linalg.norm(c.across, axis=1, keepdims=True) 
 K("planar_marker_flips", "A fifth of a flat marker's orientations took the wrong tilt.", ORIENTATION, LEFT_OUT)
 S(150, let(flip=flipped, some=lambda c: c.rng.random(150) < 0.2))
 S(turned(lambda c: Rotation.from_rotvec(np.where(c.some, c.flip[0], 0.0)[:, None] * c.flip[1])))
-# arms and stands
 K("brakes_let_the_arm_down", "Two joints drop by their free play to their load's side.", LOAD, JOINT(1, 2))
 S(bend("x", np.s_[:, 1:3, 3], lambda c: -(3e-4 * np.sign(c.held[:, 1:3]))), 160)
 K("gear_worn_in_one_half", "The second joint's gear errs in half of its range.", JOINT(1))
@@ -126,7 +119,6 @@ S(pick(0, 4), joint(lambda c: 6e-4 * np.sin(2.37 * c.x + 0.5)), 160)
 K("differential_wrist_with_backlash", "Backlash goes with the sum of two wrist joints' motions.", JOINT(-3, -2))
 S(let(i=lambda c: c.n - 3), joint(lambda c: 5e-4 * np.sign(moves(c.q, c.middle)[:, c.i : c.i + 2].sum(axis=1)), -2))
 S(180)
-# bolts and tools
 K("base_bolts_slip", "The base's bolts hold up to some moment; beyond it the base slips.", BASE, FOOT, LOAD)
 S(visit(160), let(m=lambda c: moment(centres(c)), slip=lambda c: dragged(c.m, 0.6 * float(np.std(c.m[:, :2])))))
 S(tilted(lambda c: scaled(c.slip, 4e-4)), see())
@@ -142,7 +134,6 @@ S(bend("tool", np.s_[:], lambda c: c.seats[np.minimum(c.rows // 20, 7)]), 160)
 K("magnet_mount_slips", "A target on a magnet slides down its plate where that stands upright.", TOOL, HAND, JOINT(-1))
 S(visit(150), let(slid=lambda c: np.cumsum(np.clip(-c.tool_axes[:, 2, :2], -1.0, 1.0), axis=0)))
 S(bend("tool", np.s_[:, :2], lambda c: c.slid * (5e-4 / np.abs(c.slid).max())), see())
-# descriptions and command lines
 K("description_of_the_left_arm", "The URDF is the mirror image's.", "mirror", "handed", "URDF", "description")
 S(130, each_joint(lambda b: numbers(b, "origin xyz", lambda v: v * [1.0, -1.0, 1.0], 12)))
 S(each_joint(lambda b: numbers(b, "origin rpy", lambda v: v * [-1.0, 1.0, -1.0], 12)))

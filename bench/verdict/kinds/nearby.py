@@ -13,7 +13,6 @@ K, S = kinds("nearby")
 FRAME = ("frame", r"\baxes\b", "invers", "turned")
 ROWS = (r"\brows?\b", r"\border\b", "late", "early", r"another station|other stations")
 POLAR = ("polar", "azimuth", "angles?", "spherical")
-# frames
 K("positions_turned_by_the_pose", "Positions are turned once too often.", FRAME)(130, put(p=lambda c: c.R.apply(c.p)))
 K("positions_alone_inverted", "Positions alone are inverted.", FRAME)(130, put(p=lambda c: -c.R.inv().apply(c.p)))
 K("positions_are_increments", "A log holds how far the target went.", "last", "increment", "difference", ROWS)
@@ -30,7 +29,6 @@ S(130, put(p=lambda c: 100.0 * c.p, R=lambda c: c.R.inv()))
 K("two_axes_in_millimetres", "x and z are in mm.", UNIT, r"\bx\b", r"\by\b", "coordinate")(130, times([1e3, 1.0, 1e3]))
 K("tool_frame_in_a_part", "From some station on positions are given along the tool's axes.", FRAME)
 S(130, put(p=lambda c: np.where(c.rows[:, None] >= 80, c.R.inv().apply(c.p), c.p)))
-# rows
 K("joint_states_of_the_station_before", "From two thirds on joint states are one station late.", ROWS)
 S(140, put(q=lambda c: c.q[np.r_[:95, 94:139]]))
 K("neighbours_swapped", "A quarter of the rows stand in each other's place, two and two.", ROWS, "swap")
@@ -48,7 +46,6 @@ S(140, pick(0, -1), col(lambda c: c.x[np.r_[:72, 70:138]]))
 K("repetitions_of_two_operators", "Labels of a quarter of the readings were mixed up.", ROWS, "mixed", "label")
 S(140, let(mixed=lambda c: np.flatnonzero(c.rng.random(140) < 0.25)))
 S(rows(lambda c: placed(c.rows, c.mixed, c.rng.permutation(c.mixed))))
-# joints
 K("stale_joint_seen_by_points", "One joint stands still for a third of a recording of points.", J)
 S(points(150), pick(0, 4), patch(lambda c: np.s_[60:110, c.i], q=lambda c: c.x[60]))
 K("swapped_and_negated_seen_by_points", "Two joints are swapped, one with the other sign; points.", JJ)
@@ -65,7 +62,6 @@ K("joint_clipped_near_its_end", "A filter cuts one joint's position off near its
 S(150, pick(0, 4), col(lambda c: np.minimum(c.x, np.quantile(c.x, 0.85))))
 K("joint_on_another_turn_and_elastic", "One joint's twelve bits: 4096 steps a turn.", J)
 S(150, pick(0, 4), let(s=2.0 * np.pi / 4096.0), col(lambda c: np.round(c.x / c.s) * c.s))
-# what scatters, instruments and tools, streams
 K("stand_wobbles", "The arm's stand is loose: it tilts in any direction, anew at each station.", BASE, "stand")
 S(let(turns=normal(3e-4, (400, 3))), bend("tracker", np.s_[:, 3:], lambda c: c.turns[: c.N]), 160)
 SCATTER = ("scatter", "wobbl", "spread")
@@ -91,7 +87,6 @@ K("tracker_smooths", "Positions follow, ever more slowly.", READ, "filter", "las
 S(stream(80), let(s=1.0 - np.exp(-0.04 / 0.6)), streamed(p=lambda c: filtered(c.sent.p, [c.s], [1.0, c.s - 1.0])))
 K("joint_states_delayed", "Readings bear stamps of 0.4 s before the joints' clock.", CLOCK, shown="if left")
 S(stream(80), streamed(lambda c: BEGIN + c.clock - 0.4))
-# more
 K("two_couplings_loose", "Two joints' encoders are loose: they read anything within half a milliradian.", SOME)
 S(160, let(some=lambda c: np.sort(c.rng.choice(4, 2, replace=False))))
 S(cols("some", lambda c, q: q + c.rng.normal(0, 4e-4, (160, 2))))
@@ -106,7 +101,6 @@ S(150, let(other=lambda c: c.rows[:, None] % 3 == 2))
 S(put(p=lambda c: c.p + np.where(c.other, c.R.apply(c.way(3e-3)), 0.0), kind=lambda c: "point"))
 K("yaw_of_the_other_sign", "The yaw of each orientation has the other sign.", ORIENTATION)
 S(130, euler("ZYX", "ZYX", lambda angles: angles * [-1.0, 1.0, 1.0]))
-# a frozen calibration, on another day
 K("joint_reversed_today", "One joint is reversed.", J)(clean(80, begin=DAY), pick(0, -1), col(np.negative), before(120))
 K("halves_exchanged_today", "Today's readings were joined the wrong way round.", ROWS)
 S(120, frozen(), clean(80, begin=DAY), rows(np.r_[37:80, :37]))
@@ -115,7 +109,6 @@ K("tool_axes_today", "Today's positions are along the tool's axes.", FRAME)
 S(clean(80, begin=DAY), put(p=lambda c: c.R.inv().apply(c.p)), before(120))
 K("two_joints_swapped_today_near", "Today two joints are swapped; the base is found again.", JJ)
 S(clean(80, begin=DAY), pick(0, -1), cycle(1, 0), before(120, "--refit-base"))
-# near what the fifth group had missed: joints
 ROWS = (r"\brows?\b", "order of", "belong", "swapped", "exchanged", STATIONS)
 UNITS = (r"\bunits?\b", "millimet", "centimet", "inch", "factor", "scale", "times as long")
 ORIENTED, IF_LEFT = (ORIENTATION, QUATERNION), {"shown": "if left"}
@@ -140,7 +133,6 @@ K("one_joint_swapped_in_pairs", "Packets of one joint arrive in pairs the wrong 
 S(140, pick(0, -1), col(lambda c: c.x[c.rows ^ 1]))
 K("joint_of_a_second_encoder_that_slips", "At a sixth of the stations a joint lags by three milliradians.", J)
 S(150, pick(0, 4), col(lambda c: c.x + 3e-3 * (c.rng.random(150) < 1.0 / 6.0)))
-# readings
 K("positions_in_centimetres", "The whole table is in centimetres.", UNITS)(130, times(100.0))
 K("a_third_in_inches", "The last third is in inches.", UNITS)(150, patch(np.s_[100:], p=lambda c: c.p[100:] / 0.0254))
 K("a_fifth_in_millimetres", "A fifth of the rows, here and there, is in millimetres.", UNITS)

@@ -92,7 +92,6 @@ S(put(R=lambda c: Rotation.concatenate([c.grid.R, c.R])), calibrated())
 K("ninth_tolerance_of_a_smaller_part", "The grid by its first tenth, where the arm hardly moves.", shown=False)
 S(table("grid"), only(np.arange(40)), calibrated())
 K("ninth_readings_from_the_controller", "Goals, no readings.", COMPUTED)(ANY, both(AS_POINTS), MEANT, calibrated())
-# effects on top of real readings
 GEAR = let(cycles=between(3, 12))
 K("ninth_gear_wave", "A worn gear errs by 1.2 mrad, some times a turn.", NAME)(GEAR, let(phase=uniform(0, 6.28)))
 S(UR_ARM, pick(1, 5), both(col(lambda c: c.x + 1.2e-3 * np.sin(c.cycles * c.x + c.phase))), calibrated())
@@ -112,7 +111,6 @@ S(ANY, pick(1, 5), col(lambda c: c.x + 1e-2 * (c.rows >= 2 * c.N // 3)), later, 
 S(calibrated())
 K("ninth_geometry_only", "A worn gear, and --geometry-only.", NAME, BOLTED)
 S(GEAR, UR_ARM, pick(1, 5), both(col(lambda c: c.x + 1.2e-3 * np.sin(c.cycles * c.x))), calibrated("--geometry-only"))
-# what is stated
 K("ninth_stated_ten_times_too_good", "Repeatabilities are stated as a tenth of what they are.")
 S(table("ur5"), calibrated("--repeatability-mm", "0.0040", "--instrument-mm", "0.0030"))
 K("ninth_stated_ten_times_too_bad", "They are stated ten times too large, and a gear is worn.", NAME, "stated")
@@ -121,7 +119,6 @@ S(calibrated("--repeatability-mm", "0.4000", "--instrument-mm", "0.3000"))
 K("ninth_described_by_its_calibration", "The nominal arm is one calibrated on the same rows.", shown="if missed")
 S(UR_ARM, calibrated("--urdf", "{before/calibrated.urdf}"))
 S(let(imports=lambda c: (*c.imports, ("calibrate", "{bag}", "--out", "{before}"))))
-# a calibration that is used
 K("ninth_frozen_joint_remastered", "Since the calibration a joint was mastered anew, 4 mrad away.", NAME, TOOL, BASE)
 S(UR_ARM, pick(1, 5), aside(col(lambda c: c.x + 4e-3)), evaluated())
 K("ninth_frozen_tracker_moved", "Since then the tracker was set up again.", BASE, "refit-base", "tracker")
@@ -140,7 +137,6 @@ S(ANY, let(half=lambda c: np.sort(c.rng.choice(c.N, c.N // 2, replace=False)), a
 S(evaluated())
 K("ninth_frozen_two_joints_exchanged", "Today only.", SWAPPED, NAME)(ANY, pick(0, 5), aside(cycle(1, 0)), evaluated())
 K("ninth_frozen_controller", "Goals are judged.", COMPUTED)(POINTED, aside(MEANT), evaluated("--refit-base"))
-# balls in sockets
 K("ninth_sockets_mixed_up", "Rows are a neighbour's.", lambda c: (c.one, c.other), "socket", "rejected")
 S(sockets, let(one=lambda c: str(c.rng.choice([s for s in c.told if s.endswith("_0")]))))
 S(let(other=lambda c: c.one[:-1] + "1", k=lambda c: 2 * len(c.told[c.one]) // 3))

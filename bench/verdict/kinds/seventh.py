@@ -12,7 +12,6 @@ TIMING = (r"\bclock", r"\bstamp", "latency", "delay", r"\btim(?:e|es|ing)\b")
 LINKS = lambda c: c.arm.links  # noqa: E731
 GOAL = (r"\blags?\b", "goal", "speed", "veloc")
 COLUMNS, AXES = r"\bcolumns?\b", r"\baxes\b"
-# exports and spreadsheets
 K("wrist_joints_in_degrees", "Degrees.", WRIST, r"\bdegrees?\b")(140, cols(np.s_[-3:], lambda c, q: np.degrees(q)))
 K("pendant_rpy_as_rotation_vector", "Roll, pitch and yaw were taken for a rotation vector.", ORIENTED)
 S(140, put(R=lambda c: Rotation.from_rotvec(c.R.as_euler("xyz"))))
@@ -38,7 +37,6 @@ K("orientations_from_the_pendant", "Orientations are those of the pendant.", COM
 S(let(stand=lambda c: (np.array([0.4, -0.3, 0.1]), Rotation.from_rotvec(c.rng.normal(0, 5e-4, 3)))))
 S(lambda c: setattr(c.cell, "tracker", c.stand), 150, let(read=lambda c: c.p), by_drawing)
 S(put(p="read", R=lambda c: c.R * c.cell.tool[1]))
-# rows and columns that do not belong together
 JOINED = (ELSEWHERE, UNRELATED, "identical", "same reading", r"\bcop(?:y|ied|ies)", "repeated")
 K("joined_by_whole_degrees", "Tables were joined by whole degrees of a joint: the first reading of each.", JOINED)
 S(150, let(degree=lambda c: np.round(np.degrees(c.q[:, 0]))))
@@ -54,7 +52,6 @@ S(140, cols(-1, lambda c, q: np.where(c.rng.random(140) < 0.5, 0.0, 0.08) + c.rn
 K("encoder_cable_breaks_when_bent", "An encoder has no contact where the joint before is bent far.", J)
 S(160, pick(1, -1), let(bent=lambda c: c.q[:, c.i - 1] > np.quantile(c.q[:, c.i - 1], 0.8)))
 S(col(lambda c: c.x[np.maximum.accumulate(np.where(c.bent, 0, c.rows))]))
-# stands, drives, tools
 K("stand_rocks_on_its_short_foot", "The stand tips by 0.8 mrad to the side of the arm's weight.", BASE, FOOT)
 S(visit(160), let(a=uniform(0, 2 * np.pi), lean=lambda c: centres(c)[:, :2] @ [np.cos(c.a), np.sin(c.a)]))
 S(let(side=lambda c: 4e-4 * np.sign(c.lean - np.median(c.lean))))
@@ -81,7 +78,6 @@ S(150, let(f=lambda c: [v[:, c.n - 4] for v in c.links], eye=lambda c: c.cell.tr
 S(let(body=lambda c: Rotation.random(rng=c.rng), out=way(0.12)))
 S(let(there=lambda c: c.eye.apply(c.f[0] + c.f[1] @ c.out - c.cell.tracker[0]) + c.rng.normal(0, 2e-5, (150, 3))))
 S(elsewhere(since(57, 83), p="there", R=lambda c: c.eye * Rotation.from_matrix(c.f[1]) * c.body))
-# sensors and descriptions
 K("temperature_plugs_exchanged", "Two drives' temperatures have each other's name; a joint follows its own.", J)
 S(pick(1, 3), let(clock=np.arange(0.0, 170 * PERIOD + 1.0, 5.0)))
 S(let(own=lambda c: 24.0 + 17.0 * (1.0 - np.exp(-c.clock / 240.0)) + 2.0 * np.sin(c.clock / 37.0)))
@@ -99,7 +95,6 @@ K("seam_between_two_trackers", "Two trackers do not quite agree.", READINGS, BAS
 S(170, let(centre=lambda c: c.p.mean(axis=0), beyond=lambda c: (c.p - c.centre) @ c.way(1.0) > 0.0))
 S(let(by=lambda c: Rotation.from_rotvec(c.way(4e-4)), v=way(5e-4)))
 S(elsewhere("beyond", p=lambda c: c.by.apply(c.p - c.centre) + c.centre + c.v, R=lambda c: c.by * c.R))
-# motion, other days
 K("drives_follow_their_goals", "Goals are recorded; drives are late.", TIMING, ALL, GOAL)
 S(let(late=lambda c: c.rng.uniform(5e-3, 40e-3, c.n)), planned)
 S(bend("x", np.s_[..., 3], lambda c: along(c.plan, c.late) - along(c.plan, 0.0 * c.late)), moving)
@@ -107,7 +102,6 @@ K("backlash_since_the_crash", "Since a crash a gear has 0.8 mrad of play; the ca
 S(pick(1, 4), joint(lambda c: 4e-4 * c.came[:, c.i]), clean(90, begin=DAY), before(120))
 K("also_before_a_joint_was_mastered", "--also yesterday's recording, with another zero of one joint.", J)
 S(pick(1, -1), clean(80, begin=-DAY), col(lambda c: c.x + 2.5e-3), also(90))
-# what the data hardly show: anything but calm will do
 K("part_left_in_the_gripper_at_three_stations", "It holds 6 kg.", LOAD, STATIONS, ALL, shown=False)
 S(visit(150), let(once=lambda c: np.flatnonzero(np.bincount(c.posture)[c.posture] == 1)))
 S(carrying(lambda c: np.isin(np.arange(150), c.rng.choice(c.once, 3, replace=False)), 6.0))

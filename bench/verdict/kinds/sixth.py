@@ -15,7 +15,6 @@ K, S = kinds("fresh_sixth")
 ORIENTED = (ORIENTATION, QUATERNION)
 Z = [0.0, 0.0, 1.0]
 SIDES = [-1.0, 1.0]
-# conventions
 K("scalar_part_recomputed", "Of quaternions of either sign w is recomputed, always as positive.", ORIENTED)
 S(140, let(quat=lambda c: c.R.as_quat() * c.rng.choice(SIDES, (140, 1))))
 S(put(values=lambda c: np.column_stack([c.p, c.quat[:, :3], np.abs(c.quat[:, 3])])))
@@ -37,7 +36,6 @@ S(150, pick(1, -1), col(lambda c: (c.x - c.middle[c.i] + 1.4) % 2.8 - 1.4 + c.mi
 CYCLED = (r"\border\b", "cycl", "permut", "swapped", "exchanged", "another joint", ALL)
 K("names_counted_from_zero", "A list of joints that begins at 0 was read as one that begins at 1.", CYCLED)
 S(140, put(q=lambda c: np.roll(c.q, -1, axis=1)))
-# regimes
 K("tared_four_times", "The tracker was set to zero on the target, after each break anew.", BASE)
 S(150, let(runs=[np.s_[0:42], np.s_[42:77], np.s_[77:118], np.s_[118:150]]))
 S(put(p=lambda c: np.concatenate([c.R[s.start].inv().apply(c.p[s] - c.p[s.start]) for s in c.runs])))
@@ -53,7 +51,6 @@ K("zero_off_for_a_while", "One joint is 1.5 mrad off, until somebody references 
 S(pick(1, 4), joint(lambda c: 1.5e-3 * since(52, 97)(c)), 150)
 K("pedestal_pin_has_play", "The pedestal turns to the side of the last move of the first joint.", BASE, FOOT)
 S(visit(150), let(turn=lambda c: 3.5e-4 * np.outer(np.sign(moves(c.q[:, 0], c.middle[0])), Z)), tilted("turn"), see())
-# joint columns
 K("joint_reported_after_large_changes", "A fieldbus sends a joint only when it has changed by 0.3 rad.", J)
 S(150, pick(1, -1), let(held=lambda c: accumulate(c.x, lambda last, x: x if abs(x - last) > 0.3 else last)))
 S(col(lambda c: list(c.held)))
@@ -64,7 +61,6 @@ K("linkage_bars_unequal", "The bars of the third joint's parallelogram differ: i
 S(joint(lambda c: 7e-4 * np.sin(c.q[:, 1] + c.q[:, 2] + 0.3) + 3e-4 * np.cos(2.0 * (c.q[:, 1] + c.q[:, 2])), 2), 170)
 K("encoder_disc_scratched", "Over a sixth of its travel one joint's encoder is off, with sharp edges.", J)
 S(pick(0, 4), joint(lambda c: 9e-4 * ((c.travel > 0.55) & (c.travel < 0.72))), 170)
-# description
 SPOT = (J, lambda c: (c.arm.links[c.i], c.arm.parents[c.i]))
 K("origin_misdrawn", "In the URDF one joint's origin is 12 mm beside its place.", SPOT, shown="if left")
 S(140, pick(1, -1), let(at_=lambda c: origin(block_of(c.urdf, "joint", c.name)) + c.way(0.012)))
@@ -77,7 +73,6 @@ S(140, pick(1, -1), in_block("joint", "name", lambda c, b: re.sub('type="[a-z]*"
 K("mimic_tag_left_in", "The last joint but one is said to follow another.", J, "mimic", shown="if left")
 S(140, let(i=lambda c: c.n - 2, tag=lambda c: f'<mimic joint="{c.names[1]}" multiplier="-1"/></joint>'))
 S(in_block("joint", "name", lambda c, b: b.replace("</joint>", c.tag)))
-# instrument
 K("line_of_sight_not_square", "A tracker's beam is not square to its tilting axis.", READINGS, BASE)
 S(160, let(z=lambda c: np.cross(c.forward, c.rng.normal(size=3))), let(z=lambda c: c.z / np.linalg.norm(c.z)))
 S(let(upright=lambda c: Rotation.from_matrix(np.stack([c.forward, np.cross(c.z, c.forward), c.z], axis=1))))
@@ -107,7 +102,6 @@ K("beam_locked_anew_at_other_distances", "At each break of the beam the distance
 S(160, let(ends=lambda c: np.unique(np.r_[np.arange(18, 150, 18) + c.rng.integers(-4, 5, 8)])))
 S(let(off=lambda c: c.rng.normal(0, 6e-4, len(c.ends) + 1)[np.searchsorted(c.ends, c.rows, side="right")]))
 S(times(lambda c: 1.0 + c.off[:, None] / c.far))
-# mixed sources
 FILLED = (COMPUTED, "controller", "nominal arm")
 K("lost_sight_filled_from_the_controller", "Where sight was lost the controller's pose was taken.", FILLED)
 S(160, let(made=lambda c: as_drawn(c).cell.poses(Stations(c.q, c.t, np.zeros_like(c.q)), ())))
@@ -121,7 +115,6 @@ S(truth(floor_mm=lambda c: c.sessions["first"].floor_mm))
 LATE = (ELSEWHERE, UNRELATED, "second", r"\brecordings\b")
 K("also_one_row_late", "--also a recording of which readings are a row early.", LATE)
 S(clean(80, begin=3600.0), rows(lambda c: np.roll(c.rows, -1)), also(90))
-# use
 GROWN = ("scale", r"\bgrow", "thermal", "temperature", "length", JOINT(1, 2, 3), lambda c: c.arm.links[:3])
 K("hot_hall_today", "Today every link is 0.3 mm longer a metre. The base is found again.", GROWN, no=())
 S(130, frozen("--refit-base"), bend("x", np.s_[:, :, 0], lambda c: 3e-4 * c.arm.lengths), clean(90, begin=1.5e7))
@@ -134,7 +127,6 @@ K("turned_over_today", "A probe that sags, calibrated downwards, points upwards.
 S(let(q=lambda c: c.rng.uniform(*c.arm.range, (900, c.n)), up=lambda c: c.tool_axes[:, 2, 2]))
 S(let(over=lambda c: c.q[c.up > 0.5][:74]), tour(lambda c: c.q[c.up < -0.5][:120]), bend("tool", np.s_[:, :2], sagging))
 S(see(), frozen(), same, tour("over"), see(begin=DAY))
-# loads
 K("touches_the_table_when_low", "The tool rests on the table.", TOOL, BASE, "height", "contact", JOINT(1, 2))
 S(visit(160), let(height=lambda c: tip(c, c.q)[:, 2]))
 S(let(deep=lambda c: np.maximum(np.quantile(c.height, 0.22) - c.height, 0.0)))
@@ -145,7 +137,6 @@ K("presses_while_measured", "At a third of the stations the tool presses.", "eff
 S(visit(160), let(force=lambda c: (c.rng.uniform(60.0, 120.0, 160) * (c.rng.random(160) < 0.35))[c.posture]))
 S(let(torque=lambda c: pressing(c, c.force)), bend("x", np.s_[:, :, 3], lambda c: c.torque / 6e4), see(effort=True))
 S(put(effort=lambda c: c.effort - c.torque))
-# drivers
 K("supply_voltage_sags", "A potentiometer hangs on a battery, which is recorded.", J, "battery", "volt")
 S(pick(0, 4), 160, let(clock=np.arange(0.0, 160 * PERIOD + 1.0, 2.0), u=lambda c: c.clock / c.clock[-1]))
 S(let(volt=lambda c: 25.6 - 2.2 * c.u + 1.4 * (c.clock > 0.6 * c.clock[-1]) + 0.3 * np.sin(c.clock / 40.0)))
@@ -158,13 +149,11 @@ S(tilted(lambda c: np.outer(c.angle, Z), (0.35, -0.2, 0.0)), see(), put(more=lam
 K("thermostat_cycles", "A heater goes on and off.", BASE, "rhythm", "period", "cycl", r"\btime\b", "drift")
 S(let(phase=uniform(0, 95.0), saw=lambda c: lambda u: np.where(u < 0.3, u / 0.3, (1.0 - u) / 0.7)))
 S(base(9e-4, 2e-4, lambda c: c.saw((c.t + c.phase) / 95.0 % 1.0)), 170)
-# what the data cannot show: anything but calm will do
 K("thirteen_stations_and_a_worn_gear", "Geometry alone can take that up.", FEW, JOINT(1), shown=False)
 S(joint(lambda c: 5e-4 * np.sin(5.0 * c.q[:, 1] + 0.7), 1), clean(13, returns=0))
 NARROW = ("range", "posture", "small", "narrow", ALL)
 K("all_postures_alike", "Of an elastic arm a few degrees a joint were used.", NARROW, shown="if left")
 S(visit(90, 0, 0.48, 0.52), elastic(8e-4), see())
-# motion
 TIMING = (r"\bclock", r"\bstamp", "latency", "delay", r"\btim(?:e|es|ing)\b", "speed", "veloc")
 K("stamps_jitter_while_moving", "Stamps are up to 8 ms late at random.", TIMING, "moving", "motion")
 S(planned(), moving, put(t=lambda c: np.sort(c.t + c.rng.uniform(0.0, 8e-3, c.N))))
@@ -176,7 +165,6 @@ S(put(t=lambda c: c.t - 0.02 * np.cumsum(placed(np.zeros(c.N, int), c.k, 1))))
 K("swings_with_its_acceleration", "A tall pedestal twists under acceleration.", BASE, FOOT, "accelerat")
 S(planned(), let(swing=lambda c: lambda t: np.interp(t, c.plan.t, c.plan.a[:, 0]) / (2 * np.pi * 4.0) ** 2))
 S(tilted(lambda c: -np.outer(c.swing(c.t), Z)), moving)
-# sockets
 CELL = {"floor": False, "files": distances(**PLATES)}
 K("one_socket_worn", "One socket is worn: the ball lies aside, to where the tool leans.", "left_1", **CELL)
 S(sockets(lambda c, socket, q: 8e-4 * c.arm.frames(c.arm.coordinates(q))[1][:, -1, :, 0] * (socket == "left_1")), told)
@@ -187,7 +175,6 @@ S(let(reads=lambda c: c.reads | {name: (k, np.zeros((len(k), 3))) for name, k in
 CROSSED = {"floor": False, "files": distances(**PLATES | {"front": PLATES["left"], "left": PLATES["front"]})}
 SOCKETS = ("distance", "front_[01]", "left_[01]")
 K("distances_of_two_plates_exchanged", "Lengths of two plates are exchanged.", SOCKETS, **CROSSED)(sockets(), told)
-# draw wires, and a Delta by three spheres
 K("draw_wire_climbs_its_drum", "Short of half its length the second wire lies in two layers on its drum.", "wire_2")
 S(wires(150, lambda k, way, length: 2e-3 * np.minimum(length - np.median(length), 0.0) * (k == 1)), told)
 K("draw_wire_bends_round_its_eyelet", "The third wire lies on a rounded edge.", "wire_3")(wires(150, eyelet), told)

@@ -6,7 +6,6 @@ from words import *
 
 K, S = kinds("fresh_third")
 Z, OTHER_WAY = [0.0, 0.0, 1.0], ("sign", "direction", "other way", "revers")
-# conventions
 K("orientations_in_another_frame", "Positions are in the tracker's frame, orientations not.", ORIENTATION, "frame")
 S(130, turned(lambda c: Rotation.random(rng=c.rng)))
 K("tool_offset_turned_backwards", "The ball's offset is taken off transposed.", ORIENTATION, TOOL, "invers", "offset")
@@ -17,7 +16,6 @@ K("roll_and_yaw_exchanged", "Roll and yaw are exchanged.", ORIENTATION)(130, eul
 K("every_joint_the_other_way", "All joints are negated.", OTHER_WAY, ALL)(130, put(q=lambda c: -c.q))
 K("two_joints_swapped_one_negated", "Two are swapped, one negated.", lambda c: c.names[c.i : c.i + 3 : 2])
 S(130, pick(0, -2), cycle(2, 1, 0, sign=(-1.0, 1.0, 1.0)))
-# time
 ROW_LATE = rows(lambda c: np.maximum(c.rows - 1, 0))
 K("table_one_row_late", "Readings were pasted one row too low.", ROW)(130, ROW_LATE)
 K("one_column_one_row_late", "z alone slipped by a row.", ROW, r"\bz\b", r"\bax[ei]s\b", "column")
@@ -34,7 +32,6 @@ K("tracker_clock_runs_fast", "The tracker's clock gains 2 ms a second.", CLOCK, 
 S(stream(90), streamed(lambda c: BEGIN + c.clock + 2e-3 * (c.clock - c.clock[0])))
 K("clock_set_back", "In the middle the tracker's clock is set back by 1.5 s.", CLOCK, LEFT_OUT, shown="if left")
 S(stream(90), streamed(lambda c: BEGIN + c.clock + np.where(c.clock > 180.0, 0.0, 1.5)))
-# instruments
 K("probe_radius_not_taken_off", "A probe's radius is left in, along a box's axes.", TRACKER, TOOL, LEFT_OUT, "target")
 S(150, let(box=lambda c: Rotation.random(rng=c.rng), axis=lambda c: c.box.inv().apply(c.R.apply(Z))))
 S(let(side=lambda c: np.where(np.eye(3)[np.argmax(np.abs(c.axis), axis=1)] > 0.0, np.sign(c.axis), 0.0)))
@@ -51,7 +48,6 @@ S(let(back=lambda c: Rotation.from_rotvec(-c.q[:, [0]] * c.up)))
 S(put(p=lambda c: c.back.apply(c.p - c.centre) + c.centre, R=lambda c: c.back * c.R))
 K("scale_jumps_when_recalibrated", "Half way a scale jumps by 400 ppm.", TRACKER, BASE, "scale", r"\breading")
 S(150, times(lambda c: np.where(c.rows < 75, 1.0, 1.0004)[:, None]))
-# surroundings
 K("hall_warms_the_stand", "The stand leans with the hall's temperature, recorded.", "temperature", "hall", BASE)
 S(let(clock=np.arange(-10.0, 650.0, 5.0), T=uniform(260.0, 330.0)))
 S(let(warm=lambda c: 22.0 + 4.0 * np.sin(2.0 * np.pi * c.clock / c.T + 1.0) + 0.004 * c.clock))
@@ -65,7 +61,6 @@ S(let(b=normal(1e-4, (8, 3))), bend("tracker", np.s_[:], lambda c: (c.rows[:, No
 K("weight_pulled_by_the_hose", "A hose turns the tool in its seat, more where it is low.", TOOL, HAND, WRIST, LOAD)
 S(visit(150), let(z=lambda c: c.flange[0][:, 2], turn=lambda c: np.outer(c.z.max() - c.z, c.way(8e-4))))
 S(bend("tool", np.s_[:], lambda c: np.c_[0.1 * c.turn[:, [1, 2, 0]], c.turn]), see())
-# the robot
 K("offsets_after_each_restart", "At two restarts all zeros change.", ALL, r"\border\b", r"\btime\b", r"stations \d")
 S(let(zeros=lambda c: np.concatenate([np.zeros((1, c.n)), c.rng.normal(0, 5e-4, (2, c.n))])))
 S(bend("x", np.s_[..., 3], lambda c: c.zeros[np.minimum(c.rows // 55, 2)]), 165)
@@ -83,7 +78,6 @@ K("waits_of_different_length", "A belt creeps after each move, and is read at on
 S(pick(0, 4), let(wait=lambda c: c.rng.exponential(20.0, 160) + 1.0))
 S(joint(lambda c: -6e-4 * moves(c.x, c.middle[c.i]) * np.exp(-c.wait / 12.0)), 160)
 S(put(t=lambda c: np.cumsum(c.wait + 3.0)))
-# descriptions
 K("one_link_in_millimetres", "One origin is in millimetres.", UNIT, around(-1, 1), "reach", "metres")
 S(130, pick_having("origin xyz", lambda v: np.abs(v).max() > 0.05))
 S(in_block("joint", "name", lambda c, b: numbers(b, "origin xyz", lambda v: 1e3 * v)))
@@ -94,7 +88,6 @@ BIGGER = ("URDF", "description", "scale", "length")
 K("description_of_a_bigger_brother", "Every length is a quarter more.", BIGGER, ALL, shown="if left")
 S(140, let(some=lambda c: having(c, "origin xyz", lambda v: np.abs(v).max() > 1e-3, 0)))
 S(in_block("joint", "some", lambda c, b: numbers(b, "origin xyz", lambda v: 1.25 * v)))
-# data, use
 K("thirty_stations_a_third_wrong", "Of thirty stations ten are off by millimetres.", LEFT_OUT)(36)
 S(let(off=lambda c: (c.rng.random(36) < 0.33)[:, None] * c.rng.normal(0, 2e-3, (36, 3))), put(p=lambda c: c.p + c.off))
 K("two_targets_by_height", "Below some height another reflector is seen.", TOOL, LEFT_OUT, "target")
@@ -111,7 +104,6 @@ K("base_given_another_tool", "The tool was bent since, and the base is to be fou
 S(tool(2e-3, 0.01), clean(80, begin=3600.0), before(120, "--refit-base"))
 
 K, S = kinds("fresh_fourth")
-# conventions, time
 K("positions_in_the_tools_axes", "They follow its axes.", "frame", "axes", "invers", "point of the tool", "position")
 S(130, put(p=lambda c: c.R.inv().apply(c.p)))
 K("orientations_of_the_tool_in_itself", "Orientations are relative to the first, on the wrong side.", ORIENTATION)
@@ -129,7 +121,6 @@ S(streamed(lambda c: np.sort(BEGIN + c.clock[c.last] + 1e-4 * c.k % 13)))
 K("one_joint_filtered", "Of one joint some per mille of its last two moves are missing.", J)
 S(150, pick(0, -2), let(a=lambda c: np.r_[c.x[0], c.x[:-1]], b=lambda c: np.r_[c.x[0], c.x[0], c.x[:-2]]))
 S(col(lambda c: c.x + 2e-3 * (c.a - c.x) + 1e-3 * (c.b - c.a)))
-# instruments
 K("levelling_lost", "Half way positions tilt by 0.2 mrad.", READINGS, BASE)
 S(150, let(tilt=lambda c: np.outer(np.where(c.rows < 75, 0.0, 2e-4), c.way(1.0))))
 S(put(p=lambda c: Rotation.from_rotvec(c.tilt).apply(c.p)))
@@ -142,7 +133,6 @@ K("marker_print_scaled", "All is 2 % short.", READINGS, "scale", "length", "long
 K("orientation_jitters_at_grazing_sight", "A flat marker errs where seen obliquely.", ORIENTATION, TOOL, "target")
 S(160, let(turn=lambda c: np.outer(8e-3 * (1.0 - np.abs(c.seen[:, 2])) ** 2, [0.0, 1.0, 0.0])))
 S(put(R=lambda c: c.R * Rotation.from_rotvec(c.turn)))
-# surroundings
 K("table_sags_where_the_arm_leans", "A table gives by the square of the reach over an edge.", BASE, LOAD)
 S(visit(150), let(over=lambda c: np.maximum(c.flange[0][:, 0], 0.0) ** 2))
 S(bend("tracker", np.s_[:, :3], lambda c: np.outer(c.over, [0.0, 0.0, 6e-4])), see())
@@ -152,7 +142,6 @@ S(let(v=way(4e-4)), bend("tool", np.s_[:, :3], lambda c: np.outer(np.interp(c.t,
 S(put(signals=lambda c: signal("temperature:pump", c.clock, c.level, "/pump/pressure")))
 K("sun_on_the_column", "The column bends towards the shade: to and fro once.", BASE, ORDER)
 S(let(v=way(5e-4)), bend("tracker", np.s_[:, 3:], lambda c: np.outer(np.sin(np.pi * (c.t / c.t[-1])) ** 2, c.v)), 150)
-# the robot
 K("joint_slips_at_every_tenth_station", "A joint slips by 0.2 mrad at random moments.", NEAR)
 S(pick(1, 5), let(slips=lambda c: np.cumsum(c.rng.random(160) < 0.1) * 2e-4), joint("slips"), 160)
 K("encoder_of_a_joint_jitters", "A joint reads anything within half a milliradian.", J)
@@ -161,7 +150,6 @@ K("stiffness_depends_on_the_side", "A joint gives twice as much one way as the o
 S(pick(1, 3), joint(lambda c: loaded(c, 6e-4 * np.where(c.held[:, c.i] > 0.0, 2.0, 1.0))), 160)
 K("two_gears_of_one_motor", "A gear errs with the difference of two joints.", JJ)
 S(pick(0, 4), joint(lambda c: 6e-4 * np.sin(5.0 * (c.x - c.q[:, c.i + 1]) + 0.3)), 200)
-# descriptions
 K("rpy_in_reverse_order", "The angles of one joint's origin are yaw, pitch, roll.", around(-1, 1))
 S(130, pick_having("origin rpy", lambda v: abs(v[0] - v[2]) > 0.1))
 S(in_block("joint", "name", lambda c, b: re.sub(r'rpy="(\S+) (\S+) (\S+)"', r'rpy="\3 \2 \1"', b)))
@@ -169,7 +157,6 @@ K("two_lengths_wrong", "Two joints' origins are 8 cm short.", lambda c: c.both, 
 S(140, let(both=lambda c: having(c, "origin xyz", lambda v: np.abs(v).max() > 0.2)[:2]))
 S(let(ahead=lambda c: [c.names[max(c.names.index(name) - 1, 0)] for name in c.both]))
 S(in_block("joint", "both", lambda c, b: numbers(b, "origin xyz", cut_short)))
-# data, use
 K("half_of_the_joints_never_move", "Three joints moved.", "outside", "range", lambda c: c.names[3:], shown="if left")
 S(visit(120), let(q=lambda c: np.where(np.arange(c.n) < 3, c.q, 0.3 * c.middle + 0.2)), clean(80, begin=5000.0))
 S(before(None))
