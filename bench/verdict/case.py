@@ -193,12 +193,15 @@ KINDS: dict[str, dict[str, Row]] = {}
 def kinds(group: str, fault: bool = True) -> tuple[Callable[..., Callable[..., None]], Callable[..., None]]:
     """What writes the rows of a group: a head, and the steps below it, a line or more.
 
-    ``K(name, says, *words, no=..., **truth)`` and below it ``S(*steps)``; in one line ``K(...)(*steps)``.
+    ``K(name, says, *words, no=..., **truth)`` and below it ``S(*steps)``; in one line ``K(...)(*steps)``. Strings and
+    tuples among the steps are more words.
     """
     rows = KINDS.setdefault(group, {})
 
-    def steps(*more: int | Step) -> None:
-        rows[next(reversed(rows))].steps += more
+    def steps(*more: Any) -> None:
+        row = rows[next(reversed(rows))]
+        row.words += tuple(one for one in more if isinstance(one, str | tuple))
+        row.steps += tuple(one for one in more if not isinstance(one, str | tuple))
 
     def head(name: str, says: str, *words: Any, no: Any = None, **truth: Any) -> Callable[..., None]:
         assert all(name not in others for others in KINDS.values()), name
