@@ -16,11 +16,12 @@ from typing import Any
 import mujoco
 import numpy as np
 from arm import Arm
-from case import DERIVED, Scene, export, take
+from case import DERIVED, KINDS, Scene, export, kinds, take  # noqa: F401 (rows take all names from here)
 from recordings import plant
 from scenarios import SCENARIOS
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
+from words import *  # noqa: F403
 from workcell import (
     BEGIN,
     PERIOD,

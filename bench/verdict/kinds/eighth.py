@@ -1,9 +1,7 @@
 """The eighth group, in cells of world.py: conventions, arms, stands, streams; two things wrong at once among them."""
 
-from case import kinds
 from streams import *
 from transforms import *
-from words import *
 from world import UR5
 from world import described as drawn
 
@@ -37,8 +35,7 @@ S(pick(1), 140, col(lambda c: np.pi / 2 - c.x))
 K("two_joints_swapped_and_both_negated", "Both are negated.", JJ)(pick(1, -1), 140, cycle(1, 0, sign=-1.0))
 K("tool_bent_and_backlash", "One gear has play of a milliradian, and the tool was knocked by 0.6 mm.", J)
 S(pick(1, 4), tool(6e-4, 5e-4, since(64)), joint(lambda c: 5e-4 * c.came[:, c.i]), 160)
-K("y_in_inches", "Points, of which y is in inches.", UNIT, "inch", r"\by\b", "coordinate")
-S(points(150), times([1.0, 39.3701, 1.0]))
+K("y_in_inches", "Points: y in inches.", UNIT, "inch", r"\by\b", "coordinate")(points(150), times([1.0, 39.3701, 1.0]))
 K("left_handed_points", "Points have a mirrored x.", MIRROR, "x")(points(150), times([-1.0, 1.0, 1.0]))
 K("rail_in_millimetres", "The rail counts millimetres, all else is in metres and radians.", UNIT, "rail_joint")
 S(built("rail"), 140, cols(0, lambda c, q: 1e3 * q))

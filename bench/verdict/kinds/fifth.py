@@ -1,15 +1,9 @@
-"""The fifth group of kinds that were written after the last change to the code, with their words, and run once.
-
-Drawn up by class: conventions, order of rows, instrument, surroundings, robot, description, use, and what the data
-cannot show. Of an elastic arm a joint's name is no word for its payload: its springs are named in any case.
-"""
+"""The fifth group: conventions, rows, instruments, surroundings, robot, descriptions, use, and what no data show."""
 
 from itertools import accumulate
 
-from case import kinds
 from mechanisms import *
 from transforms import *
-from words import *
 
 K, S = kinds("fresh_fifth")
 OUT = ("left out", "reject")

@@ -1,12 +1,6 @@
-"""Kinds that were written after a change to the code, with their words, and run once: the first and the second group.
+"""The first and the second group of kinds that were written, with words, after a change to the code, and run once."""
 
-What laboratories get wrong: exports, drivers, mountings, targets, statements; then what a metrology engineer, an
-integrator of ROS drivers and a student in a hurry meet.
-"""
-
-from case import kinds
 from transforms import *
-from words import *
 
 K, S = kinds("fresh")
 TARGET = (r"\btool\b", r"\btarget\b", TRACKER)

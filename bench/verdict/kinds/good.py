@@ -1,6 +1,5 @@
 """Good recordings: clean arms, and arms whose every fault has an entry in the vocabulary."""
 
-from case import kinds
 from transforms import *
 
 K, S = kinds("good", fault=False)

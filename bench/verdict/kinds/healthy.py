@@ -1,7 +1,6 @@
 """Healthy cells: builds that the other good recordings lack, and the cells of world.py with streams and frames."""
 
 import urdfs  # noqa: F401 (describes them)
-from case import kinds
 from streams import *
 from transforms import *
 from world import described as drawn

@@ -1,8 +1,6 @@
 """Kinds that were written later than the rest; two rules of the code came after their first run (see README)."""
 
-from case import kinds
 from transforms import *
-from words import *
 
 K, S = kinds("later")
 NOISE_FREE = ("comput", "calculat", "noise-free|no noise|without noise")

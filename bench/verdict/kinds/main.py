@@ -1,8 +1,6 @@
 """Faults that nobody planned for: conventions, parts of a recording of their own, arms and stands, later use."""
 
-from case import kinds
 from transforms import *
-from words import *
 
 K, S = kinds("main")
 # a convention that is not the one expected, in whole or in part
@@ -76,10 +74,9 @@ K("sorted_by_the_first_joint", "Joint 1 goes by rings, and is off in each.", lam
 S(visit(160, 0), let(again=None, rings=lambda c: np.linspace(*c.arm.range[:, 0], 8)))
 S(let(q=lambda c: np.column_stack([np.repeat(c.rings, 20), c.q[:, 1:]]), off=lambda c: c.rng.normal(0, 6e-4, 8)))
 S(joint(lambda c: c.off[np.argmin(np.abs(c.q[:, :1] - c.rings), axis=1)], 0), see())
-K("clock_off_by_a_station", "Then readings belong to the posture before.")
-S(140, rows(lambda c: np.r_[:70, 69 : c.N - 1]))
+K("clock_off_by_a_station", "Readings belong to the posture before.")(140, rows(lambda c: np.r_[:70, 69 : c.N - 1]))
 K("readings_shuffled", "Readings belong to other postures.")(120, rows(lambda c: c.rng.permutation(c.N)))
-K("nonsense", "Noise.")
+K("nonsense", "Random poses.")
 S(100, put(p=lambda c: c.rng.uniform(-1, 1, (c.N, 3)), R=lambda c: Rotation.random(c.N, rng=c.rng)))
 # what an arm, its tool or its stand do that no entry of the vocabulary was written for; what the URDF has wrong
 K("base_tilts_under_load", "The stand deflects under the arm's moment, more one way than the other.", BASE, FOOT)
@@ -172,8 +169,7 @@ S(elastic(8e-4), visit(160, high=0.6), see(), frozen(), same, visit(80, low=0.55
 K("geometry_only", "A gear errs; --geometry-only.", J, BOLTED)(pick(0, 4), gear(), 150, asked("--geometry-only"))
 K("geometry_only_with_a_drift", "A stand turns, and --geometry-only.", BASE, "time", "order", BOLTED)
 S(let(v=way(6e-4)), tilted(lambda c: np.outer(c.t / 600.0, c.v)), 150, asked("--geometry-only"))
-K("gear_seen_too_rarely", "Gears of many cycles, few stations.")
-S(gear(8e-4, 0), gear(8e-4, 1), gear(8e-4, 2), points(60))
+K("gear_seen_too_rarely", "Gears of many cycles; few poses.")(gear(8e-4, 0), gear(8e-4, 1), gear(8e-4, 2), points(60))
 K("worn_since", "A gear that errs now and did not then.", J, "held-out", "floor", "repeat", "spread")
 S(pick(0, 4), 120, frozen(), gear(5e-4), 100)
 K("nonsense_frozen", "Readings of another arm.")(80, rows(lambda c: c.rng.permutation(c.N)), before(120))

@@ -1,13 +1,7 @@
-"""Kinds near those that groups written blind had missed, written together with the rules that name them.
+"""Kinds near those that groups written blind had missed, written together with the rules that name them."""
 
-They say that these rules hold for a class, not for one kind: frames, rows, joints, scatter; then joint columns that are
-mixtures of the true ones, folded, clipped, copied, units that change from cell to cell, instruments not square.
-"""
-
-from case import kinds
 from mechanisms import *
 from transforms import *
-from words import *
 
 K, S = kinds("nearby")
 FRAME = ("frame", r"\baxes\b", "invers", "turned")
@@ -149,8 +143,7 @@ S(put(R=lambda c: Rotation.from_euler("xyz", c.angles, degrees=True)))
 K("scale_of_two_per_mille", "A camera's scale is off.", READINGS, "scale", **IF_LEFT)(150, times(1.002))
 K("axes_of_the_tracker_not_square", "A measuring machine's x leans towards its y.", READINGS, **IF_LEFT)
 S(150, patch(np.s_[:, 1], p=lambda c: c.p[:, 1] + 1e-3 * c.p[:, 0]))
-K("one_axis_of_the_tracker_too_long", "A camera's depth is too long.", READINGS, "scale", **IF_LEFT)
-S(150, times([1.0, 1.0, 1.0005]))
+K("one_axis_of_the_tracker_too_long", "Its depth is.", READINGS, "scale", **IF_LEFT)(150, times([1.0, 1.0, 1.0005]))
 K("reflection_in_a_corner", "In one corner a reflection shifts readings by 2 mm.", READINGS, BASE, "reject", STATIONS)
 S(160, let(corner=lambda c: (c.p - np.quantile(c.p, 0.6, axis=0) > 0.0).sum(axis=1) >= 2))
 S(put(p=lambda c: c.p + np.outer(c.corner, c.way(2e-3))))

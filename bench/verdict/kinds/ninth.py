@@ -1,13 +1,7 @@
-"""The ninth group: recordings of real arms, tampered with as their users might, from the table to the verdict.
+"""The ninth group: recordings of real arms, tampered with as their users might, from the table to the verdict."""
 
-Calm and wrong is a calibration that is said to be at the floor, whose rest is called noise, or that meets its
-tolerance, while the untouched rows that are kept aside are missed by more than that.
-"""
-
-from case import KINDS, kinds
 from tables import *
 from transforms import *
-from words import *
 
 K, S = kinds("ninth")
 POSES, POINTS, UR_ARMS = ("cubes", "grid"), ("ur5", "wam7"), ("cubes", "grid", "ur5")

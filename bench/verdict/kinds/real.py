@@ -1,9 +1,7 @@
 """Recordings of real arms, spoiled; and as they are, where what is left is known to be more than noise."""
 
-from case import KINDS, kinds
 from tables import *
 from transforms import *
-from words import *
 
 K, S = kinds("real")
 K("cubes_other_sequence", "The tracker's angles are read as extrinsic.", ORIENTATION)(cubes, euler("XYZ", "xyz"))

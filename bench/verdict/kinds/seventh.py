@@ -1,10 +1,8 @@
 """The seventh group: exports and spreadsheets, plugs and name spaces, stands, drives, sensors, sources put together."""
 
-from case import kinds
 from mechanisms import *
 from streams import *
 from transforms import *
-from words import *
 
 K, S = kinds("fresh_seventh")
 ORIENTED = (*ORIENTATION, *QUATERNION)

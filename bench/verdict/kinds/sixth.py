@@ -1,15 +1,9 @@
-"""The sixth group of kinds that were written after the last change to the code, with their words, and run once.
-
-Drawn up by class: conventions, regimes, joint columns, description, instrument, mixed sources, use, loads, drivers,
-what the data cannot show; then motion, sockets, draw wires and a Delta.
-"""
+"""The sixth group, by classes as before; with motion, sockets, draw wires and a Delta."""
 
 from itertools import accumulate
 
-from case import kinds
 from mechanisms import *
 from transforms import *
-from words import *
 
 K, S = kinds("fresh_sixth")
 ORIENTED = (ORIENTATION, QUATERNION)

@@ -1,8 +1,6 @@
 """The third and the fourth group: conventions, time, instrument, surroundings, robot, description, data, use."""
 
-from case import kinds
 from transforms import *
-from words import *
 
 K, S = kinds("fresh_third")
 Z, OTHER_WAY = [0.0, 0.0, 1.0], ("sign", "direction", "other way", "revers")
@@ -109,8 +107,7 @@ K("orientations_of_the_tool_in_itself", "Orientations are relative to the first,
 S(130, put(R=lambda c: c.R * Rotation.from_rotvec([0.4, 0.1, -0.7]) * c.R))
 K("two_columns_interleaved", "Then x and z are exchanged.", "swapped", "column", r"\bx\b", r"\bz\b", "mirror")
 S(points(140), patch(np.s_[80:], p=lambda c: c.p[80:][:, [2, 1, 0]]))
-K("three_joints_cycled_one_negated", "Cycled, one negated.", JJJ)
-S(130, pick(0, -2), cycle(2, 0, 1, sign=(1.0, -1.0, 1.0)))
+K("three_joints_cycled_one_negated", "One is negated.", JJJ)(130, pick(0, -2), cycle(2, 0, 1, sign=(1.0, -1.0, 1.0)))
 K("joint_states_of_the_next_station", "From the middle on joint states are one station ahead.", "early", "late")
 S(CLOCK, "station before", "stations 7", r"\border\b", r"\brows?\b", 140, patch(np.s_[70:-1], q=lambda c: c.q[71:]))
 K("tracker_stamps_every_packet_alike", "Thirteen readings bear one stamp.", CLOCK, shown="if left")
