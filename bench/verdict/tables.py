@@ -34,7 +34,7 @@ KNOWN = {  # file, what is left on rows kept aside [mm], a tolerance [mm]
     "ur5": ("serial_robots/ur5_grid.csv", 0.07, 0.3),
     "wam7": ("serial_robots/wam_grid.csv", 1.75, 8.0),
 }
-REAL = "gear_harmonic", "compliance", "backlash", "thermal", "unknown"  # what is found in them untouched
+REAL = "gear_harmonic", "compliance", "backlash", "thermal", "axis_wobble", "unknown"  # what is found in them untouched
 
 
 @dataclass(frozen=True)
