@@ -7,7 +7,7 @@ import io
 import json
 import re
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,24 +18,16 @@ LEFT = 1.5  # times the floor that count as something left
 CALM = re.compile(
     r"nothing[^.]{0,60}stands out|which is (?:the )?noise|is noise|noise of the measurement|at (?:its|the) floor", re.I
 )
-CALM_AND_WRONG, NAMED, FOUND, UNNAMED, SILENT, HARMLESS, FAILED = (
-    "calm and wrong",
-    "open, named",
-    "modelled, named",
-    "open, not named",
-    "cannot tell, not named",
-    "harmless here",
-    "failed",
-)
-AT_FLOOR, CANNOT_TELL, OPEN = "at the floor", "cannot tell", "open"
-BESIDE = "at the floor, unknown"
+CALM_AND_WRONG, NAMED, FOUND, UNNAMED = "calm and wrong", "open, named", "modelled, named", "open, not named"
+SILENT, HARMLESS, FAILED = "cannot tell, not named", "harmless here", "failed"
+AT_FLOOR, BESIDE, CANNOT_TELL, OPEN = "at the floor", "at the floor, unknown", "cannot tell", "open"
 
 
 @dataclass(frozen=True)
 class Outcome:
     """What was said of one case. status: of the report, or ``refused``. left: final error over the floor.
 
-    known: of a good one, whether its floor can be known.
+    known: of a good one, whether its floor can be known. false: causes that were named and are none.
     """
 
     outcome: str
@@ -44,7 +36,8 @@ class Outcome:
     left: float = float("nan")
     seconds: float = 0.0
     known: bool | None = None
-    effects: tuple[str, ...] = field(default=())
+    effects: tuple[str, ...] = ()
+    false: tuple[str, ...] = ()
 
 
 def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
@@ -53,22 +46,18 @@ def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
     begin = time.perf_counter()
     code, said, report = 0, "", {}
     for k, step in enumerate(case.steps):
-        out = folder / f"out{k}"
-        arguments = [str(folder / a[1:-1]) if a.startswith("{") else a for a in step]
-        arguments += [] if "--out" in step else ["--out", str(out)]
-        code, said = modcal(*arguments)
-        if code not in (0, 2, 3):
-            return Outcome(FAILED, f"exit {code}", said[-600:], seconds=time.perf_counter() - begin)
-        if code == 2:
+        out = _path(folder, step[step.index("--out") + 1]) if "--out" in step else folder / f"out{k}"
+        code, said = modcal(folder, *step, *(() if "--out" in step else ("--out", str(out))))
+        if code not in (0, 3):
             break
-        out = folder / step[step.index("--out") + 1][1:-1] if "--out" in step else out
         if (out / "report.json").is_file():
             report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     beside = _aside(case, folder) if code in (0, 3) else None
     seconds = time.perf_counter() - begin
+    if code not in (0, 2, 3):
+        return Outcome(FAILED, f"exit {code}", said[-600:], seconds=seconds)
     if code == 2:
-        said = said.strip().splitlines()[-1] if said.strip() else ""
-        return replace(_refused(case, said), seconds=seconds, known=known)
+        return replace(_refused(case, (said.strip().splitlines() or [""])[-1]), seconds=seconds, known=known)
     if report.get("status") is None:
         return Outcome(FAILED, "no status", seconds=seconds, known=known)
     return replace(_reported(case, report, known, beside), seconds=seconds, known=known)
@@ -76,45 +65,40 @@ def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
 
 def _aside(case: Case, folder: Path) -> dict[str, Any] | None:
     """The report that tells what is truly left; None where the case has none, or the calibration cannot be used."""
-    for step in case.aside:
-        code, _ = modcal(*(str(folder / a[1:-1]) if a.startswith("{") else a for a in step))
-        if code not in (0, 3):
-            return None
-    if not case.aside:
+    if not case.aside or any(modcal(folder, *step)[0] not in (0, 3) for step in case.aside):
         return None
-    out = case.aside[-1][case.aside[-1].index("--out") + 1]
-    return dict(json.loads((folder / out[1:-1] / "report.json").read_text(encoding="utf-8")))
+    out = _path(folder, case.aside[-1][case.aside[-1].index("--out") + 1])
+    return dict(json.loads((out / "report.json").read_text(encoding="utf-8")))
 
 
-def modcal(*arguments: str) -> tuple[int, str]:
-    """Exit code, and what was said on both channels."""
+def _path(folder: Path, name: str) -> Path:
+    return folder / name[1:-1]
+
+
+def modcal(folder: Path, *step: str) -> tuple[int, str]:
+    """Exit code, and what was said on both channels; ``{name}`` is a path in the folder."""
     from modcal_nodes.cli.main import run
 
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        code = run(list(arguments))
+        code = run([str(_path(folder, a)) if a.startswith("{") else a for a in step])
     return code, said.getvalue()
 
 
 def _refused(case: Case, said: str) -> Outcome:
-    if not case.fault:
-        return Outcome(OPEN, "refused", said)
-    return Outcome(NAMED if _names(case, said) else UNNAMED, "refused", said)
+    outcome = OPEN if not case.fault else NAMED if _names(case, said) else UNNAMED
+    return Outcome(outcome, "refused", said, false=falsely(case, [said]))
 
 
 def _reported(case: Case, report: dict[str, Any], known: bool | None, beside: dict[str, Any] | None = None) -> Outcome:
     status, text = report["status"], grounds(report)
     left = _left(case, beside or report)
     effects = tuple(f"{e['family']}@{e['place']}" for e in report.get("effects") or [])
-    made = Outcome("", status, text, left, effects=effects)
+    made = Outcome("", status, text, left, effects=effects, false=falsely(case, causes(report)))
     if not case.fault:
-        if status == "open":
-            return replace(made, outcome=OPEN)
-        if status == "at_floor":
-            return replace(made, outcome=AT_FLOOR if known else BESIDE)
-        return replace(made, outcome=CANNOT_TELL)
-    named = _names(case, text)
-    much = not left <= LEFT
+        floor = AT_FLOOR if known else BESIDE
+        return replace(made, outcome={"open": OPEN, "at_floor": floor}.get(status, CANNOT_TELL))
+    named, much = _names(case, text), not left <= LEFT
     # where nothing was planted and what can be reached is reached, there is nothing to name: what else is found in a
     # recording (an error of a joint that is left) may well make it open
     if case.shown == "if missed" and not much and status != "at_floor":
@@ -128,9 +112,7 @@ def _reported(case: Case, report: dict[str, Any], known: bool | None, beside: di
     calm = status == "at_floor" or bool(CALM.search(str(report.get("verdict", ""))))
     if calm and (much or not named):
         return replace(made, outcome=CALM_AND_WRONG)
-    if named and not much:
-        return replace(made, outcome=FOUND)
-    return replace(made, outcome=SILENT if case.shown else HARMLESS)
+    return replace(made, outcome=FOUND if named and not much else SILENT if case.shown else HARMLESS)
 
 
 def passed_wrongly(report: dict[str, Any], beside: dict[str, Any]) -> bool:
@@ -140,18 +122,35 @@ def passed_wrongly(report: dict[str, Any], beside: dict[str, Any]) -> bool:
 
 
 def _names(case: Case, text: str) -> bool:
-    """Whether the grounds name what is wrong; options and lists of what might be checked name nothing."""
+    """Whether the grounds name what is wrong."""
+    return not case.must_name or _holds(text, case.must_name)
+
+
+def _holds(text: str, patterns: tuple[str, ...]) -> bool:
+    """Whether a pattern is found; options and lists of what might be checked name nothing."""
     text = re.sub(r"check that [^|]*|--[a-z-]+", "", text)
-    return not case.must_name or any(re.search(pattern, text, re.I) for pattern in case.must_name)
+    return any(re.search(pattern, text, re.I) for pattern in patterns)
+
+
+def falsely(case: Case, named: list[str]) -> tuple[str, ...]:
+    """The causes among those that were named that hold a false word, and neither a true one nor what was planted."""
+    true = (*case.must_name, *case.planted)
+    return tuple(cause for cause in named if _holds(cause, case.must_not) and not _holds(cause, true))
+
+
+def causes(report: dict[str, Any]) -> list[str]:
+    """What a report blames: effects but those of readings that are left out, regimes, and the convention."""
+    effects = [e for e in report.get("effects") or [] if e.get("family") != "outliers"]
+    blamed = [" ".join(str(e.get(key)) for key in ("family", "place", "driver")) for e in effects]
+    blamed += [str(regime.get("what")) for regime in report.get("regimes") or []]
+    return blamed + ([str(report["convention"])] if report.get("convention") else [])
 
 
 def _left(case: Case, report: dict[str, Any]) -> float:
     """What is left, with what was rejected, over the floor that is true."""
-    rejected = report.get("rejected_rms_mm") or {}
-    sizes = [rejected.get("with"), ((report.get("error_mm") or {}).get("final") or {}).get("rms")]
-    sizes = [s for s in sizes if s is not None]
-    floor = case.best_mm
-    return max(sizes) / floor if sizes and floor else float("nan")
+    final = (report.get("error_mm") or {}).get("final") or {}
+    sizes = [s for s in ((report.get("rejected_rms_mm") or {}).get("with"), final.get("rms")) if s is not None]
+    return max(sizes) / case.best_mm if sizes and case.best_mm else float("nan")
 
 
 def grounds(report: dict[str, Any]) -> str:
@@ -172,15 +171,13 @@ def variant(case: Case, way: str) -> Case:
     """A good case with its floor known by ``returns``, ``stated`` in numbers, or ``unknown``."""
     if way == "returns":
         return case
-    sessions = {name: s.only(~s.again) for name, s in case.sessions.items()}
-    made = replace(case, sessions=sessions)
+    made = replace(case, sessions={name: s.only(~s.again) for name, s in case.sessions.items()})
     if way == "unknown":
         return made
     arm_mm, arm_deg, eye_mm, eye_deg = made.judged.stated
-    if made.judged.stream:  # of the mean of a dwell
-        count = int((0.5 * 4.0 - 0.5) * made.judged.stream)
-        eye_mm, eye_deg = eye_mm / np.sqrt(count), eye_deg / np.sqrt(count)
-    options = ("--repeatability-mm", f"{arm_mm:.6f}", "--instrument-mm", f"{eye_mm:.6f}")
+    # of the mean of a dwell
+    root = np.sqrt(int((0.5 * 4.0 - 0.5) * made.judged.stream)) if made.judged.stream else 1.0
+    options = ("--repeatability-mm", f"{arm_mm:.6f}", "--instrument-mm", f"{eye_mm / root:.6f}")
     if made.judged.kind == "pose":
-        options += ("--repeatability-deg", f"{arm_deg:.6f}", "--instrument-deg", f"{eye_deg:.6f}")
+        options += ("--repeatability-deg", f"{arm_deg:.6f}", "--instrument-deg", f"{eye_deg / root:.6f}")
     return replace(made, steps=(*made.steps[:-1], (*made.steps[-1], *options)))

@@ -38,7 +38,8 @@ class Session:
     again: whether a station is the second visit of a posture (N,). more: joints besides the arm's, by name (N,).
     values: rows that are written in place of p and R. stated: RMS of what the arm does not repeat and of what the
     instrument adds, (mm, deg, mm, deg). stream: the rate [Hz] of the readings while the arm stands at each station;
-    0: one reading a station, with the stamp of its joint state.
+    0: one reading a station, with the stamp of its joint state. came: the side from which each joint came (N, n).
+    spoken: what is recorded in place of one reading a station. epoch: the stamp of t = 0 [s].
     """
 
     names: tuple[str, ...]
@@ -57,24 +58,18 @@ class Session:
     frame: str = "tracker"
     stated: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     stream: float = 0.0
+    came: Array | None = None
+    spoken: Callable[[Session], Recording] | None = None
+    epoch: float = BEGIN
 
     def __len__(self) -> int:
         return len(self.t)
 
     def only(self, rows: Array) -> Session:
         """These stations alone."""
-        rows = np.asarray(rows)
-        return replace(
-            self,
-            t=self.t[rows],
-            q=self.q[rows],
-            p=self.p[rows],
-            R=self.R[rows],
-            again=self.again[rows],
-            effort=None if self.effort is None else self.effort[rows],
-            more={name: column[rows] for name, column in self.more.items()},
-            values=None if self.values is None else self.values[rows],
-        )
+        columns = ("t", "q", "p", "R", "again", "came", "effort", "values")
+        kept = {name: None if (column := getattr(self, name)) is None else column[rows] for name in columns}
+        return replace(self, more={name: column[rows] for name, column in self.more.items()}, **kept)
 
     def raw(self) -> Array:
         """What a topic would hold: x y z, for poses with qx qy qz qw after it."""
@@ -84,17 +79,15 @@ class Session:
 
     def recording(self) -> Recording:
         """The session as modcal's own arrays, to be written."""
-        if self.stream:
-            return self._streamed()
-        q = np.column_stack([self.q, *self.more.values()])
-        unknown = np.full_like(q, np.nan)
-        effort = unknown.copy()
+        if self.spoken is not None or self.stream:
+            return self.spoken(self) if self.spoken is not None else self._streamed()
+        effort = np.full((len(self), len(self.names) + len(self.more)), np.nan)
         if self.effort is not None:
-            effort[:, : self.q.shape[1]], effort[:, self.q.shape[1] :] = self.effort, 0.0
-        stamps = BEGIN + self.t
-        joints = JointTrack((*self.names, *self.more), stamps, q, unknown, effort, stamps)
+            effort[:, : len(self.names)], effort[:, len(self.names) :] = self.effort, 0.0
+        stamps = self.epoch + self.t
+        joints = joint_track((*self.names, *self.more), stamps, np.column_stack([self.q, *self.more.values()]), effort)
         reading = ReadingTrack(self.kind, self.frame, stamps, self.raw(), stamps)
-        return Recording((joints,), (reading,), self.signals, self.urdf)
+        return Recording((joints,), (reading,), self.signals, self.urdf or None)
 
     def _streamed(self) -> Recording:
         """Joint states all the time, readings while the arm stands: the first half of each period it moves."""
@@ -112,9 +105,8 @@ class Session:
         turn = Rotation.from_rotvec(np.radians(rng.normal(0, deg / np.sqrt(3.0), (k * len(self), 3))))
         R = Rotation.from_quat(np.repeat(self.R.as_quat(), k, axis=0)) * turn
         values = np.concatenate([p, R.as_quat()], axis=1)[:, : 3 if self.kind == POINT else 7]
-        unknown = np.full_like(q, np.nan)
         stamps, read = BEGIN + np.round(t, 6), BEGIN + np.round((self.t[:, None] + when).ravel() + 1.3e-3, 6)
-        joints = JointTrack(self.names, stamps, q, unknown, unknown, stamps)
+        joints = joint_track(self.names, stamps, q)
         return Recording((joints,), (ReadingTrack(self.kind, self.frame, read, values, read),), self.signals, self.urdf)
 
     def write(self, folder: Path) -> Path:
@@ -123,30 +115,105 @@ class Session:
         return folder
 
 
+def joint_track(names: tuple[str, ...], stamps: Array, q: Array, effort: Array | None = None) -> JointTrack:
+    """Joint states without speeds."""
+    unknown = np.full_like(q, np.nan)
+    return JointTrack(names, stamps, q, unknown, unknown if effort is None else effort, stamps)
+
+
 def joined(first: Session, second: Session) -> Session:
     """Both in one recording, in the order of their stamps; the floor is that of both."""
     both = [first, second]
     mean = np.average([s.floor_mm**2 for s in both], weights=[len(s) for s in both])
+    columns = [name for name in ("t", "q", "p", "again", "came", "effort") if getattr(first, name) is not None]
+    kept: dict[str, Any] = {name: np.concatenate([getattr(s, name) for s in both]) for name in columns}
     whole = replace(
-        first,
-        t=np.concatenate([s.t for s in both]),
-        q=np.concatenate([s.q for s in both]),
-        p=np.concatenate([s.p for s in both]),
-        R=Rotation.concatenate([s.R for s in both]),
-        again=np.concatenate([s.again for s in both]),
-        effort=None if first.effort is None else np.concatenate([s.effort for s in both]),  # type: ignore[misc]
-        floor_mm=float(np.sqrt(mean)),
+        first, R=Rotation.concatenate([s.R for s in both]), floor_mm=float(np.sqrt(mean)), values=None, **kept
     )
     return whole.only(np.argsort(whole.t, kind="stable"))
 
 
-class Works:
+class Cellwork:
+    """What every cell does: random vectors and joints, and recordings of what is true of it."""
+
+    names: tuple[str, ...]
+    urdf: str
+    rng: np.random.Generator
+    noise = NOISE_MM, NOISE_MRAD, REPEAT
+    period, epoch = PERIOD, BEGIN
+    begins: Callable[[Array], Array]  # of the postures: from where (1, n) the first one is reached
+    truth: Callable[[Stations, Stations, tuple[Bend, ...]], tuple[Array, Rotation]]  # of reached, meant: where it is
+    postures: Callable[[int, int], tuple[Array, Array]]
+
+    def observe(
+        self,
+        q: Array,
+        again: Array | None = None,
+        *bends: Bend,
+        begin: float = 0.0,
+        kind: str = POSE,
+        noise_mm: float | None = None,
+        noise_mrad: float | None = None,
+        repeat: float | None = None,
+        effort: bool = False,
+        period: float | None = None,
+    ) -> Session:
+        """What a recorder notes of visits to q (N, n), with faults that bend the truth."""
+        asked = zip((noise_mm, noise_mrad, repeat), self.noise, strict=True)
+        mm, mrad, slip = (usual if given is None else given for given, usual in asked)
+        N, rng, root = len(q), self.rng, np.sqrt(3.0)
+        t, came = begin + (period or self.period) * np.arange(N), np.sign(np.diff(q, axis=0, prepend=self.begins(q)))
+        meant = Stations(q, t, came)
+        p0, R0 = self.truth(meant, meant, bends)
+        p1, R1 = self.truth(replace(meant, q=q + rng.normal(0, slip, q.shape)), meant, bends)
+        p = p1 + rng.normal(0, 1e-3 * mm, (N, 3))
+        R = R1 * Rotation.from_rotvec(rng.normal(0, 1e-3 * mrad, (N, 3)))
+        turned = np.degrees(float(np.sqrt(np.mean((R0.inv() * R1).magnitude() ** 2))))
+        stated = 1e3 * _rms(p1 - p0), turned, root * mm, np.degrees(root * 1e-3 * mrad)
+        zero = np.zeros_like(q)
+        torque = self.arm.driving(q, zero, zero) + rng.normal(0, 0.05, q.shape) if effort else None  # type: ignore[attr-defined]
+        made = {"effort": torque, "stated": stated, "came": came, "epoch": self.epoch}
+        again = np.zeros(N, bool) if again is None else again
+        return Session(self.names, self.urdf, t, q.copy(), p, R, 1e3 * _rms(p - p0), again, kind, **made)
+
+    def way(self, size: float) -> Array:
+        """A random vector of a length."""
+        v = self.rng.normal(size=3)
+        return size * v / np.linalg.norm(v)
+
+    def any_joint(self, low: int = 0, high: int | None = None) -> int:
+        return int(self.rng.integers(low, len(self.names) if high is None else high))
+
+    def clean(self, count: int, *bends: Bend, returns: int = RETURNS, **options: Any) -> Session:
+        """A recording of random postures, six of them twice."""
+        return self.observe(*self.postures(count, returns), *bends, **options)
+
+    def joint(self, i: int, error: Callable[[Stations], Array]) -> Bend:
+        """A joint that is off by what ``error`` (N,) says [rad]."""
+
+        def bend(arm: Any, stations: Stations, deviation: Any) -> None:
+            deviation.x[:, i, 3] += error(stations)
+
+        return bend
+
+    def moved(self, part: str, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
+        """The tool, or the tracker, moved by a twist (shift [m], rotation vector) where ``when`` (N,) says."""
+        step = np.concatenate([shift, turn])
+
+        def bend(arm: Any, stations: Stations, deviation: Any) -> None:
+            moved = getattr(deviation, part)
+            moved += np.asarray(when(stations), dtype=float)[:, None] * step
+
+        return bend
+
+
+class Works(Cellwork):
     """A displaced arm with tool and tracker, and how it is measured."""
 
     def __init__(self, robot: str, rng: np.random.Generator) -> None:
         self.cell, self.rng, self.robot = Cell(robot, rng), rng, robot
         self.arm = self.cell.arm
-        self.names = self.arm.names
+        self.names, self.urdf = self.arm.names, self.arm.urdf
 
     def postures(self, count: int, returns: int = RETURNS, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
         """Random postures (count, n) in a part of the joints' ranges, and which are second visits, (count,)."""
@@ -179,70 +246,14 @@ class Works:
         again = np.array([i in seen or bool(seen.add(i)) for i in order])  # type: ignore[func-returns-value]
         return np.array(order), again
 
-    def observe(
-        self,
-        q: Array,
-        again: Array | None = None,
-        *bends: Bend,
-        begin: float = 0.0,
-        kind: str = POSE,
-        noise_mm: float = NOISE_MM,
-        noise_mrad: float = NOISE_MRAD,
-        repeat: float = REPEAT,
-        effort: bool = False,
-        way: Array | None = None,
-        period: float = PERIOD,
-    ) -> Session:
-        """What a recorder notes of visits to q (N, n), with faults that bend the truth."""
-        N, rng = len(q), self.rng
-        t = begin + period * np.arange(N)
-        before = np.concatenate([self.arm.range.mean(axis=0)[None], q[:-1]])
-        stations = Stations(q, t, np.sign(q - before) if way is None else way)
-        faults = tuple(Fault((), (), (), "", bend) for bend in bends)
-        exact = self.cell.poses(stations, faults)
-        seen = self.cell.poses(replace(stations, q=q + rng.normal(0, repeat, q.shape)), faults)
-        p = seen.p + rng.normal(0, 1e-3 * noise_mm, (N, 3))
-        R = seen.R * Rotation.from_rotvec(rng.normal(0, 1e-3 * noise_mrad, (N, 3)))
-        floor = 1e3 * float(np.sqrt(np.mean(np.sum((p - exact.p) ** 2, axis=1))))
-        missed = 1e3 * float(np.sqrt(np.mean(np.sum((seen.p - exact.p) ** 2, axis=1))))
-        turned = np.degrees(float(np.sqrt(np.mean((exact.R.inv() * seen.R).magnitude() ** 2))))
-        stated = (missed, turned, np.sqrt(3.0) * noise_mm, np.degrees(np.sqrt(3.0) * 1e-3 * noise_mrad))
-        torque = None
-        if effort:
-            zero = np.zeros_like(q)
-            torque = self.arm.driving(q, zero, zero) + rng.normal(0, 0.05, q.shape)
-        again = np.zeros(N, bool) if again is None else again
-        return Session(self.names, self.arm.urdf, t, q.copy(), p, R, floor, again, kind, torque, stated=stated)
+    def begins(self, q: Array) -> Array:
+        """The middle of the joints' ranges."""
+        return self.arm.range.mean(axis=0)[None]
 
-    def clean(self, count: int, *bends: Bend, returns: int = RETURNS, **options: Any) -> Session:
-        """A recording of random postures, six of them twice."""
-        return self.observe(*self.postures(count, returns), *bends, **options)
-
-    def tool(self, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
-        """Another tool: moved by a twist (shift [m], rotation vector) at the stations that ``when`` (N,) says."""
-        step = np.concatenate([shift, turn])
-
-        def bend(arm: Any, stations: Stations, deviation: Deviation) -> None:
-            deviation.tool += np.asarray(when(stations), dtype=float)[:, None] * step
-
-        return bend
-
-    def base(self, shift: Array, turn: Array, when: Callable[[Stations], Array]) -> Bend:
-        """A tracker that stands elsewhere, which is a base moved, at the stations that ``when`` (N,) says."""
-        step = np.concatenate([shift, turn])
-
-        def bend(arm: Any, stations: Stations, deviation: Deviation) -> None:
-            deviation.tracker += np.asarray(when(stations), dtype=float)[:, None] * step
-
-        return bend
-
-    def joint(self, i: int, error: Callable[[Stations], Array]) -> Bend:
-        """A joint that is off by what ``error`` (N,) says [rad]."""
-
-        def bend(arm: Any, stations: Stations, deviation: Deviation) -> None:
-            deviation.x[:, i, 3] += error(stations)
-
-        return bend
+    def truth(self, reached: Stations, meant: Stations, bends: tuple[Bend, ...]) -> tuple[Array, Rotation]:
+        """By MuJoCo; faults go by the postures that are reached."""
+        seen = self.cell.poses(reached, tuple(Fault((), (), (), "", bend) for bend in bends))
+        return seen.p, seen.R
 
     def elastic(self, sag: float = 4e-4, payload: float = 0.0) -> Bend:
         """Joints that give by some ``sag`` [rad] under the arm's weight, and a payload [kg]."""
@@ -256,20 +267,6 @@ class Works:
 
         return bend
 
-    def way(self, size: float) -> Array:
-        """A random vector of a length."""
-        v = self.rng.normal(size=3)
-        return size * v / np.linalg.norm(v)
 
-    def any_joint(self, low: int = 0, high: int | None = None) -> int:
-        return int(self.rng.integers(low, self.arm.n if high is None else high))
-
-
-def from_(k: int) -> Callable[[Stations], Array]:
-    """The stations from number k on."""
-    return lambda stations: np.arange(len(stations.t)) >= k
-
-
-def until(k: int) -> Callable[[Stations], Array]:
-    """The stations before number k."""
-    return lambda stations: np.arange(len(stations.t)) < k
+def _rms(v: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(v**2, axis=1))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,14 +28,14 @@ def bench() -> Iterator[dict[str, ModuleType]]:
     yield {name: importlib.import_module(name) for name in [*names, "run"]}
     sys.path[:] = before
     for name in set(sys.modules) - known:
-        if name in {*names, "run", *OTHERS}:
+        if name in {*names, "run", *OTHERS} or name.split(".")[0] == "kinds":
             sys.modules.pop(name)
 
 
 def case(bench: dict[str, ModuleType], name: str, robot: str = "ur10", seed: int = 0) -> Any:
     rng = np.random.default_rng(seed)
-    makers = {k: m for group in bench["case"].KINDS.values() for k, m in group.items()}
-    return makers[name](bench["workcell"].Works(robot, rng), rng)
+    rows = {k: row for group in bench["case"].KINDS.values() for k, row in group.items()}
+    return rows[name](bench["workcell"].Works(robot, rng), rng)
 
 
 @pytest.mark.slow
@@ -56,6 +57,8 @@ def test_every_kind_can_be_made_and_names_what_is_wrong(bench: dict[str, ModuleT
                 assert len({len(session), len(session.q), len(session.raw()), len(session.again)}) == 1, name
                 assert np.isfinite(session.raw()).all(), name
             assert made.floor == bool(made.judged.again.any()) or not made.fault, name
+            assert not any(re.search(word, joint) for word in made.must_not for joint in meant(made)), name
+            assert bench["case"].KINDS[group][name].says, name
 
 
 def test_postures_are_come_back_to(bench: dict[str, ModuleType]) -> None:
@@ -99,6 +102,48 @@ def test_faults_are_where_they_are_said_to_be(bench: dict[str, ModuleType], tmp_
     assert "500.0" in heavy.urdf
     bag = case(bench, "clean_dwells").judged.write(tmp_path / "bag")
     assert len(read_bag(bag).readings[0].stamps) == 100 * 15
+
+
+def meant(made: Any) -> list[str]:
+    """Joints that the true words of a fault name."""
+    return [n for n in made.judged.names if made.fault and any(re.search(word, n, re.I) for word in made.must_name)]
+
+
+def test_false_words_are_what_the_true_ones_leave(bench: dict[str, ModuleType]) -> None:
+    one, tool, fine = (case(bench, name) for name in ("joint_of_other_sign", "three_tools", "clean_poses"))
+    joints = {rf"\b{name}\b" for name in one.judged.names}
+    assert len(one.must_name) == 1
+    assert set(one.must_not) == joints - {rf"\b{one.must_name[0]}\b"}
+    assert set(tool.must_not) == joints
+    assert fine.must_not == (".",)
+    assert not case(bench, "nonsense").must_not
+    assert case(bench, "frozen_elastic").planted == ("compliance",)
+    row = bench["case"].Row("", ("tool",), "regime", True, {}, (40,))
+    assert row(bench["workcell"].Works("ur10", np.random.default_rng(0)), np.random.default_rng(0)).must_not == (
+        "regime",
+    )
+
+
+def test_what_is_named_falsely_is_counted_beside_the_outcome(bench: dict[str, ModuleType]) -> None:
+    judge, made = bench["judge"], case(bench, "three_tools")
+    effect = {"family": "gear_harmonic", "place": made.judged.names[2], "driver": f"position:{made.judged.names[2]}"}
+    regime = {"regimes": [{"from_station": 0, "to_station": 11, "what": "tool"}]}
+
+    def named(made: Any, **more: Any) -> tuple[str, int]:
+        said = judge._reported(made, report("open", final=3.0, **more), True)
+        return said.outcome, len(said.false)
+
+    assert named(made, open_because=["another tool"]) == (judge.NAMED, 0)
+    assert named(made, **regime, effects=[effect]) == (judge.NAMED, 1)
+    assert named(made, effects=[effect, effect | {"place": "tool"}]) == (judge.NAMED, 1)
+    assert named(made, effects=[effect | {"family": "outliers"}]) == (judge.UNNAMED, 0)
+    assert named(made, convention=f"{made.judged.names[0]} reversed") == (judge.UNNAMED, 1)
+    assert len(judge._refused(made, f"modcal: bag: {made.judged.names[0]} is reversed").false) == 1
+    assert not judge._refused(made, f"modcal: bag: the tool moved as {made.judged.names[0]} does").false
+    springs = {"family": "compliance", "place": made.judged.names[1], "driver": f"load:{made.judged.names[1]}"}
+    assert named(case(bench, "frozen_elastic"), effects=[springs]) == (judge.OPEN, 0)
+    assert named(case(bench, "frozen_elastic"), effects=[springs, effect]) == (judge.OPEN, 1)
+    assert named(case(bench, "frozen_again"), effects=[springs]) == (judge.OPEN, 1)
 
 
 def report(status: str, verdict: str = "", final: float = 0.035, **more: Any) -> dict[str, Any]:
