@@ -16,7 +16,7 @@ from deltas import NOISE_M, RecordedDelta, record_delta
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.delta_distances import Pairs, anneal_distances, fit_distances
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.initial import procrustes
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3

@@ -26,10 +26,8 @@ from mcap.writer import CompressionType, Writer
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.fields import fields_of
-from modcal_msgs_py.layout import MessageLayout
-from modcal_msgs_py.mcap_read import read_bag
-from modcal_msgs_py.types import definition, message_class, serialise
+from modcal_msgs_py.layout import MessageLayout, definition, fields_of, message_class, serialise
+from modcal_msgs_py.mcap_read import read_recording
 
 RATE, EVERY = 1000, 33  # joint states a second, of which each 33rd has a reading
 STAND, TRAVEL = 2.5, 1.0  # s
@@ -111,7 +109,7 @@ def main() -> int:
         some = write(part, min(given.minutes, 5.0), packed)
         began = time.process_time()
         for _ in range(5):
-            read_bag(part)
+            read_recording(part)
         ours = 5 * some / (time.process_time() - began)
         before, wall = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
         modcal = Path(sys.executable).with_name("modcal")

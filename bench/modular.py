@@ -24,9 +24,8 @@ from modules.workshop import Arm, Made, shelf_of
 
 from modcal_core.calibration.adjoint import identify_twists
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.modules.errors import learn
+from modcal_core.modules.errors import learn, recording_evidence
 from modcal_core.modules.poe import chain_of
-from modcal_core.modules.recording_evidence import recording_evidence
 
 ASSEMBLIES = (1, 2, 3, 5, 8, 12)  # after so many the next one is looked at
 SEEDS = {"building": 1, "experiment": 10, "reuse": 30}

@@ -45,7 +45,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.preprocess import prepare
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_nodes.cli.robot import read_robot
+from modcal_nodes.cli.inputs import read_robot
 
 Array = np.ndarray
 BLOCKS, SEEN, BLEND = 5, 0.6, 0.05  # of the outer fifth; share of the postures that is calibrated; rad beyond it

@@ -23,8 +23,8 @@ from planning.sites import hall
 from planning.studies import Arm
 
 from modcal_core.planning.criteria import CRITERIA, criterion
-from modcal_core.planning.exchange import best_candidate
-from modcal_core.planning.plan import chosen_stations, min_stations
+from modcal_core.planning.fedorov import best_candidate
+from modcal_core.planning.planner import chosen_stations, min_stations
 from modcal_core.planning.posture_pool import PosturePool, random_accuracies, survey
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain

@@ -55,9 +55,9 @@ def imported(name: str, folder: Path) -> Path:
 
 def series(letter: str, folder: Path) -> tuple[Robot, Samples]:
     """The UR10 and the stations of its series a or d, one reading each."""
-    from modcal_nodes.cli.robot import described
+    from modcal_nodes.cli.inputs import described
     from modcal_nodes.io.recorded import opened
-    from modcal_nodes.measuring.measurers import one_a_station
+    from modcal_nodes.measuring.folder import one_a_station
 
     recorded = opened(imported(f"ipa_ur10_series_{letter}", folder))
     robot = described(recorded.recording, None, None, None, None)

@@ -36,11 +36,11 @@ import yaml
 from modcal_core.modules.coding import BASES, Coding
 from modcal_core.modules.evaluation import Effort, Evaluator, uses_of
 from modcal_core.modules.genetic import Archive, SearchSettings, evolve, valid
-from modcal_core.modules.library_data import published
+from modcal_core.modules.library import published
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.synthesis import SynthesisTask
 from modcal_core.modules.synthesis_data import task_from_data
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 LIBRARY = published()
 CODING = Coding(LIBRARY)
@@ -79,7 +79,7 @@ def checked(task: SynthesisTask, genome: np.ndarray, q: np.ndarray) -> float:
     chain = chain_of(CODING.assembly(genome), LIBRARY)
     if not ((q >= chain.lower - 1e-9) & (q <= chain.upper + 1e-9)).all():
         return np.inf
-    T = forward(chain, q)
+    T = chain_forward(chain, q)
     return max(float(max(target.miss(T[k]))) for k, target in enumerate(task.targets))
 
 

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation  # noqa: E402
 
 from modcal_core.calibration.store import Calibration  # noqa: E402
 from modcal_core.robot import Robot  # noqa: E402
-from modcal_core.robots.kinematics import forward, frames, link_frames  # noqa: E402
+from modcal_core.robots.kinematics import chain_forward, frames, link_frames  # noqa: E402
 from modcal_nodes.cli.main import run  # noqa: E402
 
 FOLDER = ROOT / "docs" / "howto"
@@ -122,7 +122,7 @@ def postures(rows: list[list[str]]) -> Figure:
     chain = Robot.from_urdf(URDF).mechanism
     figure = Figure(figsize=(10.0, 2.0), facecolor="white", layout="constrained")
     for axes, one, row in zip(figure.subplots(1, 3), q, rows[1:4], strict=True):
-        T = np.concatenate([link_frames(chain, frames(chain, one[None]))[0], forward(chain, one[None])])
+        T = np.concatenate([link_frames(chain, frames(chain, one[None]))[0], chain_forward(chain, one[None])])
         _side(axes, T, row[rows[0].index("note")] == "unseen")
         axes.set_title(f"station {row[0]} ({row[1]})", fontsize=10)
     return figure

@@ -26,10 +26,9 @@ from modcal_core.camera.solve import CameraSolution, solve_camera  # noqa: E402
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers  # noqa: E402
 from modcal_core.geometry import se3  # noqa: E402
 from modcal_core.geometry.so3 import Array  # noqa: E402
-from modcal_core.robots.kinematics import forward, frames, link_frames  # noqa: E402
-from modcal_nodes.vision.annotate import annotated  # noqa: E402
+from modcal_core.robots.kinematics import chain_forward, frames, link_frames  # noqa: E402
 from modcal_nodes.vision.coaching import Coach  # noqa: E402
-from modcal_nodes.vision.detect import detect  # noqa: E402
+from modcal_nodes.vision.detection import annotated, detect  # noqa: E402
 
 FOLDER = ROOT / "docs" / "howto"
 VGA = Lens(np.array([520.0, 522.0, 322.0, 238.0, -0.1, 0.05, 5e-4, -3e-4, 0.0]), (640, 480))
@@ -52,7 +51,7 @@ def mountings() -> Figure:
 def panda_frames() -> Array:
     """Where the arm's joints and its tip are, (8, 4, 4)."""
     chain = panda()
-    return np.concatenate([link_frames(chain, frames(chain, HOME[None]))[0], forward(chain, HOME[None])])
+    return np.concatenate([link_frames(chain, frames(chain, HOME[None]))[0], chain_forward(chain, HOME[None])])
 
 
 def _setup(axes: Axes, T: Array, camera: Array, board: Array, title: str) -> None:

@@ -18,7 +18,7 @@ from modcal_core.loop import calibrate
 from modcal_core.preprocess import prepare
 from modcal_core.report.as_json import to_json_data
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,7 +84,7 @@ def test_ur10(
 
 def geometry_of(bag: Path, seed: int) -> dict[str, Any]:
     """The report of another split, without the files and pages that the first has written already."""
-    recording = read_bag(bag)
+    recording = read_recording(bag)
     assert recording.robot_description is not None
     chain = read_chain(recording.robot_description)
     samples, rng = prepare(recording, chain).samples, np.random.default_rng(seed)

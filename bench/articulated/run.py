@@ -37,8 +37,7 @@ from tracks import DEGREE
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.fit import fit
 from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
-from modcal_core.articulation.telling import travelled
-from modcal_core.articulation.track import Track
+from modcal_core.articulation.track import Track, travelled
 
 FOLDER = harness.DATA / "articulation"
 PERIOD = 0.05  # s

@@ -29,19 +29,19 @@ from camera.by_tracker import missed_by_tracker
 from camera.render import render
 from camera.scenes import CameraScene, scene
 
-from modcal_core.camera.at_tool import flange_in_tool
+from modcal_core.camera.bundle import BoardView
+from modcal_core.camera.causes import flange_in_tool
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M
 from modcal_core.camera.tool_error import postures_anywhere, postures_in_view
-from modcal_core.camera.views import BoardView
 from modcal_core.camera.watching import CameraWatch
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_nodes.vision.detect import detect
+from modcal_nodes.vision.detection import detect
 
 EXPECTED = {"delay": ("clock", "velocity", "all"), "line time": ("clock", "line", "all")}
 EXPECTED |= {"scale": ("target", "constant", "size"), "bow": ("target", "constant", "normal")}

@@ -68,7 +68,7 @@ class Relay:
         self.node.create_timer(0.01, self._look)
 
     def _hear(self, topic: str, cdr: bytes) -> None:
-        from modcal_nodes.ros.pending import waiting
+        from modcal_nodes.ros.guarded import waiting
 
         self._take(topic, cdr)
         for more, _ in waiting(self.sources[topic], 200, raw=True):

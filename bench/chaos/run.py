@@ -36,8 +36,7 @@ from nodes.processes import Process, environment, fresh_domain, listener, runnin
 from parts import RECORD, digest
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.errors import BadRecording
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_nodes.io.inputs import read_calibration

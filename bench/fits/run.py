@@ -34,7 +34,7 @@ import modcal_core as modcal
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.distances import Distance
 from modcal_core.loop import calibrate
-from modcal_core.measurements.sequence import between
+from modcal_core.measurements.samples import between
 from modcal_core.preprocess import prepare
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import read_chain

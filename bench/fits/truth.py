@@ -13,7 +13,7 @@ import harness
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, with_bases
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.geometry import se3
 from modcal_core.loop import Solution

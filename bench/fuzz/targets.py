@@ -29,25 +29,23 @@ from modcal_core.files import parse_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
-from modcal_core.modules.library_data import library_from_data, published, published_text
+from modcal_core.modules.library import library_from_data, published, published_text
 from modcal_core.modules.spec import assembly_from_data
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.stations import stations_from_data
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.loaded_arm import LoadedArm
 from modcal_core.robots.tables import from_table
-from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.choosing import Topics
-from modcal_msgs_py.corners import CORNER, read_corners
-from modcal_msgs_py.images import lens_data, raw_image
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_core.robots.urdf import LoadedArm, read_chain
+from modcal_msgs_py.images import CORNER, lens_data, raw_image, read_corners
+from modcal_msgs_py.layout import message_class
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
-from modcal_msgs_py.types import message_class
+from modcal_msgs_py.topics import Topics
 from modcal_nodes.calibrating.standing import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
 from modcal_nodes.vision.corner_table import corners_of_text
@@ -153,7 +151,7 @@ def mcap_target(folder: Path) -> Target:
         if (k := next(counter)) % 4 == 0:
             repair_bag(file, folder / f"repaired{k}")
             shutil.rmtree(folder / f"repaired{k}", ignore_errors=True)
-        seen, chain = read_bag(file, topics=wishes[k % 3]), None
+        seen, chain = read_recording(file, topics=wishes[k % 3]), None
         if seen.robot_description is not None:
             with contextlib.suppress(ModcalError):
                 chain = read_chain(seen.robot_description, None, None)
@@ -186,7 +184,7 @@ def sqlite_target(folder: Path) -> Target:
             out = spoilt(out, rng)
         return out
 
-    return Target("sqlite", make, lambda data: file.write_bytes(data) and inspect(read_bag(file)))
+    return Target("sqlite", make, lambda data: file.write_bytes(data) and inspect(read_recording(file)))
 
 
 def metadata_target(folder: Path) -> Target:
@@ -200,7 +198,7 @@ def metadata_target(folder: Path) -> Target:
         with contextlib.suppress(ModcalError):
             repair_bag(bag, anew)
         shutil.rmtree(anew, ignore_errors=True)
-        read_bag(bag)
+        read_recording(bag)
 
     return of_data("metadata", yaml.safe_load(metadata.read_text()), run)
 

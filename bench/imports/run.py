@@ -24,8 +24,8 @@ from judging import columns_judged, judged
 
 from modcal_core.errors import ModcalError
 from modcal_core.robot import Robot
-from modcal_msgs_py.tables.proposal import proposal
 from modcal_msgs_py.tables.propose import find
+from modcal_msgs_py.tables.proposed import proposal
 
 TARGET, OUTCOMES, SEEDS = 0.95, ("right", "asked", "less", "wrong"), {"plain": 120, "columns": 60}
 

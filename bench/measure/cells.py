@@ -18,8 +18,8 @@ from modcal_core.calibration.score import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.advice import Advice, Advisor
-from modcal_core.measuring.goal import Goal
-from modcal_core.measuring.pool import Pool, of_robot
+from modcal_core.measuring.choose import Pool, of_robot
+from modcal_core.measuring.proof import Goal
 from modcal_core.measuring.refit import Refit, refit
 from modcal_core.measuring.session import FRAME, Session, Station
 from modcal_core.planning.site import Noise, Site

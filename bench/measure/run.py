@@ -26,14 +26,13 @@ from cells import REPEATS, Bench
 from modcal_core.calibration.score import errors
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.advice import Advisor
-from modcal_core.measuring.choose import deciding_stations, fit_stations, one_motion
-from modcal_core.measuring.goal import Goal
+from modcal_core.measuring.choose import deciding_stations, fit_stations, of_recording, one_motion
 from modcal_core.measuring.outlook import outlook
-from modcal_core.measuring.pool import of_recording
+from modcal_core.measuring.proof import Goal
 from modcal_core.measuring.refit import Refit, refit
 from modcal_core.measuring.session import POINT, POSE, Session, Station
 from modcal_core.robot import Robot
-from modcal_nodes.measuring.measurers import Replay
+from modcal_nodes.measuring.folder import Replay
 
 ARMS, KINDS = ("ur10", "panda", "xarm7"), ("point", "pose")
 # effects of the arm that a frozen model can hold; what jumps or drifts while it is measured has no error to promise

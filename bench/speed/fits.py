@@ -16,14 +16,14 @@ from peers import ROOT, ask
 from scipy.optimize import least_squares
 from timing import Row, median_ms, pair_ms, spent_ms
 
-from modcal_core.calibration import identify as fitting
+from modcal_core.calibration import fit as fitting
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import Fit, identify
-from modcal_core.calibration.linearise import apply_deviations, deviations, linearise
+from modcal_core.calibration.equations import PlainSystem
+from modcal_core.calibration.fit import Fit, identify
+from modcal_core.calibration.linearisation import apply_deviations, deviations, linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.system import PlainSystem
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

@@ -25,24 +25,24 @@ from timing import Row, median_ms, pair_ms, spent_ms
 from modcal_core.articulation.fit import fit as fit_joint
 from modcal_core.articulation.track import Track
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.effects.registry import candidates
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.samples import cut_stations
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import Evaluator
 from modcal_core.modules.genetic import SearchSettings, evolve
-from modcal_core.modules.library_data import published
+from modcal_core.modules.library import published
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_core.online.change_detector import ChangeDetector
 from modcal_core.online.estimator import Estimator
-from modcal_core.robots.inverse import inverse
-from modcal_core.robots.kinematics import forward, spatial_jacobian
+from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.robots.kinematics import chain_forward, spatial_jacobian
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
@@ -73,15 +73,15 @@ def kinematics() -> Iterator[Row]:
             out[i] = pin.getJointJacobian(model, data, last, pin.WORLD)
         return out
 
-    for name, ours, theirs in (("FK", forward, poses), ("Jacobian", spatial_jacobian, jacobians)):
+    for name, ours, theirs in (("FK", chain_forward, poses), ("Jacobian", spatial_jacobian, jacobians)):
         assert np.abs(theirs() - ours(chain, q)).max() < 1e-12
         times = pair_ms(lambda ours=ours: ours(chain, q), theirs, 7, 3)
         yield Row("kinematics", f"{name}, {POSTURES} postures", times[0], "Pinocchio in a loop", times[1])
     chain, near = ur10(), np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
-    T = forward(chain, near)
+    T = chain_forward(chain, near)
 
     def gap(x: Any) -> Any:
-        return se3.log(se3.inverse(forward(chain, x)) @ T)
+        return se3.log(se3.inverse(chain_forward(chain, x)) @ T)
 
     def peer() -> Any:
         return least_squares(gap, near + 0.01, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
@@ -195,8 +195,8 @@ def bags() -> Iterator[Row]:
             for connection, stamp, raw in reader.messages():
                 writer.write(known[connection.id], stamp, raw)
         for file, kind in ((bag, ""), (sqlite, ", SQLite")):
-            assert np.array_equal(q, read_bag(file).joints[0].position), "other joint positions"
-            ours, other = pair_ms(lambda file=file: read_bag(file), lambda file=file: peer(file), 5, 3)
+            assert np.array_equal(q, read_recording(file).joints[0].position), "other joint positions"
+            ours, other = pair_ms(lambda file=file: read_recording(file), lambda file=file: peer(file), 5, 3)
             rate = f"{len(read) / ours:.0f} k messages/s into arrays"
             yield Row("bags", f"{len(read)} messages{kind}", ours, "rosbags", other, rate)
             if not kind:

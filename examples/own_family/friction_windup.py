@@ -12,9 +12,8 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import PLAIN, Family
-from modcal_core.effects.observable import both_signs
+from modcal_core.effects.family import PLAIN, Family, ReportEntry
+from modcal_core.effects.registry import both_signs
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, unit_of, value
 from modcal_core.geometry.so3 import Array

@@ -249,7 +249,7 @@ def test_robots_of_all_kinds(tmp_path: Path) -> None:
     assert text.names == urdf.names
     table = modcal.Robot.from_dh(ROOT / "examples" / "robots" / "ur5.yaml")
     delta = modcal.Robot.from_delta(ROOT / "examples" / "robots" / "delta.yaml")
-    from modcal_core.robots.table_export import to_table
+    from modcal_core.robots.tables import to_table
 
     cpc = modcal.Robot.from_cpc(to_table(urdf.chain, "cpc"))
     q = np.random.default_rng(0).uniform(-1, 1, (7, 6))

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from articulation.objects import Array
 
-from modcal_core.articulation.bend_check import BendCheck, bend_left
+from modcal_core.articulation.misfit import BendCheck, Stretches, bend_left
 from modcal_core.articulation.models.prismatic import PrismaticMotion
 from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
-from modcal_core.articulation.stretches import Stretches
 
 
 def left_over(across: Array, rng: np.random.Generator, noise: float) -> tuple[Array, Array]:

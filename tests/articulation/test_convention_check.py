@@ -11,8 +11,8 @@ from articulation.objects import Array, Seen, ideal, noisy
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.choice import choose
+from modcal_core.articulation.conventions import require_convention
 from modcal_core.articulation.online import Tracker, TrackerState
-from modcal_core.articulation.rotation_convention import require_convention
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadRecording
 

@@ -10,10 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation import choice as choice_module
 from modcal_core.articulation.choice import Choice, choose
-from modcal_core.articulation.direction import backwards
-from modcal_core.articulation.phases import best_cut
-from modcal_core.articulation.telling import telling, travelled
-from modcal_core.articulation.track import Track
+from modcal_core.articulation.track import Track, backwards, telling, travelled
+from modcal_core.articulation.two_motions import best_cut
 
 
 def flawed(kind: str, seed: int, oriented: bool = False) -> Track:

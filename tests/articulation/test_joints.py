@@ -87,9 +87,9 @@ def test_the_urdf_moves_as_the_joint(kind: str) -> None:
     """Read by the reader of arms, which knows nothing of articulation."""
     model, a, *_ = some(kind)
     chain = read_chain(describe(model, "base_link", "handle"), "base_link", "handle")
-    from modcal_core.robots.kinematics import forward
+    from modcal_core.robots.kinematics import chain_forward
 
-    np.testing.assert_allclose(forward(chain, a[:, None]), model.pose(a), atol=1e-9)
+    np.testing.assert_allclose(chain_forward(chain, a[:, None]), model.pose(a), atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,10 @@ from articulation.objects import Seen, ideal, noisy
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.choice import choose
-from modcal_core.articulation.far_hinge import hidden
+from modcal_core.articulation.evidence import hidden
 from modcal_core.articulation.models.prismatic import PrismaticMotion
-from modcal_core.articulation.phases import best_cut, two_explain
-from modcal_core.articulation.telling import lone, telling
-from modcal_core.articulation.track import Track
+from modcal_core.articulation.track import Track, lone, telling
+from modcal_core.articulation.two_motions import best_cut, two_explain
 
 DEGREE = np.pi / 180.0
 

@@ -17,8 +17,7 @@ from modcal_core.articulation.choice import choose
 from modcal_core.articulation.fit import fit
 from modcal_core.articulation.models import registry
 from modcal_core.articulation.models.model import Kind
-from modcal_core.articulation.models.parametric import ParametricModel, ShapeParameter
-from modcal_core.articulation.models.parametric_motion import ParametricMotion, PathJoint
+from modcal_core.articulation.models.parametric import ParametricModel, ParametricMotion, PathJoint, ShapeParameter
 from modcal_core.articulation.models.revolute import MODEL as REVOLUTE
 from modcal_core.articulation.models.revolute import RevoluteJoint
 from modcal_core.articulation.track import Track

@@ -7,11 +7,9 @@ import pytest
 from articulation.objects import Array, ideal, noisy
 from scipy.spatial.transform import Rotation
 
-from modcal_core.articulation.bends import bend_explains
 from modcal_core.articulation.choice import choose
+from modcal_core.articulation.misfit import MAX, ShareCheck, Stretches, bend_explains
 from modcal_core.articulation.models.revolute import RevoluteMotion
-from modcal_core.articulation.share_check import ShareCheck
-from modcal_core.articulation.stretches import MAX, Stretches
 from modcal_core.articulation.track import Track
 
 

@@ -9,9 +9,8 @@ import pytest
 from articulation.objects import ideal, noisy
 
 from modcal_core.articulation.models.model import Kind
-from modcal_core.articulation.online import Tracker, TrackerState
-from modcal_core.articulation.stamp_order import StampOrder
-from modcal_core.articulation.travel import Travel
+from modcal_core.articulation.online import Tracker, TrackerState, Travel
+from modcal_core.articulation.track import StampOrder
 from modcal_core.geometry import so3
 
 DEGREE = np.pi / 180.0

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "bench" / "undeclared"
 
@@ -46,7 +46,7 @@ def test_what_counts(bench: dict[str, ModuleType]) -> None:
 
 def test_a_fault_is_in_the_bag_and_not_named_there(bench: dict[str, ModuleType], tmp_path: Path) -> None:
     pair = bench["recordings"].make("gear_harmonic", "ur10", 0, tmp_path, 20)
-    recording = read_bag(pair.first)
+    recording = read_recording(pair.first)
     assert sum(len(r.stamps) for r in recording.readings) == 20
     assert all(b"gear_harmonic" not in p.read_bytes() for p in Path(pair.first).rglob("*") if p.is_file())
     assert pair.truth.parent not in Path(pair.first).parents

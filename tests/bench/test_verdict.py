@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "bench" / "verdict"
 OTHERS = ("arm", "scenarios", "recordings")
@@ -101,7 +101,7 @@ def test_faults_are_where_they_are_said_to_be(bench: dict[str, ModuleType], tmp_
     heavy = case(bench, "centre_of_mass_far_off").judged
     assert "500.0" in heavy.urdf
     bag = case(bench, "clean_dwells").judged.write(tmp_path / "bag")
-    assert len(read_bag(bag).readings[0].stamps) == 100 * 15
+    assert len(read_recording(bag).readings[0].stamps) == 100 * 15
 
 
 def meant(made: Any) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.curvature import Curvature
+from modcal_core.calibration.fit import Curvature
 
 
 def test_solution_and_inverse_at_units_far_apart() -> None:

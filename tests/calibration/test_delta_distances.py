@@ -7,10 +7,11 @@ import pytest
 from deltas import NOISE_M, RecordedDelta, nominal, postures, record_delta
 from finite_differences import assert_jacobian
 
-from modcal_core.calibration.annealing import Schedule, anneal
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.delta_distances import (
     Pairs,
+    Schedule,
+    anneal,
     anneal_distances,
     distance_errors,
     distance_jacobian,
@@ -19,7 +20,7 @@ from modcal_core.calibration.delta_distances import (
     objective,
     visibility,
 )
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.initial import procrustes
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadRecording, NotEnoughData

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modcal_core.calibration import distributions
+from modcal_core.calibration import noise as distributions
 
 
 def test_tails_are_those_of_scipy_stats(rng: np.random.Generator) -> None:

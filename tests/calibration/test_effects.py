@@ -13,13 +13,12 @@ from robots.test_kinematics import urdf
 from scipy.interpolate import BSpline
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import _CLOSE, FITTED, Fit, identify
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.equations import PlainSystem, normal_equations
+from modcal_core.calibration.fit import _CLOSE, FITTED, Fit, identify
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.normal_equations import normal_equations
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.system import PlainSystem
 from modcal_core.effects.effect import ALL, AXIS, JOINTS, LENGTH, RADIAL, Effect
 from modcal_core.effects.shapes import Shape, periodic
 from modcal_core.geometry import se3
@@ -157,9 +156,9 @@ def test_normal_equations_are_those_of_the_whole_jacobian(
     block: int, thinned: int, points: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However many samples are taken at once, and with two curves, one curve or none as sparse arrays."""
-    monkeypatch.setattr("modcal_core.calibration.normal_equations.BLOCK", block)
-    monkeypatch.setattr("modcal_core.effects.knots._MIN", thinned)
-    monkeypatch.setattr("modcal_core.calibration.linearise._AT_ONCE", 17)
+    monkeypatch.setattr("modcal_core.calibration.equations.BLOCK", block)
+    monkeypatch.setattr("modcal_core.effects.effect._MIN", thinned)
+    monkeypatch.setattr("modcal_core.calibration.linearisation._AT_ONCE", 17)
     samples = recorded(100)
     if points:
         samples = replace(samples, kind=np.where(np.arange(100) % points == 0, "point", samples.kind))
@@ -194,15 +193,15 @@ def test_a_curvature_that_is_kept_leads_to_the_same_end(monkeypatch: pytest.Monk
     parameters = choose_parameters(model, views_of(samples)).parameters
     fits, counted = [], []
     for close in (_CLOSE, 0.0):
-        monkeypatch.setattr("modcal_core.calibration.identify._CLOSE", close)
-        monkeypatch.setattr("modcal_core.calibration.identify._WITHIN", min(close, 0.5))
+        monkeypatch.setattr("modcal_core.calibration.fit._CLOSE", close)
+        monkeypatch.setattr("modcal_core.calibration.fit._WITHIN", min(close, 0.5))
         asked: list[int] = []
 
         def count(*given: Any, asked: list[int] = asked) -> tuple[Array, Array]:
             asked.append(1)
             return normal_equations(*given)
 
-        monkeypatch.setattr("modcal_core.calibration.system.normal_equations", count)
+        monkeypatch.setattr("modcal_core.calibration.equations.normal_equations", count)
         fits.append(identify(moved_by, noisy, parameters, tolerance=FITTED, begin=np.zeros(len(parameters))))
         counted.append(len(asked))
     kept, anew = fits

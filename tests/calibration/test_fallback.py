@@ -10,16 +10,14 @@ import pytest
 from cells import samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
-from modcal_core.calibration.doubt import Doubt
-from modcal_core.calibration.fallback import BLEND
-from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.identify import identify
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.covariance import Doubt, Uncertainty
+from modcal_core.calibration.final_fit import finalise
+from modcal_core.calibration.fit import identify
+from modcal_core.calibration.linearisation import linearise
+from modcal_core.calibration.model import BLEND
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.evaluation import evaluate
@@ -28,7 +26,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import POINT
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 ELBOW, LOW, HIGH = 2, -1.6, 0.0
 WRIST, SWING = 3, 2e-3  # rad
@@ -66,7 +64,7 @@ def readings(
     bent[:, ELBOW] += curve(q[:, ELBOW])
     bent[:, WRIST] += wrist * np.sin(5.0 * q[:, WRIST])
     base, tool = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]), se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
-    return samples_of(chain, q, base @ forward(chain, bent) @ tool)
+    return samples_of(chain, q, base @ chain_forward(chain, bent) @ tool)
 
 
 def calibrated(curve: Curve, wrist: float = 0.0) -> Calibration:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.calibration import identify as fits
+from modcal_core.calibration import fit as fits
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.covariance import identifiability, uncertainty
 from modcal_core.calibration.distances import StationDistance, distance_rows
-from modcal_core.calibration.distances_together import common_factor, contradicted_together, without_distances
-from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.known_distances import contradictions, distances_of
-from modcal_core.calibration.linearise import RowView, linearise
-from modcal_core.calibration.noise import excess_sigma
+from modcal_core.calibration.known_distances import (
+    common_factor,
+    contradicted_together,
+    contradictions,
+    distances_of,
+    without_distances,
+)
+from modcal_core.calibration.linearisation import RowView, linearise
+from modcal_core.calibration.noise import excess_sigma, row_weights
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.uncertainty import uncertainty
-from modcal_core.calibration.weights import row_weights
 from modcal_core.effects.effect import ALL, Effect, all_columns
 from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate

@@ -11,8 +11,8 @@ import yaml
 from cells import samples_of
 
 from modcal_core.calibration.cell import Cell, fit_cell, free_cell
-from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.final_fit import finalise
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
@@ -20,8 +20,8 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.files import calibration_files
-from modcal_core.robots.kinematics import forward
+from modcal_core.report.report import calibration_files
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import joint_origins, read_chain
 
 URDF = (Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf").read_text(encoding="utf-8")
@@ -35,7 +35,7 @@ def recorded(rng: np.random.Generator, count: int) -> Samples:
     bent = q.copy()
     bent[:, ELBOW] += 2e-3 * np.cos(0.5 * q[:, ELBOW])
     base, tool = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]), se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
-    return samples_of(chain, q, base @ forward(chain, bent) @ tool)
+    return samples_of(chain, q, base @ chain_forward(chain, bent) @ tool)
 
 
 def test_robot_description_and_kinematics_hold_the_geometry_that_is_best_alone(rng: np.random.Generator) -> None:

@@ -7,8 +7,8 @@ import pytest
 from cells import NOISE_M, record, slider_arm, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.covariance import identifiability
+from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import NotEnoughData

@@ -9,15 +9,15 @@ import pytest
 from calibration.test_linearise import SHIFT, TURN, cell
 from cells import record, slider_arm, ur10
 
-from modcal_core.calibration import identify as fitting
+from modcal_core.calibration import fit as fitting
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.equations import PlainSystem
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.kernels import serial
 from modcal_core.calibration.kernels.serial import SerialSystem, is_serial
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ordered_candidates
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.system import PlainSystem
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 

@@ -9,7 +9,7 @@ from finite_differences import assert_jacobian
 
 from modcal_core.calibration.distances import Distance, distance_rows
 from modcal_core.calibration.initial import locate
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import ordered_candidates
 from modcal_core.calibration.structure import views_of

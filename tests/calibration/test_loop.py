@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cells import record, samples_of, ur10
 
-from modcal_core.calibration.split import split
+from modcal_core.calibration.data_split import split
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3

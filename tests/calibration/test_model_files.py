@@ -9,8 +9,8 @@ import pytest
 import yaml
 from cells import record, slider_arm, ur10
 
-from modcal_core.calibration.canonical import least_change
 from modcal_core.calibration.model import place_model
+from modcal_core.calibration.parameters import least_change
 from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.errors import BadRobot, BadTable

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from modcal_core.calibration.nonnegative import nonnegative
+from modcal_core.calibration.nnls import nonnegative
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 20])

@@ -10,9 +10,9 @@ from cells import record, samples_of, ur10
 
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.prediction import driver_ranges, typical_sizes
 from modcal_core.calibration.store import Calibration, from_data, to_data
-from modcal_core.calibration.typical import driver_ranges, typical_sizes
-from modcal_core.effects.driver_limits import DriverLimits
+from modcal_core.effects.drivers import DriverLimits
 from modcal_core.effects.effect import AXIS, LENGTH, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.evaluation import evaluate

@@ -7,17 +7,16 @@ import pytest
 from cells import record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import identify, require_enough
-from modcal_core.calibration.runs import independent_unit
+from modcal_core.calibration.covariance import uncertainty
+from modcal_core.calibration.data_split import distinct, independent_unit, split, units_of_stations
+from modcal_core.calibration.fit import identify, require_enough
 from modcal_core.calibration.score import errors
-from modcal_core.calibration.split import distinct, split, units_of_stations
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.intervals import independent_units
+from modcal_core.report.contents import independent_units
 from modcal_nodes.simulation.world import World
 
 rng_of = np.random.default_rng

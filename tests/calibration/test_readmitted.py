@@ -9,7 +9,7 @@ import pytest
 from cells import record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.readmitted import uncontradicted
+from modcal_core.calibration.readmission import uncontradicted
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
@@ -17,7 +17,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.refit import refit
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.notes import readmitted_note
+from modcal_core.report.sentence import readmitted_note
 
 ELBOW = 2
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.runs import chance_of_run, places_of, runs_of
+from modcal_core.calibration.data_split import chance_of_run, places_of, runs_of
+from modcal_core.calibration.final_fit import finalise
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.evaluation import evaluate

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from cells import record, samples_of, ur10
 
-from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.cell import Cell, with_sockets
 from modcal_core.calibration.distances import Distance
-from modcal_core.calibration.sockets import with_sockets
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate

@@ -10,17 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modcal_core.calibration.cell import Cell, fit_cell, free_cell
+from modcal_core.calibration.cell import Cell, fit_cell, free_cell, with_sockets
 from modcal_core.calibration.distances import Distance
-from modcal_core.calibration.distances_together import contradicted_together
-from modcal_core.calibration.identify import Fit, identify
-from modcal_core.calibration.known_distances import distances_of
-from modcal_core.calibration.locate_instruments import Known
-from modcal_core.calibration.scale import scale_without_distances
+from modcal_core.calibration.fit import Fit, identify
+from modcal_core.calibration.initial import Known
+from modcal_core.calibration.known_distances import contradicted_together, distances_of, scale_without_distances
 from modcal_core.calibration.score import errors
-from modcal_core.calibration.sockets import with_sockets
 from modcal_core.calibration.starts import fit_geometry
-from modcal_core.calibration.stated_places import StatedTool, contradicted_places
+from modcal_core.calibration.stated import StatedTool, contradicted_places
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3

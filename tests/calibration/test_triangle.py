@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.calibration.curvature import inverse_of_triangle
+from modcal_core.calibration.fit import inverse_of_triangle
 
 
 @pytest.mark.parametrize("rows", [0, 1, 63, 64, 65, 200])

@@ -11,13 +11,13 @@ from calibration.test_effects import started
 from cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.identify import identify
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.covariance import uncertainty
+from modcal_core.calibration.final_fit import finalise
+from modcal_core.calibration.fit import identify
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.uncertainty import uncertainty
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3, so3

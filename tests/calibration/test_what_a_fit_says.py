@@ -9,7 +9,7 @@ import pytest
 from cells import NOISE_M, NOISE_RAD, Recorded, record, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import Fit, identify, require_enough
+from modcal_core.calibration.fit import Fit, identify, require_enough
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import so3

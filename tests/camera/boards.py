@@ -5,9 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.target import CHARUCO, PrintedTarget
-from modcal_core.camera.views import BoardView
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 

@@ -12,13 +12,13 @@ from camera.scenes import CameraScene, scene
 from modcal_core.camera.arm_poses import ArmPoses, arm_poses
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.pnp import board_poses
 from modcal_core.camera.solve import CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 FLAT = np.zeros(5)
 MEASURED = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2, 0.12), "rulers", RULER_STD_M))
@@ -32,7 +32,7 @@ def images(on_tip: bool) -> CameraScene:
 
 def start(s: CameraScene, velocity: float = 0.0) -> tuple[CornerTable, ArmPoses]:
     table = CornerTable.of(s.views, s.board)
-    found = find_mounting(forward(s.chain, s.q), board_poses(table, s.lens, FLAT))
+    found = find_mounting(chain_forward(s.chain, s.q), board_poses(table, s.lens, FLAT))
     moving = np.full_like(s.q, velocity)
     return table, arm_poses(s.chain, s.q, moving, found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
 

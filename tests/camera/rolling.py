@@ -8,7 +8,7 @@ import numpy as np
 from camera.boards import seen
 from camera.scenes import CameraScene
 
-from modcal_core.camera.views import BoardView
+from modcal_core.camera.bundle import BoardView
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 

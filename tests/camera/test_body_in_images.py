@@ -13,11 +13,10 @@ from camera.scenes import PANDA, scene
 from camera.test_tags_in_bags import GRID, bag_of_tags
 
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.bundle_file import bundle_to_data
-from modcal_core.camera.target_file import any_target_from_data
+from modcal_core.camera.target_file import any_target_from_data, bundle_to_data
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.robot import Robot
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.vision.bag import read_bag_images
 from modcal_nodes.vision.body import detect_body
 
@@ -66,7 +65,7 @@ def test_detections_of_tags_in_a_bag_are_of_a_body(tmp_path: Path) -> None:
     data["markers"] = [{**one, "id": one["id"] + 4} for one in data["markers"][:12]]  # as the grid's: from 5
     body = any_target_from_data(data)
     assert isinstance(body, MarkerBundle)
-    found = read_bag_images(bag, read_bag(bag), names, body)
+    found = read_bag_images(bag, read_recording(bag), names, body)
     assert len(found.views) == len(s.views)
     for view, expected in zip(found.views, s.views, strict=True):
         whole = [n for n in np.unique(expected.ids // 4) if (expected.ids // 4 == n).sum() == 4]
@@ -75,5 +74,8 @@ def test_detections_of_tags_in_a_bag_are_of_a_body(tmp_path: Path) -> None:
         assert view.pixels == pytest.approx(expected.pixels[np.isin(expected.ids // 4, whole)])
     with pytest.raises(NotEnoughData, match="no marker of the body"):
         read_bag_images(
-            bag, read_bag(bag), names, replace(body, markers=tuple(replace(m, id=m.id + 100) for m in body.markers))
+            bag,
+            read_recording(bag),
+            names,
+            replace(body, markers=tuple(replace(m, id=m.id + 100) for m in body.markers)),
         )

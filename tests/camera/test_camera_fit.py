@@ -12,30 +12,30 @@ from camera.flange import flange_arm, flange_joints, flange_poses
 from camera.scenes import scene
 from finite_differences import assert_jacobian
 
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.arm_poses import arm_poses
 from modcal_core.camera.corners import CornerTable, corner_rows
-from modcal_core.camera.decision import APPLY, DO_NOT_APPLY
 from modcal_core.camera.equations import Sizes
 from modcal_core.camera.fit import CameraState, equations_at, fit_camera
+from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.pnp import board_poses
-from modcal_core.camera.priors import FIXED, common_prior
+from modcal_core.camera.problems import APPLY, DO_NOT_APPLY
+from modcal_core.camera.state import FIXED, common_prior
 from modcal_core.camera.tool_error import postures_in_view
 from modcal_core.camera.weakness import ALL_BUT_IMAGES
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import POSE
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 
 @pytest.mark.parametrize("on_tip", [True, False])
 def test_mounting_is_told_without_a_guess(on_tip: bool) -> None:
     s = images(on_tip)
-    found = find_mounting(forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT))
+    found = find_mounting(chain_forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT))
     assert found.camera_on_tip == on_tip
     assert found.rival > 10.0
     assert found.misfit_m < 0.02  # of an arm whose bodies are 7 mm off
@@ -44,7 +44,7 @@ def test_mounting_is_told_without_a_guess(on_tip: bool) -> None:
 
 def test_images_that_cannot_tell_are_refused() -> None:
     s = images(True)
-    A, poses = forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT)
+    A, poses = chain_forward(s.chain, s.q), board_poses(CornerTable.of(s.views, s.board), s.lens, FLAT)
     still = replace(poses, T=np.repeat(poses.T[:1], len(A), axis=0), cost=np.repeat(poses.cost[:1], len(A), axis=0))
     with pytest.raises(BadRecording, match="move, or stand, together"):
         find_mounting(A, still)
@@ -205,10 +205,10 @@ def test_stated_intrinsics_stay_where_they_are_fixed() -> None:
 @pytest.mark.slow
 def test_flange_poses_place_camera_and_target() -> None:
     s = images(False)
-    A = forward(s.chain, s.q)
+    A = chain_forward(s.chain, s.q)
     q = flange_joints(A)
     assert np.abs(flange_poses(q) - A).max() < 1e-12
-    assert np.abs(forward(flange_arm(), q) - A).max() < 1e-12
+    assert np.abs(chain_forward(flange_arm(), q) - A).max() < 1e-12
     table = CornerTable.of(s.views, s.board)
     found = find_mounting(A, board_poses(table, s.lens, FLAT))
     arm = arm_poses(

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from camera.boards import BOARD, LENS, SIZE, facing, views
 
-from modcal_core.camera.views import BoardView
+from modcal_core.camera.bundle import BoardView
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.corners import fill_corners, read_corners
-from modcal_msgs_py.types import message_class
-from modcal_nodes.vision.annotate import annotated
-from modcal_nodes.vision.board_pose import board_pose
+from modcal_msgs_py.images import fill_corners, read_corners
+from modcal_msgs_py.layout import message_class
 from modcal_nodes.vision.coaching import ENOUGH, Coach
+from modcal_nodes.vision.detection import annotated, board_pose
 
 CENTRE = np.r_[0.5 * np.array(BOARD.size), 0.0]
 

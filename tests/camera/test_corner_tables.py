@@ -14,17 +14,16 @@ from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icos
 from camera.by_tracker import missed_by_tracker
 from camera.scenes import PANDA
 
-from modcal_core.camera.bundle_file import bundle_to_data
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.target import ARUCO_GRID, PrintedTarget
+from modcal_core.camera.target_file import bundle_to_data
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.report.camera import camera_info
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.cli.main import run
-from modcal_nodes.vision.corner_table import read_corner_tables
+from modcal_nodes.vision.corner_table import camera_key, read_corner_tables
 from modcal_nodes.vision.images import read_camera_info
-from modcal_nodes.vision.wide_table import camera_key
 
 JOINTS = ("a", "b")
 BODY = icosahedron()

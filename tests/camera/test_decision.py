@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.camera.decision import APPLY, DO_NOT_APPLY, decide
+from modcal_core.camera.problems import APPLY, DO_NOT_APPLY, decide
 from modcal_core.camera.tool_error import ToolError
 from modcal_core.geometry.so3 import Array
 

@@ -19,7 +19,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_nodes.vision.detect import detect
+from modcal_nodes.vision.detection import detect
 from modcal_nodes.vision.images import SCALED, read_camera_info, read_images, require_size
 from modcal_nodes.vision.saddle import fit_board
 from modcal_nodes.vision.sheet import draw_sheet, rectangles

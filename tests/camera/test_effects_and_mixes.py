@@ -11,13 +11,13 @@ from camera.fits import MEASURED, solved, start, true_error
 from camera.scenes import PANDA, CameraScene, scene
 from finite_differences import assert_jacobian
 
-from modcal_core.camera.beside import ReadingsBeside, beside
+from modcal_core.camera.arm_poses import ImageMoments
 from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.decision import APPLY, CANNOT_TELL
 from modcal_core.camera.fit import fit_camera
-from modcal_core.camera.moments import ImageMoments
-from modcal_core.camera.priors import common_prior
+from modcal_core.camera.other_readings import ReadingsBeside, beside
+from modcal_core.camera.problems import APPLY, CANNOT_TELL
 from modcal_core.camera.solve import CameraSolution
+from modcal_core.camera.state import common_prior
 from modcal_core.camera.tool_error import postures_in_view
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
@@ -26,7 +26,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robot import Robot
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 TRACKER = se3.exp([1.5, -0.4, 0.3, 0.2, 0.1, 2.0])  # where the camera's or the target's frame is in the tracker's
 BALL = np.array([0.03, -0.05, 0.12])  # in the tool
@@ -177,7 +177,7 @@ def test_springs_that_images_do_not_show_are_said() -> None:
     assert one.least == pytest.approx(4.0 * std, rel=0.05)
     bent = fit.poses.q.copy()
     bent[:, 3] += one.least * poses.drivers().values(spring.driver)
-    gap = (forward(r.model.serial, bent) - forward(r.model.serial, fit.poses.q))[:, :3, 3]
+    gap = (chain_forward(r.model.serial, bent) - chain_forward(r.model.serial, fit.poses.q))[:, :3, 3]
     assert one.at_tool_m == pytest.approx(np.sqrt((gap**2).sum(1).mean()), rel=0.02)
 
 

@@ -22,9 +22,9 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Listed
 from modcal_msgs_py.images import CAMERA_INFO, COMPRESSED, IMAGE, RawImage, chosen_topic
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.layout import message_class
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_write import BagWriter
-from modcal_msgs_py.types import message_class
 from modcal_nodes.cli.main import run
 from modcal_nodes.vision.bag import JointLog, chosen_stamps
 from modcal_nodes.vision.grey import grey_of
@@ -172,7 +172,7 @@ def test_calls_that_cannot_be_done(
 
 @pytest.mark.slow
 def test_one_image_of_each_stop(recorded: Recorded) -> None:
-    recording = read_bag(recorded.bag)
+    recording = read_recording(recorded.bag)
     log = JointLog.of(recording, recorded.scene.chain.names)
     every = np.arange(START, START + 19.0, 0.04)
     wanted, moving = chosen_stamps(every, log)

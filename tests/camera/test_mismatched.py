@@ -11,9 +11,9 @@ from camera.bodies import Faults, body_scene
 from camera.fits import MEASURED
 from camera.scenes import scene
 
-from modcal_core.camera.images_of_cameras import only_seen, prepare_images
+from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.prepared import CameraImages
-from modcal_core.camera.views import BoardView
+from modcal_core.camera.several import only_seen, prepare_images
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from camera.bodies import Faults, body_scene, icosahedron, measured
 
-from modcal_core.camera.body_clean import far_markers
-from modcal_core.camera.corners import SHAPE, CornerTable
+from modcal_core.camera.body_start import far_markers
+from modcal_core.camera.bundle import BoardView
+from modcal_core.camera.corners import SHAPE, CornerTable, left_out_points
 from modcal_core.camera.fit import fit_camera
-from modcal_core.camera.images_of_cameras import only_seen, prepare_images
-from modcal_core.camera.misread import left_out_points
-from modcal_core.camera.views import BoardView
+from modcal_core.camera.several import only_seen, prepare_images
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 

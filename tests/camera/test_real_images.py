@@ -14,16 +14,15 @@ import pytest
 from camera.flange import flange_arm, flange_joints
 
 from modcal_core.camera.arm_poses import arm_poses
-from modcal_core.camera.clean import corner_weights
+from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit, fit_camera
-from modcal_core.camera.intrinsics import first_lens, fit_lens
+from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.pnp import board_poses
-from modcal_core.camera.priors import FIXED, common_prior
+from modcal_core.camera.prepared import corner_weights
+from modcal_core.camera.state import FIXED, common_prior
 from modcal_core.camera.target import CHARUCO, PrintedTarget
-from modcal_core.camera.views import BoardView
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -44,7 +43,7 @@ def read() -> tuple[list[BoardView], Array]:
     """The board in all sixteen, and the flange poses (16, 4, 4)."""
     import cv2
 
-    from modcal_nodes.vision.detect import detect
+    from modcal_nodes.vision.detection import detect
 
     views, poses = [], []
     for i in range(16):
@@ -66,7 +65,7 @@ def test_the_board_is_found_in_all_of_them() -> None:
 
 def test_fitted_corners_agree_better_than_opencvs(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a lens and a flat board, that no simulation has made."""
-    from modcal_nodes.vision import detect
+    from modcal_nodes.vision import detection as detect
 
     def rms() -> float:
         table = CornerTable.of([replace(v, cov=np.tile(np.eye(2), (len(v), 1, 1))) for v in read()[0]], BOARD)

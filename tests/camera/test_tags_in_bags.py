@@ -15,17 +15,17 @@ from camera.test_image_bags import camera_info, header
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.target import APRIL_GRID, TAG, PrintedTarget
 from modcal_core.camera.target_file import target_to_data
-from modcal_core.camera.views import BoardView
 from modcal_core.errors import ModcalError
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robot import Robot
 from modcal_msgs_py.images import CAMERA_INFO, TAGS
-from modcal_msgs_py.mcap_read import read_bag
-from modcal_msgs_py.types import definition, message_class
+from modcal_msgs_py.layout import definition, message_class
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.vision.bag import TAGS_SAID, read_bag_images
 from modcal_nodes.vision.images import ImageFolder
@@ -136,7 +136,7 @@ def cell() -> CameraScene:
 
 
 def read(path: Path, target: PrintedTarget, **options: Any) -> ImageFolder:
-    recording = read_bag(path)
+    recording = read_recording(path)
     robot = Robot.from_urdf(PANDA, tip="panda_link8")
     return read_bag_images(path, recording, robot.names, target, **options)
 

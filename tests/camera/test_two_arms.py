@@ -16,25 +16,24 @@ from camera.scenes import BOARD_ON_TIP, HOME, PANDA
 from camera.test_image_bags import START, header
 
 from modcal_core.calibration.store_parts import arm_to_data, inertias_from_data
-from modcal_core.camera.moments import ImageMoments
+from modcal_core.camera.arm_poses import ImageMoments
+from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.target_file import target_to_data
-from modcal_core.camera.views import BoardView
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
 from modcal_core.robot import Robot
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse_batch import inverse_batch
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.inverse_kinematics import inverse_batch
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_reroot import rerooted
-from modcal_msgs_py.corners import fill_corners
-from modcal_msgs_py.images import CLOUD
+from modcal_core.robots.urdf_tree import rerooted
+from modcal_msgs_py.images import CLOUD, fill_corners
+from modcal_msgs_py.layout import message_class
 from modcal_msgs_py.mcap_write import BagWriter
-from modcal_msgs_py.types import message_class
+from modcal_nodes.cli.camera_input import arm_between
 from modcal_nodes.cli.main import run
-from modcal_nodes.cli.two_arms import arm_between
 from modcal_nodes.simulation.world import World
 
 CAMERA_ON_LEFT = se3.transform(so3.exp([0.02, 0.01, 0.7]), [0.06, 0.02, 0.03])
@@ -60,11 +59,11 @@ def test_links_stand_to_each_other_as_before(rng: np.random.Generator) -> None:
     assert both.names == (*left.names[::-1], *right.names)
     assert np.allclose(both.upper, np.r_[left.upper[::-1], right.upper])
     a, b = (rng.uniform(-1.5, 1.5, (20, 7)) for _ in range(2))
-    apart = se3.inverse(forward(left, a)) @ forward(right, b)
-    assert np.allclose(forward(both, np.c_[a[:, ::-1], b]), apart, atol=1e-12)
+    apart = se3.inverse(chain_forward(left, a)) @ chain_forward(right, b)
+    assert np.allclose(chain_forward(both, np.c_[a[:, ::-1], b]), apart, atol=1e-12)
     # and back
     again = rerooted(turned, "torso")
-    assert np.allclose(forward(read_chain(again, "torso", "left_link8"), a), forward(left, a), atol=1e-12)
+    assert np.allclose(chain_forward(read_chain(again, "torso", "left_link8"), a), chain_forward(left, a), atol=1e-12)
     assert rerooted(text, "torso") == text
 
 
@@ -109,7 +108,7 @@ def test_both_arms_are_calibrated_as_one_chain(tmp_path: Path, capsys: pytest.Ca
     fresh = postures(chain, np.random.default_rng(3), 60)
     true = CAMERA_ON_LEFT @ world.tool_in_tracker(fresh) @ se3.inverse(BOARD_ON_TIP)
     urdfs = rerooted(two_pandas(), "left_link8"), (tmp_path / "out" / "calibrated.urdf").read_text()
-    arms = [forward(read_chain(text, "left_link8", "right_link8"), fresh) for text in urdfs]
+    arms = [chain_forward(read_chain(text, "left_link8", "right_link8"), fresh) for text in urdfs]
     miss = [missed_by_tracker(T, true, BOARD_ON_TIP[:3, 3]) for T in arms]
     assert miss[1] < 0.25 * miss[0]
 
@@ -207,7 +206,7 @@ def test_both_arms_from_a_bag_of_corners_with_a_spring_in_each(
     tip = CAMERA_ON_LEFT @ truth(fresh) @ se3.inverse(BOARD_ON_TIP)
     urdfs = rerooted(text, "left_link8"), (tmp_path / "out" / "calibrated.urdf").read_text()
     miss = [
-        missed_by_tracker(forward(read_chain(one, "left_link8", "right_link8"), fresh), tip, BOARD_ON_TIP[:3, 3])
+        missed_by_tracker(chain_forward(read_chain(one, "left_link8", "right_link8"), fresh), tip, BOARD_ON_TIP[:3, 3])
         for one in urdfs
     ]
     assert miss[1] < 0.25 * miss[0]

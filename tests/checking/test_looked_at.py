@@ -8,8 +8,8 @@ import numpy as np
 
 from modcal_core.checking.looked_at import spread_out
 from modcal_core.checking.patterns import witnesses
+from modcal_core.measurements.dwells import spread_rows
 from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
 
 
 def raster(levels: int, joints: int) -> Samples:

@@ -18,8 +18,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.samples import Samples
 from modcal_core.public import calibrate, check
-from modcal_core.report.checkup import summary, to_json_data
-from modcal_core.report.summary import SummaryLine
+from modcal_core.report.checkup import checkup_data, checkup_summary
+from modcal_core.report.terminal import SummaryLine
 from modcal_core.robot import Robot
 from modcal_core.robots.kinematics import spatial_jacobian
 from modcal_nodes.simulation.world import World
@@ -81,8 +81,8 @@ def test_an_unknown_frame_is_placed_and_no_change(cell: tuple[Recorded, Calibrat
         zeros = next(n for n in found.noticed if n.label == "joint zero")
         assert zeros.unseen == (first,)  # the frame that was placed takes it up
         assert zeros.mm < 10.0
-        assert to_json_data(found)["not_noticed"] == [first]
-        lines = [line.text for line in summary(found) if isinstance(line, SummaryLine)]
+        assert checkup_data(found)["not_noticed"] == [first]
+        lines = [line.text for line in checkup_summary(found) if isinstance(line, SummaryLine)]
         assert any(line.endswith(f"These stations do not show: {first}.") for line in lines)
         assert found.expected[0] is not None
         assert found.expected[0] < 2e3 * FLOOR

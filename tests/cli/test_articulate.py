@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from modcal_core.articulation.urdf import frames, read
 from modcal_core.geometry import se3, so3
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_core.robots.inverse import inverse
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables.tracks import read_track
@@ -125,7 +125,7 @@ def test_an_arm_that_turns_about_its_first_joint(tmp_path: Path) -> None:
     write_recording(Recording(joints=joints, robot_description=text), tmp_path / "bag")
     assert run(["articulate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0
     data = told(tmp_path / "out")
-    tip = forward(chain, q[:1])[0, :3, 3]
+    tip = chain_forward(chain, q[:1])[0, :3, 3]
     assert data["kind"] == "revolute"
     assert data["frame"] == chain.base
     assert data["joint"]["radius"] == pytest.approx(np.hypot(tip[0], tip[1]), abs=1e-3)
@@ -137,7 +137,7 @@ def test_an_arm_alone_and_a_tracker_see_the_same_object(tmp_path: Path) -> None:
     text, rng = URDF.read_text(), np.random.default_rng(8)
     chain = read_chain(text)
     q = np.array([0.0, -1.2, 1.9, -0.7, -1.57, 0.0])
-    first = forward(chain, q[None])[0]
+    first = chain_forward(chain, q[None])[0]
     axis, hinge = np.array([0.0, 0.0, 1.0]), first[:3, 3] + [0.05, 0.34, 0.0]
     twist = np.concatenate([np.cross(hinge, axis), axis])
     held = se3.exp(np.linspace(0.0, -0.9, 60)[:, None] * twist) @ first

@@ -13,13 +13,12 @@ from modules.workshop import Arm, Made, shelf_of
 
 from modcal_core.geometry import se3
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.error_store import twists_from_data
-from modcal_core.modules.library_data import published_text
+from modcal_core.modules.errors import twists_from_data
+from modcal_core.modules.library import Assembly, published_text
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.spec import assembly_to_data
 from modcal_core.modules.urdf import urdf_of
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.recording_write import write_recording
@@ -128,7 +127,7 @@ def test_from_recordings_to_a_better_start(
     def spread(chain: object) -> float:
         """How far poses miss when the last posture's pose is made to fit, so that base and tool drop out."""
         q = np.random.default_rng(3).uniform(-1.0, 1.0, (40, 5))
-        A, T = forward(chain, q), arm.poses(q)  # type: ignore[arg-type]
+        A, T = chain_forward(chain, q), arm.poses(q)  # type: ignore[arg-type]
         gap = se3.inverse(A[:1]) @ A @ se3.inverse(se3.inverse(T[:1]) @ T)
         return float(np.linalg.norm(se3.log(gap)[:, :3], axis=1).mean())
 
@@ -189,4 +188,4 @@ def test_the_simulated_cell_takes_the_robot(rng: np.random.Generator) -> None:
     chain = read_chain(text)
     world = World(chain, rng, 0.0, 0.0, inertias=read_inertias(text, chain))
     q = rng.uniform(-2.0, 2.0, (20, chain.n))
-    assert np.abs(world.tool_in_base(q) - forward(chain, q)).max() < 1e-9
+    assert np.abs(world.tool_in_base(q) - chain_forward(chain, q)).max() < 1e-9

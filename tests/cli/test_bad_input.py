@@ -15,7 +15,7 @@ import pytest
 from cli.recordings import URDF, stations, streams, with_joints, with_reading
 
 from modcal_core.measurements.recording import Recording
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
@@ -202,13 +202,13 @@ def test_cut_bag_is_read_up_to_the_cut(tmp_path: Path, capfd: pytest.CaptureFixt
     assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "out")]) == 0
     assert "bag_0.mcap was read up to its message" in " ".join(capfd.readouterr().out.split())
     assert "read up to its message" in (tmp_path / "out" / "report.json").read_text()
-    recording = read_bag(tmp_path / "bag")
+    recording = read_recording(tmp_path / "bag")
     assert 0.4 < recording.duration / read_whole(whole, tmp_path).duration < 0.6
 
 
 def read_whole(data: bytes, folder: Path) -> Recording:
     (folder / "whole.mcap").write_bytes(data)
-    return read_bag(folder / "whole.mcap")
+    return read_recording(folder / "whole.mcap")
 
 
 @pytest.mark.slow

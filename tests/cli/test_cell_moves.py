@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from modcal_core.calibration.moves import Move
+from modcal_core.calibration.fit import Move
 from modcal_core.errors import BadTable
 from modcal_nodes.io.inputs import read_cell
 

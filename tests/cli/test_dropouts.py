@@ -13,7 +13,7 @@ from msgs.bag_forms import Cell, Message
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.types import jazzy
+from modcal_msgs_py.layout import jazzy
 from modcal_nodes.cli.main import run
 
 OBJECT = "<robot name='cup'><link name='cup'/></robot>"
@@ -111,10 +111,10 @@ def test_a_pose_that_was_computed_is_never_taken_by_its_type(
     """A name that tells nothing, and a frame that is no link: it is told by how well the model reproduces it."""
     from cells import ur10
 
-    from modcal_core.robots.kinematics import forward
+    from modcal_core.robots.kinematics import chain_forward
     from modcal_core.robots.urdf import read_chain
 
-    T = forward(read_chain(c.urdf, None, "tool0", frozenset(ur10().names)), c.q)
+    T = chain_forward(read_chain(c.urdf, None, "tool0", frozenset(ur10().names)), c.q)
     computed = Cell(c.stamps, c.names, c.q, se3.to_pose(T), c.urdf)
     bag = forms.write(
         tmp_path / "bag", [*forms.joints(c), *forms.described(c), *forms.readings(computed, "/arm/state", frame="cell")]

@@ -17,8 +17,7 @@ from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
-from modcal_core.robots.table_csv import from_csv
-from modcal_core.robots.tables import from_table
+from modcal_core.robots.tables import from_csv, from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.cli.main import run
 
@@ -119,7 +118,7 @@ CASES = {
 
 def bent(folder: Path) -> Path:
     """A UR10 whose elbow is 0.3 mrad from parallel to its shoulder."""
-    from modcal_core.robots.urdf_elements import chain_urdf
+    from modcal_core.robots.urdf_write import chain_urdf
 
     origins = np.array(ur10().origins)
     origins[2] = origins[2] @ se3.exp([0, 0, 0, 0, 3e-4, 0])

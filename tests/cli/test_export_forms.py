@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.kinematics import forward
-from modcal_core.robots.table_csv import from_csv
-from modcal_core.robots.tables import from_table
+from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.tables import from_csv, from_table
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf
 from modcal_nodes.cli.main import run
@@ -136,7 +135,7 @@ def test_the_nearest_table_says_what_it_loses(tmp_path: Path, capfd: pytest.Capt
     assert found
     assert "shoulder_lift_joint and elbow_joint" in said
     q = np.random.default_rng(9).uniform(-np.pi, np.pi, (400, 6))
-    off = forward(from_table(from_csv(out.read_text())), q) - forward(read_chain(urdf.read_text()), q)
+    off = chain_forward(from_table(from_csv(out.read_text())), q) - chain_forward(read_chain(urdf.read_text()), q)
     assert 1e3 * np.sqrt(np.mean(np.sum(off[:, :3, 3] ** 2, axis=1))) == pytest.approx(float(found[1]), rel=0.1)
     assert float(found[1]) in [float(v) for v in re.findall(r"off by (\S+) mm RMS", out.read_text())]
 

@@ -11,7 +11,7 @@ from cells import record, ur10
 from cli.recordings import URDF
 from scipy.spatial.transform import Rotation
 
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 
 NAMES = ur10().names
@@ -65,4 +65,4 @@ def test_a_wrong_statement_is_refused(
 def test_a_right_one_is_written_and_keeps_that_it_has_no_clock(tmp_path: Path) -> None:
     table(tmp_path)
     assert imported(tmp_path) == 0
-    assert not read_bag(tmp_path / "bag").has_clock
+    assert not read_recording(tmp_path / "bag").has_clock

@@ -13,8 +13,8 @@ from cli.recordings import stations
 from cli.test_bad_input import refused
 from robots.random_arms import Mujoco
 
+from modcal_core.robots.acceleration import read_drives
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_drives import read_drives
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 

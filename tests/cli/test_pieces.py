@@ -14,7 +14,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import Recording, SignalTrack
 from modcal_core.preprocess import Prepared, prepare, prepare_pieces
 from modcal_msgs_py import mcap_read
-from modcal_msgs_py.mcap_read import read_bag, read_pieces
+from modcal_msgs_py.mcap_read import read_pieces, read_recording
 from modcal_msgs_py.recording_write import write_recording
 
 
@@ -36,8 +36,8 @@ def prepared_in(bag: Path, most: int | None) -> tuple[Prepared, int]:
 
 @pytest.mark.slow
 def test_pieces_give_the_stations_of_the_whole(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = prepare(read_bag(bag), ur10()).samples
-    joint_states = len(read_bag(bag).joints[0].stamps)
+    whole = prepare(read_recording(bag), ur10()).samples
+    joint_states = len(read_recording(bag).joints[0].stamps)
     monkeypatch.setattr(mcap_read, "OVERLAP", 12.0)
     prepared, count = prepared_in(bag, joint_states // 7)
     assert count > 4

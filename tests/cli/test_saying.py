@@ -16,7 +16,7 @@ import pytest
 from cli.recordings import stations
 
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
@@ -123,7 +123,7 @@ def test_the_other_verbs_speak_to_programs_too(
     robot = ROOT / "examples" / "robots" / "ur10.urdf"
     few = ("-p", "stations=4", "-p", "joint_rate_hz=50", "-p", "tracker_rate_hz=25")
     simulated = said_by(capfd, "simulate", robot, "--out", "made", *few)
-    recording = read_bag(Path(simulated["bag"]))
+    recording = read_recording(Path(simulated["bag"]))
     assert simulated["stations"] == 4
     assert simulated["joint_states"] == len(recording.joints[0].stamps)
     assert simulated["readings"] == len(recording.readings[0].stamps)

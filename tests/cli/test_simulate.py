@@ -11,10 +11,10 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording
 from modcal_core.preprocess import prepare
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_delta
 from modcal_nodes.simulation.plant import make_world
@@ -27,7 +27,7 @@ CHAIN = read_chain(URDF.read_text())
 def simulated(folder: Path, *options: str, robot: Path = URDF) -> Recording:
     few = ("-p", "stations=8", "-p", "joint_rate_hz=50", "-p", "tracker_rate_hz=25")
     assert run(["simulate", str(robot), "--out", str(folder / "bag"), *few, *options]) == 0
-    return read_bag(folder / "bag")
+    return read_recording(folder / "bag")
 
 
 def still(recording: Recording) -> tuple[Array, Array, Array]:
@@ -45,7 +45,7 @@ def test_it_says_what_the_true_cell_of_that_seed_shows(tmp_path: Path) -> None:
     off = se3.log(se3.inverse(world.tool_in_tracker(q)) @ T)
     assert np.abs(off[:, :3]).max() < 5.0 * 2e-5
     # and that is not what the drawing says: neither in form nor in how it gives way
-    nominal = forward(CHAIN, q)
+    nominal = chain_forward(CHAIN, q)
     assert np.abs(np.diff(T[:, 0, 3]) - np.diff(nominal[:, 0, 3])).max() > 1e-3
     assert recording.robot_description == URDF.read_text()
 

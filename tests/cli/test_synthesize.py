@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from modcal_core.modules.library_data import published_text
+from modcal_core.modules.library import published_text
 from modcal_nodes.cli.main import run
 
 TARGETS = [

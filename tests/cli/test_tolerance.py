@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from cli.recordings import stations
 
+from modcal_msgs_py.descriptions import digest
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tracing import digest
 from modcal_nodes.cli.main import run
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.correction.arm_state import ArmState
+from modcal_core.correction.correction import ArmState
 
 
 def test_a_joint_that_does_not_move_keeps_the_side_it_came_from() -> None:

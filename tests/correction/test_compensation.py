@@ -10,18 +10,17 @@ import pytest
 from calibration.test_effects import EFFECTS, started
 from cells import NOISE_M, NOISE_RAD, samples_of, slider_arm, ur10
 
-from modcal_core.calibration.canonical import least_change, passing_directions
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.identify import identify
-from modcal_core.calibration.linearise import Deviations, apply_deviations
+from modcal_core.calibration.covariance import Uncertainty
+from modcal_core.calibration.final_fit import finalise
+from modcal_core.calibration.fit import identify
+from modcal_core.calibration.linearisation import Deviations, apply_deviations
 from modcal_core.calibration.model import Model
+from modcal_core.calibration.parameters import least_change, passing_directions
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.compensation import compensate
-from modcal_core.correction.correction import Correction, Target
+from modcal_core.correction.correction import ArmState, Correction, Target
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
@@ -31,7 +30,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf_inertias import Inertias
 
 T0 = 1.7e9
@@ -137,7 +136,7 @@ def test_base_and_tool_stay_out_of_the_tip_in_the_base_link(rng: np.random.Gener
     q = rng.uniform(-2, 2, 6)
     at = moment(q, rng)
     plain = true_model()
-    T = forward(plain.chain, q)
+    T = chain_forward(plain.chain, q)
     for name, moves_tip, moves_tool in (("settling", 0, 0), ("bump", 0, 1), ("scale", 0, 0), ("gear", 1, 1)):
         correction = Correction(calibration_of(true_model(started(name))))
         moved = [
@@ -154,7 +153,7 @@ def test_effective_joints_on_the_corrected_arm_give_the_corrected_tip(rng: np.ra
     for q in rng.uniform(-2, 2, (10, 6)):
         at = moment(q, rng)
         assert np.abs(correction.joints(q, at) - q).max() > 1e-5
-        assert np.abs(forward(model.chain, correction.joints(q, at)) - correction.pose(q, at)).max() < 1e-12
+        assert np.abs(chain_forward(model.chain, correction.joints(q, at)) - correction.pose(q, at)).max() < 1e-12
 
 
 @pytest.mark.parametrize("chain", [ur10(), slider_arm()], ids=["ur10", "sliders"])
@@ -272,7 +271,7 @@ def test_one_temperature_is_enough(rng: np.random.Generator) -> None:
     ever = SignalTrack("temperature:arm", T0 + np.arange(100.0), np.full((100, 1), 30.0))
     poses = [correction.pose(q, replace(moment(q, rng), signals=(track,))) for track in (once, ever)]
     assert np.abs(poses[0] - poses[1]).max() < 1e-12
-    assert np.abs(poses[0] - forward(correction.chain, q)).max() > 1e-4
+    assert np.abs(poses[0] - chain_forward(correction.chain, q)).max() > 1e-4
 
 
 def test_drifts_are_not_continued_for_ever_and_not_before_they_were_seen(rng: np.random.Generator) -> None:

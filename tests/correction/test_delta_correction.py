@@ -9,15 +9,14 @@ import pytest
 from deltas import RecordedDelta, record_delta
 
 from modcal_core.calibration.store import Calibration
-from modcal_core.correction.arm_state import ArmState
 from modcal_core.correction.commander import CalibratedRobot, Commander, corrected_urdf
 from modcal_core.correction.compensation import compensate
-from modcal_core.correction.correction import Correction
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.errors import BadRobot, NotReachable
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.live import Live
+from modcal_core.online.supervisor import Live
 from modcal_core.robots.mechanism import tool_frames
 
 COUNT = 120

@@ -13,17 +13,10 @@ from correction.test_compensation import STEEP, calibration_of, moment, true_mod
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.correction.correction import Correction
-from modcal_core.correction.picture import (
-    ellipsoid,
-    enlarged_axes,
-    joint_axes,
-    known_to,
-    residuals,
-    tool_ellipsoid,
-)
+from modcal_core.correction.picture import ellipsoid, enlarged_axes, joint_axes, known_to, residuals, tool_ellipsoid
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_nodes.simulation.mjcf import body_name
 from modcal_nodes.simulation.world import World
 
@@ -39,7 +32,7 @@ def test_misses_are_how_far_mujocos_tool_is_from_the_drawings(rng: np.random.Gen
     seen = samples_of(chain, q, world.tool_in_tracker(q))
     drawn = Model(chain, ("tracker",), world.T_tracker_base[None], T_TIP_TOOL)
     of = residuals(drawn, seen, SPREAD)
-    expected = (forward(chain, q) @ T_TIP_TOOL)[:, :3, 3]
+    expected = (chain_forward(chain, q) @ T_TIP_TOOL)[:, :3, 3]
     assert np.abs(of.expected - expected).max() < 1e-12
     assert np.abs(of.residual - (world.tool_in_base(q)[:, :3, 3] - expected)).max() < 1e-12
     assert of.size.max() > 1e-3

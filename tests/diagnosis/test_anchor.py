@@ -9,7 +9,7 @@ import pytest
 from calibration.test_identify import fit_all
 from cells import record, ur10
 
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.fit import Fit
 from modcal_core.diagnosis.anchor import Anchor
 from modcal_core.diagnosis.evidence import Scanner
 from modcal_core.diagnosis.space import Directions, by_component

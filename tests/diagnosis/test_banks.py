@@ -7,7 +7,7 @@ import pytest
 from calibration.test_identify import fit_all
 from cells import record, ur10
 
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration.fit import Fit
 from modcal_core.diagnosis.banks import StepBank, WaveBank
 from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS
 from modcal_core.diagnosis.evidence import Scanner

@@ -15,7 +15,7 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import offset_wrench, payload_wrench
 
 ELBOW = 2
@@ -30,7 +30,7 @@ def loaded(topic: str, factor: float = 1.0) -> Samples:
     mass = rng.choice([0.0, 2.0, 5.0], len(q))
     step = np.zeros(6)
     step[ELBOW] = 1e-6
-    rise = (forward(chain, q + step)[:, 2, 3] - forward(chain, q - step)[:, 2, 3]) / 2e-6
+    rise = (chain_forward(chain, q + step)[:, 2, 3] - chain_forward(chain, q - step)[:, 2, 3]) / 2e-6
     actual = q - COMPLIANCE * mass[:, None] * 9.81 * rise[:, None] * (np.arange(6) == ELBOW)
     T = made.world.tool_in_tracker(actual)
     T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
@@ -59,7 +59,7 @@ def test_the_weight_of_a_mass_beside_the_tip_is_that_of_virtual_work() -> None:
     q, beside = rng.uniform(-2.0, 2.0, (20, 6)), np.array([0.03, -0.05, 0.12])
 
     def height(postures: np.ndarray) -> np.ndarray:
-        T = forward(chain, postures)
+        T = chain_forward(chain, postures)
         return T[:, 2, 3] + T[:, 2, :3] @ beside
 
     torque = payload_wrench(chain, q)[:, 5] + np.einsum("d,djn->jn", beside, offset_wrench(chain, q)[:, :, 5])

@@ -26,8 +26,8 @@ from modcal_core.planning.deciding import propose, undecided_by_posture
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_nodes.cli.deciding import _worth
 from modcal_nodes.cli.main import run
+from modcal_nodes.cli.plan import _worth
 
 pytestmark = pytest.mark.slow
 

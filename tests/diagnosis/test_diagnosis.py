@@ -24,7 +24,7 @@ from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.preprocess import prepare
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.findings import Finding
+from modcal_core.report.diagnosis_entries import Finding
 from modcal_core.report.report import Report
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL

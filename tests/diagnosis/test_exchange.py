@@ -9,7 +9,7 @@ import pytest
 from cells import ur10
 from diagnosis.test_rounds import STALE, Scanned, scanned  # noqa: F401
 
-from modcal_core.calibration.identify import FITTED, Fit, identify
+from modcal_core.calibration.fit import FITTED, Fit, identify
 from modcal_core.diagnosis.choice import choose
 from modcal_core.diagnosis.exchange import better_choice
 from modcal_core.effects.effect import Effect

@@ -19,7 +19,7 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.report.as_json import to_json_data
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 
@@ -53,7 +53,7 @@ def recorded(
 ) -> Samples:
     q = rng.uniform(-1.6, 1.6, (count, 6))
     bent = q + compliance * torques(q, down, carried, CENTRE)
-    T = BASE @ forward(CHAIN, bent) @ TOOL
+    T = BASE @ chain_forward(CHAIN, bent) @ TOOL
     T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
     return samples_of(CHAIN, q, T)
 
@@ -174,7 +174,7 @@ def recorded_at_tip(rng: np.random.Generator, count: int, kg: float, own: bool =
     """A load at the tip, of an arm that weighs nothing itself, or what it weighs."""
     q = rng.uniform(-1.6, 1.6, (count, 6))
     pulled = torques(q, DOWN, kg, np.zeros(3)) - (not own) * torques(q, DOWN, 0.0, np.zeros(3))
-    T = BASE @ forward(CHAIN, q + COMPLIANCE * pulled) @ TOOL
+    T = BASE @ chain_forward(CHAIN, q + COMPLIANCE * pulled) @ TOOL
     T[:, :3, 3] += 2e-5 * rng.standard_normal((count, 3))
     return samples_of(CHAIN, q, T)
 

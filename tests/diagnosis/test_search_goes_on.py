@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cells import record, samples_of, ur10
 
-from modcal_core.calibration.split import split
+from modcal_core.calibration.data_split import split
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples

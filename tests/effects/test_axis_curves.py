@@ -8,13 +8,12 @@ import numpy as np
 from cells import samples_of, ur10
 from correction.test_compensation import calibration_of, moment, true_model
 
-from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction
-from modcal_core.effects.axis_curves import AxisCurves
+from modcal_core.calibration.covariance import Uncertainty
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import AXIS, Effect, motion
 from modcal_core.effects.shapes import Shape
+from modcal_core.effects.sizes import AxisCurves
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from modcal_core.articulation.models.parametric import ParametricModel
 from modcal_core.effects.family import Family
-from modcal_msgs_py.added_topics import AddedTopic, Joints
+from modcal_msgs_py.topics import AddedTopic, Joints
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "extending.md").read_text()

@@ -44,7 +44,7 @@ if sys.argv[1:]:
 from cells import record, ur10
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import columns, prior_stds
-from modcal_core.effects.entry import ReportEntry
+from modcal_core.effects.family import ReportEntry
 from modcal_core.effects.registry import candidates, complexity, families, family, require_known
 
 drivers = Drivers(record(1, 20).samples, NominalArm(ur10()))

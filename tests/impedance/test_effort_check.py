@@ -10,9 +10,9 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.effort_check import ArmEfforts, EffortCheck
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import DOWN
-from modcal_core.robots.gravity import HeldWeight, gravity_wrench, payload_wrench
+from modcal_core.robots.acceleration import read_drives
+from modcal_core.robots.gravity import HeldWeight, chain_gravity_wrench, payload_wrench
 from modcal_core.robots.kinematics import pose_and_jacobian
-from modcal_core.robots.urdf_drives import read_drives
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 MAX, STANDS = 50.0, 47.5  # N: that may be felt; at which a pull stands
@@ -39,7 +39,7 @@ class Reports:
 
     def at(self, q: Array, wrench: Array) -> Array:
         chain, bodies = self.arm.chain, self.arm.bodies
-        weight = gravity_wrench(chain, bodies, q[None])[:, 5, 0] + HANGS * payload_wrench(chain, q[None])[:, 5, 0]
+        weight = chain_gravity_wrench(chain, bodies, q[None])[:, 5, 0] + HANGS * payload_wrench(chain, q[None])[:, 5, 0]
         true = -weight - pose_and_jacobian(chain, q)[1].T @ (wrench + CLENCHED)
         return self._gain * true + self._zero + self._dry + 1e-3 * self.arm.full * self._rng.standard_normal(chain.n)
 
@@ -79,7 +79,9 @@ def test_the_weight_of_one_posture_is_that_of_many(arm: ArmEfforts, rng: np.rand
         down = rng.standard_normal(3)
         bodies = arm.bodies.pulled(down)
         weight = HeldWeight(arm.chain, bodies)
-        np.testing.assert_allclose(weight.efforts(q), -gravity_wrench(arm.chain, bodies, q[None])[:, 5, 0], atol=1e-12)
+        np.testing.assert_allclose(
+            weight.efforts(q), -chain_gravity_wrench(arm.chain, bodies, q[None])[:, 5, 0], atol=1e-12
+        )
         np.testing.assert_allclose(
             weight.of_load(q), -payload_wrench(arm.chain, q[None], bodies.down)[:, 5, 0], atol=1e-12
         )

@@ -12,7 +12,7 @@ from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
 from modcal_core.impedance.task import JointPositions, Stop, Wait
 from modcal_core.impedance.wrench import WrenchSensor
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +32,7 @@ class Still:
             w = np.array([0, 0, 8.0, 0, 0, 0]) + (0.0 if wrench is None else wrench)
             self.sensor.receive(PANDA.tip, w, self.now, self.now, 0.1)
         joints = JointPositions(self.q, self.now - joints_age)
-        out = self.operation.tick(self.now, forward(PANDA, self.q), self.sensor, joints, self.belief)
+        out = self.operation.tick(self.now, chain_forward(PANDA, self.q), self.sensor, joints, self.belief)
         if isinstance(out, ArmSetpoint):
             self.q = out.q
         return out
@@ -84,7 +84,7 @@ def test_an_arm_that_is_heard_again_lets_go_and_is_not_led_on() -> None:
     still.until("explore")
     for _ in range(400):
         still.tick()
-    before = forward(PANDA, still.q)[:3, 3]
+    before = chain_forward(PANDA, still.q)[:3, 3]
     lost = [still.tick(joints_age=0.5) for _ in range(int(2.0 / PERIOD))]
     assert all(isinstance(out, Wait) for out in lost)
     outs = [still.tick() for _ in range(300)]
@@ -121,7 +121,7 @@ def test_without_its_estimator_a_pull_ends(phase: str) -> None:
     still = Still(Operation(PANDA, TASK, LIMITS))
     still.until("explore")
     if phase == "follow":
-        still.belief.model, still.belief.trusted = drawer(forward(PANDA, still.q)), True
+        still.belief.model, still.belief.trusted = drawer(chain_forward(PANDA, still.q)), True
         still.until("follow")
     for _ in range(int(1.5 / PERIOD)):
         assert isinstance(still.tick(), ArmSetpoint)
@@ -161,13 +161,13 @@ def test_a_blow_ends_it_and_is_not_given_way_to_further_than_it_moves_the_tool()
     still.until("explore")
     for _ in range(200):
         still.tick()
-    before = forward(PANDA, still.q)
+    before = chain_forward(PANDA, still.q)
     outs = [still.tick(np.array([0, 200.0, 0, 0, 0, 0])) for _ in range(200)]
     assert still.operation.phase == "release"
     assert isinstance(outs[-1], Stop)
     assert "force" in outs[-1].why
     assert "50 N is the limit" in outs[-1].why
-    assert np.linalg.norm(forward(PANDA, still.q)[:3, 3] - before[:3, 3]) < 1e-3
+    assert np.linalg.norm(chain_forward(PANDA, still.q)[:3, 3] - before[:3, 3]) < 1e-3
 
 
 def test_a_clock_that_goes_back_ends_it() -> None:

@@ -10,7 +10,7 @@ import pytest
 from impedance.toy import PANDA, PERIOD, READY
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.joint_lead_check import JointLeadCheck
+from modcal_core.impedance.lead_check import JointLeadCheck
 from modcal_core.robots.kinematics import pose_and_jacobian
 
 LAG, MAX, STIFFEST = 0.03, 50.0, 100e3

@@ -10,10 +10,10 @@ from impedance.walking import reach
 from modcal_core.errors import NotReachable
 from modcal_core.geometry import se3
 from modcal_core.geometry.single import speeds
-from modcal_core.impedance.path_check import PathCheck
+from modcal_core.impedance.path_model import PathCheck
 from modcal_core.impedance.setpoint_filter import SetpointFilter
-from modcal_core.robots.inverse import inverse
-from modcal_core.robots.kinematics import body_jacobian, forward
+from modcal_core.robots.inverse_kinematics import inverse
+from modcal_core.robots.kinematics import body_jacobian, chain_forward
 from modcal_core.robots.urdf import read_chain
 
 
@@ -23,7 +23,7 @@ def test_a_way_within_reach_is_found_with_its_joints(model: object) -> None:
     poses = model.pose(np.linspace(0.0, far, 30))  # type: ignore[attr-defined]
     found = reach(PANDA, poses, READY).require()
     assert found.whole
-    T = forward(PANDA, found.joints)
+    T = chain_forward(PANDA, found.joints)
     assert np.abs(T[:, :3, 3] - poses[:, :3, 3]).max() < 2e-4
     assert np.abs(T[:, :3, :3] - poses[:, :3, :3]).max() < 2e-3
     assert (found.joints >= PANDA.lower + 0.02).all()
@@ -93,7 +93,7 @@ def test_joints_follow_jumps_without_breaking_limits(rng: np.random.Generator) -
         joints = (follower.q - q) / h
         assert (np.abs(joints) <= lim.joint_speed).all()
         assert (np.abs(joints - joint_rates) <= lim.joint_acceleration * span).all()
-        assert np.abs(forward(PANDA, follower.q) - follower.pose).max() < 1e-9
+        assert np.abs(chain_forward(PANDA, follower.q) - follower.pose).max() < 1e-9
         q, T, rates, joint_rates, before = follower.q, follower.pose, rate, joints, h
     assert speeds(follower.pose, goal)[0] < 1e-4
     assert speeds(follower.pose, goal)[1] < 1e-3
@@ -119,14 +119,14 @@ def test_a_tool_measured_by_something_better_is_led_there() -> None:
     goal = off @ T_READY @ se3.exp([0.02, 0.0, 0.01, 0.0, 0.05, 0.0])
     for _ in range(500):
         follower.step(goal, PERIOD)
-    assert np.abs(off @ forward(PANDA, follower.q) - goal).max() < 1e-4
+    assert np.abs(off @ chain_forward(PANDA, follower.q) - goal).max() < 1e-4
 
 
 def test_an_arm_without_spare_joints_and_one_that_slides() -> None:
     ur10 = read_chain((ROOT / "examples" / "robots" / "ur10.urdf").read_text())
     q0 = np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
-    T0 = forward(ur10, q0)
+    T0 = chain_forward(ur10, q0)
     poses = np.array([se3.transform(p=[0.0, 0.0, z]) @ T0 for z in np.linspace(0.0, 0.2, 15)])
     found = reach(ur10, poses, q0)
     assert found.whole
-    assert np.abs(forward(ur10, found.joints) - poses).max() < 1e-3
+    assert np.abs(chain_forward(ur10, found.joints) - poses).max() < 1e-3

@@ -6,8 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from modcal_core.impedance.joint_lead_check import sent_since
-from modcal_core.impedance.recent_maximum import RecentMaximum
+from modcal_core.impedance.lead_check import RecentMaximum, sent_since
 
 
 def test_the_largest_of_the_last_moments_is_that_of_a_list(rng: np.random.Generator) -> None:

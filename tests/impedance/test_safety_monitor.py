@@ -15,7 +15,7 @@ from modcal_core.errors import BadCommand
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, SafetyMonitor, SensorReadings
-from modcal_core.robots.kinematics import body_jacobian, forward
+from modcal_core.robots.kinematics import body_jacobian, chain_forward
 
 LIMITS = limits(speed=0.25, acceleration=2.5)
 ATTEMPTS = 8_000  # bench/control_tick.py makes a hundred thousand
@@ -27,14 +27,14 @@ NASTY = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1e12, 1e-300, 0.0, -0.0, 
 def setpoint(q: Array, velocity: Array | None = None) -> ArmSetpoint:
     speed = np.zeros(7) if velocity is None else velocity
     return ArmSetpoint(
-        PANDA.base, PANDA.names, forward(PANDA, q), q, speed, np.zeros(6), np.array([900.0] * 3 + [50.0] * 3)
+        PANDA.base, PANDA.names, chain_forward(PANDA, q), q, speed, np.zeros(6), np.array([900.0] * 3 + [50.0] * 3)
     )
 
 
 def sensors(now: float, q: Array = READY) -> SensorReadings:
     joints = dict(zip(PANDA.names, q.tolist(), strict=True))
     return SensorReadings(
-        joints, now - 0.004, forward(PANDA, q), np.array([5.0, 0, 0, 0, 1.0, 0]), PANDA.tip, now - 0.002
+        joints, now - 0.004, chain_forward(PANDA, q), np.array([5.0, 0, 0, 0, 1.0, 0]), PANDA.tip, now - 0.002
     )
 
 
@@ -131,7 +131,7 @@ def test_a_singular_posture_does_not_pass() -> None:
     least = float(np.linalg.svd(body_jacobian(PANDA, stretched[None])[0], compute_uv=False).min())
     for share in (0.99, 1.01):
         guard = SafetyMonitor(PANDA, limits(gain=share * least))
-        guard.open(forward(PANDA, stretched), stretched, 10.0)
+        guard.open(chain_forward(PANDA, stretched), stretched, 10.0)
         with contextlib.nullcontext() if share < 1.0 else pytest.raises(BadCommand, match="singular"):
             guard.check(setpoint(stretched), sensors(10.004, stretched), 10.004)
 
@@ -221,7 +221,7 @@ class Witness:
         assert (out.q >= PANDA.lower).all()
         assert (out.q <= PANDA.upper).all()
         assert np.linalg.det(out.pose[:3, :3]) == pytest.approx(1.0, abs=1e-5)
-        assert np.abs(forward(PANDA, out.q)[:3, 3] - out.pose[:3, 3]).max() <= LIMITS.consistency
+        assert np.abs(chain_forward(PANDA, out.q)[:3, 3] - out.pose[:3, 3]).max() <= LIMITS.consistency
         assert np.linalg.norm(out.pose[:3, 3] - h.T_base_tool[:3, 3]) <= LIMITS.displacement * 1.001
         assert (np.abs(out.stiffness) <= 5000.0).all()
         assert self.q is not None

@@ -14,12 +14,12 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.wrench import Load
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import body_jacobian, forward
+from modcal_core.robots.kinematics import body_jacobian, chain_forward
 
 
 def asked(guard: SafetyMonitor, chain: Chain, q: Array, now: float) -> None:
     """Ask the guard for a posture (n,) at a time, everything else being as it should."""
-    T, zero = forward(chain, q), np.zeros(chain.n)
+    T, zero = chain_forward(chain, q), np.zeros(chain.n)
     wish = ArmSetpoint(chain.base, chain.names, T, q, zero, np.zeros(6), np.array([900.0] * 3 + [50.0] * 3))
     joints = dict(zip(chain.names, q.tolist(), strict=True))
     guard.check(wish, SensorReadings(joints, now - 0.001, T, np.zeros(6), chain.tip, now - 0.001), now)
@@ -32,7 +32,7 @@ def test_an_arm_of_six_axes_is_kept_from_singular_postures(elbow: float, passes:
     least = np.linalg.svd(body_jacobian(chain, q[None])[0], compute_uv=False)[-1]
     assert (least > 0.02) == passes
     guard = SafetyMonitor(chain, Limits(np.full(6, 1.5), np.full(6, 15.0)))
-    guard.open(forward(chain, q), q, 10.0)
+    guard.open(chain_forward(chain, q), q, 10.0)
     if passes:
         asked(guard, chain, q, 10.004)
     else:

@@ -20,13 +20,13 @@ from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint, Limits
 from modcal_core.impedance.task import JointPositions, Stop
 from modcal_core.impedance.wrench import WrenchSensor
-from modcal_core.robots.kinematics import forward, joint_motions, posture_frames
+from modcal_core.robots.kinematics import chain_forward, joint_motions, posture_frames
 from modcal_core.robots.urdf import read_chain
 
 ROOT = Path(__file__).resolve().parents[2]
 PANDA = read_chain((ROOT / "examples" / "robots" / "panda.urdf").read_text(), "panda_link0", "panda_hand_tcp")
 READY = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.785])
-T_READY = forward(PANDA, READY)
+T_READY = chain_forward(PANDA, READY)
 PERIOD = 0.004
 _SUBSTEPS = 2
 _SERVO = np.array([1e4] * 3 + [600.0] * 3)  # N/m, N m/rad

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.path_check import PathCheck, Reach
+from modcal_core.impedance.path_model import PathCheck, Reach
 from modcal_core.robots.chain import Chain
 
 

@@ -15,7 +15,7 @@ from instruments.test_recovery import CELLS, LASER, Device, postures
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_calibration, read_cell
@@ -49,7 +49,7 @@ def test_readings_come_back_from_a_bag(tmp_path: Path) -> None:
     devices = [*CELLS["three wires"][0], *CELLS["two theodolites"][0], *CELLS["three planes"][0]]
     made = recording(devices, 10)
     write_recording(made, tmp_path / "bag")
-    read = {(r.kind, r.frame): r for r in read_bag(tmp_path / "bag").readings}
+    read = {(r.kind, r.frame): r for r in read_recording(tmp_path / "bag").readings}
     assert len(read) == len(devices)
     for track in made.readings:
         found = read[track.kind, track.frame]

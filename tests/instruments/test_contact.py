@@ -13,8 +13,8 @@ from instruments.worlds import Reading
 from scipy.optimize import brentq
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.covariance import identifiability
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples

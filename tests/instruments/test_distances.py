@@ -12,10 +12,10 @@ from instruments import worlds
 from instruments.test_recovery import ANCHORS, T_TRACKER_BASE, THEODOLITES, TRACKER, WIRES, read
 
 from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.covariance import identifiability
 from modcal_core.calibration.distances import StationDistance, distance_rows
-from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import identify
-from modcal_core.calibration.locate_instruments import Known
+from modcal_core.calibration.fit import identify
+from modcal_core.calibration.initial import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import BadTable
 

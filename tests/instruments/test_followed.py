@@ -12,10 +12,9 @@ from instruments.test_recovery import THEODOLITES, TRACKER, WIRES, read
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.store import from_data, to_data
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.loop import calibrate
-from modcal_core.online.live import Live
+from modcal_core.online.supervisor import Live
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from instruments import worlds
 from instruments.worlds import Reading
 
 from modcal_core.calibration.initial import locate
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.parameters import INSTRUMENT, ordered_candidates
 from modcal_core.calibration.score import errors
@@ -28,7 +28,7 @@ from modcal_core.measurements.kinds.kind import scene_in
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 ANCHOR = np.array([1.5, 0.3, 0.2])
 STATION = se3.exp([3.0, -1.0, 0.5, 0.1, 0.2, 2.5])
@@ -104,7 +104,7 @@ def test_what_is_predicted_is_what_is_seen(kind: str) -> None:
     samples = exact(kind)
     model = locate(place_model(ur10(), samples.frames), samples)
     instrument = model.instruments[0]
-    scene = scene_in(model.T_frame_base[0], forward(ur10(), samples.q) @ model.T_tip_tool)
+    scene = scene_in(model.T_frame_base[0], chain_forward(ur10(), samples.q) @ model.T_tip_tool)
     reading = instrument.of_kind.predict(scene, instrument.values)
     sight = instrument.of_kind.see(scene, instrument.values, reading)
     assert np.abs(sight.residual).max() < 1e-12

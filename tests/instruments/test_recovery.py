@@ -18,15 +18,15 @@ from instruments.test_kinds import NORMAL, OFFSET, RAY_ALONG, RAY_FROM
 from instruments.worlds import Reading
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import Fit, identify
-from modcal_core.calibration.locate_instruments import Known
+from modcal_core.calibration.covariance import identifiability
+from modcal_core.calibration.fit import Fit, identify
+from modcal_core.calibration.initial import Known
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.kinds.kind import frame_on_plane
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_nodes.simulation.world import World
 
 ANCHORS = np.array([[1.5, 0.3, 0.2], [-1.2, 1.1, 0.1], [0.2, -1.6, 1.8]])
@@ -123,7 +123,7 @@ def test_each_kind_gets_its_own_noise_in_its_own_unit(name: str) -> None:
 
 def in_flange(w: World) -> Array:
     """The tool's pose in the flange of an arm that is as drawn."""
-    return se3.inverse(forward(ur10(), np.zeros(6))) @ w.tool_in_base(np.zeros(6))
+    return se3.inverse(chain_forward(ur10(), np.zeros(6))) @ w.tool_in_base(np.zeros(6))
 
 
 def test_a_wire_finds_its_anchor_its_zero_and_its_hook() -> None:

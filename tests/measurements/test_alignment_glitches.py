@@ -11,7 +11,7 @@ from cli.recordings import streams, with_joints, with_reading
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.alignment import clock_offset
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 
 @pytest.mark.parametrize("late", [0.0, 0.12])
@@ -25,7 +25,7 @@ def test_glitches_do_not_move_the_clock(late: float, rng: np.random.Generator) -
     spoiled = with_reading(with_joints(recording, position=q), values=values)
     chain = ur10()
     order = [spoiled.joints[0].names.index(name) for name in chain.names]
-    found = clock_offset(spoiled.readings[0], spoiled.joints[0].stamps, q[:, order], lambda p: forward(chain, p))
+    found = clock_offset(spoiled.readings[0], spoiled.joints[0].stamps, q[:, order], lambda p: chain_forward(chain, p))
     assert found is not None
     assert found.offset == pytest.approx(late, abs=0.004)
 
@@ -36,7 +36,7 @@ def test_joint_states_that_are_noted_twice_do_not_matter() -> None:
     track, chain = recording.joints[0], ur10()
     q = track.position[:, [track.names.index(name) for name in chain.names]]
     twice = np.repeat(track.stamps, 2), np.repeat(q, 2, axis=0)
-    found = clock_offset(recording.readings[0], *twice, lambda p: forward(chain, p))
+    found = clock_offset(recording.readings[0], *twice, lambda p: chain_forward(chain, p))
     assert found is not None
     assert found.offset == pytest.approx(0.12, abs=0.004)
 
@@ -52,7 +52,7 @@ def test_a_recording_shorter_than_the_lags_looked_for(seconds: float) -> None:
     chain = ur10()
     order = [track.names.index(name) for name in chain.names]
     q = track.position[j][:, order]
-    found = clock_offset(reading.rows(r), track.stamps[j], q, lambda p: forward(chain, p))
+    found = clock_offset(reading.rows(r), track.stamps[j], q, lambda p: chain_forward(chain, p))
     assert found is None or abs(found.offset) < 0.02
 
 
@@ -64,4 +64,4 @@ def test_a_clock_that_is_set_while_recording() -> None:
     middle = float(np.median(reading.stamps))
     jumped = reading.stamps + np.where(reading.stamps < middle, 1.4, 0.0)
     with pytest.raises(BadRecording, match=r"jumps by -1\.(39|40|41) s"):
-        clock_offset(replace(reading, stamps=jumped), track.stamps, q, lambda p: forward(chain, p))
+        clock_offset(replace(reading, stamps=jumped), track.stamps, q, lambda p: chain_forward(chain, p))

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from modcal_core.geometry import se3
-from modcal_core.measurements.alignment import align, clock_offset
-from modcal_core.measurements.clock_fit import fit_offset
+from modcal_core.measurements.alignment import align, clock_offset, fit_offset
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.simulation.program import Program, tour
 
@@ -30,7 +29,7 @@ def cell(chain: Chain, seed: int, late: float = 0.0, count: int = 20, noise: flo
     program.reset(0.0, tour(chain, count, 0.8, 0.8, rng))
     t = np.arange(0.0, program.end, 0.02)
     s = np.arange(0.0083, program.end, 0.04)
-    T = forward(chain, np.array([program.at(x) for x in s])) @ se3.transform(p=TOOL)
+    T = chain_forward(chain, np.array([program.at(x) for x in s])) @ se3.transform(p=TOOL)
     points = T[:, :3, 3] + noise * rng.standard_normal((len(s), 3))
     q = np.array([program.at(x) for x in t])
     unknown = np.full_like(q, np.nan)
@@ -47,7 +46,7 @@ def test_of_a_slow_motion_the_fit_leaves_a_start_that_is_off(start: float) -> No
     speed, phase = rng.uniform(0.25, 0.5, chain.n), rng.uniform(0.0, 6.0, chain.n)
     step = 0.02
     grid = np.arange(0.0, 60.0, step)
-    T = forward(chain, 0.6 * np.sin(grid[:, None] * speed + phase))
+    T = chain_forward(chain, 0.6 * np.sin(grid[:, None] * speed + phase))
     turning = np.gradient(T[:, :3, :3], step, axis=0)
     velocity = np.gradient(T[:, :3, 3], step, axis=0)
     seen = np.linalg.norm(velocity + turning @ np.array(TOOL), axis=1)
@@ -63,12 +62,12 @@ def test_clocks_that_agree_are_left_alone(robot: str) -> None:
     off, sure = [], []
     for seed in range(8):
         recording = cell(chain, seed)
-        assert align(recording, chain.names, lambda q: forward(chain, q))[1] == ()
+        assert align(recording, chain.names, lambda q: chain_forward(chain, q))[1] == ()
         found = clock_offset(
             recording.readings[0],
             recording.joints[0].stamps,
             recording.joints[0].position,
-            lambda q: forward(chain, q),
+            lambda q: chain_forward(chain, q),
         )
         assert found is not None
         off.append(found.offset)
@@ -82,7 +81,7 @@ def test_clocks_that_agree_are_left_alone(robot: str) -> None:
 def test_a_delay_is_found_with_the_point_that_is_seen(late: float) -> None:
     chain = read_chain((ROBOTS / "panda.urdf").read_text())
     recording = cell(chain, 1, late, noise=1e-4)
-    aligned, notes = align(recording, chain.names, lambda q: forward(chain, q))
+    aligned, notes = align(recording, chain.names, lambda q: chain_forward(chain, q))
     (note,) = notes
     assert f"was {1e3 * late:+.0f} ms off" in note
     assert np.abs(aligned.readings[0].stamps - recording.readings[0].received).max() < 1e-3

@@ -10,10 +10,8 @@ from cells import ur10
 from cli.recordings import START, streams
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.commanded import commanded_at, following
-from modcal_core.measurements.recording import JointTrack, Recording
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.recording import JointTrack, Recording, commanded_at, following
+from modcal_core.measurements.samples import Samples, cut_stations
 
 NAMES = ur10().names
 

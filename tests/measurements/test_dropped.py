@@ -9,10 +9,10 @@ import pytest
 from cells import ur10
 from cli.recordings import stations, streams, with_reading
 
-from modcal_core.measurements.dropped import ALONE, BETWEEN, GLITCHES, OUTSIDE, UNKNOWN, dropped, together, unexpected
+from modcal_core.measurements.dropouts import ALONE, BETWEEN, GLITCHES, OUTSIDE, UNKNOWN, dropped, together, unexpected
 from modcal_core.measurements.dwells import StationRules, find_dwells
 from modcal_core.measurements.recording import Recording
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.samples import cut_stations
 
 
 def counts(recording: Recording) -> dict[str, int]:

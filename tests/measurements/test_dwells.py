@@ -9,10 +9,9 @@ from cli.recordings import streams
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.alignment import LIMIT, align
-from modcal_core.measurements.dwells import StationRules, deviation_of_mean, find_dwells
+from modcal_core.measurements.dwells import StationRules, deviation_of_mean, dwells_of, find_dwells
 from modcal_core.measurements.recording import ReadingTrack
-from modcal_core.measurements.settled import dwells_of
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 
 @pytest.mark.slow
@@ -43,7 +42,7 @@ def test_a_mean_of_readings_that_share_noise_is_known_less_well(rho: float, rng:
 @pytest.mark.parametrize("late", [LIMIT + 0.2, -LIMIT - 0.2])
 def test_a_clock_that_is_too_far_off_is_refused(late: float) -> None:
     def tip(q: np.ndarray) -> np.ndarray:
-        return forward(ur10(), q)
+        return chain_forward(ur10(), q)
 
     recording, names = streams(20, late=late), ur10().names
     with pytest.raises(BadRecording, match="off the joint states' clock, 0.5 s is the limit"):

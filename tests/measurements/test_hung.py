@@ -7,7 +7,7 @@ import pytest
 from cells import ur10
 from cli.recordings import stations, streams, with_reading
 
-from modcal_core.measurements.hung import HUNG, hung
+from modcal_core.measurements.dropouts import HUNG, hung
 from modcal_core.measurements.recording import Recording
 from modcal_core.preprocess import prepare
 

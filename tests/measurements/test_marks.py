@@ -11,8 +11,7 @@ from cells import record, ur10
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
-from modcal_core.measurements.marks import marks_of, share_of_known
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import Samples, marks_of, share_of_known
 from modcal_core.report.report import Report
 from modcal_core.verdict.tolerance import Asked
 

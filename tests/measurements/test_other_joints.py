@@ -8,9 +8,8 @@ import numpy as np
 from cli.recordings import stations
 from verdict.visits import tour, visited
 
-from modcal_core.measurements.other_joints import other_joints, others_at, spoken_name
 from modcal_core.measurements.recording import JointTrack, SignalTrack
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements.samples import Samples, other_joints, others_at, spoken_name
 from modcal_core.preprocess import prepare
 from modcal_core.robots.urdf import read_chain
 from modcal_core.verdict.floor import returns_of

@@ -9,7 +9,7 @@ import pytest
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.sequence import after, between, require_new
+from modcal_core.measurements.samples import after, between, require_new
 from tests.cells import record
 
 

@@ -15,15 +15,15 @@ from modcal_core.measurements.alignment import align, clock_offset
 from modcal_core.measurements.dwells import deviation_of_mean, running_max
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import Recording
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.samples import cut_stations
 from modcal_core.preprocess import prepare
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 NAMES = ur10().names
 
 
 def tip(q: np.ndarray) -> np.ndarray:
-    return forward(ur10(), q)
+    return chain_forward(ur10(), q)
 
 
 def test_every_dwell_becomes_one_station() -> None:

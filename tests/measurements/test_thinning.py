@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.measurements.dwells import spread_rows
 
 
 @pytest.mark.parametrize(("count", "most"), [(0, 5), (5, 5), (6, 5), (1000, 999), (24_000, 1000), (300_000, 1000)])

@@ -19,20 +19,17 @@ from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.measuring.advice import Advice, Advisor, _not_by_posture
-from modcal_core.measuring.choose import fit_stations, one_motion, return_stations
-from modcal_core.measuring.goal import Goal
+from modcal_core.measuring.choose import fit_stations, of_robot, one_motion, return_stations
 from modcal_core.measuring.outlook import chance_seen, outlook
-from modcal_core.measuring.pool import of_robot
-from modcal_core.measuring.proof import Proof
-from modcal_core.measuring.record import from_data, to_data
-from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station
+from modcal_core.measuring.proof import Goal, Proof
+from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station, from_data, to_data
 from modcal_core.measuring.table import to_table, with_table
 from modcal_core.planning.site import Site, site_from_data
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
-from modcal_nodes.measuring.measurers import CellInProcess
+from modcal_nodes.measuring.folder import CellInProcess
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"

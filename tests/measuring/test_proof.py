@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.measuring.goal import Goal
-from modcal_core.measuring.proof import MIN_STATIONS, Proof, axes_of, share
+from modcal_core.measuring.proof import MIN_STATIONS, Goal, Proof, axes_of, share
 
 GOAL = 1e-4  # m
 RUNS, LOOKS = 600, 60

@@ -20,8 +20,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.measuring.motion import TimedMotion
 from modcal_core.measuring.session import MEASURED, PLANNED, UNSEEN
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.measuring.place import Place
-from modcal_nodes.measuring.sequence import StationSequence
+from modcal_nodes.measuring.sequence import Place, StationSequence
 from modcal_nodes.ros.parameters import STATION_RUNNER
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.library_data import published
+from modcal_core.modules.library import Assembly, published
 
 LIBRARY = published()
 JOINTS = ("JR", "JP")

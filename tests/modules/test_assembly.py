@@ -14,12 +14,10 @@ from modules.arms import LIBRARY, five_joints, random_assembly
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
-from modcal_core.modules.assembly import Assembly, Module
-from modcal_core.modules.bodies import body
-from modcal_core.modules.library_data import library_from_data, published_text
+from modcal_core.modules.library import Assembly, Module, library_from_data, published_text
 from modcal_core.modules.poe import chain_of, origins, pieces, twists
-from modcal_core.modules.urdf import urdf_of
-from modcal_core.robots.kinematics import forward
+from modcal_core.modules.urdf import body, urdf_of
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 
@@ -49,7 +47,7 @@ def test_many_assemblies_against_pinocchio(rng: np.random.Generator) -> None:
         q = rng.uniform(chain.lower, chain.upper)
         pin.framesForwardKinematics(model, data, q[np.argsort(order)])
         tip = data.oMf[model.getFrameId("tool0")].homogeneous
-        worst = max(worst, float(np.abs(forward(chain, q) - tip).max()))
+        worst = max(worst, float(np.abs(chain_forward(chain, q) - tip).max()))
     assert worst < 1e-12
 
 
@@ -87,7 +85,7 @@ def test_twists_as_printed(rng: np.random.Generator) -> None:
         product = np.eye(4)
         for k in range(chain.n):
             product = product @ se3.exp(xi[k] * q[k])
-        assert np.abs(product @ frames[-1] - forward(chain, q)).max() < 1e-13
+        assert np.abs(product @ frames[-1] - chain_forward(chain, q)).max() < 1e-13
 
 
 def test_pieces_multiply_to_the_constants(rng: np.random.Generator) -> None:

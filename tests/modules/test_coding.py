@@ -8,12 +8,11 @@ import yaml
 from modules.arms import LIBRARY, five_joints, random_assembly
 
 from modcal_core.errors import BadTable
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.bodies import body
 from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.library_data import library_from_data, published_text
+from modcal_core.modules.library import Assembly, library_from_data, published_text
 from modcal_core.modules.poe import chain_of
+from modcal_core.modules.urdf import body
 
 CODING = Coding(LIBRARY)
 ANSWER = "00001 0·01·10·100·00 0·00·01·111·10 0·00·01·111·10 0·10·11·111·10 0·01·00·110·01"

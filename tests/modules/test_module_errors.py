@@ -16,11 +16,21 @@ from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.modules.assembly import Assembly, Module
-from modcal_core.modules.error_store import store_from_data, store_to_data, twists_from_data, with_recording
-from modcal_core.modules.errors import ModuleErrors, deviation_of, learn, part_std, surprise
+from modcal_core.modules.errors import (
+    ModuleErrors,
+    RecordingEvidence,
+    deviation_of,
+    learn,
+    part_std,
+    recording_evidence,
+    store_from_data,
+    store_to_data,
+    surprise,
+    twists_from_data,
+    with_recording,
+)
+from modcal_core.modules.library import Assembly, Module
 from modcal_core.modules.poe import chain_of, pieces
-from modcal_core.modules.recording_evidence import RecordingEvidence, recording_evidence
 
 # One set of ten modules: a base, four joints, four links, a gripper.
 JOINTS = [Module("JR", serial=f"J{k}") for k in range(1, 5)]

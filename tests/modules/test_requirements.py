@@ -9,12 +9,10 @@ import pytest
 from modules.arms import LIBRARY, five_joints, random_assembly
 
 from modcal_core.geometry import se3, so3
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.bodies import path
 from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
+from modcal_core.modules.library import Assembly
 from modcal_core.modules.poe import chain_of, module_frames
-from modcal_core.modules.postures import TargetPostures, frames
 from modcal_core.modules.requirements import (
     dexterity,
     farthest_reach,
@@ -24,10 +22,10 @@ from modcal_core.modules.requirements import (
     structure,
     upright,
 )
-from modcal_core.modules.targets import Target
-from modcal_core.modules.urdf import urdf_of
-from modcal_core.robots.gravity import gravity_wrench, payload_wrench
-from modcal_core.robots.kinematics import body_jacobian, forward
+from modcal_core.modules.targets import Target, TargetPostures, frames
+from modcal_core.modules.urdf import path, urdf_of
+from modcal_core.robots.gravity import chain_gravity_wrench, payload_wrench
+from modcal_core.robots.kinematics import body_jacobian, chain_forward
 from modcal_core.robots.urdf_inertias import read_inertias
 
 CODING = Coding(LIBRARY)
@@ -64,7 +62,7 @@ def test_structure_by_the_printed_rules() -> None:
 def test_frames_are_those_of_the_assembly(rng: np.random.Generator) -> None:
     assemblies, at = at_random(rng)
     for i, assembly in enumerate(assemblies):
-        T = forward(chain_of(assembly, LIBRARY), at.q[i].reshape(-1, 5)).reshape(2, 4, 4, 4)
+        T = chain_forward(chain_of(assembly, LIBRARY), at.q[i].reshape(-1, 5)).reshape(2, 4, 4, 4)
         assert np.abs(at.tip[i] - T).max() < 1e-13
         modules = module_frames(assembly, LIBRARY, at.q[i, 0, 0])
         assert np.abs(at.behind[i, 0, 0] - modules[1:-2:2]).max() < 1e-13
@@ -102,7 +100,7 @@ def test_payload_as_gravity_and_the_urdf_have_it(rng: np.random.Generator) -> No
         chain = chain_of(assembly, LIBRARY)
         inertias = read_inertias(urdf_of(assembly, LIBRARY), chain)
         q = at.q[i].reshape(-1, 5)
-        wrench = gravity_wrench(chain, inertias, q) + mass * payload_wrench(chain, q)
+        wrench = chain_gravity_wrench(chain, inertias, q) + mass * payload_wrench(chain, q)
         row = np.where(chain.revolute, 5, 2)
         needed = np.abs(wrench[np.arange(5), row])
         effort = np.where(chain.revolute, 40.0, 400.0)

@@ -21,12 +21,11 @@ from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import Effort, Evaluator
 from modcal_core.modules.genetic import Archive, SearchSettings, evolve, valid
 from modcal_core.modules.poe import chain_of
-from modcal_core.modules.ranking import to_data, to_markdown
 from modcal_core.modules.requirements import REQUIREMENTS, structure
-from modcal_core.modules.synthesis import Judges, SynthesisTask, allowed, synthesize
+from modcal_core.modules.synthesis import Judges, SynthesisTask, allowed, synthesize, to_data, to_markdown
 from modcal_core.modules.synthesis_data import task_from_data
 from modcal_core.modules.targets import Target
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 CODING = Coding(LIBRARY)
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "synthesis" / "two_poses.yaml"
@@ -109,7 +108,7 @@ def test_many_arms_stand_where_each_of_them_does(rng: np.random.Generator) -> No
         q = rng.uniform(arms.lower, arms.upper)
         rows, _ = reaching._rows(reaching._Fleet.of(arms, np.arange(8)), goal, np.ascontiguousarray(q.T))
         for i, assembly in enumerate(assemblies):
-            T = forward(chain_of(assembly, LIBRARY), q[i])
+            T = chain_forward(chain_of(assembly, LIBRARY), q[i])
             assert np.abs(A @ T[:3].ravel() - b - rows[:, i]).max() < 1e-12
 
 
@@ -122,14 +121,14 @@ def test_poses_that_arms_are_in_are_reached(mask: list[int], rng: np.random.Gene
         assembly = random_assembly(rng, 6)
         chain = chain_of(assembly, LIBRARY)
         arms = Catalogue(CODING).arms(CODING.genome(assembly)[None])
-        T = forward(chain, 0.8 * rng.uniform(chain.lower, chain.upper))
+        T = chain_forward(chain, 0.8 * rng.uniform(chain.lower, chain.upper))
         goal = Target.build(T[:3, :3], T[:3, 3], mask)
         found = reaching.reach(arms, goal, reaching.starts(arms, rng.random((30, 6))), 60)
         good = found.left[0] < 1e-8
         assert (found.q[0] >= chain.lower - 1e-12).all()
         assert (found.q[0] <= chain.upper + 1e-12).all()
         for q in found.q[0, good]:
-            assert np.abs(goal.error(forward(chain, q))).max() < 2e-8
+            assert np.abs(goal.error(chain_forward(chain, q))).max() < 2e-8
         reached += int(good.any())
     assert reached >= 9
 
@@ -147,7 +146,7 @@ def test_the_published_task() -> None:
         i = archive.verdicts.order()[0]
         assert archive.verdicts.met[i]
         chain = chain_of(CODING.assembly(archive.genomes[i]), LIBRARY)
-        T = forward(chain, archive.verdicts.q[i])
+        T = chain_forward(chain, archive.verdicts.q[i])
         printed = np.array([[-0.3332, 0.2524, 0.9085], [0.1572, 0.5110, 0.8451]])
         assert np.abs(T[:, :3, 3] - [[-0.33, 0.25, 0.83], [0.2, 0.65, 0.65]]).max() < 1e-6
         z = printed / np.linalg.norm(printed, axis=1, keepdims=True)
@@ -268,7 +267,7 @@ def test_the_published_answer_turns_its_last_joint_for_nothing() -> None:
     assert verdict.level[0] == 2
     assert verdict.amount[0] > 1e-3
     chain = chain_of(CODING.assembly(genome), LIBRARY)
-    T = forward(chain, np.array([[0.3, -0.2, 0.4, 0.9, 0.0], [0.3, -0.2, 0.4, 0.9, 1.2]]))
+    T = chain_forward(chain, np.array([[0.3, -0.2, 0.4, 0.9, 0.0], [0.3, -0.2, 0.4, 0.9, 1.2]]))
     assert np.abs(T[0, :3, 2:] - T[1, :3, 2:]).max() < 1e-15
 
 

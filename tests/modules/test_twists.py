@@ -13,18 +13,18 @@ from scipy.optimize import least_squares
 
 from modcal_core.calibration.adjoint import identify_twists
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.model import Model, place_model
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import NotEnoughData, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.modules.assembly import Assembly
+from modcal_core.modules.library import Assembly
 from modcal_core.modules.poe import chain_of
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import from_dh, to_dh
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import random_postures
 
 PARALLEL = Assembly.build(  # joints 2, 3 and 4 are parallel
@@ -220,7 +220,7 @@ def test_dh_fails_where_axes_are_nearly_parallel() -> None:
     with pytest.raises(NotRepresentable, match="parallel"):
         to_dh(fit.model.chain)
     dh = DhFit(chain, start, samples)
-    assert np.abs(forward(from_dh(dh.table), samples.q) - forward(chain, samples.q)).max() < 1e-9
+    assert np.abs(chain_forward(from_dh(dh.table), samples.q) - chain_forward(chain, samples.q)).max() < 1e-9
     assert dh.condition() > 1e6
     for best in (dh.newton(6), mean_error(dh.fitted(30), samples)):
         assert best > 10.0 * mean_error(fit.model, samples)

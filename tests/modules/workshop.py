@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.modules.assembly import Assembly, Module
+from modcal_core.modules.library import Assembly, Module
 
 TRACKER_M = 2e-5  # standard deviation of a reading, per axis
 _UP = {"JR": 0.110, "JP": 0.180, "G": 0.120}

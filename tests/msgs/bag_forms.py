@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording
-from modcal_msgs_py.types import jazzy, message_class
+from modcal_msgs_py.layout import jazzy, message_class
 
 Message = tuple[str, str, Any, int]  # topic, type, message, time of reception [ns]
 JOINT_STATE, STRING = "sensor_msgs/msg/JointState", "std_msgs/msg/String"

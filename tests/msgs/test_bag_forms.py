@@ -17,7 +17,7 @@ from msgs.bag_forms import Cell, Message
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from modcal_core.geometry import se3
-from modcal_msgs_py.types import definition, jazzy, message_class
+from modcal_msgs_py.layout import definition, jazzy, message_class
 from modcal_nodes.cli.main import run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -306,8 +306,8 @@ def test_info_lists_every_topic_that_could_play_a_role(
 
 def test_a_way_through_tf_is_put_together(c: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A tracker on a mount, a target on a plate: two fixed parts and the one that is measured."""
-    from modcal_msgs_py.choosing import Topics
-    from modcal_msgs_py.mcap_read import read_bag
+    from modcal_msgs_py.mcap_read import read_recording
+    from modcal_msgs_py.topics import Topics
 
     mount, plate = se3.exp([0.1, 0.2, 0.3, 0.1, 0.0, 0.2]), se3.exp([0.0, 0.05, 0.0, 0.0, 0.3, 0.0])
     fixed = [
@@ -321,10 +321,10 @@ def test_a_way_through_tf_is_put_together(c: Cell, tmp_path: Path, capfd: pytest
         transforms.append(one)
     latched = ("/tf_static", forms.TF, message_class(forms.TF)(transforms), c.stamps[0])
     bag = forms.write(tmp_path / "bag", [*without(c), latched, *forms.readings(c, "/tf", forms.TF)])
-    (track,) = read_bag(bag, topics=Topics.of(tf="room:plate")).readings
+    (track,) = read_recording(bag, topics=Topics.of(tf="room:plate")).readings
     assert track.frame == "room"
     assert np.abs(se3.from_pose(track.values) - mount @ se3.from_pose(c.poses) @ plate).max() < 1e-9
-    (back,) = read_bag(bag, topics=Topics.of(tf="plate:room")).readings
+    (back,) = read_recording(bag, topics=Topics.of(tf="plate:room")).readings
     assert np.abs(se3.from_pose(back.values) @ se3.from_pose(track.values) - np.eye(4)).max() < 1e-9
 
 

@@ -16,19 +16,19 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from modcal_core.errors import BadRecording
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.layout import message_class, serialise
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.messages import RecordingBuilder
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.types import message_class, serialise
 
 
 def test_a_recording_survives_its_bag(tmp_path: Path) -> None:
     recording = stations(30)
     write_recording(recording, tmp_path / "bag")
     for path in (tmp_path / "bag", tmp_path / "bag" / "bag_0.mcap"):
-        again = read_bag(path)
+        again = read_recording(path)
         assert np.array_equal(again.joints[0].position, recording.joints[0].position)
         assert again.joints[0].names == recording.joints[0].names
         assert np.array_equal(again.readings[0].values, recording.readings[0].values)
@@ -101,7 +101,7 @@ def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
     data[len(data) // 4] ^= 4
     file.write_bytes(bytes(data))
     with pytest.raises(BadRecording, match="holds no message"):
-        read_bag(file)
+        read_recording(file)
 
 
 def test_a_bag_is_never_written_over(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ _KILLED = """
 import os, signal, sys
 from pathlib import Path
 from modcal_msgs_py.mcap_write import BagWriter
-from modcal_msgs_py.types import message_class, serialise
+from modcal_msgs_py.layout import message_class, serialise
 bag = BagWriter(Path(sys.argv[1]))
 bag.add_topic("/robot_description", "std_msgs/msg/String")
 cdr = serialise(message_class("std_msgs/msg/String")(data="x"), "std_msgs/msg/String")
@@ -180,4 +180,4 @@ def test_a_killed_recorder_loses_at_most_the_last_chunk(tmp_path: Path) -> None:
     file = McapFile(tmp_path / "bag" / "bag_0.mcap")
     assert len(list(file.messages())) == 60
     assert file.cut == "it ends without an index"
-    assert "no metadata.yaml" in read_bag(tmp_path / "bag").warnings[0]
+    assert "no metadata.yaml" in read_recording(tmp_path / "bag").warnings[0]

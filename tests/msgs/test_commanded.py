@@ -10,10 +10,9 @@ import pytest
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from modcal_core.measurements.commanded import commanded_at
-from modcal_core.measurements.recording import Recording
-from modcal_msgs_py.mcap_read import read_bag
-from modcal_msgs_py.types import definition, jazzy, message_class
+from modcal_core.measurements.recording import Recording, commanded_at
+from modcal_msgs_py.layout import definition, jazzy, message_class
+from modcal_msgs_py.mcap_read import read_recording
 
 NAMES = ["a", "b"]
 STATE = "control_msgs/msg/JointTrajectoryControllerState"
@@ -92,7 +91,7 @@ def test_a_trajectory_is_followed_until_the_next_one_begins(layouts: bool, tmp_p
         (20.0, "/joint_commands", kind, trajectory(20.0, [point([9.0], 1.0)])),  # numbers for one of two joints
         (21.0, "/joint_commands", kind, trajectory(21.0, [point([9.0, 9.0], 2.0), point([8.0, 8.0], 1.0)])),
     ]
-    recording = read_bag(bag(tmp_path / "bag.mcap", messages), layouts)
+    recording = read_recording(bag(tmp_path / "bag.mcap", messages), layouts)
     assert at(recording, [10.5, 11.5, 12.0, 30.0]) == [[0.25, 1.0], [0.5, 1.5], [0.5, 2.0], [0.5, 2.0]]
     assert recording.signals == ()
 
@@ -111,7 +110,7 @@ def test_commands_are_joint_states_of_their_own_and_stand_before_a_controllers(t
         (1.0, "/arm_controller/controller_state", STATE, of_controller(1.0, [0.3, 0.4])),
         (2.0, "/joint_commands", kind, joint_state(2.0, [0.5, 0.6])),
     ]
-    recording = read_bag(bag(tmp_path / "bag.mcap", messages, store, definition_text(FIELDS)))
+    recording = read_recording(bag(tmp_path / "bag.mcap", messages, store, definition_text(FIELDS)))
     assert [track.topic for track in recording.joints] == ["/joint_states"]
     assert [track.topic for track in recording.commands] == ["/joint_commands", "/arm_controller/controller_state"]
     assert at(recording, [1.5, 2.5]) == [[0.3, 0.4], [0.5, 0.6]]
@@ -123,7 +122,7 @@ def test_a_controllers_state_of_an_older_distribution(tmp_path: Path) -> None:
     store.register(get_types_from_msg(OLDER, STATE))
     message = store.types[STATE](header(1.0), NAMES, point([0.3, 0.4]), point([7.0, 7.0]), point([0.0, 0.0]))
     path = bag(tmp_path / "bag.mcap", [(1.0, "/arm_controller/state", STATE, message)], store, definition_text(OLDER))
-    assert at(read_bag(path), [1.0]) == [[0.3, 0.4]]
+    assert at(read_recording(path), [1.0]) == [[0.3, 0.4]]
 
 
 def test_commands_of_another_robot_are_not_of_this_one(tmp_path: Path) -> None:
@@ -134,7 +133,7 @@ def test_commands_of_another_robot_are_not_of_this_one(tmp_path: Path) -> None:
         (1.0, "/right/joint_commands", kind, joint_state(1.0, [0.3, 0.4])),
         (1.0, "/joint_commands", kind, joint_state(1.0, [0.5, 0.6])),
     ]
-    recording = read_bag(bag(tmp_path / "bag.mcap", messages))
+    recording = read_recording(bag(tmp_path / "bag.mcap", messages))
     assert [track.topic for track in recording.commands] == ["/joint_commands", "/left/joint_commands"]
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from modcal_core.measurements.recording import Recording
 from modcal_msgs_py import mcap_read
-from modcal_msgs_py.gathering import gathered
 from modcal_msgs_py.mcap_walk import HEAD, PADDING, Block, McapFile
+from modcal_msgs_py.messages import gathered
 
 ROOT = Path(__file__).resolve().parents[2]
 BAG = ROOT / "bags" / "ur10_cell"

@@ -17,11 +17,11 @@ from mcap.writer import CompressionType, Writer
 
 from modcal_core.errors import BadRecording
 from modcal_core.measurements.recording import Recording
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.layout import definition, message_class, serialise
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import MAGIC
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.types import definition, message_class, serialise
 
 LINE = "=" * 80 + "\n"
 EVENT = f"""service_msgs/ServiceEventInfo info
@@ -70,7 +70,7 @@ def bag_with(
 
 
 def joints_of(path: Path) -> Recording:
-    recording = read_bag(path)
+    recording = read_recording(path)
     assert [len(track.stamps) for track in recording.joints] == [5]
     return recording
 
@@ -131,13 +131,13 @@ def test_a_flipped_bit_in_a_message_index_changes_nothing(tmp_path: Path, byte: 
     write_recording(stations(20), tmp_path / "bag")
     file = tmp_path / "bag" / "bag_0.mcap"
     whole = file.read_bytes()
-    before = read_bag(tmp_path / "bag")
+    before = read_recording(tmp_path / "bag")
     for at in index_offsets(whole)[::7]:
         for bit in (0x01, 0x80):
             data = bytearray(whole)
             data[at + byte] ^= bit
             file.write_bytes(data)
-            after = read_bag(file)
+            after = read_recording(file)
             assert np.array_equal(after.joints[0].position, before.joints[0].position)
             assert repair_bag(file, tmp_path / "new").saved
 
@@ -176,7 +176,7 @@ def test_a_chunk_that_would_fill_the_memory_is_not_unpacked(
 ) -> None:
     (tmp_path / "bomb.mcap").write_bytes(chunk(make(), declared, compression))
     before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
-    for act in (read_bag, lambda path: repair_bag(path, tmp_path / "new")):
+    for act in (read_recording, lambda path: repair_bag(path, tmp_path / "new")):
         with pytest.raises(BadRecording, match="holds no (whole )?message"):
             act(tmp_path / "bomb.mcap")
     assert time.process_time() - began < 2.0
@@ -188,7 +188,7 @@ def test_the_reason_is_in_the_refusal(tmp_path: Path) -> None:
     with pytest.raises(
         BadRecording, match=r"holds no message \(a chunk of 144 bytes declares 12884901888, \d+ is the limit\)"
     ):
-        read_bag(tmp_path / "bomb.mcap")
+        read_recording(tmp_path / "bomb.mcap")
 
 
 @pytest.mark.slow
@@ -210,7 +210,7 @@ def test_a_few_kilobytes_of_empty_messages_take_no_minutes(tmp_path: Path, kind:
     path.write_bytes(chunk(zstandard.ZstdCompressor(level=1).compress(records), len(records), "zstd"))
     assert path.stat().st_size < 100_000
     began = time.process_time()
-    recording = read_bag(path)
+    recording = read_recording(path)
     assert time.process_time() - began < 2.0
     assert f"{count} messages on /joint_states were left out: they are not of type {kind}." in recording.warnings
 
@@ -219,6 +219,6 @@ def test_a_few_kilobytes_of_empty_messages_take_no_minutes(tmp_path: Path, kind:
                                     pytest.param(f"[{'a' * 3000}]", id="too long"), pytest.param("['\\ud800']", id="half")])  # fmt: skip
 def test_a_folder_that_names_no_files(tmp_path: Path, stated: str) -> None:
     (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {{relative_file_paths: {stated}}}")
-    for act in (read_bag, lambda path: repair_bag(path, tmp_path / "new")):
+    for act in (read_recording, lambda path: repair_bag(path, tmp_path / "new")):
         with pytest.raises(BadRecording):
             act(tmp_path)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from modcal_msgs_py.joint_state_bytes import JointStateBytes, JointStateView
+from modcal_msgs_py.track_rows import JointStateBytes, JointStateView
 
 NAMES = st.lists(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=9), max_size=7)
 

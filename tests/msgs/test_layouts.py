@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from modcal_core.measurements.recording import Recording
-from modcal_msgs_py import fields
-from modcal_msgs_py.layout import MessageLayout
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py import layout as fields
+from modcal_msgs_py.layout import MessageLayout, definition, jazzy, message_class
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_walk import McapFile
-from modcal_msgs_py.types import definition, jazzy, message_class
 
 Message = tuple[str, str, Any]
 TYPES = {
@@ -110,7 +109,7 @@ def test_any_mixture_is_read_alike(plan: list[tuple[str, int, int]], seed: int, 
         for _ in range(count)
     ]
     path = written(tmp_path_factory.mktemp("bags") / "any.mcap", messages)
-    same(read_bag(path), read_bag(path, layouts=False))
+    same(read_recording(path), read_recording(path, layouts=False))
 
 
 @pytest.mark.slow
@@ -131,9 +130,9 @@ def test_however_it_is_written(how: dict[str, Any], tmp_path: Path, rng: np.rand
         for _ in range(200)
         for topic in ("/joint_states", "/tracker/pose", "/battery")
     ]
-    usual = read_bag(written(tmp_path / "usual.mcap", messages))
+    usual = read_recording(written(tmp_path / "usual.mcap", messages))
     assert len(usual.joints[0].stamps) == len(usual.readings[0].stamps) == 200
-    same(read_bag(written(tmp_path / "other.mcap", messages, **how)), usual)
+    same(read_recording(written(tmp_path / "other.mcap", messages, **how)), usual)
 
 
 def test_an_index_that_lies_is_not_believed(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -237,7 +236,7 @@ def test_a_message_that_is_cut_costs_itself(tmp_path: Path, rng: np.random.Gener
             writer.add_message(channel, i, cdr if i != 12 else cdr[:-30], i)
         writer.finish()
     for layouts in (True, False):
-        recording = read_bag(path, layouts)
+        recording = read_recording(path, layouts)
         assert sum(len(track.stamps) for track in recording.joints) == 19
         assert (
             "1 messages on /joint_states were left out: they are not of type sensor_msgs/msg/JointState."
@@ -250,9 +249,9 @@ def test_a_few_texts_that_differ_need_no_definitions_of_types(tmp_path: Path) ->
     kind = "std_msgs/msg/String"
     notes = [("/modcal/notes", kind, message_class(kind)(data=text)) for text in ("a first", "another, longer", "last")]
     path = written(tmp_path / "notes.mcap", notes)
-    same(read_bag(path), read_bag(path, layouts=False))
+    same(read_recording(path), read_recording(path, layouts=False))
     read = f"from modcal_msgs_py.mcap_read import read_bag; read_bag(pathlib.Path({str(path)!r}))"
     ask = f"import pathlib, sys; {read}; print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout
     assert "modcal_msgs_py.mcap_read" in out.split()
-    assert "modcal_msgs_py.types" not in out.split()
+    assert "modcal_msgs_py.layout" not in out.split()

@@ -9,7 +9,7 @@ import pytest
 from cells import ur10
 from cli.recordings import stations, streams, with_reading
 
-from modcal_core.calibration.own_statement import own_statement, together_stated
+from modcal_core.calibration.cell import own_statement, together_stated
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import Recording

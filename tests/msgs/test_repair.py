@@ -19,11 +19,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from modcal_core.errors import BadRecording
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.layout import definition, message_class, serialise
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.types import definition, message_class, serialise
 
 STRING = "std_msgs/msg/String"
 QOS_OF_OLD = """- history: 3
@@ -290,7 +290,7 @@ def test_a_repaired_recording_is_read_like_its_beginning(tmp_path: Path) -> None
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 2])
     repair_bag(tmp_path / "bag", tmp_path / "new")
-    cut, new = read_bag(tmp_path / "bag"), read_bag(tmp_path / "new")
+    cut, new = read_recording(tmp_path / "bag"), read_recording(tmp_path / "new")
     assert new.robot_description == cut.robot_description
     assert np.array_equal(new.joints[0].position, cut.joints[0].position)
     assert np.array_equal(new.readings[0].values, cut.readings[0].values)

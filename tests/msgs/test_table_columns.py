@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables, read_tables
 
@@ -82,7 +82,7 @@ def test_velocity_effort_commanded_and_signals_reach_the_bag(tmp_path: Path) -> 
     }
     tables = read(tmp_path, text, joints=joints, signals={"plc/pressure": "p"})
     write_recording(tables.recording, tmp_path / "bag", commanded=tables.commanded)
-    back = read_bag(tmp_path / "bag")
+    back = read_recording(tmp_path / "bag")
     (track,) = [t for t in back.joints if t.topic == "/joint_states"]
     assert track.velocity[:, 0] == pytest.approx([np.pi / 2, -np.pi / 2])
     assert track.effort[:, 0].tolist() == [5.0, 6.0]
@@ -123,7 +123,7 @@ def test_deviations_go_with_the_readings(tmp_path: Path) -> None:
     point = {**ENTRY["point"], "std": {"position": "s"}}
     recording = read(tmp_path, text, point=point).recording
     write_recording(recording, tmp_path / "bag")
-    (back,) = read_bag(tmp_path / "bag").readings
+    (back,) = read_recording(tmp_path / "bag").readings
     assert back.kind == "point"
     assert back.stated is not None
     assert back.stated[:, 0] == pytest.approx(np.sqrt(3.0) * np.array([1e-4, 2e-4]))
@@ -143,7 +143,7 @@ def test_ranges_bearings_planes(tmp_path: Path) -> None:
     assert by_frame["plate"].values[:, 0] == pytest.approx([2e-3, 3e-3])
     assert by_frame["touched"].values.tolist() == [[0.0], [0.0]]
     write_recording(recording, tmp_path / "bag")
-    assert {r.kind for r in read_bag(tmp_path / "bag").readings} == {"range", "bearing", "touch"}
+    assert {r.kind for r in read_recording(tmp_path / "bag").readings} == {"range", "bearing", "touch"}
 
 
 def test_three_targets_on_one_tool_are_a_pose(tmp_path: Path) -> None:

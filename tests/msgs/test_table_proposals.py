@@ -18,8 +18,8 @@ from modcal_core.geometry import se3
 from modcal_core.robots.mechanism import forward
 from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.tables.labels import Label, angle_triples, homogeneous, matrices, quaternions
-from modcal_msgs_py.tables.proposal import Proposal, proposal
 from modcal_msgs_py.tables.propose import find
+from modcal_msgs_py.tables.proposed import Proposal, proposal
 from modcal_msgs_py.tables.sniff import sniff
 
 CHAIN = ur10()

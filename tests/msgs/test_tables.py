@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.tables import import_tables
 from modcal_nodes.cli.main import run
 
@@ -121,7 +121,7 @@ def test_what_is_missing_or_wrong_is_named(changes: dict[str, Any], said: str, f
 def test_the_verb_writes_a_bag_or_nothing(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (folder / "m.yaml").write_text(MAPPING)
     assert run(["import", str(folder / "m.yaml"), "--out", str(folder / "bag")]) == 0
-    assert len(read_bag(folder / "bag").readings[0].stamps) == 3
+    assert len(read_recording(folder / "bag").readings[0].stamps) == 3
     (folder / "cubes.csv").write_text(TABLE + "20240101120010;oops\n")
     assert run(["import", str(folder / "m.yaml"), "--out", str(folder / "other")]) == 2
     assert "line 5" in capfd.readouterr().err

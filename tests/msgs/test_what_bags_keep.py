@@ -12,12 +12,12 @@ import pytest
 from mcap.reader import make_reader
 
 from modcal_core.errors import BadRecording
+from modcal_msgs_py.layout import message_class, serialise
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.messages import RecordingBuilder
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_msgs_py.readings import seconds, set_seconds
 from modcal_msgs_py.tables import import_tables
-from modcal_msgs_py.types import message_class, serialise
 
 STRING, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 

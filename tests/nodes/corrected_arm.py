@@ -21,8 +21,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.calibration.store import Calibration, to_data
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.files import to_yaml
@@ -31,7 +30,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.commands import fill_pose
-from modcal_msgs_py.stamps import set_seconds
+from modcal_msgs_py.readings import set_seconds
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 CHAIN = read_chain(URDF)

@@ -19,11 +19,9 @@ from modcal_core.impedance.operation import Operation
 from modcal_core.impedance.safety_monitor import ArmSetpoint
 from modcal_core.impedance.task import JointPositions, Stop
 from modcal_core.impedance.wrench import Load
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR, IMPEDANCE_SETPOINT
-from modcal_nodes.setpoint.arm import SensedArm, limits, task
-from modcal_nodes.setpoint.joint_efforts import JointEfforts
-from modcal_nodes.setpoint.joint_softness import JointSoftness
+from modcal_nodes.setpoint.arm import JointEfforts, JointSoftness, SensedArm, limits, task
 from modcal_nodes.simulation.pulling import Pulling
 
 _EVERY = round(IMPEDANCE_SETPOINT["rate_hz"].default / ARTICULATION_ESTIMATOR["rate_hz"].default)
@@ -95,7 +93,7 @@ def pull(
         if heard is None:
             continue
         q, stamp, effort = heard
-        T = forward(arm.chain, q)
+        T = chain_forward(arm.chain, q)
         if k % _EVERY == 0 or state is None:
             pulled = float(np.linalg.norm(operation.force[:3])) > ARTICULATION_ESTIMATOR["pull_n"].default
             state = tracker.update(T[:3, 3], T[:3, :3], stamp, pulled)

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from modcal_nodes.ros.pending import waiting
+from modcal_nodes.ros.guarded import waiting
 
 
 class Polled:

@@ -28,8 +28,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.articulation.urdf import describe
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.kinematics import forward
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_core.robots.kinematics import chain_forward
+from modcal_msgs_py.readings import seconds, set_seconds
 
 URDF = (ROOT / "examples" / "robots" / "panda.urdf").read_text()
 WHO = "impedance_setpoint"
@@ -328,4 +328,4 @@ def fuzz(arm: PulledArm, wait: Wait, rng: np.random.Generator, messages: int, bu
 
 def reached(q: Array) -> Array:
     """The tool (4, 4) at a posture."""
-    return forward(PANDA, q)
+    return chain_forward(PANDA, q)

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.stamps import seconds
+from modcal_msgs_py.readings import seconds
 from modcal_nodes.simulation.furniture import Furniture
 
 PANDA = ROOT / "examples" / "robots" / "panda.urdf"

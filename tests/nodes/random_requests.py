@@ -15,7 +15,7 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
-from modcal_nodes.setpoint.changes import WHILE_PULLING
+from modcal_nodes.setpoint.arm_inputs import WHILE_PULLING
 
 Wait = Callable[[Callable[[], Any], float], Any]
 _BY_ITSELF = 6.0  # s

@@ -15,9 +15,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadRecording
+from modcal_msgs_py.layout import jazzy
 from modcal_msgs_py.mcap_walk import McapFile
-from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.types import jazzy
+from modcal_msgs_py.readings import seconds
 
 # deep enough that a machine that is busy with other things makes no publisher forget what was not yet heard
 RELIABLE = QoSProfile(depth=5000)

@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_msgs_py.readings import seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 ERROR, OK = DiagnosticStatus.ERROR, DiagnosticStatus.OK

@@ -11,7 +11,7 @@ from nodes.pulled_arm import URDF
 from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadCommand
-from modcal_msgs_py.stamps import set_seconds
+from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.setpoint.arm_inputs import ArmInputs
 
 CHOSEN: dict[str, Any] = {

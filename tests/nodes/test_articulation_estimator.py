@@ -25,9 +25,9 @@ from visualization_msgs.msg import MarkerArray
 
 from modcal_core.articulation.urdf import read
 from modcal_core.geometry import se3
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_msgs_py.readings import seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 UR10 = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"
@@ -185,7 +185,7 @@ def test_an_arm_shows_the_handle_by_its_joints(tmp_path: Path) -> None:
 
         wait(turn, 60.0)
         model = read(told.description)
-        tip = forward(chain, q[None])[0, :3, 3]
+        tip = chain_forward(chain, q[None])[0, :3, 3]
         assert model.radius == pytest.approx(np.hypot(tip[0], tip[1]), abs=0.02)
         assert abs(model.axis[2]) == pytest.approx(1.0, abs=1e-3)
         assert told.state.header.frame_id == chain.base

@@ -21,7 +21,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.corners import read_corners
+from modcal_msgs_py.images import read_corners
 from modcal_nodes.cli.main import run
 
 pytestmark = pytest.mark.dds

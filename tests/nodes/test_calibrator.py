@@ -17,8 +17,7 @@ from nodes.cell import PlayedCell, Said, Wait, call
 from nodes.processes import Process, fresh_domain, listener, running
 from rclpy.node import Node
 
-from modcal_core.measurements.dropouts import BEYOND, ELSEWHEN, IMPLAUSIBLE
-from modcal_core.measurements.dropped import ALONE
+from modcal_core.measurements.dropouts import ALONE, BEYOND, ELSEWHEN, IMPLAUSIBLE
 
 pytestmark = pytest.mark.dds
 

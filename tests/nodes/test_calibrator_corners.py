@@ -26,8 +26,8 @@ from std_msgs.msg import String
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.corners import fill_corners
-from modcal_msgs_py.stamps import set_seconds
+from modcal_msgs_py.images import fill_corners
+from modcal_msgs_py.readings import set_seconds
 
 pytestmark = pytest.mark.dds
 STATUS = "/calibrator: camera"

@@ -25,7 +25,7 @@ from std_msgs.msg import String
 
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.stamps import set_seconds
+from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.io.inputs import parse_calibration
 
 pytestmark = pytest.mark.dds

@@ -24,9 +24,8 @@ from modcal_nodes.nodes.corrector import Corrector
 from modcal_nodes.nodes.recorder import Recorder
 from modcal_nodes.nodes.viewer import Viewer
 from modcal_nodes.ros.parameters import NODES
-from modcal_nodes.ros.running import SENSOR
-from modcal_nodes.ros.usage import answered
-from modcal_nodes.simulation.switches import SWITCHES
+from modcal_nodes.ros.running import SENSOR, answered
+from modcal_nodes.simulation.plant import SWITCHES
 
 EVERY = sorted(MADE)
 

@@ -16,9 +16,9 @@ from nodes.processes import Process, fresh_domain, listener, running
 from sensor_msgs.msg import JointState, Temperature
 
 from modcal_core.correction.correction import Correction
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_msgs_py.readings import seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 ERROR, WARN, OK = DiagnosticStatus.ERROR, DiagnosticStatus.WARN, DiagnosticStatus.OK
@@ -63,7 +63,7 @@ def test_true_poses_effective_joints_and_the_corrected_urdf(tmp_path: Path) -> N
         # the corrected description with the effective joints is the corrected pose
         wait(lambda: arm.urdfs, 10.0)
         corrected = read_chain(arm.urdfs[-1])
-        assert np.abs(forward(corrected, np.array(arm.states[-1].position)) - expected).max() < 1e-9
+        assert np.abs(chain_forward(corrected, np.array(arm.states[-1].position)) - expected).max() < 1e-9
         assert arm.urdfs[-1] != URDF
         # a joint that is not reported is said; no command is corrected without it
         arm.reshape = lambda m: [JointState(header=m.header, name=m.name[:5], position=list(m.position)[:5])]
@@ -168,7 +168,7 @@ def test_what_the_effects_need_is_asked_for(tmp_path: Path) -> None:
             heat.publish(message)
         wait(lambda: arm.poses, 20.0)
         expected = Correction(made).model
-        longer = forward(expected.chain, AWAY)
+        longer = chain_forward(expected.chain, AWAY)
         gap = np.linalg.norm(matrix(arm.poses[-1].pose.pose)[:3, 3] - longer[:3, 3])
         assert gap == pytest.approx(30.0 * 2e-5, rel=0.02)
 
@@ -176,5 +176,5 @@ def test_what_the_effects_need_is_asked_for(tmp_path: Path) -> None:
 def test_the_calibration_of_the_tests_is_another_than_the_drawing() -> None:
     """Else all of the above would pass without any correction."""
     made = calibration()
-    assert np.linalg.norm(truth(made, AWAY)[:3, 3] - forward(CHAIN, AWAY)[:3, 3]) > 5e-4
+    assert np.linalg.norm(truth(made, AWAY)[:3, 3] - chain_forward(CHAIN, AWAY)[:3, 3]) > 5e-4
     assert replace(made.calibrated, effects=()).chain.names == CHAIN.names

@@ -21,10 +21,9 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction
+from modcal_core.correction.correction import ArmState, Correction
 from modcal_core.geometry.so3 import Array
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_msgs_py.readings import seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 ERROR, WARN, OK = DiagnosticStatus.ERROR, DiagnosticStatus.WARN, DiagnosticStatus.OK

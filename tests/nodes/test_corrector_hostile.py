@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from modcal_msgs_py.stamps import seconds, set_seconds
+from modcal_msgs_py.readings import seconds, set_seconds
 
 pytestmark = pytest.mark.dds
 

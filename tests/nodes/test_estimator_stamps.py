@@ -13,7 +13,7 @@ from nodes.in_process import Pair, spun
 
 from modcal_core.geometry import se3
 from modcal_msgs_py.commands import fill_pose
-from modcal_msgs_py.stamps import set_seconds
+from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
 
 pytestmark = pytest.mark.dds

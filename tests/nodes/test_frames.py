@@ -17,11 +17,19 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.online.supervisor import Policy, Supervisor
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_nodes.calibrating.diagnostics import collected
 from modcal_nodes.nodes.calibrator import Calibrator
-from modcal_nodes.ros.tf_broadcaster import filled
-from modcal_nodes.ros.tf_frames import CALIBRATED, CORRECTED, TOOL, Frame, Parents, corrected_frame, static_frames
+from modcal_nodes.ros.tf_frames import (
+    CALIBRATED,
+    CORRECTED,
+    TOOL,
+    Frame,
+    Parents,
+    corrected_frame,
+    filled,
+    static_frames,
+)
 
 URDF = (ROOT / "examples" / "robots" / "ur10.urdf").read_text()
 
@@ -35,7 +43,7 @@ def test_the_frames_lead_from_the_tracker_to_what_it_sees() -> None:
     assert (tracker.parent, tracker.child) == (model.serial.base, f"{model.frames[0]}{CALIBRATED}")
     assert (tool.parent, tool.child) == (f"{model.serial.tip}{CORRECTED}", TOOL)
     for row in range(0, len(cell.samples), 7):
-        tip = corrected_frame(model.serial.base, model.serial.tip, forward(model.chain, cell.samples.q[row]))
+        tip = corrected_frame(model.serial.base, model.serial.tip, chain_forward(model.chain, cell.samples.q[row]))
         assert tip.child == tool.parent
         seen = se3.inverse(tracker.T) @ tip.T @ tool.T
         assert np.linalg.norm(seen[:3, 3] - cell.samples.reading[row]) < 5e-4

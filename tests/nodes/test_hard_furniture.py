@@ -15,9 +15,8 @@ from nodes.pulling import PANDA
 
 from modcal_core.errors import BadTable
 from modcal_core.robots.urdf import read_chain
-from modcal_nodes.simulation.furniture import Furniture, draw
+from modcal_nodes.simulation.furniture import KNOWN, Furniture, draw, resistance
 from modcal_nodes.simulation.pulling import Pulling
-from modcal_nodes.simulation.resistance import KNOWN, resistance
 
 URDF = PANDA.read_text()
 CHAIN = read_chain(URDF)

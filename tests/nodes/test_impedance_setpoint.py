@@ -17,7 +17,7 @@ from nodes.pulled_arm import URDF, PulledArm, Witness, fuzz, reached
 from std_msgs.msg import String
 
 from modcal_core.geometry import se3
-from modcal_msgs_py.stamps import seconds
+from modcal_msgs_py.readings import seconds
 
 pytestmark = pytest.mark.dds
 # towards −x of the base, seen from the Panda's hand that points down

@@ -9,7 +9,7 @@ import pytest
 from impedance.toy import PANDA
 from nodes.pulling import PANDA as PANDA_FILE
 
-from modcal_nodes.setpoint.joint_softness import JointSoftness
+from modcal_nodes.setpoint.arm import JointSoftness
 
 URDF = PANDA_FILE.read_text()
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from camera.boards import BOARD, facing, views
 
+from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.target_file import scale_of_rulers
-from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
 from modcal_nodes.calibrating.kept_images import forget_images, read_images, write_images
 

@@ -20,7 +20,7 @@ from modcal_nodes.nodes.articulation_estimator import ArticulationEstimator
 from modcal_nodes.nodes.corrector import Corrector
 from modcal_nodes.nodes.simulated_cell import SimulatedCell
 from modcal_nodes.nodes.viewer import Viewer
-from modcal_nodes.ros.health import Health
+from modcal_nodes.ros.subscriptions import Health
 from modcal_nodes.viewing import drawing
 
 CONFIG = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "modcal_nodes" / "config"

@@ -19,9 +19,9 @@ from std_msgs.msg import Float64, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.calibration.model import Model
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.simulation.plant import make_world
@@ -112,7 +112,7 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
     assert heard["residual"] == pytest.approx(1e-3 * report["error_mm"]["final"]["rms"])
     corrected = read_chain(str(heard["urdf"]))
     q = np.random.default_rng(6).uniform(-2, 2, (50, 6))
-    assert np.abs(forward(corrected, q) - forward(live.calibrated.chain, q)).max() < 1e-9
+    assert np.abs(chain_forward(corrected, q) - chain_forward(live.calibrated.chain, q)).max() < 1e-9
 
     # the recorded bag gives the same
     assert run(["calibrate", str(tmp_path / "bag"), "--out", str(tmp_path / "replay")]) == 0
@@ -121,7 +121,7 @@ def test_cell_recorder_and_calibrator(tmp_path: Path) -> None:
     values = np.array([[p[1] for p in c.parameters] for c in (live, replayed)])
     assert np.abs(values[0] - values[1]).max() < 1e-9
     assert np.abs(replayed.calibrated.predict(q) - live.calibrated.predict(q)).max() < 1e-9
-    assert read_bag(tmp_path / "bag").robot_description == URDF.read_text()
+    assert read_recording(tmp_path / "bag").robot_description == URDF.read_text()
 
 
 def _away(state: JointState, program: JointTrajectory) -> bool:

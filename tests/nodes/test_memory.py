@@ -9,7 +9,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
-from modcal_msgs_py.stamps import set_seconds
+from modcal_msgs_py.readings import set_seconds
 from modcal_nodes.calibrating.buffer import Buffer
 
 JOINTS, POSE = ("/joint_states", "sensor_msgs/msg/JointState"), ("/tracker/pose", "geometry_msgs/msg/PoseStamped")

@@ -11,7 +11,7 @@ import pytest
 from modcal_core.articulation.models.registry import joint
 from modcal_core.articulation.urdf import describe, frames, read
 from modcal_core.errors import BadCommand, ModcalError
-from modcal_msgs_py.setpoints import ObjectInput
+from modcal_msgs_py.commands import ObjectInput
 from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
 from modcal_nodes.setpoint.arm import task
 

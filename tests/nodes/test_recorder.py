@@ -33,9 +33,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from modcal_msgs_py.layout import jazzy
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_walk import McapFile
-from modcal_msgs_py.types import jazzy
 from modcal_nodes.cli.main import run
 from modcal_nodes.ros.guarded import GuardedNode
 from modcal_nodes.ros.topic_recorder import Taken, TopicRecorder

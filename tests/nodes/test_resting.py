@@ -16,8 +16,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.refusals import Refusals
+from modcal_nodes.ros.guarded import GuardedNode, Refusals
 from modcal_nodes.ros.resting import RestingExecutor
 from modcal_nodes.ros.running import FRESH, SENSOR
 from modcal_nodes.ros.subscriptions import MonitoredSubscription, always

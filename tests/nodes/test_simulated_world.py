@@ -16,11 +16,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.gravity import STANDARD_GRAVITY
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
-from modcal_nodes.simulation.commands import legs
-from modcal_nodes.simulation.pace import Grid
-from modcal_nodes.simulation.plant import make_world
-from modcal_nodes.simulation.program import Program, tour
-from modcal_nodes.simulation.switches import SWITCHES, Growth, Switches
+from modcal_nodes.simulation.plant import SWITCHES, Grid, Growth, Switches, make_world
+from modcal_nodes.simulation.program import Program, legs, tour
 from modcal_nodes.simulation.world import World
 
 CHAIN = chain_of("ur10")

@@ -13,7 +13,7 @@ from modcal_core.errors import BadTable
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.files import calibration_files
+from modcal_core.report.report import calibration_files
 from modcal_nodes.calibrating.state import State, read_state, write_state
 
 

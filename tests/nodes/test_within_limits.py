@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.robots.acceleration import read_drives
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_drives import read_drives
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.cli.main import run
-from modcal_nodes.simulation.program import Program, tour
-from modcal_nodes.simulation.within_limits import within_limits
+from modcal_nodes.simulation.program import Program, tour, within_limits
 from modcal_nodes.simulation.world import World
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"

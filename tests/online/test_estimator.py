@@ -10,16 +10,15 @@ from cells import record, samples_of
 from numpy.random import Generator
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import Fit, identify
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.fit import Fit, identify
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import Estimator, RandomWalk
-from modcal_core.online.information import Information, triangular
+from modcal_core.online.estimator import Estimator, Information, RandomWalk, triangular
 
 
 def batch(samples: Samples, chain: object, effects: tuple[Effect, ...] = ()) -> Fit:

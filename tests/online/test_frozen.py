@@ -8,7 +8,7 @@ from calibration.test_linearise import SHIFT, TURN, cell
 from cells import slider_arm, ur10
 from numpy.random import Generator
 
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import ordered_candidates
 from modcal_core.calibration.structure import views_of
 from modcal_core.effects.effect import Effect

@@ -13,8 +13,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.measurements.dwells import StationRules
 from modcal_core.measurements.recording import Recording
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.samples import Samples, cut_stations
 from modcal_core.online.estimator import joined
 from modcal_core.online.stream import SampleStream
 

@@ -10,9 +10,8 @@ from cli.recordings import START, streams
 from online.test_stream import NAMES, play
 
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording
-from modcal_core.measurements.stations import cut_stations
-from modcal_core.online.recent_commands import RecentCommands
-from modcal_core.online.stream import SampleStream
+from modcal_core.measurements.samples import cut_stations
+from modcal_core.online.stream import RecentCommands, SampleStream
 
 
 @pytest.mark.slow

@@ -12,13 +12,12 @@ from cli.recordings import URDF
 from numpy.random import Generator
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import Fit, identify
+from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.samples import Samples
-from modcal_core.online.change_detector import ChangeDetector
-from modcal_core.online.change_hypothesis import find_change
+from modcal_core.online.change_detector import ChangeDetector, find_change
 from modcal_nodes.simulation.world import World
 
 NOISE_M, NOISE_RAD = 5e-5, 5e-5

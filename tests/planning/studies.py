@@ -8,7 +8,7 @@ import numpy as np
 from cells import samples_of
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

@@ -8,7 +8,7 @@ from cells import record, samples_of, slider_arm, ur10
 from finite_differences import assert_jacobian
 from planning.arms import POINT, dh_point, irb1410, irb1410_table
 
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import View
 from modcal_core.calibration.structure import choose_parameters
 from modcal_core.errors import BadTable
@@ -21,9 +21,9 @@ from modcal_core.planning.closed_chain import (
     one_frame_model,
     sizes_of,
 )
-from modcal_core.planning.designs import sobol_postures
+from modcal_core.planning.sensitivity import sobol_postures
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 
 
 def general(chain: Chain, parameters: str) -> ClosedChain:
@@ -56,7 +56,7 @@ def test_errors_move_the_point_as_in_an_arm_written_by_hand(rng: np.random.Gener
 def test_nominal_positions_and_derivatives(chain: Chain, parameters: str, rng: np.random.Generator) -> None:
     closed = general(chain, parameters)
     q = sobol_postures(chain, 4, rng)
-    T = se3.exp([0.4, -0.2, 0.3, 0.5, 0.1, -0.7]) @ forward(chain, q)
+    T = se3.exp([0.4, -0.2, 0.3, 0.5, 0.1, -0.7]) @ chain_forward(chain, q)
     zero = np.zeros(len(closed.factors))
     assert np.abs(closed.positions(q, zero)[0] - se3.apply(T, POINT)).max() < 1e-12
     J = closed.jacobian(q)[:, :3].reshape(-1, len(zero))

@@ -10,11 +10,11 @@ import pytest
 from deltas import FILE, nominal, postures
 from finite_differences import assert_jacobian
 
-from modcal_core.calibration.linearise import model_at
+from modcal_core.calibration.linearisation import model_at
 from modcal_core.geometry import se3
 from modcal_core.planning.closed_chain import calibration_chain
-from modcal_core.planning.designs import array_postures, sobol_postures
-from modcal_core.planning.plan import PlanRequest, plan
+from modcal_core.planning.planner import PlanRequest, plan
+from modcal_core.planning.sensitivity import array_postures, sobol_postures
 from modcal_core.planning.site import Site
 from modcal_core.robots.mechanism import takes
 from modcal_nodes.cli.main import run

@@ -10,12 +10,11 @@ from cells import samples_of, ur10
 from finite_differences import assert_jacobian
 from planning.sites import ground, hall
 
-from modcal_core.calibration.normal_equations import normal_equations
+from modcal_core.calibration.equations import normal_equations
 from modcal_core.errors import BadTable
 from modcal_core.planning.criteria import CRITERIA, criterion, observability
-from modcal_core.planning.exchange import exchange
-from modcal_core.planning.rows import StationRows
-from modcal_core.planning.worth import Worth
+from modcal_core.planning.fedorov import exchange
+from modcal_core.planning.worth import StationRows, Worth
 
 
 def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> StationRows:

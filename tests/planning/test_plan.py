@@ -13,8 +13,8 @@ from planning.studies import Arm
 from modcal_core.errors import BadTable, NotEnoughData, NotPlannable
 from modcal_core.loop import calibrate
 from modcal_core.planning.criteria import criterion
-from modcal_core.planning.exchange import exchange
-from modcal_core.planning.plan import PlanRequest, min_stations, plan
+from modcal_core.planning.fedorov import exchange
+from modcal_core.planning.planner import PlanRequest, min_stations, plan
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, visible
 

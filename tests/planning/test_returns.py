@@ -9,11 +9,10 @@ import pytest
 from cells import ur10
 
 from modcal_core.geometry.so3 import Array
+from modcal_core.measurements.approach import returns
 from modcal_core.measurements.inspection import inspect
-from modcal_core.measurements.returns import returns
-from modcal_core.planning.returns import RETURNS, with_returns
-from modcal_core.planning.route import route
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_core.planning.route import RETURNS, route, with_returns
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.cli.main import run
 from modcal_nodes.simulation.program import tour
 
@@ -112,4 +111,4 @@ def test_a_simulated_bag_has_returns_and_info_says_when_one_has_none(
     told = " ".join(capfd.readouterr().out.split())
     assert "24 dwells" in told
     assert "No posture is visited twice: the noise floor will be unknown; visit 6 postures again" in told
-    assert not [f for f in inspect(read_bag(tmp_path / "with")).findings if "noise floor" in f]
+    assert not [f for f in inspect(read_recording(tmp_path / "with")).findings if "noise floor" in f]

@@ -12,10 +12,16 @@ from scipy.stats import chi
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
-from modcal_core.planning.designs import design, sobol_postures
-from modcal_core.planning.gain import gains, joint_use, left_by
-from modcal_core.planning.sensitivity import interval_probabilities, sensitivity
-from modcal_core.planning.variance import sobol_indices
+from modcal_core.planning.sensitivity import (
+    design,
+    gains,
+    interval_probabilities,
+    joint_use,
+    left_by,
+    sensitivity,
+    sobol_indices,
+    sobol_postures,
+)
 
 
 @pytest.fixture(scope="module")

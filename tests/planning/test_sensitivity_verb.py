@@ -14,7 +14,7 @@ from cells import ur10
 from planning.arms import IRB1410
 
 from modcal_core.geometry import se3
-from modcal_core.robots.cpc import to_cpc
+from modcal_core.robots.tables import to_cpc
 from modcal_nodes.cli.main import run
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,7 @@ from modcal_core.planning.posture_pool import one_turn, survey, with_limits
 from modcal_core.planning.site import site_from_data
 from modcal_core.planning.spheres import clearance, spheres_of, visible
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward, frames
+from modcal_core.robots.kinematics import chain_forward, frames
 from modcal_core.robots.mechanism import random_postures
 
 
@@ -49,7 +49,7 @@ def test_given_spheres_stand_in_the_frames_of_their_joints(chain: Chain) -> None
                 chain.axes[:k],
                 chain.revolute[:k],
             )
-            expected = (forward(cut, q[:, :k]) @ np.array([*centre, 1.0]))[:, :3]
+            expected = (chain_forward(cut, q[:, :k]) @ np.array([*centre, 1.0]))[:, :3]
         assert np.abs(at[k].T - expected).max() < 1e-12
 
 
@@ -59,7 +59,7 @@ def test_spheres_along_the_links_join_joint_to_joint() -> None:
     spheres = spheres_of(chain, site(arm={"link_radius_m": 0.05}, target={"position_m": [0.0, 0.0, 0.2]}))
     at = spheres.at(frames(chain, np.array([[0.3, -1.0, 0.7, 0.2, 0.9, 0.1]])))[:, :, 0]
     assert np.linalg.norm(np.diff(at, axis=0), axis=1).max() <= 0.05 + 1e-9
-    T = forward(chain, [0.3, -1.0, 0.7, 0.2, 0.9, 0.1])
+    T = chain_forward(chain, [0.3, -1.0, 0.7, 0.2, 0.9, 0.1])
     assert np.allclose(at[-1], T[:3, 3] + 0.2 * T[:3, 2], atol=1e-12)
 
 
@@ -178,7 +178,7 @@ def test_what_is_chosen_from_is_within_limits_free_and_seen() -> None:
     spheres = spheres_of(ur10(), here)
     assert (clearance(spheres, here, q) >= 0.0).all()
     assert visible(spheres, here, q).all()
-    T = forward(ur10(), q)
+    T = chain_forward(ur10(), q)
     p = T[:, :3, 3] + T[:, :3, :3] @ here.target.position
     way = p - here.tracker.position
     assert (np.linalg.norm(way, axis=1) < 8.0).all()
@@ -204,7 +204,7 @@ def test_one_turn_is_cut_where_the_arm_cannot_be() -> None:
     assert width[5] == pytest.approx(12.0)
     assert (chain.lower >= ur10().lower).all()
     assert (chain.upper <= ur10().upper).all()
-    T = forward(ur10(), np.array([0.0, chain.lower[1], 0.0, 0.0, 0.0, 0.0]))
+    T = chain_forward(ur10(), np.array([0.0, chain.lower[1], 0.0, 0.0, 0.0, 0.0]))
     assert T[2, 3] < 0.0
 
 

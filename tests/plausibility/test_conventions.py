@@ -12,14 +12,13 @@ from cells import record, samples_of, ur10
 from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.locate_instruments import Known
+from modcal_core.calibration.initial import Known
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.samples import Samples, cut_stations
 from modcal_core.plausibility.conventions import INVERTED, proved
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain

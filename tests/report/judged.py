@@ -10,8 +10,8 @@ from report.reports import warm_cell
 
 from modcal_core.diagnosis.loads import FoundPayload, Loads
 from modcal_core.effects.drivers import NominalArm
+from modcal_core.report.contents import Trace, iso_date
 from modcal_core.report.report import Report
-from modcal_core.report.trace import Trace, iso_date
 from modcal_core.verdict.grounds import Grounds, NotApplied, Regime
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Reason, Repeatability, Row, Share, Verdict

@@ -16,8 +16,8 @@ from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
-from modcal_core.report.certificate import OWN_RECORDING, Certificate, Hashes, certificate, is_made_from
-from modcal_core.report.certificate_page import to_html
+from modcal_core.report.certificate_page import certificate_html
+from modcal_core.report.certificates import OWN_RECORDING, Certificate, Hashes, certificate, is_made_from
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.report import Report
 from modcal_core.verdict.iso9283 import CYCLES, POSES, pose_test
@@ -53,7 +53,7 @@ def test_a_pass_is_calm_only_where_nothing_is_left_in_doubt(
     assert one.result == heading.partition(",")[0]
     if heading != "PASS":
         assert one.reservations or judged is FLOOR
-    page = to_html(one)
+    page = certificate_html(one)
     assert all(reason.split("'")[0] in page for reason in one.reservations)
 
 
@@ -96,7 +96,7 @@ def full() -> Certificate:
 
 def test_the_page_is_well_formed_and_says_what_the_certificate_says() -> None:
     one = full()
-    page = to_html(one)
+    page = certificate_html(one)
     found = Elements(page)
     assert not found.unclosed
     assert "://" not in page

@@ -15,9 +15,9 @@ from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.files import to_json
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
-from modcal_core.report.comparison import Side, compare, summary, to_json_data
+from modcal_core.report.comparison import Side, compare, comparison_data, comparison_summary
 from modcal_core.report.report import Report
-from modcal_core.report.summary import text
+from modcal_core.report.terminal import text
 from modcal_nodes.simulation.world import World
 
 
@@ -103,7 +103,7 @@ def test_reports_alone_are_compared_by_their_intervals() -> None:
     assert found.result == "differs"
     assert "do not overlap" in found.sentence
     assert found.tool is None
-    assert "do not overlap" in text(summary(found))
+    assert "do not overlap" in text(comparison_summary(found))
 
 
 def test_what_cannot_be_compared_is_refused() -> None:
@@ -117,8 +117,8 @@ def test_what_cannot_be_compared_is_refused() -> None:
 
 def test_terminal_and_json_say_the_same() -> None:
     found = compare(side("a", 1, 10), side("c", 2, 11), 0.2)
-    assert found.sentence in text(summary(found))
-    data = to_json_data(found)
+    assert found.sentence in text(comparison_summary(found))
+    data = comparison_data(found)
     assert data["result"] == "beyond tolerance"
     assert len(data["parameters"]) == len(found.parameters)
     assert to_json(data)

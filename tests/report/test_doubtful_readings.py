@@ -19,7 +19,7 @@ from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.verdict.readings import coarse, cut_off
 from modcal_core.verdict.tolerance import Asked, assess
 from modcal_core.verdict.verdict import Verdict
@@ -40,7 +40,7 @@ def judgement(samples: Samples, cell: Cell | None = None) -> Verdict:
 
 def by_joints(made: Recorded, rounded: float = 0.0) -> Samples:
     """What a controller publishes as the pose of its tool: forward kinematics of the joints, seen from its base."""
-    T = forward(CHAIN, made.samples.q)
+    T = chain_forward(CHAIN, made.samples.q)
     if rounded:
         T[:, :3, 3] = np.round(T[:, :3, 3] / rounded) * rounded
     return samples_of(CHAIN, made.samples.q, T)
@@ -80,7 +80,7 @@ def test_postures_that_were_read_again_show_that_somebody_measured() -> None:
     """An arm that is built as it is described, and an instrument whose readings scatter where they are repeated."""
     _, q, _ = tour(4, 80, 8)
     rng = np.random.default_rng(1)
-    T = forward(CHAIN, q + rng.normal(0.0, 1e-5, q.shape))
+    T = chain_forward(CHAIN, q + rng.normal(0.0, 1e-5, q.shape))
     T[:, :3, 3] += 5e-5 * rng.standard_normal((len(q), 3))
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((len(q), 3)))
     judged = judgement(samples_of(CHAIN, q, T))

@@ -12,8 +12,13 @@ from report.browser import Page, browser
 
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.track import Track
-from modcal_core.report.articulation import Articulation, to_html, to_json_data
-from modcal_core.report.object_scene import ObjectScene, object_scene
+from modcal_core.report.articulation import (
+    Articulation,
+    ObjectScene,
+    articulation_data,
+    articulation_html,
+    object_scene,
+)
 
 
 def found(kind: str) -> tuple[Seen, Articulation]:
@@ -27,7 +32,7 @@ def found(kind: str) -> tuple[Seen, Articulation]:
 
 def drawn(about: Articulation) -> ObjectScene:
     fit = about.choice.fit
-    joint = to_json_data(about)["joint"]
+    joint = articulation_data(about)["joint"]
     return object_scene(fit.model, fit.configurations, about.track.positions, joint, 1.0, "cell")
 
 
@@ -64,7 +69,7 @@ def tab() -> Iterator[Page]:
 
 
 def test_the_slider_opens_the_door(tab: Page, tmp_path: Path) -> None:
-    (tmp_path / "door.html").write_text(to_html(found("revolute")[1]))
+    (tmp_path / "door.html").write_text(articulation_html(found("revolute")[1]))
     tab.open(tmp_path / "door.html", 1000, 900)
     picture = "document.getElementById('scene').toDataURL()"
     said = "document.getElementById('scene-said').textContent"

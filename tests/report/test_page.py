@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
 
+from modcal_core.calibration.data_split import Split
 from modcal_core.calibration.score import Errors
-from modcal_core.calibration.split import Split
+from modcal_core.measurements.approach import SAME
 from modcal_core.measurements.kinds.rows import indirect_rows
-from modcal_core.measurements.returns import SAME
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import FILES, MAX_BYTES, _page, to_html
-from modcal_core.report.page import as_script_data
-from modcal_core.report.palette import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, TINT, WARN
+from modcal_core.report.page import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, TINT, WARN, as_script_data
 from modcal_core.report.report import Report
 from modcal_core.report.scene import scene
 

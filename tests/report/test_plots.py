@@ -11,8 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from modcal_core.report.page import Chart
-from modcal_core.report.palette import AFTER, LIGHT
+from modcal_core.report.page import AFTER, LIGHT, Chart
 from modcal_core.report.plots import chart, columns, in_decades, in_numbers, line_size, plot, svg
 
 X, Y = np.array([0.02, 0.3, 4.0]), np.array([1e-3, 1e-1, 10.0])

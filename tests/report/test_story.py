@@ -7,14 +7,13 @@ import pytest
 from cells import slider_arm, ur10
 from diagnosis.test_diagnosis import CAUSES, recorded
 
-from modcal_core.effects.curve import rhythm
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.registry import family
+from modcal_core.effects.family import ReportEntry
+from modcal_core.effects.registry import family_named
 from modcal_core.effects.shapes import Shape
+from modcal_core.effects.sizes import rhythm
 from modcal_core.loop import calibrate
-from modcal_core.report.effect_sizes import parameters
-from modcal_core.report.findings import Finding
+from modcal_core.report.diagnosis_entries import Finding, parameters
 
 CHAIN, SLIDER = ur10(), slider_arm()
 X = np.linspace(-2.0, 2.0, 4096)
@@ -36,7 +35,7 @@ def test_a_rhythm_is_a_line_that_stands_out() -> None:
 
 
 def story(name: str, *entry: object) -> str:
-    return family(name).sentence(ReportEntry(*entry))  # type: ignore[arg-type]
+    return family_named(name).sentence(ReportEntry(*entry))  # type: ignore[arg-type]
 
 
 def sizes(chain: object, *effect: object, values: tuple[float, ...]) -> dict[str, tuple[float, float, str]]:

@@ -11,7 +11,7 @@ from cli.recordings import stations
 from report.judged import CANNOT, FLOOR, OPEN, ROWS, WHY, everything
 from report.reports import points, warm_cell
 
-from modcal_core.measurements.stations import cut_stations
+from modcal_core.measurements.samples import cut_stations
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
 from modcal_core.report.report import Report

@@ -16,16 +16,12 @@ from robots.random_arms import Mujoco, inertial_link
 
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.acceleration import Window, window
+from modcal_core.robots.acceleration import Drives, Window, read_drives, torque, window
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dynamics import torque
-from modcal_core.robots.fastest_motion import constant_bounds, motion, within_bounds, within_torque
+from modcal_core.robots.fastest_motion import JointPath, Timing, constant_bounds, motion, within_bounds, within_torque
 from modcal_core.robots.inertia import Payload, with_payload
-from modcal_core.robots.inverse import inverse
-from modcal_core.robots.joint_path import JointPath
-from modcal_core.robots.path_timing import Timing
+from modcal_core.robots.inverse_kinematics import inverse
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_drives import Drives, read_drives
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
 URDF = Path(__file__).resolve().parents[2] / "examples" / "robots" / "ur10.urdf"

@@ -19,7 +19,7 @@ from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.gravity import STANDARD_GRAVITY, payload_wrench
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
@@ -92,10 +92,10 @@ def postures(rng: np.random.Generator) -> tuple[Array, Array]:
 def test_the_other_arm_weighs_where_it_is_recorded(postures: tuple[Array, Array]) -> None:
     q, other = postures
     chain, inertias = arm()
-    around = Drivers(recorded(chain, q, forward(chain, q), other), NominalArm(chain, inertias))
+    around = Drivers(recorded(chain, q, chain_forward(chain, q), other), NominalArm(chain, inertias))
     found = np.stack([around.values(f"load:{name}") for name in LEFT], axis=1)
     np.testing.assert_allclose(found, torques(q, other), atol=1e-9)
-    still = Drivers(samples_of(chain, q, forward(chain, q)), NominalArm(chain, inertias))
+    still = Drivers(samples_of(chain, q, chain_forward(chain, q)), NominalArm(chain, inertias))
     np.testing.assert_allclose(still.values("load:torso"), torques(q, 0.0 * other)[:, 0], atol=1e-9)
 
 
@@ -107,7 +107,7 @@ def test_a_payload_pulls_along_the_worlds_down(postures: tuple[Array, Array]) ->
     for j in range(chain.n):
         d = np.zeros(chain.n)
         d[j] = 1e-6
-        ends = forward(chain, q + d)[:, :3, 3] - forward(chain, q - d)[:, :3, 3]
+        ends = chain_forward(chain, q + d)[:, :3, 3] - chain_forward(chain, q - d)[:, :3, 3]
         assert np.abs(found[:, j] - STANDARD_GRAVITY * (ends @ inertias.down) / 2e-6).max() < 1e-7
     assert inertias.down == pytest.approx(-(_tilted().T @ [0.0, 0.0, 1.0]))
 
@@ -125,7 +125,11 @@ def test_a_soft_torso_is_found_though_the_other_arm_moves(
     chain, inertias = arm()
     bent = q.copy()
     bent[:, 0] += 1e-4 * torques(q, other)[:, 0]
-    T = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]) @ forward(chain, bent) @ se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
+    T = (
+        se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0])
+        @ chain_forward(chain, bent)
+        @ se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
+    )
     T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
     samples = recorded(chain, q, T, other)
     upright = replace(inertias, down=np.array([0.0, 0.0, -1.0]))  # and the cell file says what the description does not
@@ -167,7 +171,7 @@ def test_a_column_that_tilts_under_what_it_carries_is_named(rng: np.random.Gener
         row[:] = np.cross(data.xipos[1:] - [0.0, 0.0, 0.2], weights).sum(axis=0)  # about where the column stands
     tilt = se3.transform(so3.exp(5e-6 * moment * [1.0, 1.0, 0.0]))
     foot = se3.transform(p=np.array([0.0, 0.0, 0.2]))
-    T = foot @ tilt @ se3.inverse(foot) @ forward(chain, q)
+    T = foot @ tilt @ se3.inverse(foot) @ chain_forward(chain, q)
     T = se3.exp([1.0, 2.0, 0.3, 0.2, -0.4, 1.0]) @ T @ se3.exp([0.05, 0.03, 0.12, 0.2, 0.0, 0.3])
     T[:, :3, 3] += 2e-5 * rng.standard_normal((len(q), 3))
     done = calibrate(

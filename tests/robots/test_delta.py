@@ -11,9 +11,9 @@ from modcal_core.errors import BadRobot, NotReachable
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.delta import DISTAL, PARAMETERS, Delta
 from modcal_core.robots.delta_kinematics import (
+    delta_inverse,
     forward,
     frames,
-    inverse,
     looseness,
     payload_wrench,
     position_jacobians,
@@ -22,8 +22,7 @@ from modcal_core.robots.delta_kinematics import (
     tool_pose,
 )
 from modcal_core.robots.mechanism import passable
-from modcal_nodes.simulation.delta_mjcf import PLATFORM_KG
-from modcal_nodes.simulation.delta_world import DeltaWorld, displaced
+from modcal_nodes.simulation.delta_world import PLATFORM_KG, DeltaWorld, displaced
 
 GRAVITY = 9.80665
 
@@ -65,7 +64,7 @@ def test_inverse_undoes_forward() -> None:
     delta = odd()
     for q in postures(delta, 100):
         T = forward(delta, q)
-        back = inverse(delta, T[:3, 3], np.arctan2(T[1, 0], T[0, 0]))
+        back = delta_inverse(delta, T[:3, 3], np.arctan2(T[1, 0], T[0, 0]))
         assert np.abs(back - q).max() < 1e-9
 
 
@@ -136,14 +135,14 @@ def test_reach_bounds_the_tip() -> None:
 )
 def test_inverse_says_what_is_out_of_reach_and_by_how_much(position: list[float], said: str) -> None:
     with pytest.raises(NotReachable, match=said):
-        inverse(nominal(), position)
+        delta_inverse(nominal(), position)
 
 
 def test_the_gap_that_is_named_is_the_gap() -> None:
     """Rods that are longer by what is said to lack reach just so."""
     delta = nominal()
     with pytest.raises(NotReachable) as refused:
-        inverse(delta, [0.0, 0.0, -1.5])
+        delta_inverse(delta, [0.0, 0.0, -1.5])
     gap = refused.value.position
     longer = Delta.build(
         delta.names,
@@ -154,7 +153,7 @@ def test_the_gap_that_is_named_is_the_gap() -> None:
         upper=[3] * 4,
     )
     with pytest.raises(NotReachable, match="loose|in line with its rod"):
-        inverse(longer, [0.0, 0.0, -1.5])
+        delta_inverse(longer, [0.0, 0.0, -1.5])
 
 
 def test_forward_says_that_no_platform_fits_and_by_how_much() -> None:
@@ -184,9 +183,9 @@ def test_a_stretched_arm_is_refused_and_moves_nothing() -> None:
         return np.array([offset, 0.0, 0.0]) + (proximal + distal - gap) * along
 
     with pytest.raises(NotReachable, match="arm arm_1 is 0.78 degrees from in line with its rod"):
-        inverse(delta, short_of_stretched(2e-5))
-    q = inverse(delta, short_of_stretched(1e-4))[None]
-    far = inverse(delta, short_of_stretched(0.2))[None]
+        delta_inverse(delta, short_of_stretched(2e-5))
+    q = delta_inverse(delta, short_of_stretched(1e-4))[None]
+    far = delta_inverse(delta, short_of_stretched(0.2))[None]
     pull = [np.linalg.norm(position_jacobians(delta, at)[2][0, :, 0]) for at in (q, far)]
     assert pull[0] < 0.15 * pull[1]
     assert stretch(delta, frames(delta, q))[0, 0] < 0.05

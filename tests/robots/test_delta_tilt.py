@@ -8,15 +8,14 @@ from deltas import nominal, postures, record_delta
 from finite_differences import assert_jacobian
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import PAIRS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import so3
 from modcal_core.robots.delta_file import delta_from_data, delta_to_data
 from modcal_core.robots.delta_kinematics import RODS, ROWS, frames
-from modcal_nodes.simulation.delta_mjcf import PLATFORM_RADIUS, ROD_SPACING
-from modcal_nodes.simulation.delta_world import DeltaWorld
+from modcal_nodes.simulation.delta_world import PLATFORM_RADIUS, ROD_SPACING, DeltaWorld
 
 APART = np.array([6e-4, -6e-4, 3e-4])
 

@@ -17,7 +17,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import from_dh, to_dh
 from modcal_core.robots.dh_nearest import nearest_dh
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf
 
@@ -99,7 +99,7 @@ def test_it_is_nearest() -> None:
     chain, _ = bent_ur10(5e-4)
     found = nearest_dh(chain)
     q = np.random.default_rng(4).uniform(-np.pi, np.pi, (150, 6))
-    true = forward(chain, q)
+    true = chain_forward(chain, q)
 
     def missed(table: dict[str, Any]) -> float:
         """RMS of the tip's distance and of what its turn moves at 0.2 m, the length of a tool."""

@@ -8,11 +8,11 @@ from robots.random_arms import GRAVITY, Mujoco, Pinocchio, inertial_link, random
 from robots.test_kinematics import ARMS, urdf
 
 from modcal_core.errors import BadRobot
+from modcal_core.robots.acceleration import bias_torque, torque
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dynamics import bias_torque, torque
-from modcal_core.robots.gravity import gravity_wrench
+from modcal_core.robots.gravity import chain_gravity_wrench
 from modcal_core.robots.inertia import Payload, equivalent_inertia, mass_matrix, with_payload
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 
@@ -98,7 +98,7 @@ def test_laws_of_the_inertia_matrix(rng: np.random.Generator) -> None:
     assert np.linalg.eigvalsh(M).min() > 0.0
     held = bias_torque(chain, inertias, q, 0.0 * q)
     rows = np.where(chain.revolute, 5, 2)
-    assert np.abs(held + gravity_wrench(chain, inertias, q)[np.arange(chain.n), rows].T).max() < EXACT
+    assert np.abs(held + chain_gravity_wrench(chain, inertias, q)[np.arange(chain.n), rows].T).max() < EXACT
     # power: the torques' work goes into kinetic and potential energy, whatever the speed
     v = rng.normal(size=q.shape)
 
@@ -145,7 +145,7 @@ def test_a_payload_moves_the_common_centre() -> None:
     for j in range(chain.n):
         d = np.zeros(chain.n)
         d[j] = 1e-6
-        rise = (((forward(chain, q + d) - forward(chain, q - d)) @ point)[:, 2]) / 2e-6
+        rise = (((chain_forward(chain, q + d) - chain_forward(chain, q - d)) @ point)[:, 2]) / 2e-6
         assert np.abs(held[:, j] - 3.0 * GRAVITY * rise).max() < 1e-6
 
 

@@ -8,8 +8,8 @@ import pytest
 from robots.test_inertias import reduced
 from robots.test_kinematics import ARMS, chain_of, urdf
 
-from modcal_core.robots.gravity import STANDARD_GRAVITY, gravity_wrench, payload_wrench
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.gravity import STANDARD_GRAVITY, chain_gravity_wrench, payload_wrench
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import random_postures
 from modcal_core.robots.urdf_inertias import read_inertias
 
@@ -28,7 +28,7 @@ def test_torques_about_the_joints(arm: str) -> None:
         configuration[order] = posture
         held.append(pin.computeGeneralizedGravity(model, data, configuration)[order])
     rows = np.where(chain.revolute, 5, 2)
-    found = gravity_wrench(chain, read_inertias(urdf(arm), chain), q)[np.arange(chain.n), rows].T
+    found = chain_gravity_wrench(chain, read_inertias(urdf(arm), chain), q)[np.arange(chain.n), rows].T
     assert np.abs(found + np.array(held)).max() < 1e-10
 
 
@@ -40,7 +40,7 @@ def test_a_payload_pulls_with_its_lever() -> None:
     for j in range(chain.n):
         d = np.zeros(chain.n)
         d[j] = 1e-6
-        rise = (forward(chain, q + d)[:, 2, 3] - forward(chain, q - d)[:, 2, 3]) / 2e-6
+        rise = (chain_forward(chain, q + d)[:, 2, 3] - chain_forward(chain, q - d)[:, 2, 3]) / 2e-6
         assert np.abs(found[:, j] + STANDARD_GRAVITY * rise).max() < 1e-7
 
 
@@ -48,7 +48,7 @@ def test_the_weight_is_that_beyond_the_joint_and_turns_with_the_arm() -> None:
     chain = chain_of("ur10")
     inertias = read_inertias(urdf("ur10"), chain)
     q = random_postures(chain, 30, np.random.default_rng(3))
-    wrench = gravity_wrench(chain, inertias, q)
+    wrench = chain_gravity_wrench(chain, inertias, q)
     assert (
         np.abs(
             np.linalg.norm(wrench[:, :3], axis=1) - STANDARD_GRAVITY * np.cumsum(inertias.mass[::-1])[::-1, None]
@@ -57,4 +57,4 @@ def test_the_weight_is_that_beyond_the_joint_and_turns_with_the_arm() -> None:
     )
     turned = q.copy()
     turned[:, 0] += 1.0  # about the vertical: nothing changes as seen from the arm
-    assert np.abs(gravity_wrench(chain, inertias, turned)[1:] - wrench[1:]).max() < 1e-9
+    assert np.abs(chain_gravity_wrench(chain, inertias, turned)[1:] - wrench[1:]).max() < 1e-9

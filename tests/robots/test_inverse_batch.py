@@ -10,9 +10,8 @@ from cells import slider_arm
 
 from modcal_core.errors import NotReachable
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inverse import inverse
-from modcal_core.robots.inverse_batch import inverse_batch
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 
 ROBOTS = Path(__file__).resolve().parents[2] / "examples" / "robots"
@@ -32,7 +31,7 @@ def drawn(chain: Chain, count: int, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("mask", [(True,) * 6, NO_TURN, (True,) * 3 + (False,) * 3], ids=["pose", "axis", "point"])
 def test_it_ends_where_single_starts_do(chain: Chain, mask: tuple[bool, ...], rng: np.random.Generator) -> None:
     """Row by row the same descent, so nearly always the same answer, and the same verdict."""
-    goals, starts = forward(chain, drawn(chain, 40, rng)), drawn(chain, 40, rng)
+    goals, starts = chain_forward(chain, drawn(chain, 40, rng)), drawn(chain, 40, rng)
     found = inverse_batch(chain, goals, starts, mask)
     same = 0
     for goal, start, q, met in zip(goals, starts, found.q, found.met, strict=True):
@@ -51,17 +50,17 @@ def test_it_ends_where_single_starts_do(chain: Chain, mask: tuple[bool, ...], rn
 @arms
 def test_many_starts_for_each_pose(chain: Chain, rng: np.random.Generator) -> None:
     q = drawn(chain, 20, rng)
-    goals = forward(chain, q)
+    goals = chain_forward(chain, q)
     found = inverse_batch(chain, goals[:, None], drawn(chain, 60, rng))
     assert found.q.shape == (20, 60, chain.n)
     assert found.met.shape == (20, 60)
     best = found.best()
     assert best.met.all()
-    assert np.abs(forward(chain, best.q) - goals).max() < 1e-9
+    assert np.abs(chain_forward(chain, best.q) - goals).max() < 1e-9
     assert (found.q >= chain.lower).all()
     assert (found.q <= chain.upper).all()
     # what it says of itself is what the arm does
-    left = forward(chain, found.q)
+    left = chain_forward(chain, found.q)
     distance = np.linalg.norm(left[..., :3, 3] - goals[:, None, :3, 3], axis=-1)
     assert np.abs(found.position - distance).max() < 1e-12
     assert (found.met == (np.abs(found.error).max(axis=-1) <= 1e-10)).all()
@@ -70,19 +69,19 @@ def test_many_starts_for_each_pose(chain: Chain, rng: np.random.Generator) -> No
 @pytest.mark.slow
 @arms
 def test_what_cannot_be_reached_is_missed_by_the_least(chain: Chain, rng: np.random.Generator) -> None:
-    goal = forward(chain, drawn(chain, 1, rng)[0])
+    goal = chain_forward(chain, drawn(chain, 1, rng)[0])
     goal[:3, 3] = [0.0, 0.0, 1.5 * chain.reach()]
     only_position = (True,) * 3 + (False,) * 3
     found = inverse_batch(chain, goal, drawn(chain, 40, rng), only_position).best()
     assert not found.met
     assert found.error[3:] == pytest.approx(0.0)
-    nearest = np.linalg.norm(forward(chain, drawn(chain, 2000, rng))[:, :3, 3] - goal[:3, 3], axis=1).min()
+    nearest = np.linalg.norm(chain_forward(chain, drawn(chain, 2000, rng))[:, :3, 3] - goal[:3, 3], axis=1).min()
     assert found.position < nearest
 
 
 def test_a_posture_that_is_there_already_stays(rng: np.random.Generator) -> None:
     chain = ARMS["ur10"]
     q = drawn(chain, 5, rng)
-    found = inverse_batch(chain, forward(chain, q), q)
+    found = inverse_batch(chain, chain_forward(chain, q), q)
     assert found.met.all()
     assert np.array_equal(found.q, q)

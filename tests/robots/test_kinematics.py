@@ -15,7 +15,7 @@ from modcal_core.geometry.single import pose_error
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import (
     body_jacobian,
-    forward,
+    chain_forward,
     frames,
     place_jacobian,
     pose_and_jacobian,
@@ -57,7 +57,7 @@ def test_against_pinocchio(arm: str, rng: np.random.Generator) -> None:
     frame = model.getFrameId(chain.tip)
     order = [model.joints[model.getJointId(name)].idx_q for name in chain.names]
     q = rng.uniform(chain.lower, chain.upper, (100, chain.n))
-    T, J_space, J_body = forward(chain, q), spatial_jacobian(chain, q), body_jacobian(chain, q)
+    T, J_space, J_body = chain_forward(chain, q), spatial_jacobian(chain, q), body_jacobian(chain, q)
     for i in range(len(q)):
         configuration = pin.neutral(model)
         configuration[order] = q[i]
@@ -91,11 +91,13 @@ def test_places_against_pinocchio(arm: str, rng: np.random.Generator) -> None:
 def test_jacobians_are_derivatives(arm: str, rng: np.random.Generator) -> None:
     chain = chain_of(arm)
     for q in rng.uniform(chain.lower, chain.upper, (5, chain.n)):
-        T = forward(chain, q)
+        T = chain_forward(chain, q)
         assert_jacobian(
-            lambda x, T=T: se3.log(forward(chain, x) @ se3.inverse(T)), spatial_jacobian(chain, q[None])[0], q
+            lambda x, T=T: se3.log(chain_forward(chain, x) @ se3.inverse(T)), spatial_jacobian(chain, q[None])[0], q
         )
-        assert_jacobian(lambda x, T=T: se3.log(se3.inverse(T) @ forward(chain, x)), body_jacobian(chain, q[None])[0], q)
+        assert_jacobian(
+            lambda x, T=T: se3.log(se3.inverse(T) @ chain_forward(chain, x)), body_jacobian(chain, q[None])[0], q
+        )
 
 
 @pytest.mark.slow
@@ -104,7 +106,7 @@ def test_errors_at_every_place(arm: str, rng: np.random.Generator) -> None:
     """A small twist put in before a joint, or at the tip, moves the tip as its column says."""
     chain = chain_of(arm)
     q = rng.uniform(chain.lower, chain.upper)
-    T = forward(chain, q)
+    T = chain_forward(chain, q)
     bases = [*chain.joint_basis, np.eye(3)]
     for place in range(chain.n + 1):
         A = se3.transform(bases[place])
@@ -112,7 +114,7 @@ def test_errors_at_every_place(arm: str, rng: np.random.Generator) -> None:
         def moved(xi: np.ndarray, place: int = place, A: np.ndarray = A) -> np.ndarray:
             origins = np.array(chain.origins)
             origins[place] = origins[place] @ A @ se3.exp(xi) @ se3.inverse(A)
-            return se3.log(forward(chain.with_origins(origins), q) @ se3.inverse(T))
+            return se3.log(chain_forward(chain.with_origins(origins), q) @ se3.inverse(T))
 
         assert_jacobian(moved, place_jacobian(chain, q[None], place)[0], np.zeros(6))
 
@@ -124,16 +126,16 @@ def test_product_of_exponentials(arm: str, rng: np.random.Generator) -> None:
     T = np.tile(np.eye(4), (20, 1, 1))
     for k in range(chain.n):
         T = T @ se3.exp(chain.spatial_twists[k] * q[:, k, None])
-    assert np.abs(T @ chain.home - forward(chain, q)).max() < 1e-13
+    assert np.abs(T @ chain.home - chain_forward(chain, q)).max() < 1e-13
     again = Chain.from_spatial_twists(chain.names, chain.spatial_twists, chain.home)
-    assert np.abs(forward(again, q) - forward(chain, q)).max() < 1e-13
+    assert np.abs(chain_forward(again, q) - chain_forward(chain, q)).max() < 1e-13
 
 
 @pytest.mark.parametrize("arm", [*ARMS, "sliders"])
 def test_one_posture_is_told_as_many_are(arm: str, rng: np.random.Generator) -> None:
     chain = chain_of(arm)
     q = rng.uniform(np.maximum(chain.lower, -np.pi), np.minimum(chain.upper, np.pi), (50, chain.n))
-    f, J, goals = frames(chain, q), body_jacobian(chain, q), forward(chain, q[::-1])
+    f, J, goals = frames(chain, q), body_jacobian(chain, q), chain_forward(chain, q[::-1])
     errors = se3.error(f.transform(-1), goals)
     for i in range(len(q)):
         before, tip = posture_frames(chain, q[i])
@@ -172,7 +174,7 @@ def test_a_tool_that_was_changed_is_seen_from_the_root(rng: np.random.Generator)
         for one in (chain, chain.with_origins(chain.origins @ se3.exp(1e-3 * rng.normal(size=(chain.n + 1, 6))))):
             for _ in range(2):
                 seen = tool_frames(one, tool, q).transform(-1)
-                expected = se3.inverse(one.T_base_root) @ forward(one, q) @ tool
+                expected = se3.inverse(one.T_base_root) @ chain_forward(one, q) @ tool
                 assert np.abs(seen - expected).max() < 1e-13
         tool[:] = se3.exp(rng.normal(size=6))
 

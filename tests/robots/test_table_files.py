@@ -14,11 +14,9 @@ from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import to_dh
-from modcal_core.robots.table_csv import from_csv, to_csv
-from modcal_core.robots.table_export import CONVENTIONS, EXACT, loss, to_table
-from modcal_core.robots.tables import from_table
+from modcal_core.robots.tables import CONVENTIONS, EXACT, from_csv, from_table, loss, to_csv, to_table
 from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_elements import chain_urdf
+from modcal_core.robots.urdf_write import chain_urdf
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)

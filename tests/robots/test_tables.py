@@ -15,10 +15,9 @@ from robots.test_kinematics import ARMS, chain_of, urdf
 from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import se3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.cpc import from_cpc, to_cpc
 from modcal_core.robots.dh import from_dh, from_mdh, to_dh, to_mdh
-from modcal_core.robots.kinematics import forward
-from modcal_core.robots.tables import from_table
+from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.tables import from_cpc, from_table, to_cpc
 from modcal_core.robots.urdf import read_chain
 
 WRITERS = {"dh": to_dh, "mdh": to_mdh, "cpc": to_cpc}
@@ -56,7 +55,7 @@ def table_of(convention: str, rows: list[tuple[float, float, float, float]]) -> 
 def assert_same(a: Chain, b: Chain, tolerance: float) -> None:
     assert a.revolute.tolist() == b.revolute.tolist()
     q = np.random.default_rng(0).uniform(-2.5, 2.5, (50, a.n))
-    assert np.abs(forward(a, q) - forward(b, q)).max() < tolerance
+    assert np.abs(chain_forward(a, q) - chain_forward(b, q)).max() < tolerance
 
 
 def random_chain(rng: np.random.Generator, kind: str) -> Chain:
@@ -191,7 +190,7 @@ def test_cpc_corrects_an_axis_that_was_rounded() -> None:
 
 def test_what_is_left_out_is_zero() -> None:
     chain = from_dh({"joints": [{"name": "a", "d": 0.5}, {"name": "b", "type": "prismatic", "lower": -0.1}]})
-    assert forward(chain, [[0.3, 0.2]])[0, 2, 3] == pytest.approx(0.7)
+    assert chain_forward(chain, [[0.3, 0.2]])[0, 2, 3] == pytest.approx(0.7)
     assert chain.lower.tolist() == [-np.inf, -0.1]
     assert not chain.revolute[1]
 

@@ -12,7 +12,7 @@ from robots.test_kinematics import ARMS, chain_of, urdf
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
 from modcal_core.robot import Robot
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import joint_origins, read_chain, read_path
 
 
@@ -133,7 +133,10 @@ def test_ur10_is_where_its_maker_says() -> None:
     text = urdf("ur10")
     T_base_link_base = joint_origins(text)["base_link-base_fixed_joint"]
     q = np.random.default_rng(3).uniform(-3.0, 3.0, (20, 6))
-    assert np.abs(se3.inverse(T_base_link_base) @ forward(read_chain(text), q) - forward(ur10(), q)).max() < 1e-14
+    assert (
+        np.abs(se3.inverse(T_base_link_base) @ chain_forward(read_chain(text), q) - chain_forward(ur10(), q)).max()
+        < 1e-14
+    )
 
 
 def test_kinds_limits_and_axes() -> None:

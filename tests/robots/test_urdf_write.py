@@ -11,7 +11,7 @@ from robots.test_kinematics import ARMS, chain_of, urdf
 from modcal_core.errors import BadRobot, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import joint_origins, read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf, write_origins
 
@@ -56,7 +56,7 @@ def moved(chain: Chain, size: float = 0.01, seed: int = 0, tool: bool = True) ->
 
 def assert_same(a: Chain, b: Chain, tolerance: float = 1e-12) -> None:
     q = np.random.default_rng(1).uniform(-2, 2, (50, a.n))
-    assert np.abs(forward(a, q) - forward(b, q)).max() < tolerance
+    assert np.abs(chain_forward(a, q) - chain_forward(b, q)).max() < tolerance
 
 
 def test_awkward_text_keeps_every_other_byte() -> None:

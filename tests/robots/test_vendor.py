@@ -13,8 +13,13 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import joint_origins, read_chain
-from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_core.robots.vendor import franka_kinematics, kinematics_yaml_data, lacks_hash, ur_kinematics
+from modcal_core.robots.urdf_write import (
+    calibrated_urdf,
+    franka_kinematics,
+    kinematics_yaml_data,
+    lacks_hash,
+    ur_kinematics,
+)
 
 # default_kinematics.yaml of UR's description, as published for the UR10
 UR10 = {

@@ -57,7 +57,7 @@ def test_rows_sum_to_the_nominal_square(found: tuple[Samples, Solution]) -> None
 @pytest.mark.slow
 def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples, Solution]) -> None:
     """The cheap refit against a whole one."""
-    from modcal_core.calibration.identify import identify
+    from modcal_core.calibration.fit import identify
 
     samples, result = found
     report, fit = result.report, result.scored

@@ -9,8 +9,8 @@ import pytest
 from cells import record, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import identify
+from modcal_core.calibration.covariance import identifiability
+from modcal_core.calibration.fit import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import PART, SignalTrack

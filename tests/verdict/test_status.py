@@ -10,7 +10,7 @@ from cells import ur10
 from verdict.visits import visited
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.runs import RejectedPlace
+from modcal_core.calibration.data_split import RejectedPlace
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate

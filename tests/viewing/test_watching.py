@@ -8,8 +8,7 @@ import math
 import pytest
 from rich.console import Console
 
-from modcal_nodes.watching.snapshot import Heard
-from modcal_nodes.watching.table import Changes, table
+from modcal_nodes.watching.snapshot import Changes, Heard, table
 
 FACTS = {"state": "trusted", "samples rejected": "3", "messages of /joint_states": "17"}
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import Family
+from modcal_core.effects.family import Family, ReportEntry
 from modcal_core.effects.shapes import Setting, Shape, ShapeKind
 
 _ROUNDING = 0.02  # rad; a cable does not become taut within nothing, and what is fitted must be smooth

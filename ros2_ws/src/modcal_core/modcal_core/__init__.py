@@ -15,40 +15,9 @@ axis first; joints are ordered by name, never by their place in a message.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from modcal_core.version import __version__ as __version__
-
-# Public name: the module of modcal_core that has it
-_WHERE = {
-    **dict.fromkeys(("calibrate", "check", "evaluate", "articulate", "plan"), "public"),
-    "Robot": "robot",
-    "Chain": "robots.chain",
-    "Delta": "robots.delta",
-    "Samples": "measurements.samples",
-    "Result": "result",
-    "Calibration": "calibration.store",
-    "Report": "report.report",
-    "Checked": "checkup",
-    "Cell": "calibration.cell",
-    "Distance": "calibration.distances",
-    "Stated": "calibration.stated",
-    "Track": "articulation.track",
-    "Choice": "articulation.choice",
-    "Assembly": "modules.assembly",
-    "Module": "modules.assembly",
-    "Library": "modules.library",
-    "Site": "planning.site",
-    "Plan": "planning.plan",
-    **dict.fromkeys(
-        (
-            *("ModcalError", "BadRecording", "BadTable", "BadRobot", "BadCommand", "NotEnoughData"),
-            *("NotRepresentable", "NotPlannable", "NotReachable", "MissingDriver", "Overloaded"),
-        ),
-        "errors",
-    ),
-}
 
 if TYPE_CHECKING:
     from modcal_core.articulation.choice import Choice
@@ -72,9 +41,8 @@ if TYPE_CHECKING:
         Overloaded,
     )
     from modcal_core.measurements.samples import Samples
-    from modcal_core.modules.assembly import Assembly, Module
-    from modcal_core.modules.library import Library
-    from modcal_core.planning.plan import Plan
+    from modcal_core.modules.library import Assembly, Library, Module
+    from modcal_core.planning.planner import Plan
     from modcal_core.planning.site import Site
     from modcal_core.public import articulate, calibrate, check, evaluate, plan
     from modcal_core.report.report import Report
@@ -82,6 +50,11 @@ if TYPE_CHECKING:
     from modcal_core.robot import Robot
     from modcal_core.robots.chain import Chain
     from modcal_core.robots.delta import Delta
+
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = [
     "Assembly",
@@ -119,15 +92,6 @@ __all__ = [
     "evaluate",
     "plan",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """A public name, imported when it is first asked for (PEP 562)."""
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
-    globals()[name] = found
-    return found
 
 
 def __dir__() -> list[str]:

@@ -6,32 +6,43 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, with_frames
-from modcal_core.calibration.fallback import BLEND, curved_joints
-from modcal_core.calibration.score import Errors, errors
-from modcal_core.calibration.sockets import with_sockets
-from modcal_core.calibration.store import Calibration
-from modcal_core.checking.accounted import require_accounted
-from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
-from modcal_core.checking.advice import advise, noticed, same_everywhere
-from modcal_core.checking.beyond import UNTRIED, BeyondRanges, beyond_ranges
-from modcal_core.checking.contradicting import require_one_setting, require_own_rows
-from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen
-from modcal_core.checking.looked_at import spread_out
-from modcal_core.checking.naming import named
-from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, Status
-from modcal_core.checking.placed import new_frames, placed_anew, with_new_frames
-from modcal_core.checking.repair import repaired
-from modcal_core.checking.search import FoundChanges, search
-from modcal_core.checking.state import CheckState
+from modcal_core.calibration import BLEND, Calibration, Cell, Errors, curved_joints, errors, with_frames, with_sockets
+from modcal_core.checking import (
+    PATTERN,
+    UNTRIED,
+    BeyondRanges,
+    CheckState,
+    FoundChanges,
+    FrozenCalibration,
+    NamedChange,
+    Noticed,
+    Recommendation,
+    RepairAccuracy,
+    Status,
+    accuracy_of,
+    advise,
+    beyond_ranges,
+    frozen,
+    named,
+    new_frames,
+    noticed,
+    placed_anew,
+    repaired,
+    require_accounted,
+    require_one_setting,
+    require_own_rows,
+    same_everywhere,
+    search,
+    spread_out,
+    with_new_frames,
+)
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.evaluation import evaluate
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.recognise import recognised
-from modcal_core.report.notes import own_note, unseen_note
-from modcal_core.report.report import Report
-from modcal_core.verdict.not_applied import Applied, applicable
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
+from modcal_core.plausibility import recognised
+from modcal_core.report import Report, own_note, unseen_note
+from modcal_core.verdict import Applied, applicable
 
 MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close

@@ -6,27 +6,34 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, refit_cell, with_frames
-from modcal_core.calibration.runs import places_of, runs_of
-from modcal_core.calibration.score import errors, outlying
-from modcal_core.calibration.sockets import with_sockets
-from modcal_core.calibration.split import hold_out_all, split
-from modcal_core.calibration.store import Calibration
-from modcal_core.diagnosis.locate import frozen, located
-from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.computed_part import computed_in_part
-from modcal_core.plausibility.conventions import proved
-from modcal_core.report.contents import Step
-from modcal_core.report.joint_offsets import offsets_of
-from modcal_core.report.notes import moved_note, own_note, unseen_note
-from modcal_core.report.report import Report
-from modcal_core.verdict.case import frozen_case
-from modcal_core.verdict.grounds import Grounds
-from modcal_core.verdict.not_applied import applicable
-from modcal_core.verdict.readings import doubtful, too_good
-from modcal_core.verdict.rejection import MAX_SINGLE, rejection
-from modcal_core.verdict.status import judge
-from modcal_core.verdict.where import with_places
+from modcal_core.calibration import (
+    Calibration,
+    Cell,
+    errors,
+    hold_out_all,
+    outlying,
+    places_of,
+    refit_cell,
+    runs_of,
+    split,
+    with_frames,
+    with_sockets,
+)
+from modcal_core.diagnosis import frozen, located
+from modcal_core.measurements import Samples
+from modcal_core.plausibility import computed_in_part, proved
+from modcal_core.report import Report, Step, moved_note, offsets_of, own_note, unseen_note
+from modcal_core.verdict import (
+    MAX_SINGLE,
+    Grounds,
+    applicable,
+    doubtful,
+    frozen_case,
+    judge,
+    rejection,
+    too_good,
+    with_places,
+)
 
 MAX_OUTSIDE = 0.05  # share of the samples outside the joint ranges that were calibrated; more make a verdict doubt
 

@@ -13,51 +13,73 @@ from functools import partial
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell, free_cell
-from modcal_core.calibration.change_points import sharpened
-from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.identifiability import identifiability
-from modcal_core.calibration.identify import Fit, require_enough
-from modcal_core.calibration.known_distances import distances_of
-from modcal_core.calibration.readmitted import readmitted, right_after_all
-from modcal_core.calibration.runs import places_of, runs_of
-from modcal_core.calibration.score import errors, outlying
-from modcal_core.calibration.sockets import with_sockets
-from modcal_core.calibration.split import SHARES, split
-from modcal_core.calibration.starts import fit_geometry
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.structure import choose_parameters, parameter_count, views_of
-from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
-from modcal_core.diagnosis.loads import Loads, weighed, with_arm
-from modcal_core.diagnosis.locate import located
-from modcal_core.diagnosis.residual_curves import with_residual_curves
-from modcal_core.diagnosis.search import diagnose
-from modcal_core.diagnosis.stated_loads import stated_arm, with_stated
-from modcal_core.effects.drivers import remembered
+from modcal_core.calibration import (
+    SHARES,
+    Calibration,
+    Cell,
+    Fit,
+    choose_parameters,
+    distances_of,
+    errors,
+    finalise,
+    fit_cell,
+    fit_geometry,
+    free_cell,
+    identifiability,
+    outlying,
+    parameter_count,
+    places_of,
+    readmitted,
+    require_enough,
+    right_after_all,
+    runs_of,
+    sharpened,
+    split,
+    views_of,
+    with_sockets,
+)
+from modcal_core.diagnosis import (
+    Diagnosis,
+    Loads,
+    causes_of_moves,
+    diagnose,
+    located,
+    stated_arm,
+    weighed,
+    with_arm,
+    with_residual_curves,
+    with_stated,
+)
+from modcal_core.effects import remembered
 from modcal_core.effects.families import payload
-from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.conventions import proved
-from modcal_core.plausibility.require import require_plausible
-from modcal_core.regimes.find import find_regimes, moves_of
-from modcal_core.report.contents import Step
-from modcal_core.report.findings import findings
-from modcal_core.report.joint_offsets import offsets_of
-from modcal_core.report.loads import load_findings, load_notes
-from modcal_core.report.notes import description_note, instrument_notes, readmitted_note
-from modcal_core.report.report import Report
-from modcal_core.report.residual import residual_notes
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias, weightless
-from modcal_core.verdict.case import fitted_case
-from modcal_core.verdict.contradictions import contradictions
-from modcal_core.verdict.contributions import TOGETHER
-from modcal_core.verdict.grounds import Grounds
-from modcal_core.verdict.readings import too_good
-from modcal_core.verdict.regimes import regimes_of
-from modcal_core.verdict.rejection import rejection
-from modcal_core.verdict.sanity import sane_inertias
-from modcal_core.verdict.status import judge
-from modcal_core.verdict.where import with_places
+from modcal_core.measurements import Samples
+from modcal_core.plausibility import proved, require_plausible
+from modcal_core.regimes import find_regimes, moves_of
+from modcal_core.report import (
+    Report,
+    Step,
+    description_note,
+    findings,
+    instrument_notes,
+    load_findings,
+    load_notes,
+    offsets_of,
+    readmitted_note,
+    residual_notes,
+)
+from modcal_core.robots import Inertias, Mechanism, weightless
+from modcal_core.verdict import (
+    TOGETHER,
+    Grounds,
+    contradictions,
+    fitted_case,
+    judge,
+    regimes_of,
+    rejection,
+    sane_inertias,
+    too_good,
+    with_places,
+)
 
 
 @dataclass(frozen=True)

@@ -7,28 +7,42 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.identify import identify
-from modcal_core.calibration.own_statement import own_statement, together_stated
-from modcal_core.calibration.stated import Stated
-from modcal_core.calibration.structure import choose_parameters, views_of
+from modcal_core.calibration import (
+    Cell,
+    Stated,
+    choose_parameters,
+    fit_cell,
+    identify,
+    own_statement,
+    together_stated,
+    views_of,
+)
 from modcal_core.effects.families import latency
 from modcal_core.errors import BadRecording, NotEnoughData
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.alignment import LIMIT, align
-from modcal_core.measurements.checks import require_usable
-from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
-from modcal_core.measurements.dropped import GLITCHES, UNUSABLE, Dropped, dropped, together
-from modcal_core.measurements.dwells import StationRules
-from modcal_core.measurements.hung import hung
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.other_joints import other_joints
-from modcal_core.measurements.out_of_time import out_of_time
-from modcal_core.measurements.recording import Recording, Stretch
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import cut_stations
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.geometry import Array
+from modcal_core.measurements import (
+    GLITCHES,
+    LIMIT,
+    MAX_GLITCHES,
+    UNUSABLE,
+    Dropped,
+    Recording,
+    Samples,
+    StationRules,
+    Stretch,
+    align,
+    cleaned,
+    cut_stations,
+    dropped,
+    hung,
+    other_joints,
+    out_of_time,
+    require_usable,
+    spread_rows,
+    together,
+)
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.robots import Mechanism, forward
 
 _ROUNDS = 5  # iterations
 _SETTLED = 1e-6  # s; in a shorter delay a tool at 1 m/s moves less than a micrometre

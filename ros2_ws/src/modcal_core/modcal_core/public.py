@@ -13,30 +13,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modcal_core import evaluation, loop
-from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.stated import Stated
-from modcal_core.calibration.store import Calibration, fingerprint
+from modcal_core.calibration import Calibration, Cell, Stated, fingerprint
 from modcal_core.errors import BadRecording, BadRobot, BadTable, ModcalError, NotEnoughData
-from modcal_core.geometry.read_only import sealed
-from modcal_core.measurements.checks import require_usable
-from modcal_core.measurements.dropped import BETWEEN
-from modcal_core.measurements.imported import remedies_of
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.stations import as_recording
-from modcal_core.report.report import Report
-from modcal_core.report.trace import Trace, iso_date
+from modcal_core.geometry import sealed
+from modcal_core.measurements import BETWEEN, Samples, as_recording, remedies_of, require_usable
+from modcal_core.report import Report, Trace, iso_date
 from modcal_core.result import Result
 from modcal_core.robot import Robot
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
-from modcal_core.verdict.readings import COMPUTED
-from modcal_core.verdict.tolerance import STATISTICS, Asked
+from modcal_core.robots import Mechanism, is_serial_arm
+from modcal_core.verdict import COMPUTED, STATISTICS, Asked
 
 if TYPE_CHECKING:
-    from modcal_core.articulation.choice import Choice
-    from modcal_core.articulation.track import Track
+    from modcal_core.articulation import Choice, Track
     from modcal_core.checkup import Checked
-    from modcal_core.planning.plan import Plan
-    from modcal_core.planning.site import Site
+    from modcal_core.planning import Plan, Site
 
 
 def quiet(stage: str) -> None:
@@ -141,7 +131,7 @@ def check(
     Raises NotEnoughData for fewer than five stations, BadRecording for a recording of another robot, in other units or
     in another convention, BadTable for a frame that the calibration does not know.
     """
-    from modcal_core.checking.known import PATTERN  # not for those who only calibrate
+    from modcal_core.checking import PATTERN  # not for those who only calibrate
     from modcal_core.checkup import checkup
 
     asked = tolerance_asked(tolerance_mm, tolerance_of)
@@ -163,8 +153,10 @@ def articulate(track: Track, seed: int = 0) -> Choice:
     track: positions or poses of the handle. seed: of the samples that first guesses are made from. Raises BadRecording
     where rotations would follow the handle in another convention (w x y z, inverse, a left-handed frame).
     """
-    from modcal_core.articulation.choice import choose  # not for those who only calibrate
-    from modcal_core.articulation.rotation_convention import require_convention
+    from modcal_core.articulation import (
+        choose,  # not for those who only calibrate
+        require_convention,
+    )
 
     rng = np.random.default_rng(seed)
     choice = choose(track, rng)
@@ -188,9 +180,11 @@ def plan(
     site: instrument, obstacles and noise; None: an instrument that sees everything. fixed: as in :func:`calibrate`.
     seed: of candidates and starts. Raises NotPlannable where no set of stations will do.
     """
-    from modcal_core.planning.plan import PlanRequest  # not for those who only calibrate
-    from modcal_core.planning.plan import plan as plan_stations
-    from modcal_core.planning.site import Site
+    from modcal_core.planning import (
+        PlanRequest,  # not for those who only calibrate
+        Site,
+    )
+    from modcal_core.planning import plan as plan_stations
 
     request = PlanRequest(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)
     return sealed(plan_stations(robot.mechanism, site or Site(), request, np.random.default_rng(seed)))
@@ -251,7 +245,7 @@ def _described(samples: Samples) -> str | None:
     """The name of the robot in the recorded description; None where there is none that can be read."""
     if samples.origin.description is None:
         return None
-    from modcal_core.robots.urdf_tree import document
+    from modcal_core.robots import document
 
     try:
         name = document(samples.origin.description).get("name")
@@ -265,7 +259,7 @@ def _other_robot(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
     nominal, calibrated = calibration.nominal.chain, calibration.calibrated.chain
     if samples.origin.description is None or not is_serial_arm(calibrated):
         return ()
-    from modcal_core.robots.urdf import read_chain
+    from modcal_core.robots import read_chain
 
     try:
         described = fingerprint(read_chain(samples.origin.description, nominal.base, nominal.tip))

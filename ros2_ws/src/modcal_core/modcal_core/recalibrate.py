@@ -11,20 +11,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, with_frames
-from modcal_core.calibration.score import errors
-from modcal_core.calibration.store import Calibration
-from modcal_core.geometry.so3 import Array
+from modcal_core.calibration import Calibration, Cell, errors, with_frames
+from modcal_core.geometry import Array
 from modcal_core.loop import Solution, calibrate
-from modcal_core.measurements.dropped import Dropped, together
-from modcal_core.measurements.recording import Recording, Stretch
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.measurements import Dropped, Recording, Samples, Stretch, spread_rows, together
 from modcal_core.preprocess import prepare_pieces
-from modcal_core.report.report import Report
-from modcal_core.report.trace import Trace, iso_date
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.report import Report, Trace, iso_date
+from modcal_core.robots import Inertias, Mechanism
 
 _MIN_COMPARED = 4  # stations; a standard error of fewer says nothing
 _SURE = 2.0  # standard errors by which the new model must be better: one chance in forty to replace it for nothing

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration, Fit
 from modcal_core.files import write_folder
-from modcal_core.measurements.samples import Samples
-from modcal_core.report.report import Report
+from modcal_core.measurements import Samples
+from modcal_core.report import Report
 from modcal_core.robot import Robot
 
 
@@ -52,7 +51,7 @@ class Result:
         factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash
         ``kinematics.yaml`` keeps. page: whether report.html is among them.
         """
-        from modcal_core.report.files import calibration_files, delta_files
+        from modcal_core.report import calibration_files, delta_files
 
         if self.robot.description is None:
             return delta_files(self.calibration, self.report, page)

@@ -12,15 +12,11 @@ from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
 from modcal_core.files import read_yaml
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.geometry import Array
+from modcal_core.robots import Chain, Delta, Inertias, Mechanism, forward, is_serial_arm
 
 if TYPE_CHECKING:
-    from modcal_core.modules.assembly import Assembly
-    from modcal_core.modules.library import Library
+    from modcal_core.modules import Assembly, Library
 
 Table = str | Path | Mapping[str, Any]
 
@@ -53,9 +49,7 @@ class Robot:
         source: path of the file, or its text. base: the first link; None: the root. tip: the last link; None: the one
         behind most of the joints named in recorded, or behind most joints. Raises BadRobot.
         """
-        from modcal_core.robots.urdf import other_tips, read_chain
-        from modcal_core.robots.urdf_inertias import read_inertias
-        from modcal_core.robots.urdf_tree import document
+        from modcal_core.robots import document, other_tips, read_chain, read_inertias
 
         text = source if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<") else _text(source)
         chain = read_chain(text, base, tip, recorded)
@@ -78,14 +72,14 @@ class Robot:
     @classmethod
     def from_table(cls, table: Table) -> Robot:
         """The arm of a kinematic table that states its convention: dh, mdh or cpc. Raises BadTable."""
-        from modcal_core.robots.tables import from_table
+        from modcal_core.robots import from_table
 
         return cls.from_chain(from_table(_data(table)))
 
     @classmethod
     def from_chain(cls, chain: Chain, name: str = "arm") -> Robot:
         """The arm with these kinematics, and a URDF made from them."""
-        from modcal_core.robots.urdf_elements import chain_urdf
+        from modcal_core.robots import chain_urdf
 
         return cls(chain, None, chain_urdf(chain, name), name)
 
@@ -95,15 +89,14 @@ class Robot:
 
         Raises BadTable where it cannot be built.
         """
-        from modcal_core.modules.library_data import published
-        from modcal_core.modules.urdf import urdf_of
+        from modcal_core.modules import published, urdf_of
 
         return cls.from_urdf(urdf_of(assembly, published() if library is None else library))
 
     @classmethod
     def from_delta(cls, table: Table) -> Robot:
         """The Delta robot that this data, or this YAML file, describes; docs/delta.md has the keys. Raises BadTable."""
-        from modcal_core.robots.delta_file import delta_from_data
+        from modcal_core.robots import delta_from_data
 
         if isinstance(table, Mapping):
             return cls(delta_from_data(table, "delta"), name="delta")
@@ -168,8 +161,10 @@ class Robot:
         if isinstance(self.mechanism, Delta):
             from modcal_core.robots import delta_kinematics
 
-            return delta_kinematics.inverse(self.mechanism, goal[:3, 3], float(np.arctan2(goal[1, 0], goal[0, 0])))
-        from modcal_core.robots.inverse import inverse
+            return delta_kinematics.delta_inverse(
+                self.mechanism, goal[:3, 3], float(np.arctan2(goal[1, 0], goal[0, 0]))
+            )
+        from modcal_core.robots import inverse
 
         low, high = self.limits
         middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)

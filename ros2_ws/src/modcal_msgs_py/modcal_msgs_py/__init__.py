@@ -1,1 +1,40 @@
 """ROS messages to and from modcal's own arrays: in bags and on the wire, by the same functions. No nodes."""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_msgs_py.bag import Bag, read_bag
+    from modcal_msgs_py.bag_files import SUFFIXES, qos_profile
+    from modcal_msgs_py.commanded import Commands
+    from modcal_msgs_py.commands import JointInput, ObjectInput, desired_pose, fill_accelerations, fill_point
+    from modcal_msgs_py.commands import fill_pose, fill_target, fill_wrench, require_new, wrench_numbers
+    from modcal_msgs_py.images import CLOUD, TAGS, RawImage, chosen_topic, corner_topics, fill_corners, image_topics
+    from modcal_msgs_py.images import info_topic, lens_data, raw_image, read_corners, read_messages, size_of, stamp_of
+    from modcal_msgs_py.images import stamps_of, tag_topics
+    from modcal_msgs_py.layout import jazzy
+    from modcal_msgs_py.mcap_read import list_topics, read_recording
+    from modcal_msgs_py.mcap_repair import Repair, repair_bag
+    from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
+    from modcal_msgs_py.messages import RecordingBuilder, why_left_out
+    from modcal_msgs_py.objects import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_expected
+    from modcal_msgs_py.objects import fill_markers, fill_object_state, fill_picture, seen, status_values
+    from modcal_msgs_py.readings import READING, SignalsHeard, seconds, set_seconds
+    from modcal_msgs_py.recording_write import write_recording
+    from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, Topics, accepted, role_of
+    from modcal_msgs_py.track_rows import JointStateBytes
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READING", "READINGS", "SUFFIXES", "TAGS"]
+__all__ += ["TYPES", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "ObjectInput"]
+__all__ += ["RawImage", "RecordingBuilder", "Repair", "SignalsHeard", "Topics", "accepted", "arrows", "caption"]
+__all__ += ["chosen_topic", "colour_of", "corner_topics", "desired_pose", "dots", "ellipsoids", "fill_accelerations"]
+__all__ += ["fill_corners", "fill_expected", "fill_markers", "fill_object_state", "fill_picture", "fill_point"]
+__all__ += ["fill_pose", "fill_target", "fill_wrench", "image_topics", "info_topic", "jazzy", "lens_data"]
+__all__ += ["list_topics", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording"]
+__all__ += ["repair_bag", "require_new", "role_of", "seconds", "seen", "set_seconds", "size_of", "stamp_of"]
+__all__ += ["stamps_of", "status_values", "tag_topics", "why_left_out", "wrench_numbers", "write_recording"]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import JointTrack
+from modcal_core.geometry import Array
+from modcal_core.measurements import JointTrack
 from modcal_msgs_py.layout import MessageLayout
 from modcal_msgs_py.track_rows import TrackRows
 

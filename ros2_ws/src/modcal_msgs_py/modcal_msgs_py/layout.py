@@ -6,18 +6,24 @@ stands at the same place, and a column of numbers is one view into the bytes. Wh
 
 A type is told by its fields: ``(name, kind)`` where the kind is the type of a number as NumPy writes it (``f8``),
 ``string``, a list of fields, or ``[kind]`` with a count: ``Many(kind, n)``, n None where the message says how many.
+
+Those of the contract's topics are written down here; others come out of the definitions that bags bring along.
 """
 
 from __future__ import annotations
 
+import contextlib
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 _MAX_STEPS = 20_000  # fields of one message that are looked at; more, and it has no layout
 _MAX_GAPS = 16  # between numbers, that are compared one by one; where there are more, word by word is quicker
@@ -210,3 +216,167 @@ def numeric_paths(layout: MessageLayout) -> Iterator[tuple[str, int | None]]:
             yield path, None
         elif 0 < column.count <= 32:
             yield from ((path, i) for i in range(column.count))
+
+
+# --- ROS 2 Jazzy message types without ROS: definitions, serialisation, type hashes
+
+_LONGEST_TEXT = 1 << 18  # of a definition; real ones have some kilobytes
+_LINE = "=" * 80 + "\n"  # between the definitions of a text
+
+
+@cache
+def jazzy() -> Typestore:
+    """The message types of ROS 2 Jazzy, shared by all callers."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def message_class(type_name: str) -> Any:
+    """The class of a message type, such as ``sensor_msgs/msg/JointState``."""
+    return jazzy().types[type_name]
+
+
+def definition(type_name: str) -> tuple[str, str]:
+    """(full definition text, RIHS01 type hash) of a message type."""
+    text, _ = jazzy().generate_msgdef(type_name, ros_version=2)
+    return text, jazzy().hash_rihs01(type_name)
+
+
+def serialise(message: Any, type_name: str) -> bytes:
+    """CDR bytes of a message."""
+    return bytes(jazzy().serialize_cdr(message, type_name))
+
+
+@lru_cache(maxsize=256)
+def definitions(type_name: str, text: str) -> dict[str, Any]:
+    """What a definition text, as MSG or IDL, says of a type and of those it uses; nothing where it cannot be read.
+
+    A text comes from a file and may say anything. The reader of definitions is not made for that: it raises whatever
+    the text leads it to, and goes as deep as the text does.
+    """
+    if len(text) > _LONGEST_TEXT:
+        return {}
+    try:
+        if "\nIDL: " not in f"\n{text}":
+            return dict(get_types_from_msg(text, type_name))
+        found: dict[str, Any] = {}
+        for part in text.split(_LINE):
+            head, _, body = part.partition("\n")
+            found.update(get_types_from_idl(body) if head.startswith("IDL: ") else {})
+        return found
+    except Exception:
+        return {}
+
+
+def store_with(type_name: str, text: str) -> Typestore:
+    """The Jazzy types, and besides them those that the definition of this type adds, as far as they can be had."""
+    if type_name in jazzy().types or not text:
+        return jazzy()
+    return _store_with(type_name, text)
+
+
+@lru_cache(maxsize=16)
+def _store_with(type_name: str, text: str) -> Typestore:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with contextlib.suppress(Exception):  # as above
+        store.register({k: v for k, v in definitions(type_name, text).items() if k not in store.types})
+    return store
+
+
+# --- The fields of message types, as ``layout`` reads them
+
+_HEADER: Fields = [("stamp", [("sec", "i4"), ("nanosec", "u4")]), ("frame_id", "string")]
+_XYZ: Fields = [("x", "f8"), ("y", "f8"), ("z", "f8")]
+_XYZW: Fields = [*_XYZ, ("w", "f8")]
+_POSE: Fields = [("position", _XYZ), ("orientation", _XYZW)]
+_POSE_WITH_COVARIANCE: Fields = [("pose", _POSE), ("covariance", Many("f8", 36))]
+_TRANSFORM: Fields = [
+    ("header", _HEADER),
+    ("child_frame_id", "string"),
+    ("transform", [("translation", _XYZ), ("rotation", _XYZW)]),
+]
+KNOWN: dict[str, Fields] = {
+    "sensor_msgs/msg/JointState": [
+        ("header", _HEADER),
+        ("name", Many("string")),
+        ("position", Many("f8")),
+        ("velocity", Many("f8")),
+        ("effort", Many("f8")),
+    ],
+    "geometry_msgs/msg/PoseStamped": [("header", _HEADER), ("pose", [("position", _XYZ), ("orientation", _XYZW)])],
+    "geometry_msgs/msg/PointStamped": [("header", _HEADER), ("point", _XYZ)],
+    "geometry_msgs/msg/Vector3Stamped": [("header", _HEADER), ("vector", _XYZ)],
+    "geometry_msgs/msg/WrenchStamped": [("header", _HEADER), ("wrench", [("force", _XYZ), ("torque", _XYZ)])],
+    "sensor_msgs/msg/Range": [
+        ("header", _HEADER),
+        ("radiation_type", "u1"),
+        ("field_of_view", "f4"),
+        ("min_range", "f4"),
+        ("max_range", "f4"),
+        ("range", "f4"),
+        ("variance", "f4"),
+    ],
+    "sensor_msgs/msg/Temperature": [("header", _HEADER), ("temperature", "f8"), ("variance", "f8")],
+    "std_msgs/msg/String": [("data", "string")],
+    "geometry_msgs/msg/PoseWithCovarianceStamped": [("header", _HEADER), ("pose", _POSE_WITH_COVARIANCE)],
+    "nav_msgs/msg/Odometry": [
+        ("header", _HEADER),
+        ("child_frame_id", "string"),
+        ("pose", _POSE_WITH_COVARIANCE),
+        ("twist", [("twist", [("linear", _XYZ), ("angular", _XYZ)]), ("covariance", Many("f8", 36))]),
+    ],
+    "geometry_msgs/msg/TransformStamped": _TRANSFORM,
+    "tf2_msgs/msg/TFMessage": [("transforms", Many(_TRANSFORM))],
+}
+_NUMBERS = {
+    "bool": "u1", "byte": "u1", "octet": "u1", "uint8": "u1", "int8": "i1", "int16": "i2", "uint16": "u2",
+    "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_MAX_DEPTH, _MAX_FIELDS = 32, 4096  # of types in types
+
+
+def fields_of(type_name: str, schemas: Mapping[str, str]) -> Fields | None:
+    """The fields of a message type; None for one that is not known, or holds more than numbers and texts.
+
+    schemas: definitions that a bag brings along, by type.
+    """
+    if type_name in KNOWN:
+        return KNOWN[type_name]
+
+    if type_name in jazzy().fielddefs:
+        return expanded(type_name, "")
+    return expanded(type_name, schemas[type_name]) if type_name in schemas else None
+
+
+@lru_cache(maxsize=256)
+def expanded(type_name: str, text: str) -> Fields | None:
+    """The fields of a type of Jazzy (no text), or of one that a text defines."""
+    own = definitions(type_name, text) if text else {}
+    try:
+        return _Expansion({**own, **jazzy().fielddefs} if own else jazzy().fielddefs).fields(type_name, 0)
+    except (KeyError, ValueError):
+        return None
+
+
+@dataclass
+class _Expansion:
+    """Fields of types in fields of types, within bounds that no real type meets."""
+
+    known: Mapping[str, Any]
+    count: int = 0
+
+    def fields(self, type_name: str, depth: int) -> Fields:
+        """Raises KeyError for what is neither a number nor a text, ValueError for what has no end."""
+        described = self.known[type_name][1]
+        self.count += len(described)
+        if depth > _MAX_DEPTH or self.count > _MAX_FIELDS:
+            raise ValueError(f"{type_name} is deeper or larger than any message")
+        return [(name, self.kind(what, depth)) for name, what in described]
+
+    def kind(self, described: Any, depth: int) -> Kind:
+        node, what = described
+        if node.name == "BASE":
+            return "string" if what[0] == "string" else _NUMBERS[what[0]]
+        if node.name == "NAME":
+            return self.fields(what, depth + 1)
+        inner, count = what
+        return Many(self.kind(inner, depth), count if node.name == "ARRAY" else None)

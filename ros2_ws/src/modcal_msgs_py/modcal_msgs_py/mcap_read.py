@@ -15,17 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.dropouts import elsewhen
-from modcal_core.measurements.recording import Listed, Recording, Stretch
+from modcal_core.measurements import Listed, Recording, Stretch, elsewhen
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
-from modcal_msgs_py.choosing import Topics, resolve
-from modcal_msgs_py.fields import KNOWN, fields_of
-from modcal_msgs_py.gathering import gathered
-from modcal_msgs_py.layout import Bytes, Fields, MessageLayout
+from modcal_msgs_py.layout import KNOWN, Bytes, Fields, MessageLayout, fields_of
 from modcal_msgs_py.mcap_walk import Block
-from modcal_msgs_py.messages import RecordingBuilder, why_left_out
-from modcal_msgs_py.topics import ADDED, TRANSFORMS
+from modcal_msgs_py.messages import RecordingBuilder, gathered, why_left_out
+from modcal_msgs_py.topics import ADDED, TRANSFORMS, Topics, resolve
 
 _LEFT_OUT = ("sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "rosgraph_msgs/msg/Clock")
 _NO_TOPICS = Topics()
@@ -38,7 +34,7 @@ _SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below whic
 _FEW_RUNS = 8  # which take less than reading the definitions of all types, without which nothing goes one by one
 
 
-def read_bag(path: Path, layouts: bool = True, topics: Topics = _NO_TOPICS) -> Recording:
+def read_recording(path: Path, layouts: bool = True, topics: Topics = _NO_TOPICS) -> Recording:
     """The recording in a bag folder or a bare file, MCAP or SQLite, packed with zstd or not.
 
     A cut file is read to its last whole message, with a warning in the recording. layouts: False decodes all messages
@@ -211,7 +207,7 @@ class _Reader:
             self._rows(topic, type_name, layout, rows, np.array([1e-9 * int(block.heads["received"][i])]))
 
     def _one_by_one(self, topic: str, type_name: str, block: Block, which: NDArray[np.int64]) -> None:
-        from modcal_msgs_py.types import store_with  # reading the definitions of all types takes half a second
+        from modcal_msgs_py.layout import store_with  # reading the definitions of all types takes half a second
 
         store = store_with(type_name, self._file.schemas.get(type_name, ""))
         if type_name not in store.types:

@@ -25,11 +25,18 @@ from mcap.writer import CompressionType, Writer
 
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.files import parse_yaml
-from modcal_msgs_py.bag_files import appearing, bag_files, listed_files
-from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, named_qos, to_yaml
+from modcal_msgs_py.bag_files import (
+    BagFile,
+    BagTopic,
+    appearing,
+    bag_files,
+    information,
+    listed_files,
+    named_qos,
+    to_yaml,
+)
 from modcal_msgs_py.bag_open import PACKED
-from modcal_msgs_py.mcap_index import read_index
-from modcal_msgs_py.mcap_walk import McapFile, RawMessage
+from modcal_msgs_py.mcap_walk import McapFile, RawMessage, read_index
 from modcal_msgs_py.mcap_write import CHUNK_BYTES, LIBRARY
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}

@@ -16,10 +16,10 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from modcal_core.errors import BadRecording
-from modcal_msgs_py.bag_metadata import BagFile, BagTopic, information, qos_profile, to_yaml
+from modcal_msgs_py.bag_files import BagFile, BagTopic, information, qos_profile, to_yaml
 from modcal_msgs_py.disk import DiskFile
+from modcal_msgs_py.layout import definition, serialise
 from modcal_msgs_py.topics import LATCHED
-from modcal_msgs_py.types import definition, serialise
 
 CHUNK_BYTES = 768 * 1024
 FLUSH_SECONDS = 0.2

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.recording import PART, POINT, POSE, JointTrack, ReadingTrack, Recording
+from modcal_core.measurements import PART, POINT, POSE, JointTrack, ReadingTrack, Recording
 from modcal_msgs_py.bag_files import appearing
+from modcal_msgs_py.layout import message_class
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.topics import JOINT_STATES, NOTES, READINGS, ROBOT_DESCRIPTION, TEMPERATURE, TYPES
-from modcal_msgs_py.types import message_class
 
 _WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _SIGNAL = "std_msgs/msg/Float64"

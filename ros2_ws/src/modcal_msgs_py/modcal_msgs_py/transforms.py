@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POSE, ReadingTrack
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import POSE, ReadingTrack
 
 _MAX_EDGES = 500
 _SHOWN = 8

@@ -13,22 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.bends import bend_explains
-from modcal_core.articulation.direction import backwards, one_way
-from modcal_core.articulation.evidence import EvidenceRow, row, still, weigh
-from modcal_core.articulation.far_hinge import hidden, unproved
+from modcal_core.articulation.evidence import EvidenceRow, hidden, row, still, unproved, weigh
 from modcal_core.articulation.fit import SOUND, JointFit, fit
-from modcal_core.articulation.held_out import predicted
-from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, misfit, scales
+from modcal_core.articulation.joint_motion import Motion
+from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
-from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.nodes import Nodes
-from modcal_core.articulation.phases import best_cut, two_explain, where
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
-from modcal_core.articulation.telling import telling, travelled
-from modcal_core.articulation.track import FEWEST, Track
-from modcal_core.geometry.so3 import Array
+from modcal_core.articulation.track import FEWEST, Nodes, Track, backwards, one_way, telling, travelled
+from modcal_core.articulation.two_motions import best_cut, two_explain, where
+from modcal_core.geometry import Array
 
 # pooled samples of a whole track: 1 to 3 cm of the paths that handles have, short beside what is alike (10 cm)
 NODES = 48

@@ -20,13 +20,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.articulation.direction import one_way
+from modcal_core.articulation.joint_motion import Motion
 from modcal_core.articulation.joints import PlacedJoint
 from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import axis_model
-from modcal_core.articulation.motion import Motion
-from modcal_core.articulation.track import Track
-from modcal_core.geometry.so3 import Array
+from modcal_core.articulation.track import Track, one_way
+from modcal_core.geometry import Array
 
 NU = 4.0  # of Student's t: the usual robust choice (Lange, Little & Taylor 1989)
 _MIN = (2e-6, 2e-6)  # m, rad: no scale is smaller, so that exact data can be fitted

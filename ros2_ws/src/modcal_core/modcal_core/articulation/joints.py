@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import se3
-from modcal_core.geometry.single import crossed
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, crossed, se3
 
 _EYE = np.eye(3)
 

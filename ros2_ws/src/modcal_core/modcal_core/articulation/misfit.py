@@ -4,20 +4,45 @@ Probabilities compare joint types with each other and say nothing of what none o
 leaves is compared with an absolute size: four times the usual play and sway of ``furniture``, beside the track's own
 noise. Nine tenths of the samples count, for markers are lost at the end of a swing; where more than a quarter lies
 grossly off, these are no outliers.
+
+Play, a hand that settles and a camera's bias are rough: of what real doors and drawers leave beside noise, a smooth
+bend along the path takes some, and about a tenth of the squares stays at least. What a linkage, a cam or a curved rail
+leaves of the nearest line, circle or screw is smooth, and a bend takes all of it.
+
+As for tracks (``bends``), and earlier: a track is judged where a millimetre is left, a handle before much is. So it is
+not asked how much a bend takes, but what it leaves. Play, a hand that settles and a camera's bias go on from one
+stretch of the path to the next, with a bend and without. What a cam, a linkage or a curved rail leaves of a joint goes
+on as well, and beside a bend nothing but noise is left, in which neighbours have nothing in common. Of a true joint
+without play, noise is left before.
+
+A long hinge and a drawer that bows fit the same samples equally well. What the one says of the part that it has not
+seen differs, and so does what a line and a circle through the first centimetres of a door say. And where a plainer
+joint leaves no more than handles and cameras usually do, no curve is proved.
+
+A prediction of the next five centimetres says little once half a metre is known: there every smooth path is right. So
+the part that was not used for the fit grows with the path. Models are kept as they were along the path; the one from
+three fifths of it must say all that came since, within the tolerance or the share of the path by which furniture may
+miss (``held_out``), beside noise. Models are thinned out when there are many, so that work and memory stay bounded.
+
+On a short path a model of another joint type, which has been given up since, says nothing against the one that took its
+place: a door's first decimetre is a slide.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.articulation.fit import JointFit
+from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.furniture import DISTORTION, PLAY, SWAY
-from modcal_core.articulation.models.model import Kind
-from modcal_core.articulation.telling import travelled
-from modcal_core.articulation.track import Track
-from modcal_core.geometry.so3 import Array
+from modcal_core.articulation.models.axis import AxisMotion
+from modcal_core.articulation.models.model import ArticulationModel, Kind
+from modcal_core.articulation.prediction_check import POSITIONS
+from modcal_core.articulation.track import Track, travelled, white
+from modcal_core.geometry import Array
 
 NONE: Kind = "none"  # of what moves as no joint type does
 MUCH = 4.0  # times the usual play or sway
@@ -122,3 +147,289 @@ def _median(sizes: Array) -> Array:
     """Along the track, over some neighbours."""
     half = _SMOOTH // 2
     return np.array([np.median(sizes[max(0, i - half) : i + half + 1]) for i in range(len(sizes))])
+
+
+# --- Whether what a joint leaves vanishes by a smooth bend of its path
+
+_DEGREE = 5  # of the bend, a polynomial along the path: two waves, longer than what is alike within a hand's width
+_PARAMETERS = 6  # of a circle in space
+# m: what the joint must leave beside noise for a bend to be considered, half the usual play, as for two motions
+WORTH = 0.5 * float(np.exp(PLAY[0]))
+_SURELY = 4.0  # deviations by which what is left must be more than noise
+VANISHES = 0.04  # of its squares may stay: less than half of what the smoothest of 47 real tracks keeps
+CAP = 0.03  # m: samples farther off are outliers
+
+
+def bend_explains(track: Track, left: Array, along: Array) -> str:
+    """Why a smooth bend is to be considered, as text; empty where it is not.
+
+    left (n, 3): what the joint leaves of positions [m]. along (n,): configurations of the samples.
+    """
+    near = np.linalg.norm(left, axis=1) < CAP
+    e, a = left[near], along[near]
+    n, coefficients = len(e), 2 * (_DEGREE + 1)  # of the two directions across the path
+    if 2 * n <= 2 * (_PARAMETERS + coefficients) or not float(np.ptp(a)) > 0.0:
+        return ""
+    waves = np.polynomial.legendre.legvander(2.0 * (a - a.min()) / float(np.ptp(a)) - 1.0, _DEGREE)
+    rest = e - waves @ np.linalg.lstsq(waves, e, rcond=None)[0]
+    noise = white(track.positions) ** 2
+    one = float((e * e).sum()) / (2 * n - _PARAMETERS) - noise
+    two = float((rest * rest).sum()) / (2 * n - _PARAMETERS - coefficients) - noise
+    worth = WORTH**2 / 2.0
+    if one <= max(worth, _SURELY * noise / np.sqrt(n)) or two > VANISHES * one:
+        return ""
+    return (
+        f"a smooth bend leaves {1e3 * np.sqrt(2.0 * max(two, 0.0)):.1f} mm beside noise where it leaves "
+        f"{1e3 * np.sqrt(2.0 * one):.1f} mm"
+    )
+
+
+# --- A path as the means of short stretches, bounded: when there are too many, neighbours are pooled
+
+MAX = 64  # stretches: of a metre some 2 cm each
+_STRETCH = 4e-3  # m, at first; less would be play
+_STRETCHES_NOISE = 4.0  # deviations of noise on an axis that a stretch is long, where that is more
+
+
+class Stretches:
+    """path: how far it goes [m]. k: how many there are."""
+
+    def __init__(self) -> None:
+        self.path, self.k = 0.0, 0
+        self._sums, self._counts, self._ways = np.zeros((MAX, 3)), np.zeros(MAX), np.zeros(MAX)
+        self._length = _STRETCH
+        self._begin: Array | None = None  # of the stretch that is under way
+
+    def come(self, p: Array, noise: float) -> None:
+        """Take a position (3,) [m]. noise: of one position, on an axis [m]."""
+        if self._begin is None:
+            self._begin, self.k = p, 1
+        far = math.dist(p, self._begin)
+        if far >= max(self._length, _STRETCHES_NOISE * noise):
+            self._begin = p
+            self.path += far
+            if self.k == MAX:
+                self._pool()
+            self._ways[self.k] = self.path
+            self.k += 1
+        self._sums[self.k - 1] += p
+        self._counts[self.k - 1] += 1.0
+
+    def _pool(self) -> None:
+        """Neighbours together."""
+        half = MAX // 2
+        for each in (self._sums, self._counts):
+            each[:half] = each[0::2] + each[1::2]
+            each[half:] = 0.0
+        self._ways[:half] = self._ways[0::2]
+        self.k, self._length = half, 2.0 * self._length
+
+    @property
+    def counts(self) -> Array:
+        """How many positions are in each (k,)."""
+        return self._counts[: self.k]
+
+    @property
+    def points(self) -> Array:
+        """Their means (k, 3) [m]."""
+        return self._sums[: self.k] / self.counts[:, None]
+
+    def beyond(self, way: float) -> Array:
+        """Means (m, 3) of those that begin after so much of the path [m]."""
+        first = int(np.searchsorted(self._ways[: self.k], way, side="left"))
+        return self._sums[first : self.k] / self._counts[first : self.k, None]
+
+
+# --- Whether what a joint leaves of the path so far is one smooth bend, asked again as the path grows
+
+_BEND_CHECK_DEGREE = 4  # of the bend, a polynomial along the path
+_FITTED = 2  # of the degrees that a joint's own parameters change: no bend is what these leave
+_MIN = 4 * (_BEND_CHECK_DEGREE + 1)  # stretches that are asked
+_ASKED_EVERY = 0.02  # m of path
+_ALIKE = 3.0  # deviations by which neighbours are more alike than in noise, before
+_NOT_ALIKE = 1.0  # and beside the bend
+
+
+class BendCheck:
+    """found: whether a smooth bend is what the motion leaves, as of the last question."""
+
+    def __init__(self, stretches: Stretches) -> None:
+        """stretches: the path so far, kept by others."""
+        self.found = False
+        self._stretches, self._asked = stretches, 0.0
+
+    def come(self, motion: AxisMotion | None) -> None:
+        """Ask again where the path has grown. motion: the one that is selected now."""
+        path = self._stretches.path
+        if motion is None or path - self._asked < _ASKED_EVERY:
+            return
+        self._asked = path
+        track = Track.trusted(self._stretches.points)
+        a = motion.configurations(track, POSITIONS)
+        self.found = bend_left(motion.residuals(track, a)[:, :3], a)
+
+
+def bend_left(left: Array, along: Array) -> bool:
+    """Whether residuals (n, 3) [m] of stretches in their order, at configurations (n,), are a smooth bend and noise."""
+    near = (left * left).sum(axis=1) < CAP**2
+    e, a = left[near], along[near]
+    span = float(np.ptp(a)) if len(a) else 0.0
+    if len(e) < _MIN or span <= 0.0:
+        return False
+    waves = np.polynomial.legendre.legvander(2.0 * (a - a.min()) / span - 1.0, _BEND_CHECK_DEGREE)
+    before, after = (_beside(waves[:, : degree + 1], e) for degree in (_FITTED, _BEND_CHECK_DEGREE))
+    deviation = 1.0 / math.sqrt(2.0 * len(e))  # of the likeness of noise, in two directions across the path
+    if _alike(before) > _ALIKE * deviation and _alike(after) < _NOT_ALIKE * deviation:
+        return True
+    one, two = float((before * before).sum()), float((after * after).sum())
+    return one > len(e) * WORTH**2 and two < VANISHES * one
+
+
+def _beside(waves: Array, e: Array) -> Array:
+    """What waves (n, k) leave of residuals (n, 3) [m]."""
+    return np.asarray(e - waves @ np.linalg.lstsq(waves, e, rcond=None)[0])
+
+
+def _alike(e: Array) -> float:
+    """Correlation of neighbouring rows of (n, 3): 1 for equal ones, 0 for noise (von Neumann's ratio)."""
+    steps, sizes = np.diff(e, axis=0), e * e
+    both = float(sizes[1:].sum() + sizes[:-1].sum())
+    return 1.0 - float((steps * steps).sum()) / both if both > 0.0 else 0.0
+
+
+# --- Whether a joint predicts travel that it was not fitted to: the far third of its path, from either side
+
+_HELD_OUT_FITTED = 0.7  # of the path
+_MIN_FITTED, _MIN_ASKED = 8, 3  # samples
+MAY_MISS = 0.03  # of the path that was travelled
+_MISSES = 4e-3  # m: twice the usual play, which no prediction does without
+_HELD_OUT_NOISE = 3.0  # deviations of white noise beside it
+_BETTER, _BY = 1.5, 1e-3  # times and m by which another joint type predicts plainly better
+_HELD_OUT_COUNTED = 0.9  # of the samples, those that are predicted best
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """How far predictions of the far third are off [m], from the near and from the far end, by joint type.
+
+    left: what the joint leaves of what it was fitted to [m]. path: that was travelled [m]. noise: white [m]. plainer:
+    a joint type with fewer parameters that is as good as furniture is, empty where there is none. loose: whether it is
+    a path in space that leaves more than furniture usually does: a thread has no such play, and most smooth paths are
+    about a screw's.
+    """
+
+    kind: Kind
+    errors: Mapping[Kind, tuple[float, ...]]
+    left: float
+    path: float
+    noise: float
+    plainer: Kind = ""
+    loose: bool = False
+
+    @property
+    def doubt(self) -> str:
+        """Why the joint type is not to be relied on, as text; empty where it predicts."""
+        much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _HELD_OUT_NOISE * self.noise))
+        if self.left > much:
+            return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"
+        if self.loose:
+            return f"it leaves {1e3 * self.left:.0f} mm, more than a {self.kind} usually does"
+        own = self.errors.get(self.kind, ())
+        if not own:
+            return "samples are too few to fit a part of the path and predict the rest"
+        if min(own) > much:
+            return f"fitted to 70 % of the path it misses the rest by {1e3 * min(own):.0f} mm"
+        for kind, other in self.errors.items():
+            if kind != self.kind and all(a > max(_BETTER * b, b + _BY) for a, b in zip(own, other, strict=True)):
+                return f"{kind} predicts better ({1e3 * max(other):.1f} against {1e3 * max(own):.1f} mm)"
+        if self.plainer and min(self.errors[self.plainer], default=0.0) <= MUCH * np.exp(PLAY[0]):
+            return f"{self.plainer} leaves no more than handles and cameras usually do"
+        return ""
+
+
+def predicted(
+    track: Track,
+    kind: Kind,
+    rivals: list[Kind],
+    fits: Mapping[Kind, JointFit],
+    models: Mapping[Kind, ArticulationModel],
+    left: Misfit,
+) -> Predicted:
+    """What this kind and its rivals, fitted to 70 % of the path from either end, say of the rest.
+
+    left: what this kind leaves when it is fitted to all of it.
+    """
+    motion = fits[kind].motion
+    a = motion.configurations(track, (1.0, 1e9))
+    low, high = np.quantile(a, [0.01, 0.99])
+    along = (a - low) / max(float(high - low), 1e-12)
+    errors: dict[Kind, tuple[float, ...]] = {}
+    for one in (kind, *rivals):
+        off = []
+        for near in (along < _HELD_OUT_FITTED, along > 1.0 - _HELD_OUT_FITTED):
+            if near.sum() < _MIN_FITTED or (~near).sum() < _MIN_ASKED:
+                continue
+            seen = fit(track.part(near), models[one], start=fits[one].motion).motion
+            R = None if track.rotations is None else track.rotations[~near]
+            asked = Track.trusted(track.positions[~near], R)
+            e = seen.residuals(asked, seen.configurations(asked, (1.0, 1e9)))
+            sizes = np.sort(np.linalg.norm(e[:, :3], axis=1))[: int(np.ceil(_HELD_OUT_COUNTED * len(e)))]
+            off.append(float(np.sqrt(np.mean(sizes**2))))
+        errors[one] = tuple(off)
+    fewer = [one for one in rivals if fits[one].motion.size < motion.size]
+    plainer = next((one for one in fewer if _usual(misfit(fits[one], track, left.white))), "")
+    loose = not (motion.flat or _usual(left))
+    return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer, loose)
+
+
+def _usual(left: Misfit) -> bool:
+    return usual(left.position, left.rotation, left.white)
+
+
+# --- Whether the model of a good half of the path predicts the rest of it, asked again as the path grows
+
+_SHARE_FITTED = 0.6  # of the path: a model from there has as much again to say, less a third
+_SHARE_NOISE = 3.0  # deviations of noise beside what is tolerated, as for tracks
+_KEPT_EVERY = 0.01  # m of path between models that are kept, at first
+_MAX = 64  # of them: on a metre one each 2 cm
+_SHARE_ASKED_EVERY = 0.02  # m of path
+_WHOLE = 0.3  # m of path from which the type must have been right as well
+_SHARE_MIN = 3  # stretches that are asked
+
+
+class ShareCheck:
+    """fails: whether the model from three fifths of the path misses the rest, as of the last question.
+
+    stretches: the path so far.
+    """
+
+    def __init__(self, tolerance_m: float) -> None:
+        self.fails = False
+        self._tolerance = tolerance_m
+        self.stretches = Stretches()
+        self._kept: list[tuple[float, AxisMotion | None]] = []
+        self._every, self._asked = _KEPT_EVERY, 0.0
+
+    def come(self, p: Array, motion: AxisMotion | None, noise: float) -> None:
+        """Take a position (3,) [m] and the motion that is selected there. noise: of one position, on an axis [m]."""
+        self.stretches.come(p, noise)
+        path = self.stretches.path
+        if not self._kept or path - self._kept[-1][0] >= self._every:
+            if len(self._kept) == _MAX:
+                self._kept, self._every = self._kept[::2], 2.0 * self._every
+            self._kept.append((path, motion))
+        if path - self._asked >= _SHARE_ASKED_EVERY:
+            self._asked = path
+            self._ask(path, motion, noise)
+
+    def _ask(self, path: float, now: AxisMotion | None, noise: float) -> None:
+        way, motion = next((kept for kept in reversed(self._kept) if kept[0] <= _SHARE_FITTED * path), (0.0, None))
+        points = self.stretches.beyond(way)
+        if motion is None or len(points) < _SHARE_MIN:
+            return
+        if path < _WHOLE and now is not None and now.kind != motion.kind:
+            self.fails = False
+            return
+        rest = Track.trusted(points)
+        off = rms(np.linalg.norm(motion.residuals(rest, motion.configurations(rest, POSITIONS))[:, :3], axis=1))
+        self.fails = off > math.hypot(max(self._tolerance, MAY_MISS * path), _SHARE_NOISE * noise)

@@ -20,9 +20,9 @@ from modcal_core.articulation.evidence import EvidenceRow, glance, improved, wei
 from modcal_core.articulation.models.axis import AxisMotion
 from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import AXES, STILL, log_shares
-from modcal_core.articulation.nodes import FEWEST_NODES, Nodes
 from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
-from modcal_core.geometry.so3 import Array
+from modcal_core.articulation.track import FEWEST_NODES, Nodes
+from modcal_core.geometry import Array
 
 FEW = (1, 2, 3)  # of the plays: the least and the largest are rare, and each costs as much as the others
 _MODELS = {kind: model for kind, model in AXES.items() if model.slots}

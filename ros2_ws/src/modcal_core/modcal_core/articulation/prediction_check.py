@@ -14,7 +14,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 POSITIONS = (1.0, 1e9)  # noise that makes positions alone decide on a configuration
 _OFTEN = 0.1  # of the distance ahead: how often a model is kept

@@ -3,6 +3,11 @@
 A mechanism of two joints looks like one for a stretch, and predicts there. What tells it from furniture is the whole
 path since the start: a cut into two lines or circles leaves nothing of what one leaves. The path is kept as the means
 of short stretches (``stretches``).
+
+Each side of a cut is a line or a circle, fitted in closed form; the best cut is where both together leave least.
+
+What furniture leaves beside its ideal path (play, a bow, what distorts the camera) does not vanish by a cut: two arcs
+leave about as much of it as one. What a mechanism of two joints leaves does vanish, down to the noise.
 """
 
 from __future__ import annotations
@@ -11,16 +16,93 @@ import math
 
 import numpy as np
 
-from modcal_core.articulation.phases import MIN_PATH, vanishes
-from modcal_core.articulation.stretches import Stretches
-from modcal_core.geometry.so3 import Array
+from modcal_core.articulation.furniture import PLAY
+from modcal_core.articulation.misfit import Stretches
+from modcal_core.articulation.track import Track, backwards, one_way, travelled, white
+from modcal_core.geometry import Array
+
+# --- Where a pull of two motions is cut
+
+MIN_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
+MIN = 10  # samples of it
+_TRIED = 24  # places for the cut
+_PARAMETERS = 6  # of a circle in space
+_WORTH = 0.5  # of the usual play: what one motion must leave beside noise for two to be considered
+_VANISHES = 0.1  # of its squares may be left by two
+_CAP = 0.03  # m: a sample farther off costs no more
+
+
+def best_cut(track: Track) -> int | None:
+    """The first row of the second motion; None where the track is too short for two."""
+    if backwards(track.positions):
+        cut = _best_cut(one_way(track))
+        return None if cut is None else len(track) - cut
+    return _best_cut(track)
+
+
+def _best_cut(track: Track) -> int | None:
+    way = travelled(track)
+    inside = np.flatnonzero((way > MIN_PATH) & (way < way[-1] - MIN_PATH))
+    inside = inside[(inside >= MIN) & (inside <= len(track) - MIN)]
+    if not len(inside):
+        return None
+    coarse = np.unique(inside[np.linspace(0, len(inside) - 1, _TRIED).round().astype(int)])
+    best = min(coarse, key=lambda k: _cost(track.positions, int(k)))
+    step = max(1, len(inside) // _TRIED)
+    fine = [int(k) for k in inside if abs(int(k) - int(best)) <= step]
+    return min(fine[:: max(1, len(fine) // _TRIED)], key=lambda k: _cost(track.positions, k))
+
+
+def two_explain(track: Track) -> str:
+    """Why two motions are to be considered where one line or circle was found, as text; empty where one does."""
+    cut, n = best_cut(track), len(track)
+    if cut is None or 2 * n <= 4 * _PARAMETERS:
+        return ""
+    noise = white(track.positions) ** 2  # of positions alone: that of a fit has the rotations' in it
+    one = _left(track.positions) / (2 * n - _PARAMETERS) - noise
+    two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - noise
+    if not vanishes(one, two):
+        return ""
+    at = 1e2 * where(track, cut)
+    return (
+        f"two motions, cut at {at:.0f} cm, leave {1e3 * np.sqrt(2.0 * max(two, 0.0)):.1f} mm beside noise where one "
+        f"leaves {1e3 * np.sqrt(2.0 * one):.1f} mm"
+    )
+
+
+def where(track: Track, cut: int) -> float:
+    """How far along the path a cut lies [m]: between the last row of the first motion and the first of the second."""
+    return float(travelled(track)[cut - 1 : cut + 1].mean())
+
+
+def vanishes(one: float, two: float) -> bool:
+    """Whether what one motion leaves vanishes by a cut: variances on an axis, beside noise, before and after [m²]."""
+    return one > (_WORTH * float(np.exp(PLAY[0]))) ** 2 / 2.0 and two <= _VANISHES * one
+
+
+def _cost(p: Array, k: int) -> float:
+    return _left(p[:k]) + _left(p[k:])
+
+
+def _left(p: Array) -> float:
+    """Squares that the better of a line and a circle leaves [m²], capped sample by sample."""
+    x = p - p.mean(axis=0)
+    axes = np.linalg.svd(x, full_matrices=False)[2]
+    y = x @ axes.T
+    line = np.hypot(y[:, 1], y[:, 2])
+    A = np.column_stack([2.0 * y[:, :2], np.ones(len(y))])
+    c = np.linalg.lstsq(A, (y[:, :2] ** 2).sum(axis=1), rcond=None)[0]
+    radius = np.sqrt(max(float(c[2] + c[0] ** 2 + c[1] ** 2), 1e-12))
+    circle = np.hypot(np.hypot(y[:, 0] - c[0], y[:, 1] - c[1]) - radius, y[:, 2])
+    return min(float((np.minimum(off, _CAP) ** 2).sum()) for off in (line, circle))
+
 
 _MIN = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
 _CUTS = 16  # tried along the path
 _FINER = (-0.6, -0.3, 0.3, 0.6)  # of the way from cut to cut, tried beside the best
 _ANEW = 0.02  # m of path after which the question is asked again
-_PARAMETERS = 6  # of a circle in space
-_CAP = 0.03  # m: a stretch farther off costs no more
+_TWO_MOTIONS_PARAMETERS = 6  # of a circle in space
+_TWO_MOTIONS_CAP = 0.03  # m: a stretch farther off costs no more
 
 
 class TwoMotions:
@@ -75,8 +157,8 @@ class TwoMotions:
             self._left = [cut for cut in near if cut not in self._tried and _MIN <= cut <= len(points) - _MIN]
             return
         n, self._snapshot = len(points), None
-        one = squares(points) / (2 * n - _PARAMETERS) - self._noise
-        two = self._tried[best] / (2 * n - 2 * _PARAMETERS) - self._noise
+        one = squares(points) / (2 * n - _TWO_MOTIONS_PARAMETERS) - self._noise
+        two = self._tried[best] / (2 * n - 2 * _TWO_MOTIONS_PARAMETERS) - self._noise
         self.found = vanishes(one, two)
 
 
@@ -95,9 +177,9 @@ def squares(p: Array) -> float:
     b = flat.T @ size
     determinant = M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
     if determinant <= 1e-12 * M[0, 0] ** 2:
-        return float(np.minimum(line, _CAP**2).sum())
+        return float(np.minimum(line, _TWO_MOTIONS_CAP**2).sum())
     c = 0.5 * np.array([M[1, 1] * b[0] - M[0, 1] * b[1], M[0, 0] * b[1] - M[1, 0] * b[0]]) / determinant
     radius = math.sqrt(float(size.mean() + c @ c))  # as the mean of flat is zero
     apart = flat - c
     circle = (np.sqrt((apart * apart).sum(axis=1)) - radius) ** 2 + y[:, 2] ** 2
-    return min(float(np.minimum(off, _CAP**2).sum()) for off in (line, circle))
+    return min(float(np.minimum(off, _TWO_MOTIONS_CAP**2).sum()) for off in (line, circle))

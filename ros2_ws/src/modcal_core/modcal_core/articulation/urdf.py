@@ -21,8 +21,7 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.model import InUrdf
 from modcal_core.articulation.models.registry import AXES, axis_model
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 
 JOINT = "object_joint"
 _MAX_TEXT = 100_000  # characters, some hundred times what describe writes

@@ -10,3 +10,72 @@ split, score, finalise: train, explain and held-out; errors; the model to ship.
 uncertainty, canonical: covariance; parameters written with the least change to the description.
 store, predict: ``calibration.yaml``, and what is predicted with it.
 """
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_core.calibration.cell import Cell, StatedPayload, fit_cell, free_cell, own_statement, refit_cell
+    from modcal_core.calibration.cell import together_stated, with_frames, with_sockets
+    from modcal_core.calibration.covariance import Identifiability, Uncertainty, identifiability, uncertainty
+    from modcal_core.calibration.covariance import values_without, without
+    from modcal_core.calibration.data_split import SHARES, RejectedPlace, Split, block_length, consecutive, distinct
+    from modcal_core.calibration.data_split import hold_out_all, in_order_of_time, independent_unit, places_of, runs_of
+    from modcal_core.calibration.data_split import split, station_numbers, units_of_stations
+    from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance, distance_rows
+    from modcal_core.calibration.empirical_bayes import GroupSizes, likely_sizes
+    from modcal_core.calibration.equations import normal_equations
+    from modcal_core.calibration.final_fit import finalise, sharpened
+    from modcal_core.calibration.fit import EQUATIONS_PER_PARAMETER, FITTED, WHATS, Curvature, Fit, Move, What
+    from modcal_core.calibration.fit import identify, identify_moved, priors, require_enough
+    from modcal_core.calibration.initial import Known, base_and_tool_turns, base_by_positions, hand_eye
+    from modcal_core.calibration.initial import place_instruments, procrustes, tool_and_place, turns_left
+    from modcal_core.calibration.instruments import Instrument, new_instruments
+    from modcal_core.calibration.known_distances import KnownDistance, contradicted_together, contradictions
+    from modcal_core.calibration.known_distances import distances_of
+    from modcal_core.calibration.linearisation import Deviations, RowView, apply_deviations, deviations, geometry_rows
+    from modcal_core.calibration.linearisation import linearise, model_at
+    from modcal_core.calibration.model import BLEND, Model, between, curved_joints, place_model
+    from modcal_core.calibration.nnls import nonnegative
+    from modcal_core.calibration.noise import HUBER_Z, REJECT_Z, Groups, NoiseModel, as_normal, beyond_chi2
+    from modcal_core.calibration.noise import beyond_gumbel, beyond_normal, exceeded_chi2, gumbel_of, log10_beyond_f
+    from modcal_core.calibration.noise import median_chi2, quantile_chi2, robust_weights, row_weights, score_of_one
+    from modcal_core.calibration.noise import standard_score
+    from modcal_core.calibration.parameters import INSTRUMENT, PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, ModelParameter, View
+    from modcal_core.calibration.parameters import direction_names, drop_fixed, least_change, ordered_candidates
+    from modcal_core.calibration.parameters import passing_directions
+    from modcal_core.calibration.prediction import averaged, outside_drivers
+    from modcal_core.calibration.readmission import Readmitted, readmitted, right_after_all, uncontradicted
+    from modcal_core.calibration.score import FINEST, ErrorSize, Errors, errors, outlying, squared_residuals
+    from modcal_core.calibration.score import usual_miss
+    from modcal_core.calibration.starts import fit_geometry
+    from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places
+    from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
+    from modcal_core.calibration.structure import choose_parameters, exact_samples, general_samples, joint_ranges
+    from modcal_core.calibration.structure import parameter_count, views_of
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["BLEND", "EQUATIONS_PER_PARAMETER", "FINEST", "FITTED", "HUBER_Z", "INSTRUMENT", "PRIOR_ANGLE_RAD"]
+__all__ += ["PRIOR_LENGTH_M", "REJECT_Z", "SHARES", "WHATS", "AnyDistance", "Calibration", "Cell", "Curvature"]
+__all__ += ["Deviations", "Distance", "ErrorSize", "Errors", "Fit", "GroupSizes", "Groups", "Identifiability"]
+__all__ += ["Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "Move", "NoiseModel", "Readmitted"]
+__all__ += ["RejectedPlace", "RowView", "Split", "Stated", "StatedPayload", "StatedTool", "StationDistance"]
+__all__ += ["Uncertainty", "View", "What", "apply_deviations", "as_normal", "averaged", "base_and_tool_turns"]
+__all__ += ["base_by_positions", "between", "beyond_chi2", "beyond_gumbel", "beyond_normal", "block_length"]
+__all__ += ["choose_parameters", "consecutive", "contradicted_places", "contradicted_together", "contradictions"]
+__all__ += ["curved_joints", "deviations", "direction_names", "distance_rows", "distances_of", "distinct"]
+__all__ += ["drop_fixed", "errors", "exact_samples", "exceeded_chi2", "finalise", "fingerprint", "fit_cell"]
+__all__ += ["fit_geometry", "free_cell", "from_data", "general_samples", "geometry_rows", "gumbel_of", "hand_eye"]
+__all__ += ["hold_out_all", "identifiability", "identify", "identify_moved", "in_order_of_time", "independent_unit"]
+__all__ += ["joint_ranges", "least_change", "likely_sizes", "linearise", "log10_beyond_f", "median_chi2", "model_at"]
+__all__ += ["new_instruments", "nonnegative", "normal_equations", "ordered_candidates", "outlying", "outside_drivers"]
+__all__ += ["own_statement", "parameter_count", "passing_directions", "place_instruments", "place_model", "places_of"]
+__all__ += ["priors", "procrustes", "quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all"]
+__all__ += ["robust_weights", "row_weights", "runs_of", "score_of_one", "sharpened", "split", "squared_residuals"]
+__all__ += ["standard_score", "station_numbers", "to_data", "together_stated", "tool_and_place", "turns_left"]
+__all__ += ["uncertainty", "uncontradicted", "units_of_stations", "usual_miss", "values_without", "views_of"]
+__all__ += ["with_frames", "with_sockets", "without"]

@@ -18,11 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.identify import require_enough
+from modcal_core.calibration.fit import require_enough
 from modcal_core.calibration.model import Model
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples
 
 _MAX = 20  # iterations
 _SETTLED = 1e-6  # relative change of the RMS error that ends it

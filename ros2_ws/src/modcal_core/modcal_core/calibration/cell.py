@@ -1,4 +1,9 @@
-"""Where the arm's base and tool are, with the arm itself taken as it stands."""
+"""Where the arm's base and tool are, with the arm itself taken as it stands.
+
+Covariances in messages are of all sorts: measured, copied from a data sheet, or invented. Where the arm stands still,
+readings scatter by what the instrument adds from one to the next; a covariance that is far from that is not believed,
+and one that nothing can be compared with is not used. What remains stands in for what a person would state.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +12,27 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance, StationDistance
-from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.initial import locate, locate_base
-from modcal_core.calibration.locate_instruments import Known
+from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
+from modcal_core.calibration.fit import FITTED, Fit, Move, What, identify, identify_moved
+from modcal_core.calibration.initial import Known, locate, locate_base
 from modcal_core.calibration.model import Model, place_model
-from modcal_core.calibration.moves import Move, What, identify_moved
 from modcal_core.calibration.parameters import ModelParameter, with_prior
-from modcal_core.calibration.stated import Stated
-from modcal_core.calibration.stated_places import StatedTool, stated_std, stated_tool
+from modcal_core.calibration.stated import MAX_DEG, MAX_MM, Stated, StatedTool, stated_std, stated_tool
 from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.errors import BadTable
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.errors import BadRecording, BadTable
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import (
+    POINT,
+    POSE,
+    ReadingTrack,
+    Recording,
+    Samples,
+    StationRules,
+    dwells_of,
+    inliers,
+    joint_stamps_and_positions,
+)
+from modcal_core.robots import Inertias, Mechanism, forward
 
 WIDE = 50.0  # times the arm's prior: base and tool may be half a metre from where the closed form puts them
 
@@ -186,3 +198,173 @@ def with_frames(model: Model, frames: Sequence[str]) -> Model:
 
 def _identities(samples: Samples) -> np.ndarray:
     return np.tile(np.eye(4), (len(samples.frames), 1, 1))
+
+
+# --- What an instrument says of its own error in its messages, checked against how its readings scatter
+
+_FACTOR = 3.0  # of deviations; scatter has a slow part that standing still does not show, and filters hide some
+_MIN = 50  # readings that a scatter is taken from, and twice as many as dwells
+_REMEDY = "State --instrument-mm"
+
+
+@dataclass(frozen=True)
+class OwnStatement:
+    """What is believed of instruments by their own word, and a sentence for each of them."""
+
+    stated: Stated
+    notes: tuple[str, ...] = ()
+
+
+def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> OwnStatement:
+    """Errors that the instruments of a recording on one clock report of their readings, as far as the data bear it out.
+
+    Of several instruments the largest error counts.
+    """
+    tracks = [track for track in recording.readings if track.stated is not None and len(track.stamps)]
+    if not tracks:
+        return OwnStatement(Stated())
+    t, q = joint_stamps_and_positions(recording, names)
+    order = np.argsort(t, kind="stable")
+    dwells = dwells_of(t[order], q[order], recording.readings, rules or StationRules())
+    believed: list[tuple[float | None, float | None]] = []
+    notes = []
+    for track in tracks:
+        own = _median(track)
+        seen = _scatter(track, dwells)
+        name = f"{track.topic} ({track.frame})"
+        units = ((1e3, "mm", MAX_MM), (np.degrees(1.0), "°", MAX_DEG))
+        kept: list[float | None] = []
+        for what, shown, (scale, unit, largest) in zip(own, seen, units, strict=True):
+            value = _checked(what, shown, scale, largest)
+            kept.append(value)
+            if np.isfinite(what):
+                notes.append(
+                    f"{name} reports its own error as {scale * what:.3g} {unit}{_why(value, shown, scale, unit)}."
+                )
+        believed.append((kept[0], kept[1]))
+    position, rotation = (
+        None if any(pair[k] is None for pair in believed) else max(float(pair[k] or 0.0) for pair in believed)
+        for k in (0, 1)
+    )
+    return OwnStatement(Stated(instrument_mm=position, instrument_deg=rotation), tuple(notes))
+
+
+def together_stated(parts: Sequence[Stated]) -> Stated:
+    """The largest statement of several pieces of a recording; none where one of them bears none out."""
+    values = {}
+    for name in ("instrument_mm", "instrument_deg"):
+        each = [getattr(part, name) for part in parts]
+        values[name] = None if not each or None in each else max(each)
+    return Stated(**values)
+
+
+def _checked(what: float, shown: float, scale: float, largest: float) -> float | None:
+    """The statement in mm or degrees, if it is borne out."""
+    if not np.isfinite([what, shown]).all() or not shown / _FACTOR <= what <= shown * _FACTOR:
+        return None
+    return float(scale * what) if 0.0 < scale * what <= largest else None
+
+
+def _why(value: float | None, shown: float, scale: float, unit: str) -> str:
+    if not np.isfinite(shown):
+        return f": not used, because the arm does not stand still long enough to compare. {_REMEDY}, if it is known"
+    seen = f"its readings scatter by {scale * shown:.3g} {unit} where the arm stands still"
+    return f"; {seen}, which agrees with it" if value is not None else f": not used, because {seen}"
+
+
+def _median(track: ReadingTrack) -> Array:
+    """The usual statement of position [m] and angle [rad], (2,); NaN where there is none."""
+    assert track.stated is not None
+    return np.array([float(np.median(c[np.isfinite(c)])) if np.isfinite(c).any() else np.nan for c in track.stated.T])
+
+
+def _scatter(track: ReadingTrack, dwells: Array) -> Array:
+    """RMS over space by which readings scatter about the mean of their dwell, position [m] and angle [rad], (2,)."""
+    order = np.argsort(track.stamps, kind="stable")
+    stamps = track.stamps[order]
+    square, freedom = np.zeros(2), 0
+    for first, last in np.searchsorted(stamps, dwells).tolist() if len(dwells) else ():
+        rows = order[first:last]
+        if len(rows) < 3:
+            continue
+        values = track.values[rows]
+        values = values[inliers(values[:, :3])]
+        if len(values) < 3:
+            continue
+        square[0] += float(((values[:, :3] - values[:, :3].mean(axis=0)) ** 2).sum())
+        if track.kind == POSE:
+            R = so3.from_quaternion(values[:, 3:])
+            turned = so3.log(np.swapaxes(so3.mean(R)[None], 1, 2) @ R)
+            square[1] += float((turned**2).sum())
+        freedom += len(values) - 1
+    if freedom < _MIN:
+        return np.full(2, np.nan)
+    out = np.sqrt(square / freedom)
+    return np.where([True, track.kind == POSE], out, np.nan)
+
+
+# --- Frames that show one fixed point: stated ones are sockets, any other is a tracker that stands still
+
+_MOVED = 0.02  # m; the tip's RMS distance from its mean beyond which a target that follows must be seen to move
+_STANDS = 1e-3  # of that distance, and as many radians: what readings of a target that stands still vary by, noise only
+_THOUSANDTH = (0.5e-3, 2e-3)  # of the tip's motion, as of readings in metres that were taken for millimetres
+_FOLLOWS, _ENOUGH = 0.7, 12  # share of their size that follows the tip: of 12 readings of noise 0.44 (mean)
+
+
+def with_sockets(samples: Samples, cell: Cell, chain: Mechanism) -> Samples:
+    """The samples with the frames named that are sockets: listed as such, or with a known distance to another.
+
+    Raises BadRecording for a tracker whose readings stand still while the arm moves.
+    """
+    of_distances = (name for d in cell.distances if isinstance(d, Distance) for name in d.between)
+    stated = dict.fromkeys((*samples.sockets, *cell.sockets, *of_distances))
+    sockets = tuple(f for i, f in enumerate(samples.frames) if f in stated and samples.stands_still(i))
+    samples = replace(samples, sockets=sockets)
+    for f, frame in enumerate(samples.frames):
+        if frame not in sockets:
+            _require_moving(samples.select(samples.frame == f), frame, chain)
+    return samples
+
+
+def _require_moving(samples: Samples, frame: str, chain: Mechanism) -> None:
+    rows = np.isin(samples.kind, (POINT, POSE))
+    if rows.sum() < 3:
+        return
+    samples = samples.select(rows)
+    tip = forward(chain, samples.q)[:, :3, 3]
+    moved = _scatter_of_sockets(tip)
+    if moved < _MOVED:
+        return
+    turned = 0.0
+    if samples.is_pose.all():
+        mean = so3.mean(samples.R)
+        turned = float(np.sqrt(np.mean(np.sum(so3.log(mean.T @ samples.R) ** 2, axis=1))))
+    seen = _scatter_of_sockets(samples.reading)
+    topic = f"/tracker/{samples.kind[0]} ({frame})"
+    if _THOUSANDTH[0] * moved < seen < _THOUSANDTH[1] * moved and _follows(tip, samples.reading):
+        raise BadRecording(
+            topic,
+            f"readings follow the tip at a thousandth of its motion (RMS {1e3 * seen:.3g} of {1e3 * moved:.0f} mm)",
+            "positions look like metres taken for millimetres: state the unit m",
+        )
+    if seen < _STANDS * moved and turned < _STANDS:
+        raise BadRecording(
+            topic,
+            f"readings stand still (RMS {1e3 * seen:.3g} mm) while the joints move the tip by {1e3 * moved:.0f} mm",
+            "check that the tracker follows its target and its driver sends new readings; "
+            "a ball held in a socket is stated: list the frame under 'sockets' in the cell file (--cell)",
+        )
+
+
+def _follows(tip: np.ndarray, readings: np.ndarray) -> bool:
+    """Whether readings (N, 3) follow the tip (N, 3), however little they move.
+
+    What the best rotation or reflection makes alike is the sum of the singular values of their product.
+    """
+    a, b = tip - tip.mean(axis=0), readings - readings.mean(axis=0)
+    alike = np.linalg.norm(a.T @ b, "nuc")
+    return len(tip) >= _ENOUGH and bool(alike > _FOLLOWS * np.linalg.norm(a) * np.linalg.norm(b))
+
+
+def _scatter_of_sockets(p: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((p - p.mean(axis=0)) ** 2, axis=1))))

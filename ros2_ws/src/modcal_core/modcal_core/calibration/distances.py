@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView, deviations, geometry_rows, model_at
+from modcal_core.calibration.linearisation import RowView, deviations, geometry_rows, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.effects.effect import all_columns
+from modcal_core.effects import all_columns
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
-from modcal_core.geometry.twists import error_transform, local_twists
-from modcal_core.measurements.recording import POINT
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array, error_transform, local_twists
+from modcal_core.measurements import POINT, Samples
 
 CONTRADICTED = 4.0  # combined standard deviations, from which readings contradict a distance
 _TOUCHING = 1e-9  # m; ends that lie in one point have no direction

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from modcal_core.calibration.curvature import inverse_of_triangle
-from modcal_core.geometry.so3 import Array
+from modcal_core.calibration.fit import inverse_of_triangle
+from modcal_core.geometry import Array
 
 _MAX_ROUNDS = 30  # for time
 _SETTLED = 0.05  # change of the logarithm of a size: predictions hardly depend on it

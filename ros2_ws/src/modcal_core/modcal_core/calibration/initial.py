@@ -5,36 +5,180 @@ linear system whose null vector is found by SVD (Kronecker form, Shah 2013) and 
 then follow linearly. Points give up the orientation of the tool; tool point and base are improved in turn from several
 starts, each step in closed form. Poses that hardly turn make the first way fail, and points that hardly move the
 second, so poses are located both ways and the better one is kept. Fixed points are linear in all that is unknown.
+
+Each kind places itself in closed form once the tool is known. Where no instrument shows positions, the tool's three
+numbers are searched for such that the placed instruments meet their readings best, each trial placing them again
+(variable projection).
+
+Y, t: the arm's base in the readings' frame; A: poses of the arm's tip in its base; X, x: the tool. :mod:`conventions`
+compares readings as they are with readings corrected by it, :mod:`consistency` finds the stations that agree.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.instruments import new_instruments
-from modcal_core.calibration.locate_instruments import (
-    MAX_ROWS,
-    Known,
-    find_tool,
-    leaders,
-    place_instruments,
-    require_placeable,
-    require_readings,
-)
+from modcal_core.calibration.instruments import Instrument, new_instruments
 from modcal_core.calibration.model import Model
-from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.rows import indirect_rows
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.mechanism import forward
+from modcal_core.errors import BadTable, NotEnoughData
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.measurements.kinds import PLANE, POSE_OF_FRAME, indirect_rows, kinds, scene_in
+from modcal_core.robots import forward
+
+# --- Where instruments stand whose readings are no positions, and where the tool is when nothing else tells
+
+MAX_ROWS = 500  # a start needs no more; spread over the recording
+_GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
+
+
+@dataclass(frozen=True)
+class Known:
+    """A frame whose place relative to another is known. to: that frame, or "base". T_frame_to: pose of ``to`` in the
+    frame, (4, 4) [m]. std: how well position [m] and orientation [rad] are known, of a frame in the base; None:
+    exactly, as of any other.
+    """
+
+    frame: str
+    to: str
+    T_frame_to: Array
+    std: tuple[float, float] | None = None
+
+    def T_frame_base(self, frames: Sequence[str], T_frame_base: Array) -> Array:
+        """The pose of the base in the frame, where those of the other frames (F, 4, 4) are."""
+        return self.T_frame_to if self.to == "base" else self.T_frame_to @ T_frame_base[frames.index(self.to)]
+
+
+def leaders(frames: Sequence[str], known: Sequence[Known]) -> tuple[int, ...]:
+    """For each frame the one whose errors it shares; empty where each stands for itself."""
+    out = list(range(len(frames)))
+    for k in known:
+        if k.to != "base" and k.frame in frames:
+            out[frames.index(k.frame)] = frames.index(k.to)
+    for _ in known:  # what is known relative to something known
+        out = [out[f] for f in out]
+    return () if out == list(range(len(frames))) else tuple(out)
+
+
+def require_placeable(known: Sequence[Known], samples: Samples) -> None:
+    """Raises BadTable for a frame known relative to one that has no pose itself: an anchor, or, but for the very same
+    plane, a plane.
+    """
+    for k in known:
+        if k.to == "base":
+            continue
+        seen = {
+            kinds()[str(name)].frame for name in np.unique(samples.kind[samples.frame == samples.frames.index(k.to)])
+        }
+        same = np.allclose(k.T_frame_to, np.eye(4))
+        if POSE_OF_FRAME not in seen and not (seen == {PLANE} and same):
+            raise BadTable(
+                f"frame '{k.frame}', known in '{k.to}'",
+                f"'{k.to}' is {'a plane' if PLANE in seen else 'an anchor'} and has no orientation of its own",
+                "state it in a tracker's or a station's frame, or in the base",
+            )
+
+
+def place_instruments(
+    instruments: Sequence[Instrument],
+    samples: Samples,
+    T_base_tool: Array,
+    T_frame_base: Array,
+    fixed: Sequence[int] = (),
+    known: Sequence[Known] = (),
+) -> tuple[tuple[Instrument, ...], Array]:
+    """(instruments with their constants, T_frame_base (F, 4, 4)) for a known tool T_base_tool (N, 4, 4).
+
+    fixed: frames that have been placed already.
+    """
+    poses, placed = T_frame_base.copy(), set(fixed)
+    relative = {k.frame: k for k in known}
+
+    def links(frame: str) -> int:
+        """How many others must stand before this frame does."""
+        count = 0
+        while frame in relative and count <= len(relative):
+            count, frame = count + 1, relative[frame].to
+        return count
+
+    out: dict[int, Instrument] = {}
+    for i, instrument in sorted(enumerate(instruments), key=lambda pair: links(pair[1].frame)):
+        f = samples.frames.index(instrument.frame)
+        if instrument.frame in relative:
+            poses[f] = relative[instrument.frame].T_frame_base(samples.frames, poses)
+            placed.add(f)
+        rows = instrument.rows(samples)
+        rows = rows[spread_rows(len(rows), MAX_ROWS)]
+        poses[f], values = instrument.of_kind.place(
+            instrument.at_target(T_base_tool[rows]), samples.reading[rows], poses[f] if f in placed else None
+        )
+        placed.add(f)
+        out[i] = replace(instrument, values=values)
+    return tuple(out[i] for i in range(len(instruments))), poses
+
+
+def require_readings(instruments: Sequence[Instrument], samples: Samples) -> None:
+    """Raises NotEnoughData where an instrument has fewer readings than it can be placed from."""
+    for instrument in instruments:
+        count, least = len(instrument.rows(samples)), instrument.of_kind.least
+        if count < least:
+            raise NotEnoughData(
+                f"frame '{instrument.frame}'",
+                f"{count} readings of kind {instrument.kind}, at least {least} are needed",
+                "record more stations in it",
+            )
+
+
+def residuals(instruments: Sequence[Instrument], samples: Samples, T_base_tool: Array, T_frame_base: Array) -> Array:
+    """What placed instruments miss by [m at the tool], all rows of all of them, three components each."""
+    out = []
+    for instrument in instruments:
+        rows = instrument.rows(samples)
+        rows = rows[spread_rows(len(rows), MAX_ROWS)]
+        scene = scene_in(T_frame_base[samples.frames.index(instrument.frame)], instrument.at_target(T_base_tool[rows]))
+        sight = instrument.of_kind.see(scene, instrument.values, samples.reading[rows])
+        out.append((sight.residual * sight.lever).ravel())
+    return np.concatenate(out)
+
+
+def find_tool(
+    instruments: Sequence[Instrument],
+    samples: Samples,
+    T_base_tip: Array,
+    T_frame_base: Array,
+    known: Sequence[Known] = (),
+) -> Array:
+    """T_tip_tool (4, 4) with which instruments that watch the tool can be placed to meet their readings best."""
+    from scipy.optimize import least_squares  # slow to import
+
+    watching = [i for i in instruments if i.of_kind.target]
+    if not watching:
+        return np.eye(4)
+    followed = {i.frame for i in watching}
+    links = [k for k in known if k.frame in followed and (k.to == "base" or k.to in followed)]
+    reach = float(np.linalg.norm(T_base_tip[:, :3, 3], axis=1).mean())
+
+    def miss(t: Array) -> Array:
+        tool = T_base_tip @ se3.transform(p=t)
+        placed, poses = place_instruments(watching, samples, tool, T_frame_base, (), links)
+        return residuals(placed, samples, tool, poses)
+
+    best: tuple[float, Array] = (np.inf, np.zeros(3))
+    for start in (np.zeros(3), *(0.15 * reach * np.r_[np.eye(3), -np.eye(3)])):
+        found = least_squares(miss, start, loss="soft_l1", f_scale=0.01, diff_step=[1e-4], max_nfev=15, x_scale=0.1)
+        cost = float(np.median(np.linalg.norm(found.fun.reshape(-1, 3), axis=1)))
+        if cost < best[0]:
+            best = cost, found.x
+        if cost < _GOOD * reach:
+            break
+    return se3.transform(p=best[1])
+
 
 _DEAR = 1e-3  # how much smaller the tool is preferred to be, where base and tool can stand for each other
-_GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
+_INITIAL_GOOD = 0.005  # median miss, as a share of the arm's reach, that needs no further start
 
 
 def locate(model: Model, samples: Samples, known: Sequence[Known] = (), own_target: Sequence[str] = ()) -> Model:
@@ -200,7 +344,7 @@ def _point_tool(A: Array, y: Array) -> tuple[Array, Array]:
         cost = float(np.median(np.linalg.norm(gap, axis=1)))
         if best is None or cost < best[0] - 1e-9:
             best = (cost, Y, x)
-        if cost < _GOOD * reach:
+        if cost < _INITIAL_GOOD * reach:
             break
     assert best is not None
     return best[1], best[2]
@@ -221,3 +365,69 @@ def _fixed_points(
         reading = samples.reading[np.flatnonzero(samples.frame == f)[0]]
         T_frame_base[f, :3, 3] = reading - x[3 + 3 * i : 6 + 3 * i]
     return se3.transform(p=x[:3]), T_frame_base
+
+
+# --- Base and tool of readings in closed form, many recordings at a time: ``R ≈ Y A X`` and ``p ≈ Y (A x) + t``
+
+_ALTERNATIONS = 20  # iterations
+
+
+def base_and_tool_turns(A: Array, R: Array) -> tuple[Array, Array]:
+    """(Y, X) with ``R ≈ Y A X`` for rotations A, R (…, N, 3, 3): by SVD (Shah 2013)."""
+    # sum of kron(Rᵀ, Aᵀ), which takes y to z
+    flat = (np.swapaxes(x.reshape(*x.shape[:-2], 9), -1, -2) for x in (R, A))
+    left, right = flat
+    products = (left @ np.swapaxes(right, -1, -2)).reshape(*A.shape[:-3], 3, 3, 3, 3)  # R_ji A_lk at j i l k
+    U, _, Vt = np.linalg.svd(np.moveaxis(products, (-4, -3, -2, -1), (-2, -4, -1, -3)).reshape(*A.shape[:-3], 9, 9))
+    z, y = U[..., 0].reshape(*U.shape[:-2], 3, 3), Vt[..., 0, :].reshape(*U.shape[:-2], 3, 3)
+    sign = np.where(np.linalg.det(y) < 0.0, -1.0, 1.0)[..., None, None]
+    return so3.nearest_rotation(sign * y), np.swapaxes(so3.nearest_rotation(sign * z), -1, -2)
+
+
+def turns_left(Y: Array, A: Array, X: Array, R: Array) -> Array:
+    """Rotation vectors (…, N, 3) from the predicted to the read orientation, in the tool."""
+    return so3.log(np.swapaxes(Y[..., None, :, :] @ A @ X[..., None, :, :], -1, -2) @ R)
+
+
+def base_by_positions(A: Array, position: Array) -> Array:
+    """How bases are turned (C, 3, 3) as positions (C, N, 3) say: base and tool point in turn."""
+    x, Y = np.zeros((len(A), 3)), np.empty((len(A), 3, 3))
+    still = np.arange(len(A))  # those that still change
+    for _ in range(_ALTERNATIONS):
+        seen, known = position[still], _points(A[still], x[still])
+        seen, known = (z - z.mean(axis=1, keepdims=True) for z in (seen, known))
+        Y[still] = so3.nearest_rotation(np.swapaxes(seen, 1, 2) @ known)
+        _, new, _ = tool_and_place(Y[still], A[still], position[still])
+        step = np.linalg.norm(new - x[still], axis=1)
+        x[still] = new
+        still = still[step >= 1e-5]
+        if not len(still):
+            break
+    return Y
+
+
+def _points(A: Array, x: Array) -> Array:
+    """Points x (…, 3) moved by poses A (…, N, 4, 4), (…, N, 3)."""
+    return np.asarray((A[..., :3, :3] @ x[..., None, :, None])[..., 0] + A[..., :3, 3])
+
+
+def tool_and_place(Y: Array, A: Array, position: Array) -> tuple[Array, Array, Array]:
+    """(residuals (…, N, 3), tool point x (…, 3), base's place t (…, 3)) of ``p ≈ Y (A x) + t``, robust."""
+    few, N = A.shape[:-3], A.shape[-3]
+    flat = np.empty((*few, N, 3, 6))
+    flat[..., :3] = Y[..., None, :, :] @ A[..., :3, :3]
+    flat[..., 3:] = np.eye(3)
+    flat = flat.reshape(*few, 3 * N, 6)
+    h = position - A[..., :3, 3] @ np.swapaxes(Y, -1, -2)
+    column = h.reshape(*few, 3 * N, 1)
+    weight = np.ones((*few, N))
+    for _ in range(3):
+        weighted = np.swapaxes(np.repeat(weight, 3, axis=-1)[..., None] * flat, -1, -2)
+        H, g = weighted @ flat, weighted @ column
+        held = 1e-9 * np.trace(H, axis1=-2, axis2=-1)[..., None, None] * np.eye(6)
+        solution = np.linalg.solve(H + held, g)
+        gap = h - (flat @ solution).reshape(*few, N, 3)
+        square = np.sum(gap**2, axis=-1)
+        weight = 1.0 / (square + np.maximum(np.median(square, axis=-1), 1e-18)[..., None])  # Cauchy
+        weight = weight / weight.max(axis=-1, keepdims=True)
+    return gap, solution[..., :3, 0], solution[..., 3:, 0]

@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import Constant, Kind, Scene, Sight
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.kinematics import Frames
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import Constant, Kind, Scene, Sight, kinds
+from modcal_core.robots import Frames
 
 _TARGET = tuple(Constant(f"target_{axis}", "m", 0.05) for axis in "xyz")
 

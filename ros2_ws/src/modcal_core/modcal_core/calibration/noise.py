@@ -4,6 +4,12 @@ Every reading has its own scatter (known from the dwell, or not), and on top of 
 reading knows: gears, repeatability. The variance of a residual is ``s² + σ_i²``, with one s for positions and one for
 orientations, found so that the weighted sum of squares equals the degrees of freedom (Paule & Mandel 1982). A sample
 far outside, judged by its whole residual against a χ² law, counts less (Huber) and beyond a limit not at all.
+
+Written on ``scipy.special``: ``scipy.stats`` takes longer to import than most questions take to answer. SciPy loads
+what is named after it when that is first used, so what only reads a calibration does without.
+
+The sum of the residuals of a stop is as large as it is by chance where they are independent, and as many times larger
+in square as they are where all are the same (the design effect; Kish 1965, *Survey sampling*, section 5.4).
 """
 
 from __future__ import annotations
@@ -13,12 +19,78 @@ from functools import cached_property
 from math import cbrt, sqrt
 
 import numpy as np
+import scipy
 
-from modcal_core.calibration.distributions import median_chi2
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.kinds.rows import indirect_rows
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration.data_split import independent_unit
+from modcal_core.calibration.linearisation import Linearised
+from modcal_core.geometry import Array
+from modcal_core.measurements import SAME, Samples
+from modcal_core.measurements.kinds import indirect_rows, kinds
+
+# --- How likely noise is to do as much: the tails of the distributions that evidence is weighed with
+
+
+def beyond_normal(z: float) -> float:
+    """The chance that a standard normal number is greater than z."""
+    return float(scipy.special.ndtr(-z))
+
+
+def beyond_chi2(x: float, freedom: int) -> float:
+    """Survival function of the chi-square distribution: the chance of a value greater than x."""
+    return float(scipy.special.chdtrc(freedom, x))
+
+
+def as_normal(square: float, freedom: int) -> float:
+    """Two-sided standard normal quantile with the same chance as a chi-square value."""
+    chance = beyond_chi2(square, freedom)
+    return float(-scipy.special.ndtri(0.5 * chance)) if chance > 1e-300 else float(np.sqrt(square))
+
+
+def median_chi2(freedom: int) -> float:
+    """Median of the chi-square distribution."""
+    return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, 0.5))
+
+
+def quantile_chi2(share: float, freedom: float) -> float:
+    """Quantile of the chi-square distribution: stays below it with probability ``share``."""
+    return float(2.0 * scipy.special.gammaincinv(0.5 * freedom, share))
+
+
+def exceeded_chi2(chance: float, freedom: int) -> float:
+    """Quantile of the chi-square distribution that is exceeded with a probability, which may be tiny."""
+    return float(scipy.special.chdtri(freedom, chance))
+
+
+def log10_beyond_f(x: Array, m: int, freedom: int) -> Array:
+    """log10 of the chance that a ratio of mean squares, over m and over freedom numbers, is greater than x."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log10(scipy.special.fdtrc(m, freedom, x)))
+
+
+def gumbel_of(x: Array) -> tuple[float, float]:
+    """(location, scale) of the law of largest values that makes these numbers (n,) most likely; they must differ.
+
+    The scale s solves s = x̄ − Σ x e^(−x/s) / Σ e^(−x/s), whose two sides cross once; then the location is
+    −s log mean e^(−x/s) (Johnson, Kotz, Balakrishnan, Continuous Univariate Distributions 2, ch. 22).
+    """
+    mean, y = float(x.mean()), x - float(x.min())
+
+    def excess(s: float) -> float:
+        w = np.exp(-y / s)
+        return s - mean + float((x * w).sum() / w.sum())
+
+    low, high = 1e-6 * float(y.max()), float(y.max())
+    while high - low > 1e-13 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) < 0.0 else (low, middle)
+    scale = 0.5 * (low + high)
+    return float(x.min()) - scale * float(np.log(np.mean(np.exp(-y / scale)))), scale
+
+
+def beyond_gumbel(x: float, location: float, scale: float) -> float:
+    """The chance that a number of this law of largest values is greater than x."""
+    return float(-np.expm1(-np.exp(-(x - location) / scale)))
+
 
 HUBER_Z = 2.5  # standard scores; a Gaussian sample passes this once in 160
 REJECT_Z = 6.0  # standard scores; a Gaussian sample passes this once in 10⁹, so what is rejected is no noise
@@ -126,3 +198,92 @@ def robust_weights(z: Array, limit: float = REJECT_Z) -> Array:
     """Weights in [0, 1] for standard scores: 1 inside, falling as 1/z, then 0 beyond the limit: a rejected sample."""
     w = np.minimum(1.0, HUBER_Z / np.maximum(z, HUBER_Z))
     return np.where(z > limit, 0.0, w)
+
+
+# --- How much each sample, and each row of its equations, counts in a fit
+
+
+def known_sigma(sigma: Array) -> Array:
+    """What readings know of their own scatter; zero where they do not, (N,)."""
+    return np.where(np.isfinite(sigma), sigma, 0.0)
+
+
+def weigh(
+    at: Linearised,
+    pose: np.ndarray,
+    known_p: Array,
+    known_r: Array,
+    groups: Groups,
+    parameters: float,
+    limit: float | None,
+    barred: np.ndarray | None = None,
+) -> tuple[Array, NoiseModel]:
+    """Robust weights of the samples and the spread left, at these residuals. barred: samples without any weight."""
+    square_p, square_r = at.square_position, at.square_rotation
+    weights = np.ones(len(square_p))
+    if limit is not None:
+        rough = robust_noise(at.position, at.rotation, groups)
+        total = square_p / (rough.position**2 + known_p**2)
+        for kind, of_kind in groups.others.items():
+            total[of_kind] = square_p[of_kind] / (rough.others[kind] ** 2 + known_p[of_kind] ** 2)
+        if len(square_r):
+            total[pose] += square_r / (rough.rotation**2 + known_r**2)
+        weights = robust_weights(standard_score(total, groups.dimensions), limit)
+        weights = weights if barred is None else np.where(barred, 0.0, weights)
+    each = parameters / groups.rows  # degrees of freedom that a row gives up
+
+    def left(rows: np.ndarray | slice, directions: int) -> float:
+        seen = square_p[rows]
+        return excess_sigma(seen, known_p[rows], weights[rows], each * directions * len(seen), directions)
+
+    noise = NoiseModel(
+        left(groups.positions, 3),
+        excess_sigma(square_r, known_r, weights[pose], each * 3.0 * len(square_r)),
+        {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()},
+    )
+    return weights, noise
+
+
+def row_weights(weights: Array, noise: NoiseModel, samples: Samples) -> Array:
+    """Weight of each row of a linearisation, (3 N + 3 M,), of samples with these robust weights (N,)."""
+    pose = samples.is_pose
+    known_p, known_r = known_sigma(samples.sigma_position), known_sigma(samples.sigma_rotation[pose])
+    return of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
+
+
+def of_rows(
+    weights: Array, noise: Array | float, turning: float, known_p: Array, known_r: Array, pose: np.ndarray
+) -> Array:
+    """The same of positions of this noise (one, or (N,)) and orientations of that one, beside what readings know."""
+    w_p = weights / (noise**2 + known_p**2)
+    w_r = weights[pose] / (turning**2 + known_r**2)
+    return np.concatenate([w_p, w_p, w_p, w_r, w_r, w_r])
+
+
+# --- Readings of one stop share what the arm does not repeat: they tell of the parameters what fewer readings would
+
+
+def has_shared_noise(samples: Samples) -> bool:
+    """Whether some stop was read twice or more. In motion noise is another matter."""
+    if samples.moving.any() or len(samples) < 2:
+        return False
+    q = samples.q[np.argsort(samples.stamps, kind="stable")]
+    return bool((np.abs(np.diff(q, axis=0)).max(axis=1) <= SAME).any())
+
+
+def shared_noise(samples: Samples, left: Linearised, row_weight: Array) -> float:
+    """How many times more samples there are than independent ones, 1 or more, by what a fit leaves of them.
+
+    row_weight: (3 N + 3 M,).
+    """
+    unit, N = independent_unit(samples), len(samples)
+    weighed = left.residual * np.sqrt(row_weight)
+    position, rotation = weighed[: 3 * N].reshape(3, -1), weighed[3 * N :].reshape(3, -1)
+    square = float(weighed @ weighed)
+    together = sum(
+        float(np.sum(np.bincount(of, component) ** 2))
+        for of, components in ((unit, position), (unit[samples.is_pose], rotation))
+        for component in components
+        if len(component)
+    )
+    return max(together / square, 1.0) if square > 0.0 else 1.0

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
+from modcal_core.calibration.linearisation import RowView
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import REJECT_Z, Groups, NoiseModel, standard_score
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import Samples
 
 FINEST = 2e-6  # m and rad; no instrument resolves less, so nothing is called wrong by less
 

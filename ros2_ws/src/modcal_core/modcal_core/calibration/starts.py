@@ -18,20 +18,17 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell, with_bases
 from modcal_core.calibration.distances import distance_cost
-from modcal_core.calibration.identify import CONVERGED, FITTED, Fit, identify
+from modcal_core.calibration.fit import CONVERGED, FITTED, Fit, identify, identify_moved
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.moves import identify_moved
 from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.score import errors, squared_residuals
-from modcal_core.calibration.stated_places import as_stated
-from modcal_core.effects.effect import is_move
+from modcal_core.calibration.stated import as_stated
+from modcal_core.effects import is_move
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.mechanism import forward, is_serial_arm
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.robots import forward, is_serial_arm
 
 _AROUND = (0.1, 0.4)  # of the arm's reach; tools are between nothing and half as long as the arm
 _NEARBY = 0.03  # the same about a ball that was located in sockets, which is linear in where it is

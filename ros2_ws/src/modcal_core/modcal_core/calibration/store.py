@@ -1,4 +1,8 @@
-"""A calibration as plain data: everything needed to predict, and to refuse a robot it was not made for."""
+"""A calibration as plain data: everything needed to predict, and to refuse a robot it was not made for.
+
+Values are checked where they are read (:mod:`store`). Names that are free (frames, joints, signals), and the
+settings of an effect's shape, which packages may add to, may be any.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.calibration.doubt import Doubt
-from modcal_core.calibration.fallback import Fallback, curved_joints
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.covariance import Doubt, Uncertainty
+from modcal_core.calibration.fit import Fit
+from modcal_core.calibration.model import Fallback, Model, curved_joints
 from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.predict import predict
+from modcal_core.calibration.prediction import TypicalDriver, predict
 from modcal_core.calibration.store_parts import (
     arm_to_data,
     carried_from_data,
@@ -32,20 +35,56 @@ from modcal_core.calibration.store_parts import (
     uncertainty_from_data,
     uncertainty_to_data,
 )
-from modcal_core.calibration.store_schema import SCHEMA
-from modcal_core.calibration.typical import TypicalDriver
-from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.effects.driver_limits import DriverLimits
-from modcal_core.effects.drivers import NominalArm
-from modcal_core.effects.effect import Effect
+from modcal_core.effects import DriverLimits, Effect, NominalArm
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file
-from modcal_core.geometry.read_only import sealed
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.schema import require, told
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.geometry import Array, sealed
+from modcal_core.measurements import Samples, Schema, require, told
+from modcal_core.measurements.kinds import kinds
+from modcal_core.robots import Mechanism
+
+# --- Which keys a calibration.yaml has. A key that nobody reads is a slip of the editor, or of a later release
+
+
+def _keys(*names: str, **parts: Any) -> Schema:
+    return {"properties": {**{name: {} for name in names}, **parts}, "additionalProperties": False}
+
+
+def _list_of(part: Schema) -> Schema:
+    return {"items": part}
+
+
+_EFFECT = ("family", "place", "direction", "driver", "shape", "values", "std")
+_MODEL = _keys(
+    "frames", "tool", "leaders", "delta", "base", "tip", "tip_origin",
+    instruments=_list_of(_keys("frame", "kind", "constants", "target")),
+    joints=_list_of(_keys("name", "type", "origin", "axis", "limits")),
+)  # fmt: skip
+SCHEMA: Schema = _keys(
+    "modcal_calibration", "robot", "seen",
+    nominal=_MODEL,
+    calibrated=_MODEL,
+    geometric=_MODEL,
+    parameters=_list_of(_keys("name", "value", "std", "unit")),
+    effects=_list_of(_keys(*_EFFECT, rivals=_list_of(_keys(*_EFFECT)), usual=_keys("mean", "cost_m2"))),
+    recorded=_keys(
+        "kind", "spread", "scatter", "converged", "spread_of", "postures", "stamps", "clock", "ranges",
+        "geometry_outside", "left_alone_m", "marks",
+    ),
+    uncertainty=_keys(
+        "covariance",
+        parameters=_list_of(_keys("name", "place", "direction", "frame", "prior", "instrument", "unit")),
+    ),
+    arm=_keys(
+        "mass", "com", "down", "centre",
+        earlier=_keys("until", "mass", "moment"),
+        held=_keys("joints", "mass", "com"),
+        branches=_list_of(
+            _keys("carrier", "mass", "com", steps=_list_of(_keys("origin", "axis", "turns", "joint", "motion")))
+        ),
+    ),
+)  # fmt: skip
+
 
 FORMAT = 1  # of the file
 _ASSUMED = 1e-4  # m, rad; what usual instruments scatter by, where a calibration was not made from readings

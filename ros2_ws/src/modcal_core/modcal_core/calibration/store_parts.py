@@ -11,26 +11,26 @@ from typing import Any
 
 import numpy as np
 
+from modcal_core.calibration.covariance import Uncertainty
 from modcal_core.calibration.instruments import Instrument
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.calibration.typical import TypicalDriver
-from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.effects.carried import Carried
-from modcal_core.effects.drivers import NominalArm
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.registry import require_known
-from modcal_core.effects.shapes import Shape
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.schema import shown
-from modcal_core.robots.branches import CarryingJoint, Hanging
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.delta_file import delta_from_data, delta_to_data
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
+from modcal_core.calibration.prediction import TypicalDriver
+from modcal_core.effects import Carried, Effect, NominalArm, Shape, require_known
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import shown
+from modcal_core.measurements.kinds import kinds
+from modcal_core.robots import (
+    CarryingJoint,
+    Chain,
+    Delta,
+    Hanging,
+    HeldBehind,
+    Inertias,
+    Mechanism,
+    delta_from_data,
+    delta_to_data,
+)
 
 
 def effect_to_data(effect: Effect) -> dict[str, Any]:

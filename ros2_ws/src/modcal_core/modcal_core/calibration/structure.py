@@ -9,18 +9,13 @@ import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.instruments import Instrument, new_instruments
-from modcal_core.calibration.linearise import linearise
+from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter, View, drop_fixed, independent_columns, ordered_candidates
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import KIND_NAMES, PLANE, scene_in
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import spatial_jacobian
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm, random_postures
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import POSE, Samples
+from modcal_core.measurements.kinds import KIND_NAMES, PLANE, kinds, scene_in
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm, random_postures, spatial_jacobian
 
 _SEED = 20  # postures must be general, not new: the same robot always gets the same parameters
 

@@ -1,1 +1,40 @@
 """A camera and a printed sheet as the instrument: targets, lens, where camera and sheet are, and one fit of it all."""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments
+    from modcal_core.camera.bundle import BoardView, BundleMarker, MarkerBundle
+    from modcal_core.camera.causes import CameraCause
+    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, CornerTable, corner_rows, grams
+    from modcal_core.camera.fit import CameraFit, uncertainty_about
+    from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
+    from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
+    from modcal_core.camera.mounting import MIN_VIEWS
+    from modcal_core.camera.other_readings import ReadingsBeside, beside
+    from modcal_core.camera.plan import plan_images
+    from modcal_core.camera.prepared import MIN_CORNERS, CameraImages, distances_of_views, enough_corners
+    from modcal_core.camera.problems import APPLY, CANNOT_TELL
+    from modcal_core.camera.several import FurtherSeen
+    from modcal_core.camera.solve import CameraSolution, solve_camera
+    from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG
+    from modcal_core.camera.target import PrintedTarget
+    from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
+    from modcal_core.camera.tool_error import ToolError
+    from modcal_core.camera.watching import CameraWatch, Moved
+    from modcal_core.camera.weakness import ALL_BUT_IMAGES, covered, tilt_and_distance
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
+__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE"]
+__all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
+__all__ += ["CameraImages", "CameraSolution", "CameraWatch", "CornerTable", "FurtherSeen", "ImageMoments", "Lens"]
+__all__ += ["MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses"]
+__all__ += ["corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens", "grams"]
+__all__ += ["homography", "plan_images", "read_any_target", "read_target", "solve_camera", "target_from_data"]
+__all__ += ["target_to_data", "tilt_and_distance", "uncertainty_about"]

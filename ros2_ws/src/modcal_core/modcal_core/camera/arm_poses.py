@@ -3,31 +3,134 @@
 The tool of the model is whichever the arm carries, its frame the other: ``T_frame_tool`` is T_camera_target where the
 target is on the tip, T_target_camera where the camera is. A motion of the tool, (shift of its origin, turn) along the
 frame's axes, becomes the twist (a, b) of the target as the camera sees it.
+
+A fit has a minimal set of parameters. What it leaves out moves the tool as some of those that it has: the length of an
+upper arm is off by what the shoulder's side of it is off and by what the elbow's is. So the covariance of the set is
+that of all faults, brought to it by the derivatives of a general arm's readings; taken from its own parameters alone it
+would have such lengths known to seven tenths of what they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from modcal_core.calibration.linearise import linearise, model_at
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import ModelParameter, View
-from modcal_core.calibration.structure import choose_parameters
-from modcal_core.camera.beside import BesideRows, ReadingsBeside
-from modcal_core.camera.faults import ArmFaults, arm_faults
-from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
-from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.effects.effect import Effect, prior_stds
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POSE
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import body_jacobian
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.calibration import (
+    Model,
+    ModelParameter,
+    View,
+    choose_parameters,
+    drop_fixed,
+    general_samples,
+    linearise,
+    model_at,
+    ordered_candidates,
+)
+from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
+from modcal_core.effects import Drivers, Effect, NominalArm, prior_stds
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import POSE, Samples, SignalTrack
+from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.robots import Chain, Inertias, body_jacobian
+
+# --- How faulty an arm's parameters are expected to be, when every body of it may be displaced a little in all direct
+
+
+@dataclass(frozen=True)
+class ArmFaults:
+    """Covariance of an arm's A parameters by faults of lengths, and by faults of angles, of size 1, (A, A) each."""
+
+    lengths: Array
+    angles: Array
+
+    def covariance(self, ratio: float = 1.0) -> Array:
+        """Prior covariance of the arm's faults, (A, A). ratio: scale of the length faults over that of the angle
+        faults.
+        """
+        return ratio**2 * self.lengths + self.angles
+
+    def information(self, size: float, ratio: float) -> Array:
+        """Its inverse, for faults of this size."""
+        C = size**2 * self.covariance(ratio)
+        scale = 1.0 / np.sqrt(np.diag(C))
+        return np.asarray(np.linalg.inv(C * np.outer(scale, scale)) * np.outer(scale, scale))
+
+
+def arm_faults(
+    model: Model, parameters: Sequence[ModelParameter], views: Sequence[View], fixed: Sequence[str] = ()
+) -> ArmFaults:
+    """The faults of these parameters of an arm. views, fixed: as they were chosen for."""
+    every = [p for p in drop_fixed(ordered_candidates(model.chain, model.frames, views), fixed) if p.of_arm]
+    samples = general_samples(model, views, each=max(12, len(every)))
+    J = linearise(model, every, np.zeros(len(every)), samples).J.T
+    at = {p.name: i for i, p in enumerate(every)}
+    kept = J[:, [at[p.name] for p in parameters]]
+    M = np.linalg.lstsq(kept, J, rcond=None)[0] * np.array([p.prior_std for p in every])
+    turns = np.array([p.turns for p in every])
+    return ArmFaults(M[:, ~turns] @ M[:, ~turns].T, M[:, turns] @ M[:, turns].T)
+
+
+# --- What else is known of the arm at the moments of the images: what effects depend on besides posture
+
+
+def _nothing() -> Array:
+    return np.empty((0, 0))
+
+
+@dataclass(frozen=True)
+class ImageMoments:
+    """stamps: of the images [s], (N,); empty where only their order is known. approach: the direction each joint last
+    moved in, −1, 0 (unknown) or 1, (N, n). effort: of the actuators, (N, n). Empty where unknown. signals: tracks of
+    whatever else was recorded. stop: number of the stop of each image, which images of other cameras share, (N,); −1,
+    or empty, where none does.
+    """
+
+    stamps: Array = field(default_factory=lambda: np.empty(0))
+    approach: Array = field(default_factory=_nothing)
+    effort: Array = field(default_factory=_nothing)
+    signals: tuple[SignalTrack, ...] = ()
+    stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
+
+    def select(self, rows: np.ndarray) -> ImageMoments:
+        """Moments of some of the images."""
+        each = (self.stamps, self.approach, self.effort, self.stop)
+        stamps, approach, effort, stop = (a[rows] if len(a) else a for a in each)
+        return ImageMoments(stamps, approach, effort, self.signals, stop)
+
+    def elsewhere(self) -> ImageMoments:
+        """What is known of postures that nobody has measured: nothing."""
+        return NOTHING_KNOWN
+
+    def samples(self, q: Array, velocity: Array, names: tuple[str, ...], frames: tuple[str, ...]) -> Samples:
+        """Pose samples (N) at these moments, whose readings say nothing: for drivers and derivatives."""
+        N = len(q)
+        timed = len(self.stamps) == N and N > 0
+        return Samples(
+            names=names,
+            frames=frames,
+            q=q,
+            stamps=self.stamps if timed else np.arange(N, dtype=float),
+            station=np.arange(N),
+            frame=np.zeros(N, int),
+            kind=np.full(N, POSE, dtype=KIND_NAMES),
+            reading=np.zeros((N, 3)),
+            R=np.broadcast_to(np.eye(3), (N, 3, 3)),
+            sigma_position=np.full(N, np.nan),
+            sigma_rotation=np.full(N, np.nan),
+            velocity=velocity,
+            moving=np.zeros(N, bool),
+            approach=self.approach if len(self.approach) == N else _nothing(),
+            effort=self.effort if len(self.effort) == N else _nothing(),
+            signals=self.signals,
+            clock=timed,
+        )
+
+
+NOTHING_KNOWN = ImageMoments()
+
 
 FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
 
@@ -246,3 +349,24 @@ def arm_poses(
     return ArmPoses(
         *(model, tuple(parameters), np.asarray(q), np.asarray(velocity), camera_on_tip, moments), faults=faults
     )
+
+
+# --- A stated error of the nominal arm, as a size of its parameters' prior
+
+
+def arm_size(poses: ArmPoses, error_m: float, q: Array) -> float:
+    """The factor of the prior at which the nominal arm is off by this RMS [m] at the tool, over postures q (M, n).
+
+    What base and tool can take of it is left out: camera and target are placed by the same images.
+    """
+    _, motions = poses.at_postures(q).tool_motions(poses.start)
+    J = motions[:, :3].reshape(-1, motions.shape[2])
+    arm = poses.of_arm
+    if poses.faults is None:
+        return 1.0
+    basis, singular, _ = np.linalg.svd(J[:, ~arm], full_matrices=False)
+    basis = basis[:, singular > 1e-9 * singular[0]]
+    faults = J[:, arm] @ np.linalg.cholesky(poses.faults.covariance())
+    rest = faults - basis @ (basis.T @ faults)
+    rms = float(np.sqrt((rest**2).sum() / len(q)))
+    return error_m / max(rms, 1e-12)

@@ -4,6 +4,13 @@ A body is small beside its distance, and its markers are not where they are draw
 focal length; the arm's motion does. The sightings of single points from all postures show camera, lens and body
 together; where they are too few, the focal length is taken at which the body's poses by single images meet the
 flange's best. Of what is found either way, the one counts that corners are nearer to.
+
+Points in depth begin with the affine camera that meets their rays (scaled orthographic projection, DeMenthon and Davis
+1995), points of one face with the homography of their plane; both are tried with the twin that is tilted the other way
+about the line of sight, for shallow points have one as sheets do, and refined.
+
+An image of a body may show three points, which fit any pose, so it is the arm that points are held against: those that
+are off by far more than the others, each image's own error counted, are out, and where most of an image is, the image.
 """
 
 from __future__ import annotations
@@ -13,16 +20,86 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.body_pnp import body_poses, images_with_pose
+from modcal_core.calibration import exceeded_chi2, median_chi2
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.corners import CornerTable, residuals
+from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, residuals
 from modcal_core.camera.few_points import Resection, resection
+from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.intrinsics import BoardPose, homography, pose_of_plane, refined_poses, twin_pose
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import MIN_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
 from modcal_core.camera.target import MARKER_CORNERS
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
+
+# --- Where a body is in single images: of its points in three dimensions, which need not lie in a plane
+
+MIN_POINTS = 4  # of an image, of which a pose is taken: three leave four poses
+_FLAT = 0.15  # depth of points over their width, below which they are begun with as a plane
+_LINE = 0.05  # width of points over their length, below which they are a line
+
+
+def images_with_pose(table: CornerTable) -> np.ndarray:
+    """Images (N,) whose points show a pose by themselves."""
+    return np.array([_plane(_of_view(table, i)) is not None for i in range(table.views)], dtype=bool)
+
+
+def body_poses(table: CornerTable, lens: Lens) -> BoardPose:
+    """Both poses of the body, as stated, in every image, each of which must show one (:func:`images_with_pose`)."""
+    table = replace(table, places=0, markers=0)  # all in their places, whose derivatives take time
+    N = table.views
+    start = np.empty((2, N, 4, 4))
+    for i in range(N):
+        rows = np.flatnonzero((table.view == i) & (table.weight > 0.0))
+        points, rays = table.points[rows], lens.rays(table.pixels[rows])
+        found = _plane(points)
+        assert found is not None
+        T_body_plane, flat = found
+        at_plane = se3.apply(se3.inverse(T_body_plane), points)
+        first = pose_of_plane(homography(at_plane[:, :2], rays)) if flat else _by_affine(at_plane, rays)
+        start[0, i] = first @ se3.inverse(T_body_plane)
+        start[1, i] = twin_pose(first, np.zeros(3)) @ se3.inverse(T_body_plane)
+    T, cost, rms = (np.stack(part, axis=1) for part in zip(*(_refined(table, lens, s) for s in start), strict=True))
+    order = np.argsort(cost, axis=1)
+    return BoardPose(
+        np.take_along_axis(T, order[:, :, None, None], axis=1),
+        np.take_along_axis(cost, order, axis=1),
+        np.take_along_axis(rms, order, axis=1)[:, 0],
+    )
+
+
+def _refined(table: CornerTable, lens: Lens, start: Array) -> tuple[Array, Array, Array]:
+    return refined_poses(table, lens, table.unshaped, start)
+
+
+def _of_view(table: CornerTable, view: int) -> Array:
+    rows = table.of_view(view)
+    return table.points[rows][table.weight[rows] > 0.0]
+
+
+def _plane(points: Array) -> tuple[Array, bool] | None:
+    """(pose of the plane that is nearest to points (m, 3), origin in their middle, whether they lie in it), None for
+    points that show no pose.
+    """
+    if len(points) < MIN_POINTS:
+        return None
+    middle = points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(points - middle)
+    if spread[1] < _LINE * spread[0]:
+        return None
+    axes[2] *= np.sign(np.linalg.det(axes))
+    return se3.transform(axes.T, middle), bool(spread[2] < _FLAT * spread[1])
+
+
+def _by_affine(points: Array, rays: Array) -> Array:
+    """The pose of points (m, 3) about their middle that parallel projection to rays x, y (m, 2) shows."""
+    middle = rays.mean(axis=0)
+    a, b = np.linalg.lstsq(points, rays - middle, rcond=None)[0].T
+    depth = 1.0 / max(float(np.sqrt(np.linalg.norm(a) * np.linalg.norm(b))), 1e-9)
+    a, b = a / max(float(np.linalg.norm(a)), 1e-12), b / max(float(np.linalg.norm(b)), 1e-12)
+    R = so3.nearest_rotation(np.stack([a, b, np.cross(a, b)]))
+    return se3.transform(R, depth * np.r_[middle, 1.0])
+
 
 _ENOUGH = 8  # images with a pose: twice as many as a mounting needs, so that a misread one is outvoted
 _LOOKED_AT = 30  # of these, for time, while the focal length is looked for
@@ -156,3 +233,101 @@ def _by_points(
     misfit = best.miss * away, best.miss
     mounting = Mounting(carried, base, tool, A, *misfit, float(rival), relative_turns(A), np.empty(0))
     return [BodyStart(lens, _by_arm(mounting, A))]
+
+
+# --- What is left out of the images of a body
+
+_TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
+_POINT = 6.0  # robust standard deviations, as of corners of a sheet: one good point in a billion
+_MOSTLY = 0.5  # of the points of an image, beyond which it is the image that is elsewhere
+_VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
+# Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
+# another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
+_FAR = 6.0
+_MIN_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
+_SEEN = 1e-9  # of an image's information; directions below it are none that it shows
+
+
+def point_weights(fit: CameraFit) -> Array:
+    """1 for points where the fit has them, each image's own error taken out, else 0, (M,)."""
+    table = fit.table
+    off = _own_taken_out(fit)
+    size = np.abs(off)
+    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
+    return np.asarray((size <= _POINT * max(float(sigma), 1e-9)).all(axis=1), dtype=float)
+
+
+def far_markers(fit: CameraFit) -> np.ndarray:
+    """Markers (K,) whose place is not where any hand would have glued them, in which points in use have a part.
+
+    The body's frame is that of all its markers together, so each is held against the motion that the others show.
+    """
+    table, prior = fit.table, fit.prior.places
+    assert prior is not None
+    K, values = table.markers, table.places
+    used = np.flatnonzero(np.bincount(table.marker, table.weight, K) > 0.0)
+    out = np.zeros(K, bool)
+    if len(used) < _MIN_MARKERS:
+        return out
+    middles = np.zeros((K, 3))
+    middles[table.marker] = table.points - table.lever
+    motion = np.zeros((K, values, 6))
+    motion[:, :3, :3] = np.eye(3)
+    motion[:, :3, 3:] = -so3.hat(middles)
+    motion[:, 3:, 3:] = np.eye(3)[: values - 3]
+    apart = prior.apart.reshape(K, values, K, values)[np.arange(K), :, np.arange(K)]
+    white = np.swapaxes(np.linalg.cholesky(apart), 1, 2)
+    off = (white @ fit.state.shape[SHAPE:].reshape(K, values, 1))[:, :, 0]
+    moved = white @ motion
+    for k in used:
+        others = used[used != k]
+        by = np.linalg.lstsq(moved[others].reshape(-1, 6), off[others].reshape(-1), rcond=None)[0]
+        size = np.sqrt(((off - moved @ by) ** 2).mean(axis=1))
+        out[k] = size[k] > _FAR * max(1.0, float(np.median(size[others])))
+    return out
+
+
+def mostly_out(table: CornerTable, out: np.ndarray) -> np.ndarray:
+    """Images (N,) most of whose points (mask (M,)) are out."""
+    count = np.bincount(table.view, minlength=table.views)
+    return np.asarray(np.bincount(table.view, out.astype(float), table.views) > _MOSTLY * count)
+
+
+def elsewhere(fit: CameraFit) -> np.ndarray:
+    """Images (N,) that are nowhere near where the arm has them, the others' scatter being the scale.
+
+    Of an image with few points it is those directions that it shows which count.
+    """
+    G = fit.equations.grams / fit.sizes.noise**2
+    Q = fit.equations.covariance_of_views(fit.sizes)
+    square, rank = np.zeros(len(G)), np.zeros(len(G), int)
+    for i, (one, own) in enumerate(zip(G, Q, strict=True)):
+        inner, score = one[:POSE, :POSE], one[:POSE, -1]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        values, vectors = np.linalg.eigh(inner * np.outer(scale, scale))
+        keep = values > _SEEN * max(values[-1], 1e-300)
+        if not inner.any() or not keep.any():
+            continue
+        basis = (scale[:, None] * vectors[:, keep]) / np.sqrt(values[keep])
+        # the score in directions of unit information: its covariance is 1 + that of the image's own twist
+        z = basis.T @ score
+        along = basis.T @ inner
+        square[i] = z @ np.linalg.solve(np.eye(len(z)) + along @ own @ along.T, z)
+        rank[i] = len(z)
+    seen = rank > 0
+    if not seen.any():
+        return np.zeros(len(G), bool)
+    usual = np.array([median_chi2(int(r)) if r else 1.0 for r in rank])
+    most = np.array([exceeded_chi2(_VIEW_CHANCE, int(r)) if r else np.inf for r in rank])
+    scale_of_all = max(float(np.median((square / usual)[seen])), 0.1)
+    return np.asarray(seen & (square > scale_of_all * most))
+
+
+def _own_taken_out(fit: CameraFit) -> Array:
+    """Whitened residuals (M, 2) less what each image's own twist, as likely as it is, makes of them."""
+    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
+    rows = corner_rows(fit.table, fit.state.lens, fit.state.shape, fit.poses.seen(T), fit.state.readout_s)
+    G = fit.equations.grams / fit.sizes.noise**2
+    S = fit.equations.solve(fit.sizes).S
+    own = (S @ G[:, :POSE, -1:])[:, :, 0]
+    return np.asarray(rows.residual - (rows.by_pose @ own[fit.table.view][:, :, None])[:, :, 0])

@@ -3,6 +3,12 @@
 The drawing says where each marker is on the body; the body was glued together by hand. So each marker has a place of
 its own in a fit (places), and the body as a whole a size. A marker's frame has x to its right, y up and z out of it,
 towards who looks at it, as ArUco's have and those of apriltag_ros; its origin is the middle.
+
+Each marker is glued on, or printed, a little elsewhere, and turned: three values of a point's place, six of a marker
+whose corners are read. All of them moved as one body is a motion of the body, which the pose of the target is there
+for. So in the units of their tolerances the six motions as a body are held, and what is left keeps full rank: the
+target's frame is the one in which its markers' offsets add up to no motion. How large they are against the tolerances
+is one of the sizes that the data decide.
 """
 
 from __future__ import annotations
@@ -13,12 +19,83 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.camera.places import PlacePrior, place_prior
 from modcal_core.camera.target import MARKER_CORNERS, PrintScale
-from modcal_core.camera.views import BoardView
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3, view
+
+# --- How far the markers of a body are expected from where its drawing has them
+
+_HELD = 1e6  # times the information of the tolerances: the body's frame is then theirs to a thousandth of them
+_RANK = 1e-9  # of the largest; a motion below it moves no marker, as a turn about the line through two points
+
+
+@dataclass(frozen=True)
+class PlacePrior:
+    """apart, held: information of the markers' places (Z, Z) [1/m², 1/rad²], at the stated tolerance: of what they are
+    off apart from each other, and of what they are off together.
+    """
+
+    apart: Array
+    held: Array
+
+    def information(self, size: float) -> Array:
+        """Information matrix of the marker places, (Z, Z). size: scale of the offsets in units of the tolerances."""
+        return np.asarray(self.apart / size**2 + self.held)
+
+
+def place_prior(middles: Array, white: Array) -> PlacePrior:
+    """The prior of K markers at these middles (K, 3) [m].
+
+    white: takes the offsets of each, v = 3 or 6 values of its place, to units of its tolerances, (K, v, v), symmetric.
+    """
+    K, values = len(middles), white.shape[1]
+    body = np.zeros((K, values, 6))
+    body[:, :3, :3] = np.eye(3)
+    body[:, :3, 3:] = -so3.hat(middles - middles.mean(axis=0))
+    if values > 3:
+        body[:, 3:, 3:] = np.eye(3)
+    U, singular, _ = np.linalg.svd((white @ body).reshape(-1, 6), full_matrices=False)
+    U = (white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
+    together = U @ U.T
+    every = np.zeros((K, values, K, values))
+    every[np.arange(K), :, np.arange(K)] = white @ white
+    return PlacePrior(every.reshape(len(U), len(U)) - together, _HELD * together)
+
+
+# --- What images show of a target: corners with their numbers, where they are, and how well that is known
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """The corners of the target in one image.
+
+    name: of the image. ids: numbers of the corners, (m,). pixels: (m, 2). cov: of each corner [px²], (m, 2, 2).
+    sharpness: width of the edges [px], NaN where unknown. stamp: [s], NaN where unknown.
+    """
+
+    name: str
+    ids: np.ndarray
+    pixels: Array
+    cov: Array
+    sharpness: float = float("nan")
+    stamp: float = float("nan")
+
+    def __post_init__(self) -> None:
+        for name in ("ids", "pixels", "cov"):
+            object.__setattr__(self, name, view(getattr(self, name)))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def select(self, rows: np.ndarray) -> BoardView:
+        """The view with these corners only (mask or indices)."""
+        return BoardView(self.name, self.ids[rows], self.pixels[rows], self.cov[rows], self.sharpness, self.stamp)
+
+
+def whitening(cov: Array) -> Array:
+    """Matrices L (m, 2, 2) that make errors of these covariances (m, 2, 2) white: L cov Lᵀ = 1."""
+    return np.linalg.inv(np.linalg.cholesky(cov))
+
 
 BUNDLE = "bundle"
 _CORNERS = {"ul": (-1.0, 1.0), "ur": (1.0, 1.0), "lr": (1.0, -1.0), "ll": (-1.0, -1.0)}  # of a marker, x and y

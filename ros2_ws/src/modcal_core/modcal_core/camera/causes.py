@@ -3,23 +3,126 @@
 The scan says which candidate explains most of what the fit leaves over, and how likely noise explains as much. It stays
 where everything fitted again with it makes the images likelier by more than its price, and where a fit of most images
 with it predicts the others better than one without.
+
+An image says as much of the target's place as six numbers with a covariance, whose noise is what its corners have and
+what the image has of its own; whitened, they are six rows like those of a pose reading. Lens and sheet move them too,
+and are told by the corners beside each other as well: what that tells stands beside the prior. So the scan of other
+instruments (diagnosis/evidence) serves images, with everything that the fit may change projected out.
+
+A spring under the arm's own weight bends the arm by little and smoothly, and much of that looks like a joint's zero or
+a link's length. What is left of it, beside all that is fitted, has to stand out of the noise of the images.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from modcal_core.camera.evidence import CameraScanner, WithModel
-from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
+from modcal_core.calibration import Model, RowView
+from modcal_core.camera.corners import POSE
+from modcal_core.camera.fit import CameraFit, equations_at, fit_camera, missed_pixels
 from modcal_core.camera.mounting import MIN_VIEWS
-from modcal_core.diagnosis.choice import EffectChoice, choose
-from modcal_core.diagnosis.search import SIGNIFICANT
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.registry import candidates
-from modcal_core.geometry.so3 import Array
+from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, NumberBank, Scanner, Space, choose
+from modcal_core.effects import AXIS, Drivers, Effect, candidates
+from modcal_core.geometry import Array, se3, so3
+
+# --- How much each candidate effect would explain of what a camera fit leaves over
+
+_ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does not see gets
+
+
+@dataclass(frozen=True)
+class WithModel:
+    """A camera fit with further effects in its model, their values as they are there."""
+
+    fit: CameraFit
+    model: Model
+
+
+@dataclass(frozen=True)
+class CameraSpace(Space):
+    """Rows of images: of each six, whitened. now: the model. T: T_frame_tool, (N, 4, 4). white: (N, 6, 6)."""
+
+    fit: CameraFit | None = None
+    now: Model | None = None
+    T: Array = field(default_factory=lambda: np.empty((0, 4, 4)))
+    white: Array = field(default_factory=lambda: np.empty((0, 6, 6)))
+
+    def column(self, place: int, direction: int) -> Array:
+        """Motion of the target in the image per unit of a direction at a place, whitened, (6, N)."""
+        assert self.fit is not None
+        assert self.now is not None
+        N = len(self.T)
+        motion = self.fit.poses.of_root(self.now, self.view.unit_column(place, direction).reshape(1, 6, N))
+        return np.asarray((self.white @ self.fit.poses.as_twists(self.T, motion))[:, :, 0].T)
+
+
+class CameraScanner(Scanner):
+    """Candidates weighed against what a camera fit leaves over."""
+
+    def __init__(self, effects: Sequence[Effect], drivers: Drivers) -> None:
+        """effects: the candidates. drivers: at the images."""
+        super().__init__(effects, drivers)
+        self._known: tuple[WithModel, CameraSpace] | None = None
+
+    def space_of(self, fit: WithModel) -> CameraSpace:  # type: ignore[override]
+        """The rows of all images, and what is fitted."""
+        if self._known is None or self._known[0] is not fit:
+            self._known = fit, _space(fit, self.drivers)
+        return self._known[1]
+
+    def information(self, fit: WithModel, effect: Effect) -> float:
+        """What the images say of an effect's one amplitude, as the inverse of a variance, all else being fitted."""
+        space = self.space_of(fit)
+        keys, numbers = self._factor(effect)
+        gram, _ = self._gram(NumberBank((effect,), keys, numbers[None]), space)
+        return max(float(gram[0, 0, 0]), 0.0)
+
+
+def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
+    fit = asked.fit
+    if len(asked.model.effects) > len(fit.poses.model.effects):  # more than were fitted: to look ahead
+        poses = fit.poses.with_effects(asked.model.effects)
+        parameters, own = np.split(fit.state.values, [len(poses.parameters)])[0], fit.state.values[fit.poses.of_model :]
+        values = np.concatenate([parameters, *(e.values for e in asked.model.effects), own])
+        state = fit.state.with_values(values)
+        fit = replace(fit, poses=poses, state=state, equations=equations_at(fit.table, poses, fit.prior, state))
+    eq, solved = fit.equations, fit.equations.solve(fit.sizes)
+    E = solved.E
+    N, K = len(E), eq.moved.shape[2]
+    size = np.einsum("nii->n", E[:, :POSE, :POSE])
+    L = np.linalg.cholesky(E[:, :POSE, :POSE] + (_ONLY_ROUNDING * size)[:, None, None] * np.eye(POSE))
+    white = np.swapaxes(L, 1, 2)
+    beside = np.linalg.solve(L, E[:, :POSE, POSE:])  # by lens and sheet, and the residual
+    J = np.concatenate([white @ eq.moved, beside[:, :, :-1]], axis=2)[:, :, solved.use]
+    held = solved.P.copy()
+    common = (E[:, POSE:-1, POSE:-1] - np.swapaxes(beside, 1, 2)[:, :-1] @ beside[:, :, :-1]).sum(axis=0)
+    place = np.searchsorted(solved.use, K)
+    which = solved.use[place:] - K
+    held[place:, place:] += common[np.ix_(which, which)]
+    if eq.beside is not None or eq.others:  # what others say stands beside the prior too
+        held += eq.of_others(fit.sizes)[0][np.ix_(solved.use, solved.use)]
+    rows = J.transpose(1, 0, 2).reshape(POSE * N, -1)
+    Q = _orthonormal(rows, held).reshape(POSE, N, -1)
+    residual = np.asarray(beside[:, :, -1].T)
+    residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
+    now = fit.poses.model_at(fit.state.values)
+    T = now.predict_samples(drivers.samples)
+    view = RowView.of(now, drivers.samples, drivers)
+    freedom = round(POSE * N - float(np.sum(Q**2)))
+    return CameraSpace(view, np.ones((POSE, N)), residual, Q, freedom, fit=fit, now=now, T=T, white=white)
+
+
+def _orthonormal(J: Array, held: Array) -> Array:
+    """Orthonormal columns of J (m, P) with a root of the information ``held`` (P, P) below it, left out again."""
+    H = J.T @ J + held
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    L = np.linalg.cholesky(H * np.outer(scale, scale) + 1e-12 * np.eye(len(H)))
+    return np.asarray(solve_triangular(L, (J * scale).T, lower=True, check_finite=False).T)
+
 
 _MAX = 6  # effects, for time
 _REFUSED = 2  # choices that did not hold, before the search ends
@@ -139,3 +242,77 @@ def _of_images(there: CameraFit, fit: CameraFit, held: np.ndarray) -> Array:
     gap = missed_pixels(table, poses, there.state)
     total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
     return np.asarray(total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0))
+
+
+# --- Where the flange is by a camera fit, and how everything that was fitted moves it
+
+
+def flange_in_tool(fit: CameraFit) -> Array:
+    """The flange in the frame of whatever the arm carries, (3,) [m]."""
+    return np.asarray(se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3])
+
+
+def at_flange(T: Array, point: Array, motions: Array) -> Array:
+    """Motion of a point (3,) of the tool along the frame, (M, 3, K), for motions (M, 6, K) at poses T (M, 4, 4)."""
+    away = T[:, :3, :3] @ point
+    return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
+
+
+def frame_basis(at_frame: Array) -> Array:
+    """Orthonormal columns (3 M, 6): how points (M, 3) move with a rigid motion of their frame."""
+    M = len(at_frame)
+    placed = np.concatenate([np.broadcast_to(np.eye(3), (M, 3, 3)), -so3.hat(at_frame)], axis=2)
+    return np.asarray(np.linalg.qr(placed.reshape(3 * M, -1))[0])
+
+
+def flange_motions(fit: CameraFit, q: Array) -> Array:
+    """Motion of the flange at postures q (M, n) per parameter of arm, effects and other instruments, (M, 3, P)."""
+    T, motions = fit.poses.at_postures(q).tool_motions(fit.state.values)
+    return at_flange(T, flange_in_tool(fit), motions)
+
+
+# --- How soft a joint may be before images show it: what a calibration by camera cannot tell of springs
+
+# Standard deviations at which one of some hundred candidates stands out: noise takes one so far once in 16 000.
+_SEEN = 4.0
+
+
+@dataclass(frozen=True)
+class HiddenSpring:
+    """place: of a joint. least: compliance that these images would show [rad/(N m), m/N]. at_tool_m: RMS by which a
+    spring of it moves the flange over the images.
+    """
+
+    place: str
+    least: float
+    at_tool_m: float
+
+
+def hidden_springs(fit: CameraFit) -> tuple[HiddenSpring, ...]:
+    """For each joint that gravity loads and of which no spring was found, the softest that images do not show, those
+    that move the tool most first; nothing where the arm's masses are unknown, or there are too few images to look.
+    """
+    drivers = fit.poses.drivers(fit.state.offset_s)
+    chain = fit.poses.model.chain
+    found = {e.driver for e in fit.poses.model.effects}
+    effects = [
+        e
+        for e in candidates(drivers)
+        if e.driver == f"load:{e.place}" and e.driver not in found and (e.direction, e.shape.kind) == (AXIS, "linear")
+    ]
+    if not effects:
+        return ()
+    scanner = CameraScanner(effects, drivers)
+    asked = WithModel(fit, fit.poses.model_at(fit.state.values))
+    if not scanner.enough(asked):  # type: ignore[arg-type]
+        return ()
+    T = fit.poses.tool_at(fit.state.values)
+    joints = at_flange(T, flange_in_tool(fit), fit.poses.joint_motions(fit.state.values, T))
+    out = []
+    for effect in effects:
+        information = scanner.information(asked, effect)
+        if information > 0.0:
+            least = _SEEN / np.sqrt(information)
+            moved = joints[:, :, chain.names.index(effect.place)] * drivers.values(effect.driver)[:, None]
+            out.append(HiddenSpring(effect.place, float(least), float(least * np.sqrt((moved**2).sum() / len(T)))))
+    return tuple(sorted(out, key=lambda one: -one.at_tool_m))

@@ -20,13 +20,12 @@ import numpy as np
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import SCALE, SHAPE
 from modcal_core.camera.equations import Equations, Sizes
-from modcal_core.camera.fit import CameraFit, fit_camera
+from modcal_core.camera.fit import CameraFit, fit_camera, likeliest, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.priors import FIXED, CommonPrior, common_prior
-from modcal_core.camera.sizes import likeliest, usual
+from modcal_core.camera.state import FIXED, CommonPrior, common_prior
 from modcal_core.camera.target import PrintScale
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 # Of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1. Where all is as stated it is −4 to −9
 # (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.

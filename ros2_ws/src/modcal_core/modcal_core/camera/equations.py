@@ -20,12 +20,12 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from modcal_core.camera.beside import BesideRows
+from modcal_core.camera.arm_poses import ArmFaults
+from modcal_core.camera.bundle import PlacePrior
 from modcal_core.camera.corners import POSE
-from modcal_core.camera.faults import ArmFaults
-from modcal_core.camera.places import PlacePrior
+from modcal_core.camera.other_readings import BesideRows
 from modcal_core.camera.stops import ALONE, SeenStops, TiedStops
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.initial import procrustes
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.calibration import procrustes
+from modcal_core.geometry import Array, se3, so3
 
 _SIGHTINGS = 25  # of one point, for the 38 ratios in their products: two of each, and some to spare
 _MIN = 12  # of all points, for a camera's 11 numbers twice over

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.distributions import beyond_chi2
-from modcal_core.camera.at_tool import flange_motions
+from modcal_core.calibration import beyond_chi2
+from modcal_core.camera.causes import flange_motions
 from modcal_core.camera.corners import BOW, READOUT, SCALE
 from modcal_core.camera.equations import SolvedEquations
-from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.sizes import likeliest, usual
+from modcal_core.camera.fit import CameraFit, likeliest, usual
 from modcal_core.camera.target import PrintScale
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 TARGET, CLOCK = "target", "clock"  # families of the report
 _GAIN = 6.0  # of −2 log likelihood: odds of 20 : 1, as of effects and statements

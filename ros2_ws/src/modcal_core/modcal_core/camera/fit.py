@@ -1,23 +1,170 @@
-"""The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one."""
+"""The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one.
+
+A call costs a solution of all equations of a fit, and far more than what is decided here. The curvature along each axis
+is measured once, so that the first step is about as long as it has to be; what the axes have to do with each other
+comes from the steps (Nocedal & Wright 2006, §6.1). Next to the minimum, as from one fit to the next, that is
+2 n + 1 calls.
+
+The fit has its covariance about where its values ended, from the drawing on, with the lens, the target and the sheet's
+size beside them; a calibration is written with the least change to its drawing. Both are the same small motions of the
+tool, so the one is brought to the other by the derivatives of readings at general postures.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
+from modcal_core.calibration import Model, Uncertainty, View, general_samples, linearise
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import READOUT, SHAPE_NAMES, CornerTable, corner_rows, grams, residuals
 from modcal_core.camera.equations import Equations, OtherBlock, Sizes, SolvedEquations
 from modcal_core.camera.further import FurtherCamera, further_cameras, places_of
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.priors import CLOCK_S, CommonPrior
-from modcal_core.camera.sizes import START, likeliest, usual
+from modcal_core.camera.state import CLOCK_S, CommonPrior
 from modcal_core.camera.state import CameraState as CameraState
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
+from modcal_core.measurements import POSE
+
+# --- The minimum of a smooth function of a few values within bounds, from few calls
+
+_APART = 0.02  # of calls that measure the curvature: far above rounding, far below one
+_NEXT = 1e-4  # of calls that measure a slope where the curvature is known
+_FARTHEST = 1.0  # step of a value: nothing is known of what lies beyond
+_ENOUGH = 1e-4  # share of the decrease that the slope promises (Armijo); the usual number
+_SHORTEST = 1e-3  # share of a step below which there is no lower place along it
+
+
+def downhill(
+    of: Callable[[Array], float], start: Array, low: Array, high: Array, least_curvature: Array, met: float, most: int
+) -> Array:
+    """Where ``of`` is least, (n,), within low and high (n,).
+
+    least_curvature: second derivative that is taken for each value where less was measured, (n,). met: how much lower
+    it may get with the next step. most: calls after which no step is begun.
+    """
+    x = np.clip(start, low, high)
+    n, value = len(x), of(x)
+    up, down = (np.array([of(x + way * axis) for axis in np.eye(n)]) for way in (_APART, -_APART))
+    slope = (up - down) / (2.0 * _APART)
+    inverse = np.diag(1.0 / np.maximum((up - 2.0 * value + down) / _APART**2, least_curvature))
+    calls = 2 * n + 1
+    while calls < most:
+        free = ~(((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0)))
+        curvature = np.linalg.inv(inverse)
+        step = np.zeros(n)
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], slope[free])
+        if -0.5 * float(slope @ step) < met:
+            break
+        step *= min(1.0, _FARTHEST / float(np.abs(step).max()))
+        share = 1.0
+        while share >= _SHORTEST:
+            there = np.clip(x + share * step, low, high)
+            value_there = of(there)
+            calls += 1
+            if value_there <= value + _ENOUGH * float(slope @ (there - x)):
+                break
+            promised = share * float(slope @ step)  # where a parabola through both is least
+            share *= float(np.clip(-0.5 * promised / (value_there - value - promised), 0.1, 0.5))
+        else:
+            break
+        moved = there - x
+        x, value = there, value_there
+        ahead = np.array([of(x + _NEXT * axis) for axis in np.eye(n)])
+        calls += n
+        new = (ahead - value) / _NEXT - 0.5 * _NEXT * np.diag(curvature)
+        inverse = _learnt(inverse, moved, new - slope)
+        slope = new
+    return x
+
+
+def _learnt(inverse: Array, moved: Array, by: Array) -> Array:
+    """The inverse curvature (n, n) after a step (n,) along which the slope changed by so much (n,)."""
+    along = float(moved @ by)
+    if along <= 0.0:
+        return inverse
+    across = np.eye(len(moved)) - np.outer(moved, by) / along
+    return np.asarray(across @ inverse @ across.T + np.outer(moved, moved) / along)
+
+
+# --- How large noise, what an image has of its own, and the arm's faults are
+
+START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
+# What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
+# size that the data say nothing of where arms and cameras have it.
+_USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
+_USUAL_LOGS = _USUAL.logs  # asked for with every step of the search
+# Lengths and angles of an arm are as faulty as each other, in units of 10 mm and 20 mrad, to a factor of two: from
+# industrial arms (0.3 mm, 0.5 mrad) to printed ones (1 mm, 5 mrad).
+# Markers on a body are off by a tolerance that is mostly a guess, as the arm's is.
+_FACTOR = np.log([10.0, 10.0, 10.0, 10.0, 10.0, 2.0, 10.0])
+_MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
+_MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
+_ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
+_EVALUATIONS = 400  # many times what a search takes
+_MET = 0.005  # of −2 log likelihood, which moves by 1 at a standard deviation
+_ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
+
+
+def usual(sizes: Sizes) -> float:
+    """−2 log of how usual these sizes are."""
+    off = (sizes.logs - _USUAL_LOGS) / _FACTOR
+    return float(off @ off)
+
+
+def likeliest(
+    equations: Equations,
+    start: Sizes,
+    arm: float | None = None,
+    misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
+    afar: bool = False,
+) -> Sizes:
+    """The sizes that make the data likeliest.
+
+    arm: size of the arm's faults where it is stated. misfit_of: −2 log likelihood of the equations with their sizes.
+    afar: start where nothing is known of them. A size that is far too small is nowhere seen to matter, so slopes alone
+    may leave it there.
+    """
+    begin = start if arm is None else replace(start, arm=arm)
+    unknown = [0, 1, 2]
+    if arm is None and equations.arm.any():
+        unknown += [_ARM, _LENGTHS]
+    if equations.beside is not None:
+        unknown.append(_OTHER)
+    if equations.places is not None:
+        unknown.append(_PLACES)
+
+    known = begin.logs
+
+    def inside(logs: Array) -> Array:
+        full = known.copy()
+        full[unknown] = np.clip(logs, _MIN[unknown], _MAX[unknown])
+        return full
+
+    def misfit(logs: Array) -> float:
+        full = inside(logs)
+        sizes = Sizes.of_logs(full)
+        return misfit_of(equations.solve(sizes)) + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
+
+    first = known[unknown]
+    around = np.vstack([first, first + np.eye(len(first))])
+    if afar:
+        options: Any = {"initial_simplex": around, "maxfev": _EVALUATIONS, "fatol": _ROUGH, "xatol": _ROUGHLY}
+        first = minimize(misfit, first, method="Nelder-Mead", options=options).x
+    else:
+        first = min(around, key=misfit)
+    bounds = _MIN[unknown], _MAX[unknown]
+    # where the data say nothing of a size, what is usual still does
+    found = downhill(misfit, first, *bounds, 2.0 / _FACTOR[unknown] ** 2, _MET, _EVALUATIONS)
+    return Sizes.of_logs(inside(found))
+
 
 _STEPS = 30  # at the same sizes
-_MET = 1e-4  # gain of −2 log likelihood
+_FIT_MET = 1e-4  # gain of −2 log likelihood
 _ROUNDS = 4  # of fitting and finding the sizes; they settle in two or three
 _SETTLED = 0.05  # change of a size's logarithm
 _DAMPED = 1e6  # at which no step helps
@@ -185,14 +332,34 @@ def _descend(
         if _possible(poses, new_state):
             there = equations_at(table, poses, prior, new_state)
             new = there.solve(sizes)
-        if new is not None and new.cost <= solved.cost + _MET:
+        if new is not None and new.cost <= solved.cost + _FIT_MET:
             gain = solved.cost - new.cost
             state, equations, solved = new_state, there, new
             damping = max(0.1 * damping, 1e-9)
-            if gain < _MET * (1.0 + 1e-6 * solved.cost):
+            if gain < _FIT_MET * (1.0 + 1e-6 * solved.cost):
                 return state, equations, True
         else:
             damping = max(10.0 * damping, 1e-6)
             if damping > _DAMPED:
                 return state, equations, True
     return state, equations, False
+
+
+# --- What a calibration by camera knows of itself, for other verbs: the covariance about the model as it is written
+
+
+def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
+    """The covariance of this model, which predicts as the fit does. What is uncertain of lens, target and sheet is in
+    it.
+    """
+    poses = fit.poses
+    count, P = poses.of_model, len(poses.parameters)
+    samples = general_samples(model, [View(POSE, f) for f in range(len(model.frames))], each=max(24, count))
+    ended = linearise(poses.model, poses.parameters, fit.state.values[:count], samples).J
+    written = linearise(
+        model, poses.parameters, np.concatenate([np.zeros(P), *(e.values for e in model.effects)]), samples
+    ).J
+    scale = 1.0 / np.maximum(np.linalg.norm(written, axis=1), 1e-300)
+    to_written = scale[:, None] * np.linalg.lstsq((written * scale[:, None]).T, ended.T, rcond=1e-9)[0]
+    covariance = to_written @ fit.covariance[:count, :count] @ to_written.T
+    return Uncertainty(poses.parameters, 0.5 * (covariance + covariance.T))

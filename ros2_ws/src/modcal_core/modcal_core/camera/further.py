@@ -16,9 +16,8 @@ import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import SHAPE_NAMES, CornerTable
-from modcal_core.camera.priors import CLOCK_S, CommonPrior
-from modcal_core.camera.state import CameraState
-from modcal_core.geometry.so3 import Array
+from modcal_core.camera.state import CLOCK_S, CameraState, CommonPrior
+from modcal_core.geometry import Array
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,169 @@
 
 Poses are eliminated image by image (Schur complement), so that the step is solved for the lens only. No prior: the
 minimum is that of any other program on the same corners.
+
+A homography H takes the sheet's x, y, 1 to pixels (direct linear transform, Hartley's scaling). Its first two columns
+are images of two unit vectors at right angles, which gives two equations for the focal lengths (Zhang 2000), the
+principal point being taken to be the middle of the image until the fit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams
-from modcal_core.camera.homography import homography, lens_of_homographies
 from modcal_core.camera.lens import COUNT, FISHEYE, PINHOLE, Lens
-from modcal_core.camera.pnp import board_poses
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.errors import NotEnoughData
+from modcal_core.geometry import Array, se3, so3
 
-_STEPS = 100  # of Gauss and Newton, at most
-_MET = 1e-12  # relative gain of the cost
+# --- Homographies of a flat target, and the lens that they are the images of
+
+_MIN_TILT = 1e-3  # of the equations; below, all images show the sheet square on
+
+
+def homography(points: Array, pixels: Array) -> Array:
+    """H (3, 3) that takes points (m, 2) of a plane to pixels (m, 2), m ≥ 4; its last element is positive."""
+    A, a = _scaled(points)
+    B, b = _scaled(pixels)
+    one = np.ones(len(a))
+    zero = np.zeros((len(a), 3))
+    p = np.c_[a, one]
+    rows = np.r_[np.c_[p, zero, -b[:, :1] * p], np.c_[zero, p, -b[:, 1:] * p]]
+    H = np.linalg.inv(B) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ A
+    centre = np.r_[points.mean(0), 1.0]
+    return np.asarray(H * np.sign(H[2] @ centre) / np.linalg.norm(H))
+
+
+def lens_of_homographies(found: Sequence[Array], size: tuple[int, int]) -> Lens:
+    """The lens without distortion, principal point in the middle, that these homographies (3, 3) are images of.
+
+    Raises NotEnoughData where they do not tell its focal lengths.
+    """
+    cx, cy = 0.5 * (size[0] - 1), 0.5 * (size[1] - 1)
+    middle = np.array([[1.0, 0.0, -cx], [0.0, 1.0, -cy], [0.0, 0.0, 1.0]])
+    scale = np.diag([1.0 / max(size), 1.0 / max(size), 1.0])
+    rows, right = [], []
+    for H in found:
+        h = scale @ middle @ H
+        h = h / np.sqrt(np.linalg.norm(h[:, 0]) * np.linalg.norm(h[:, 1]))
+        d1, d2 = h[:, 0] + h[:, 1], h[:, 0] - h[:, 1]
+        rows += [h[:2, 0] * h[:2, 1], 0.5 * d1[:2] * d2[:2]]
+        right += [-h[2, 0] * h[2, 1], -0.5 * d1[2] * d2[2]]
+    A, b = np.array(rows), np.array(right)
+    inverse_squares = np.linalg.lstsq(A, b, rcond=None)[0] if len(A) else np.zeros(2)
+    if np.abs(b).max(initial=0.0) < _MIN_TILT or not (inverse_squares > 1e-4).all():
+        # one focal length for both, which is what nearly every camera has
+        both = A.sum(axis=1)
+        one = float(both @ b / max(both @ both, 1e-300)) if len(A) else 0.0
+        inverse_squares = np.array([one, one])
+    if not (inverse_squares > 1e-4).all():
+        said = "the images do not show the focal length"
+        raise NotEnoughData("camera", said, "tilt the target by 20° to 45° to several sides, or state the intrinsics")
+    f = max(size) / np.sqrt(inverse_squares)
+    return Lens(np.r_[f, cx, cy, np.zeros(5)], size)
+
+
+def _scaled(points: Array) -> tuple[Array, Array]:
+    """(transform (3, 3), points (m, 2)) with mean zero and mean distance √2 (Hartley 1997)."""
+    centre = points.mean(axis=0)
+    s = np.sqrt(2.0) / max(float(np.linalg.norm(points - centre, axis=1).mean()), 1e-300)
+    return np.array([[s, 0.0, -s * centre[0]], [0.0, s, -s * centre[1]], [0.0, 0.0, 1.0]]), s * (points - centre)
+
+
+# --- Where the target is in one image
+
+_STEPS = 12  # of Gauss and Newton's method: it has met in four to six from a homography
+_MET = 1e-9  # m, rad; a step below changes nothing
+
+
+@dataclass(frozen=True)
+class BoardPose:
+    """Two poses of the target in each of N images. T: T_camera_target, the better one first, (N, 2, 4, 4) [m].
+
+    cost: sum of whitened squares, (N, 2). rms: of the better one [px], (N,).
+    """
+
+    T: Array
+    cost: Array
+    rms: Array
+
+
+def board_poses(table: CornerTable, lens: Lens, shape: Array) -> BoardPose:
+    """Both poses of the target in every image, which must show four corners at least."""
+    N = table.views
+    start = np.empty((2, N, 4, 4))
+    for i in range(N):
+        rows = table.of_view(i)
+        first = pose_of_plane(homography(table.points[rows, :2], lens.rays(table.pixels[rows])))
+        start[0, i] = first
+        start[1, i] = twin_pose(first, table.points[rows].mean(axis=0))
+    T, cost, rms = zip(*(refined_poses(table, lens, shape, s) for s in start), strict=True)
+    order = np.argsort(np.stack(cost, axis=1), axis=1)
+    T_both = np.take_along_axis(np.stack(T, axis=1), order[:, :, None, None], axis=1)
+    both_rms = np.take_along_axis(np.stack(rms, axis=1), order, axis=1)
+    return BoardPose(T_both, np.take_along_axis(np.stack(cost, axis=1), order, axis=1), both_rms[:, 0])
+
+
+def pose_of_plane(H: Array) -> Array:
+    """The pose of a plane whose x, y, 1 this takes to rays x, y, 1 (Zhang 2000)."""
+    scale = 2.0 / (np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1]))
+    a, b, t = (scale * H).T
+    return se3.transform(so3.nearest_rotation(np.stack([a, b, np.cross(a, b)], axis=1)), t)
+
+
+def twin_pose(T: Array, centre: Array) -> Array:
+    """The pose tilted the other way about the line of sight to the sheet's centre, which stays where it is."""
+    seen = T[:3, :3] @ centre + T[:3, 3]
+    sight = seen / np.linalg.norm(seen)
+    normal = T[:3, 2] * np.sign(T[:3, 2] @ sight)
+    axis = np.cross(normal, sight)
+    sine = float(np.linalg.norm(axis))
+    turn = 2.0 * np.arctan2(sine, float(normal @ sight)) * axis / max(sine, 1e-12)
+    R = so3.exp(turn) @ T[:3, :3]
+    return se3.transform(R, seen - R @ centre)
+
+
+def refined_poses(table: CornerTable, lens: Lens, shape: Array, T: Array) -> tuple[Array, Array, Array]:
+    """(poses (N, 4, 4), cost (N,), RMS [px] (N,)) by damped Gauss-Newton steps of all images at once."""
+    damping = np.full(table.views, 1e-6)
+    cost, H, g, rms = _normal(table, lens, shape, T)
+    for _ in range(_STEPS):
+        damped = H + (damping[:, None] * np.einsum("nii->ni", H))[:, :, None] * np.eye(6)
+        step = np.linalg.solve(damped + 1e-12 * np.eye(6), g[:, :, None])[:, :, 0]
+        moved = se3.exp(np.clip(step, -0.5, 0.5)) @ T
+        new = _normal(table, lens, shape, moved)
+        better = new[0] <= cost
+        T = np.where(better[:, None, None], moved, T)
+        cost, H, g, rms = (
+            np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(new, (cost, H, g, rms), strict=True)
+        )
+        damping = np.where(better, np.maximum(0.1 * damping, 1e-9), np.minimum(10.0 * damping + 1e-3, 1e6))
+        if np.abs(step[better]).max(initial=0.0) < _MET:
+            break
+    return T, cost, rms
+
+
+def _normal(table: CornerTable, lens: Lens, shape: Array, T: Array) -> tuple[Array, Array, Array, Array]:
+    rows = corner_rows(table, lens, shape, T)
+    w = table.weight
+
+    def of_views(values: Array) -> Array:
+        out = np.zeros((table.views, *values.shape[1:]))
+        np.add.at(out, table.view, values)
+        return out
+
+    square = of_views(w * np.einsum("mi,mi->m", rows.residual, rows.residual))
+    H = of_views(w[:, None, None] * np.einsum("mki,mkj->mij", rows.by_pose, rows.by_pose))
+    g = of_views(w[:, None] * np.einsum("mki,mk->mi", rows.by_pose, rows.residual))
+    px = of_views(w * np.einsum("mi,mi->m", rows.pixels, rows.pixels))
+    return square, H, g, np.sqrt(px / np.maximum(of_views(w), 1.0))
+
+
+_INTRINSICS_STEPS = 100  # of Gauss and Newton, at most
+_INTRINSICS_MET = 1e-12  # relative gain of the cost
 _FLAT = np.zeros(SHAPE)
 _HALF_ANGLES = np.radians([35.0, 45.0, 55.0, 65.0, 80.0, 95.0])  # of fisheyes, from the middle to the farther edge
 _MANY, _MIN = 8, 3  # corners of an image that shows perspective well, and images of that kind that are enough
@@ -70,7 +216,7 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
     G = grams(table, corner_rows(table, lens, _FLAT, T))
     off = np.zeros(len(use))
     cost = float(G[:, -1, -1].sum())
-    for _ in range(_STEPS):
+    for _ in range(_INTRINSICS_STEPS):
         p, c = slice(0, POSE), POSE + use
         Hpp = G[:, p, p] * (1.0 + damping * np.eye(POSE))
         Hpp = Hpp + (np.einsum("nii->n", Hpp) == 0.0)[:, None, None] * np.eye(POSE)  # all corners left out: any pose
@@ -90,7 +236,7 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
             gain = cost - new_cost
             lens, T, G, off, cost = new_lens, new_T, new_G, off + step, new_cost
             damping = max(0.1 * damping, 1e-12)
-            if gain <= _MET * max(cost, 1e-30):
+            if gain <= _INTRINSICS_MET * max(cost, 1e-30):
                 converged = True
                 break
         else:

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry.read_only import view
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, view
 
 PINHOLE, FISHEYE = "plumb_bob", "equidistant"  # as ROS calls them
 NAMES = {

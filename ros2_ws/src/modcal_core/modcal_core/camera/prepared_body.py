@@ -8,24 +8,29 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.camera.arm_poses import arm_poses
-from modcal_core.camera.body_clean import elsewhere, far_markers, mostly_out, point_weights
-from modcal_core.camera.body_pnp import body_poses, images_with_pose
-from modcal_core.camera.body_start import default_lens, require_order, start_of_body
+from modcal_core.camera.body_start import (
+    body_poses,
+    default_lens,
+    elsewhere,
+    far_markers,
+    images_with_pose,
+    mostly_out,
+    point_weights,
+    require_order,
+    start_of_body,
+)
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.corners import CornerTable, residuals
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE
-from modcal_core.camera.mismatched import explained
-from modcal_core.camera.mounting import MIN_VIEWS
+from modcal_core.camera.mounting import MIN_VIEWS, explained
 from modcal_core.camera.prepared import CameraImages, PreparedImages, require_near_arm, require_views
-from modcal_core.camera.priors import common_prior
+from modcal_core.camera.state import common_prior
 from modcal_core.errors import BadRecording
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.geometry import Array
+from modcal_core.robots import Chain, Inertias, chain_forward
 
 _GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
 _CLEANED = 5  # times that points and images are looked through
@@ -56,7 +61,7 @@ def prepare_body(
     model = FISHEYE if images.fisheye else PINHOLE
     require_order(table, lens or default_lens(images.size, model), target)
     try:
-        begin = start_of_body(table, forward(chain, q), lens, images.size, model, images.camera_on_tip)
+        begin = start_of_body(table, chain_forward(chain, q), lens, images.size, model, images.camera_on_tip)
         mounting = begin.mounting
         require_near_arm(mounting, chain, images.name)
     except BadRecording as error:

@@ -11,39 +11,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.canonical import least_change
-from modcal_core.calibration.model import Model
-from modcal_core.camera.arm_class import arm_size
-from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.beside import MIN, ReadingsBeside
-from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.causes import CameraCause, find_causes
-from modcal_core.camera.changes import MovedHalf
+from modcal_core.calibration import Model, least_change
+from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, arm_size
+from modcal_core.camera.bundle import BoardView, MarkerBundle
+from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
+from modcal_core.camera.changes import MovedHalf, what_changed
 from modcal_core.camera.contradicted import SIZE, contradictions, doubts, in_doubt, is_stated
-from modcal_core.camera.decision import CANNOT_TELL, Decision, decide
+from modcal_core.camera.corners import LeftOutPoints, left_out_points
 from modcal_core.camera.findings import CameraFinding, findings
 from modcal_core.camera.fit import CameraFit, fit_camera
-from modcal_core.camera.focus import what_changed
-from modcal_core.camera.held_out import held_out
-from modcal_core.camera.images_of_cameras import begin_fit, only_seen, prepare_images, with_stops
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.misread import LeftOutPoints, left_out_points
-from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
-from modcal_core.camera.mounting import Mounting
-from modcal_core.camera.not_shown import HiddenSpring, hidden_springs
+from modcal_core.camera.mounting import Mounting, held_out
+from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.prepared import CameraImages
-from modcal_core.camera.priors import FREE, CommonPrior
-from modcal_core.camera.problems import metric_of, problems, size_open
-from modcal_core.camera.several import FurtherSeen, further_of
+from modcal_core.camera.problems import CANNOT_TELL, Decision, decide, metric_of, problems, size_open
+from modcal_core.camera.several import FurtherSeen, begin_fit, further_of, only_seen, prepare_images, with_stops
+from modcal_core.camera.state import FREE, CommonPrior
 from modcal_core.camera.target import CalibrationTarget
 from modcal_core.camera.tool_error import ToolError, parameter_draws, postures_anywhere, postures_in_view, tool_error
-from modcal_core.camera.views import BoardView
 from modcal_core.camera.weakness import RestsOn, rests_on, shares, weak_directions
-from modcal_core.diagnosis.choice import EffectChoice
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.diagnosis import EffectChoice
+from modcal_core.geometry import Array
+from modcal_core.robots import Chain, Inertias
 
 _CLEANED = 3  # times that other instruments' readings are looked through for those far off
 

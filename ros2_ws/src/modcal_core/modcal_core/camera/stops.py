@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.camera.corners import POSE
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 ALONE = -1  # number of the stop of an image that no other camera's is known to share
 _NEAR = 1e-3  # rad, m: joints of one stop, read at the moments of two images; a stop is told by no less

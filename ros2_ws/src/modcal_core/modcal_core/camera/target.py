@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 CHARUCO, CHESSBOARD, ARUCO_GRID, APRIL_GRID, TAG = "charuco", "chessboard", "aruco_grid", "aprilgrid", "tag"
 MARKER_CORNERS = 4  # of a square marker

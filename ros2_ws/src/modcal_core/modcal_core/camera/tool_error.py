@@ -18,16 +18,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.distributions import beyond_normal
-from modcal_core.camera.at_tool import at_flange, flange_in_tool, frame_basis
+from modcal_core.calibration import beyond_normal
+from modcal_core.camera.causes import at_flange, flange_in_tool, frame_basis
 from modcal_core.camera.contradicted import IN_DOUBT, DoubtedStatement
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.equations import Equations, Sizes
-from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.sizes import usual
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.camera.fit import CameraFit, usual
+from modcal_core.geometry import Array, se3
+from modcal_core.robots import Chain
 
 _INSIDE_INTERVAL = 0.95  # of the draws, as an interval of 95 % says
 _PLACES = 51  # at which an interval is tried, a thousandth apart

@@ -18,14 +18,13 @@ from itertools import pairwise
 import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
+from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.further import further_cameras, places_of
 from modcal_core.camera.state import CameraState
 from modcal_core.camera.target import PrintedTarget
-from modcal_core.camera.views import BoardView
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, so3
 
 WORLD, TIP = "world", "tip"
 _WINDOW = 8  # images that are looked back on

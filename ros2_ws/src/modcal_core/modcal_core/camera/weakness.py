@@ -7,15 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.camera.at_tool import flange_motions
+from modcal_core.camera.causes import flange_motions
 from modcal_core.camera.contradicted import SIZE, DoubtedStatement
 from modcal_core.camera.corners import COMMON, READOUT, CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.mounting import Mounting
 from modcal_core.camera.tool_error import ToolError
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 
 _TILT = np.radians(20.0)  # below, the focal length is told by perspective of second order only
 _DISTANCES = 1.3  # farthest over nearest

@@ -10,7 +10,7 @@ import numpy as np
 
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LOAD, TOOL, ZERO
 from modcal_core.checking.outcome import OF_A_GEAR
-from modcal_core.checking.search import FoundChanges
+from modcal_core.checking.searching import FoundChanges
 from modcal_core.errors import BadRecording
 
 _CHANGES = (BASE, FRAME, TOOL, ZERO, GEAR, LOAD)  # not a metre or links of another length, nor readings that scatter

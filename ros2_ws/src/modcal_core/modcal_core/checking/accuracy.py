@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration, Model
 from modcal_core.checking.known import frozen
 from modcal_core.checking.noise import parameter_rows
 from modcal_core.checking.state import state_at
 from modcal_core.errors import ModcalError
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 ALIKE = 1.3  # times the error before: what a repair should cost at most, since joints and readings vary by as much
 

@@ -6,18 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration, Model
 from modcal_core.checking.beyond import tried_stations
 from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, CellChange
 from modcal_core.checking.known import FrozenCalibration
 from modcal_core.checking.outcome import Noticed, Recommendation
 from modcal_core.checking.rivals import FittedChange
-from modcal_core.checking.search import FALSE_ALARM, FoundChanges
+from modcal_core.checking.searching import FALSE_ALARM, FoundChanges
 from modcal_core.checking.state import CheckState, state_at
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 STATIONS = 6  # that are proposed at a time
 _SAME = 0.0025  # of the squares: what differs by less over all recorded postures is the same motion (as plan --decide)

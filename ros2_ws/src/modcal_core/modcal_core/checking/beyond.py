@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.store import Calibration
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import Calibration, Model
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 
 UNTRIED = "the calibration, beyond the joint ranges that it was made from"
 _MAX = 0.5  # of the stations, beyond which what they say together is of places where nothing was tried

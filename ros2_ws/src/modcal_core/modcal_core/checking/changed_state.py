@@ -11,7 +11,7 @@ from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, JudgedCh
 from modcal_core.checking.fitting import bends, fitted, taken_up
 from modcal_core.checking.hypotheses import NOISE, CellChange
 from modcal_core.checking.state import CheckState
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 
 @dataclass

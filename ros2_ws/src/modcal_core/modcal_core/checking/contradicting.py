@@ -12,18 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.score import FINEST
+from modcal_core.calibration import FINEST, Model, NoiseModel
 from modcal_core.checking.hypotheses import NOISE
-from modcal_core.checking.search import FoundChanges
+from modcal_core.checking.searching import FoundChanges
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.agreement import ANGLE, OF_REACH
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.plausibility import ANGLE, OF_REACH
+from modcal_core.robots import is_serial_arm
 
 _MIN = 8  # stations, of which each part has at least
 _MIN_PART = 3  # three: a base has six numbers, of three points nine

@@ -24,7 +24,7 @@ import scipy
 
 from modcal_core.checking.hypotheses import KINDS, NOISE, READING, CellChange
 from modcal_core.checking.noise import NullModel
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 SIZES = 2.0 ** np.arange(-1.0, 11.0)  # standard deviations of the noise, RMS over the readings
 _RANK = 1e-10  # of the largest square; directions below it are not seen at these postures

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from modcal_core.calibration.store import Calibration
-from modcal_core.effects.curve import curve
-from modcal_core.effects.effect import AXIS, Effect
+from modcal_core.calibration import Calibration
+from modcal_core.effects import AXIS, Effect, curve
 
 _TAIL = 0.01  # chance that a trend is said while there is none, over all series together
 _95 = 1.959964  # standard deviations

@@ -3,7 +3,7 @@
 A change is geometry (a frame, the tool, a joint's zero, a link's length), an effect with a size (a ratio, a curve that
 grew, a load, the tracker's scale), a curve of one joint that may take any course, the noise of the readings, or single
 readings that are wrong. Which of them explain the same stations equally well is decided on the stations, see
-:mod:`modcal_core.checking.search`.
+:mod:`modcal_core.checking.searching`.
 """
 
 from __future__ import annotations
@@ -13,16 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import Deviations, RowView, apply_deviations
-from modcal_core.calibration.model import Model
+from modcal_core.calibration import Deviations, Model, RowView, apply_deviations
 from modcal_core.checking.patterns import varying
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import AXIS, Effect, columns
+from modcal_core.effects import AXIS, Drivers, Effect, columns
 from modcal_core.effects.families import compliance, gear_harmonic, gear_ratio, scale
-from modcal_core.geometry.so3 import Array
-from modcal_core.geometry.twists import error_transform, error_values
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.geometry import Array, error_transform, error_values
+from modcal_core.measurements import Samples
+from modcal_core.robots import is_serial_arm
 
 BASE, FRAME, TOOL, ZERO, LENGTH = "base", "frame", "tool", "joint_zero", "heat"
 GEAR, LOAD, SCALE, NOISE, READING = "gear", "load", "tracker_scale", "tracker_noise", "reading"

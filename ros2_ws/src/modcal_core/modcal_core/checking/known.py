@@ -6,12 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import with_frames
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import INSTRUMENT
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import INSTRUMENT, Calibration, Model, with_frames
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
 _MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 
 
 def spread_out(samples: Samples, most: int) -> Samples:

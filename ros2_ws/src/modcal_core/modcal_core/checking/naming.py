@@ -8,7 +8,7 @@ from modcal_core.checking.beyond import UNTRIED, BeyondRanges
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LENGTH, LOAD, NOISE, SCALE, TOOL, ZERO, CellChange
 from modcal_core.checking.outcome import NamedChange, SizeFound
 from modcal_core.checking.rivals import FittedChange
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 _95 = 1.959964  # standard deviations
 _LISTED = 3  # others that a sentence has room for; check.json and the page have them all

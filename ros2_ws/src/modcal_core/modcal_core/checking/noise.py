@@ -16,16 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from modcal_core.calibration.linearise import RowView, geometry_rows
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration import Model, ModelParameter, NoiseModel, RowView, geometry_rows
 from modcal_core.checking.patterns import of_all_joints, of_each_joint, of_posture, witnesses
 from modcal_core.checking.rows import RowKinds
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect, all_columns
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.effects import Drivers, Effect, all_columns
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 FACTORS = (0.71, 0.84, 1.0, 1.19, 1.41, 1.68)  # of the spread
 _FACTOR_STD = 0.2  # of its logarithm: a spread of 160 stations is known to 3 %, that of another day to some 20 %

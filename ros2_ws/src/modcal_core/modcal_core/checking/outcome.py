@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
 # RMS, rad: six degrees, some teeth of a gear at an arm's joint. Angles that differ by more, by another amount at every

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.model import Model
+from modcal_core.calibration import Model, RowView
 from modcal_core.checking.rows import RowKinds
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 _ALIKE = 0.6  # rad or m, over all joints: postures this far apart share 61 % of a pattern
 _PERIOD = 0.7  # of a smooth curve of a joint: it is another one after about so many radians

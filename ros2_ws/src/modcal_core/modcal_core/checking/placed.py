@@ -11,16 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, refit_cell
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import ModelParameter, direction_names
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.calibration import Calibration, Cell, Model, ModelParameter, Uncertainty, direction_names, refit_cell
 from modcal_core.checking.hypotheses import FRAME, CellChange, GeometryMotion
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import is_direct
 
 
 def new_frames(calibration: Calibration, samples: Samples) -> tuple[str, ...]:

@@ -11,17 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.structure import exact_samples, joint_ranges
-from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.calibration import Calibration, Model, NoiseModel, Uncertainty, exact_samples, joint_ranges
 from modcal_core.checking.hypotheses import BASE, FRAME, NOISE, TOOL, CellChange, GeometryMotion, put_in
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.checking.search import FoundChanges
+from modcal_core.checking.searching import FoundChanges
 from modcal_core.checking.state import CheckState
-from modcal_core.effects.effect import Effect
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import Effect
+from modcal_core.geometry import Array
 
 _POSTURES = 40  # at which a change is written as deviations of the calibration's own parameters
 

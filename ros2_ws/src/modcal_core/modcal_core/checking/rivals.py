@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.checking.evidence import JudgedChange, probabilities
 from modcal_core.checking.hypotheses import READING, CellChange
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 _AS_PROBABLE = 3.0  # in log-probability (20 to 1), within which two changes are not told apart
 _AS_LIKELY = 3.5  # the same of the largest likelihood, where one change contains the other

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.score import FINEST
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import FINEST, NoiseModel
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from modcal_core.checking.hypotheses import curve_root
 from modcal_core.checking.noise import FrozenKnowledge, NullModel, parameter_rows
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.checking.state import CheckState
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 
 @dataclass(frozen=True)

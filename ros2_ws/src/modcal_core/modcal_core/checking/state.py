@@ -8,14 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration import Model, ModelParameter, NoiseModel, RowView
 from modcal_core.checking.hypotheses import NOISE, CellChange, curve_root, hypothesis_columns
 from modcal_core.checking.noise import FrozenKnowledge, NullModel, null, parameter_rows
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 
 class CheckState:

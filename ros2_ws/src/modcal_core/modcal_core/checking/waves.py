@@ -10,13 +10,12 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.model import Model
+from modcal_core.calibration import Model, RowView
 from modcal_core.checking.evidence import SIZES, ChangeCandidate, ChangeJudge, JudgedChange
 from modcal_core.checking.hypotheses import GEAR, CellChange, hypothesis_columns
-from modcal_core.effects.drivers import Drivers
+from modcal_core.effects import Drivers
 from modcal_core.effects.families import gear_harmonic
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 _SURE = 0.99  # probability that the cycles are these, within a cell or two of the scan
 _NEAR = 1.6  # cells of the scan to either side that are one peak

@@ -6,17 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.calibration.store import Calibration
-from modcal_core.correction.arm_state import ArmState
+from modcal_core.calibration import Calibration
 from modcal_core.correction.compensation import Command, compensate
-from modcal_core.correction.correction import Correction, Target
+from modcal_core.correction.correction import ArmState, Correction, Target
 from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism, is_delta, is_serial_arm
-from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_write import calibrated_urdf
+from modcal_core.geometry import Array
+from modcal_core.robots import Delta, Mechanism, calibrated_urdf, is_delta, is_serial_arm, read_chain
 
 _SEED = 1  # of the postures that a goal is also sought from: the same goal gets the same answer
 

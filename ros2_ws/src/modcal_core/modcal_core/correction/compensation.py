@@ -12,15 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction, Target
+from modcal_core.correction.correction import ArmState, Correction, Target
 from modcal_core.errors import NotReachable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.delta_kinematics import inverse as delta_inverse
-from modcal_core.robots.inverse import inverse
-from modcal_core.robots.mechanism import is_delta, is_serial_arm
+from modcal_core.geometry import Array, se3
+from modcal_core.robots import Delta, delta_inverse, inverse, is_delta, is_serial_arm
 
 TOLERANCE_M, TOLERANCE_RAD = 1e-7, 1e-7
 _DIFFERENCE = 1e-6  # rad or m

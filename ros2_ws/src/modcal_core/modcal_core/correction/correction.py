@@ -1,7 +1,7 @@
 """Where an arm truly is, given what its joints report: the calibrated geometry with the effects put in.
 
 *In the base link* means that of the calibrated arm written with the least change to its drawing (see
-:mod:`modcal_core.calibration.canonical`): where the base stands in the tracker, and what turns or slides the first
+:mod:`modcal_core.calibration.parameters`): where the base stands in the tracker, and what turns or slides the first
 joint as a whole, belongs to the cell and is not in it, neither in the pose nor in its covariance. *In a tracker frame*
 has no such freedom: it is what that instrument would show.
 
@@ -16,24 +16,104 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from modcal_core.calibration.canonical import passing_directions
-from modcal_core.calibration.fallback import between
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import PRIOR_ANGLE_RAD, PRIOR_LENGTH_M
-from modcal_core.calibration.store import Calibration
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.effects.axis_curves import AxisCurves
-from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.effects.effect import JOINTS, PAIRS, READING, Effect, Term, columns, motion, shape_columns
+from modcal_core.calibration import (
+    PRIOR_ANGLE_RAD,
+    PRIOR_LENGTH_M,
+    Calibration,
+    Model,
+    RowView,
+    between,
+    passing_directions,
+)
+from modcal_core.effects import (
+    JOINTS,
+    PAIRS,
+    READING,
+    AxisCurves,
+    Drivers,
+    Effect,
+    NominalArm,
+    Term,
+    columns,
+    motion,
+    shape_columns,
+)
 from modcal_core.errors import BadTable, MissingDriver, NotReachable
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.geometry.twists import error_transform
-from modcal_core.measurements.recording import SignalTrack
-from modcal_core.robots.kinematics import Frames, frames
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm, tool_frames
+from modcal_core.geometry import Array, error_transform, se3, so3
+from modcal_core.measurements import POSE, TRAVEL, Samples, SignalTrack
+from modcal_core.robots import Frames, Mechanism, frames, gravity_wrench, is_serial_arm, tool_frames
+
+# --- Everything beside the posture that an effect may depend on, at one moment
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """One moment of an arm.
+
+    stamp: [s]. q: where the joints were reported (n,), which efforts belong to. velocity: (n,) [rad/s, m/s]. approach:
+    direction each joint last moved in, −1, 0 (unknown) or 1, (n,). effort: (n,) [N m, N], NaN where unknown. signals:
+    what was received of everything else, up to now.
+    """
+
+    stamp: float
+    q: Array
+    velocity: Array
+    approach: Array
+    effort: Array
+    signals: tuple[SignalTrack, ...] = ()
+
+    @classmethod
+    def at_rest(
+        cls, q: ArrayLike, stamp: float, approach: ArrayLike | None = None, signals: tuple[SignalTrack, ...] = ()
+    ) -> ArmState:
+        """An arm that stands still at q (n,), with nothing known of its efforts."""
+        q = np.array(q, dtype=float)
+        came = np.zeros(len(q)) if approach is None else np.array(approach, dtype=float)
+        return cls(stamp, q, np.zeros(len(q)), came, np.full(len(q), np.nan), signals)
+
+    def arriving(self, q: Array) -> ArmState:
+        """The moment of arrival at q (n,), straight from here: at rest, each joint from the side it comes from."""
+        way = q - self.q
+        approach = np.where(np.abs(way) > TRAVEL, np.sign(way), self.approach)
+        return ArmState(self.stamp, self.q, np.zeros_like(self.velocity), approach, self.effort, self.signals)
+
+    def samples(self, chain: Mechanism, postures: Array, arm: NominalArm) -> Samples:
+        """Samples of postures (N, n) under these conditions, for a model to predict.
+
+        What the actuators would have to exert there is what they exert now, but for the difference in weight.
+        """
+        N = len(postures)
+
+        def same(row: Array) -> Array:
+            return np.broadcast_to(row, postures.shape)
+
+        effort = same(self.effort)
+        if arm.inertias is not None and arm.weighed and np.isfinite(self.effort).any():
+            both = gravity_wrench(arm.chain, arm.inertias, np.concatenate([self.q[None], postures]))
+            weight = np.where(chain.revolute[:, None], both[:, 5], both[:, 2]).T
+            effort = effort - (weight[1:] - weight[:1])
+        return Samples(
+            names=chain.names,
+            frames=("",),
+            q=postures,
+            stamps=np.full(N, self.stamp),
+            station=np.zeros(N, int),
+            frame=np.zeros(N, int),
+            kind=np.array([POSE] * N),
+            reading=np.zeros((N, 3)),
+            R=np.broadcast_to(np.eye(3), (N, 3, 3)),
+            sigma_position=np.full(N, np.nan),
+            sigma_rotation=np.full(N, np.nan),
+            velocity=same(self.velocity),
+            moving=np.zeros(N, bool),
+            acceleration=np.zeros_like(postures),
+            approach=same(self.approach),
+            effort=effort,
+            signals=self.signals,
+        )
+
 
 Target = Literal["tip", "tool"]
 _HEARD = ("temperature:", "signal:")
@@ -360,7 +440,7 @@ def _deviations_covariance(calibration: Calibration) -> Array | None:
     """Covariance of deviations at places 1 … n − 1, six each, at the tool, six, and of the effects' values.
 
     In the gauge of least change: what could as well stand before a joint as behind it is put where it changes the
-    drawing least, as :mod:`modcal_core.calibration.canonical` does, here to first order.
+    drawing least, as :mod:`modcal_core.calibration.parameters` does, here to first order.
     """
     known = calibration.uncertainty
     if known is None:

@@ -11,18 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.score import errors, outlying
-from modcal_core.correction.arm_state import ArmState
+from modcal_core.calibration import Model, NoiseModel, errors, outlying
 from modcal_core.correction.commander import finite
-from modcal_core.correction.correction import Correction
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import frames
+from modcal_core.correction.correction import ArmState, Correction
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Samples, SignalTrack
+from modcal_core.robots import Chain, frames
 
 DEVIATIONS = 3.0  # of the ellipsoids
 

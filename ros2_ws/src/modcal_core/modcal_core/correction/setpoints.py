@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.geometry import Array
+from modcal_core.robots import Mechanism
 
 _MIN_SECONDS = 0.1  # even the shortest way to a goal gets this long
 _STREAM_ENDS = 0.5  # s without a setpoint, and nothing is streamed any more

@@ -19,13 +19,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.linearise import linearise
-from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration import Fit, NoiseModel, linearise
 from modcal_core.diagnosis.space import ROUNDING, DirectionFactor, Directions, Space, by_component, by_sample, drawn_in
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect, all_columns, is_turned
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import Drivers, Effect, all_columns, is_turned
+from modcal_core.geometry import Array
 
 # How far a fit may lie from the anchor. Of the real UR5 and a made arm of 27 effects shares then differ by less than
 # 1 % of themselves and scores by less than 0.1, where a hundredfold in chance is 2 (whole runs: bench/speed).

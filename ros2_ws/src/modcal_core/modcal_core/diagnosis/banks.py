@@ -21,9 +21,8 @@ import numpy as np
 from modcal_core.diagnosis.known_sums import Key, KnownSums, Parts, squared
 from modcal_core.diagnosis.number_banks import ALL
 from modcal_core.diagnosis.spectra import Spectrum
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import Drivers, Effect
+from modcal_core.geometry import Array
 
 MIN_WAVES = 32  # below that an FFT costs more than it saves
 _SAME = 1e-9  # of a step

@@ -8,16 +8,25 @@ from itertools import groupby, pairwise
 
 import numpy as np
 
-from modcal_core.calibration.runs import independent_unit
+from modcal_core.calibration import independent_unit
 from modcal_core.diagnosis.banks import Bank, SpectraOfDrivers, StepBank, WaveBank, wave_step
 from modcal_core.diagnosis.known_sums import Key, Parts
 from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, NumberPool, gathered
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import AXIS, LENGTH, STEPS, Effect, columns, place_index, plain_columns
-from modcal_core.effects.family import USUAL
-from modcal_core.effects.registry import complexity
-from modcal_core.effects.shapes import PERIODIC, periodic
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import (
+    AXIS,
+    LENGTH,
+    PERIODIC,
+    STEPS,
+    USUAL,
+    Drivers,
+    Effect,
+    columns,
+    complexity,
+    periodic,
+    place_index,
+    plain_columns,
+)
+from modcal_core.geometry import Array
 
 
 class BankedCandidates:

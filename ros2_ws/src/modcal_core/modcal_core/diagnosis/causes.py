@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.distributions import beyond_normal
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration import Fit, beyond_normal
 from modcal_core.diagnosis.choice import EffectChoice
 from modcal_core.diagnosis.evidence_map import EvidenceMap
-from modcal_core.effects.effect import Effect
-from modcal_core.measurements.posture_order import joints_instead
-from modcal_core.measurements.samples import Samples
+from modcal_core.effects import Effect
+from modcal_core.measurements import Samples, joints_instead
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from modcal_core.calibration.distributions import beyond_gumbel, gumbel_of, log10_beyond_f
-from modcal_core.geometry.so3 import Array
+from modcal_core.calibration import beyond_gumbel, gumbel_of, log10_beyond_f
+from modcal_core.geometry import Array
 
 FIRST_FLIPS = 39  # trials after which a clear answer is given: their law's location is known to a sixth of its scale
 FLIPS = 199  # trials; with the recording itself 200: ranks are steps of half a per cent, beyond them the law speaks

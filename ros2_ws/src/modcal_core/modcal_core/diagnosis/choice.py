@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.family import FREE
-from modcal_core.effects.registry import complexity, family
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import FREE, Effect, complexity, family_named
+from modcal_core.geometry import Array
 
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
 _NEARLY = 0.93  # share of a free shape's explanation; its further amplitudes take some per cent of pure noise (sweep)
@@ -73,7 +71,7 @@ def choose(
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
     best = _whole_curve(evidence, best, allowed)
     chosen = evidence.effects[best]
-    if not family(chosen.family).plausible(chosen.started(scanner.amplitudes(fit, chosen))):
+    if not family_named(chosen.family).plausible(chosen.started(scanner.amplitudes(fit, chosen))):
         return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
     rivals = _rivals(evidence, best, alike)
     names = tuple(effect.label for effect in rivals)

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.model import Model
+from modcal_core.calibration import Model, RowView
 from modcal_core.diagnosis.hysteresis import last_moves, moments_on_base, play, slipped
 from modcal_core.diagnosis.spectra import Spectrum
-from modcal_core.effects.effect import place_index
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.other_joints import spoken_name
-from modcal_core.measurements.samples import Samples
+from modcal_core.effects import place_index
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spoken_name
 
 CONSTANT = ""  # the driver of an error that depends on nothing
 _CYCLES = 130  # a turn; gears of more teeth are rare

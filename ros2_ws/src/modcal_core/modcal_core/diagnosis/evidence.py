@@ -22,7 +22,7 @@ from itertools import groupby
 
 import numpy as np
 
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration import Fit
 from modcal_core.diagnosis.anchor import Anchor
 from modcal_core.diagnosis.banks import Bank, WaveBank
 from modcal_core.diagnosis.candidate_banks import BankedCandidates
@@ -31,10 +31,8 @@ from modcal_core.diagnosis.explained import explained, inverses
 from modcal_core.diagnosis.known_sums import Key
 from modcal_core.diagnosis.number_banks import NumberBank
 from modcal_core.diagnosis.space import Directions, SignTrials, Space, Weighed
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.family import USUAL
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import USUAL, Drivers, Effect
+from modcal_core.geometry import Array
 
 MIN_FREEDOM = 20  # rows beyond what is fitted
 _KEPT = 2  # fits whose rows are kept beside those of the last: a look ahead, and back

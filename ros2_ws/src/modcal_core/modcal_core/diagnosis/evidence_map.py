@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.diagnosis.evidence import Evidence
-from modcal_core.effects.drivers import public_driver
-from modcal_core.effects.effect import LENGTH, SHIFT
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import LENGTH, SHIFT, public_driver
+from modcal_core.geometry import Array
 
 _SHIFTS = ("x", "y", "z", LENGTH, SHIFT)  # one row of a map: five would say nearly the same
 

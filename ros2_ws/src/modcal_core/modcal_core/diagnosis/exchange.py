@@ -11,12 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration import Fit
 from modcal_core.diagnosis.choice import EffectChoice, choose, near
 from modcal_core.diagnosis.evidence import Scanner
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.family import FREE
-from modcal_core.effects.registry import complexity
+from modcal_core.effects import FREE, Effect, complexity
 
 
 def better_choice(number: int, fit: Fit, scanner: Scanner) -> tuple[EffectChoice, Effect] | None:

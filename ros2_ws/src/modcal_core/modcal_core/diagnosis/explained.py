@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 _ONLY_ROUNDING = 1e-13  # added to what is inverted, so that it can be
 # A column is nothing whose square is less of the largest, as where a sample touches the end of a curve's function by

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from modcal_core.effects.effect import Effect
+from modcal_core.effects import Effect
 
 _NOT_LINEAR = "velocity"  # the driver of delays, whose second order is in the fit and not in the scan
 

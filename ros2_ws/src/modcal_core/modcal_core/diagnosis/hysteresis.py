@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.effects.drivers import Drivers
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.effects import Drivers
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 WIDTHS = (0.05, 0.15, 0.4, 0.9, 1.8)  # rad or m; half the slack
 LOADS = (0.3, 0.7, 1.3)  # of a load's spread; the same of what holds by friction

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from modcal_core.diagnosis.spectra import Spectrum, SquaredSums
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 Key = tuple[int, object]  # a place, and a direction there or what else moves
 

@@ -15,15 +15,11 @@ from itertools import product
 
 import numpy as np
 
-from modcal_core.calibration.nonnegative import nonnegative
+from modcal_core.calibration import nonnegative
 from modcal_core.diagnosis.space import Space
-from modcal_core.effects.carried import Carried
-from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.effects.effect import place_index
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.mechanism import is_serial_arm
-from modcal_core.robots.urdf_inertias import Inertias, weightless
+from modcal_core.effects import Carried, Drivers, NominalArm, place_index
+from modcal_core.geometry import Array, so3
+from modcal_core.robots import Inertias, is_serial_arm, weightless
 
 USUAL_KG, USUAL_PLACE = 20.0, 0.15  # kg, m from the tip: what arms carry, and where, before the data say more
 _WAYS = 150  # directions that are tried, some 15° apart; the best is then refined

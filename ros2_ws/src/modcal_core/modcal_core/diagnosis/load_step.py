@@ -6,15 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.linearise import RowView, linearise
-from modcal_core.calibration.weights import row_weights
+from modcal_core.calibration import Fit, RowView, linearise, row_weights
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect, Term, motion, prior_stds
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.effects import Drivers, Effect, Term, motion, prior_stds
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 
 _MAX_FITTED = 1000  # samples that what pulls is fitted to, for time
 

@@ -15,22 +15,17 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import errors, squared_residuals
+from modcal_core.calibration import FITTED, AnyDistance, Cell, Fit, Model, errors, identify, squared_residuals
 from modcal_core.diagnosis.causes import Diagnosis
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis, Suspicion
 from modcal_core.diagnosis.load_step import by_weight, step_of
 from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN
 from modcal_core.diagnosis.space import Space
-from modcal_core.effects.drivers import Drivers, NominalArm
+from modcal_core.effects import Drivers, NominalArm
 from modcal_core.effects.families import compliance
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.robots import is_serial_arm
 
 _MAX_ASKED = 400  # samples that a suspicion rests on; more are thinned
 _SUSPICIOUS = 20.0  # gain for each number, in units of what is left for each row: chance makes one, other causes some

@@ -11,15 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration import Fit, Model, NoiseModel
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import Scanner
+from modcal_core.effects import candidates
 from modcal_core.effects.families import unknown
-from modcal_core.effects.registry import candidates
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.measurements import Samples, spread_rows
 
 _WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
 _NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve

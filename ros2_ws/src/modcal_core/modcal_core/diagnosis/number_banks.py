@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from modcal_core.diagnosis.known_sums import Key, KnownSums, squared
-from modcal_core.effects.effect import Effect
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import Effect
+from modcal_core.geometry import Array
 
 ALL = slice(None)
 _MANY = 200_000  # numbers; with fewer, double precision costs nothing worth saving

@@ -10,11 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.readmitted import uncontradicted
-from modcal_core.calibration.score import outlying
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import FITTED, AnyDistance, Fit, identify, outlying, uncontradicted
+from modcal_core.measurements import Samples
 
 _NEIGHBOURS = 2  # on either side
 

@@ -10,17 +10,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.distributions import as_normal
-from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.removal import values_without, without
-from modcal_core.calibration.score import errors, squared_residuals
-from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
-from modcal_core.effects.effect import Effect
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import (
+    FITTED,
+    AnyDistance,
+    Fit,
+    Model,
+    NoiseModel,
+    Uncertainty,
+    as_normal,
+    errors,
+    identify,
+    squared_residuals,
+    uncertainty,
+    values_without,
+    without,
+)
+from modcal_core.effects import Effect
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 MIN_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away: 0.5 % in RMS (sweep)
 NOTHING = 2.0  # standard deviations within which an amplitude may be nothing: the usual 95 % interval holds 0

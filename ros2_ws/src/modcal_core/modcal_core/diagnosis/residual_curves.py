@@ -16,22 +16,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.curvature import Curvature
-from modcal_core.calibration.distances import AnyDistance, distance_rows
-from modcal_core.calibration.empirical_bayes import GroupSizes, likely_sizes
-from modcal_core.calibration.identify import FITTED, Fit, identify, priors
-from modcal_core.calibration.linearise import linearise
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import outlying
-from modcal_core.calibration.split import block_length, units_of_stations
-from modcal_core.calibration.weights import row_weights
+from modcal_core.calibration import (
+    FITTED,
+    AnyDistance,
+    Curvature,
+    Fit,
+    GroupSizes,
+    Model,
+    block_length,
+    distance_rows,
+    identify,
+    likely_sizes,
+    linearise,
+    outlying,
+    priors,
+    row_weights,
+    units_of_stations,
+)
 from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN
-from modcal_core.effects.effect import EXPECTED_ANGLE, Effect
+from modcal_core.effects import EXPECTED_ANGLE, Effect
 from modcal_core.effects.families import residual
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.robots import is_serial_arm
 
 _MAX = 1500  # samples, for time; more are thinned, since sizes are known well from so many
 _BEGIN = 1e-4  # rad or m: the size at which the search for sizes begins; where it ends hardly depends on it

@@ -12,16 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.removal import without
-from modcal_core.calibration.uncertainty import Uncertainty
+from modcal_core.calibration import Fit, Model, Uncertainty, without
 from modcal_core.diagnosis.chance import is_clear
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.diagnosis.forms import other_forms
 from modcal_core.diagnosis.pruning import MIN_GAIN
-from modcal_core.effects.effect import Effect, is_large_move, is_turned
+from modcal_core.effects import Effect, is_large_move, is_turned
 
 _MANY = 10.0  # times what an effect must gain, which it explains: such a one is hardly ever refused once it is fitted
 _SURELY = 2.0  # times what an effect must gain, where that is judged by the curvature of a fit with others

@@ -12,12 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.identify import FITTED, Fit, identify
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.removal import without
-from modcal_core.calibration.score import errors, squared_residuals
-from modcal_core.calibration.uncertainty import uncertainty
+from modcal_core.calibration import (
+    FITTED,
+    AnyDistance,
+    Fit,
+    Model,
+    errors,
+    identify,
+    squared_residuals,
+    uncertainty,
+    without,
+)
 from modcal_core.diagnosis.causes import Cause, Diagnosis
 from modcal_core.diagnosis.chance import FLIPS
 from modcal_core.diagnosis.choice import EffectChoice, choose
@@ -28,12 +33,8 @@ from modcal_core.diagnosis.forms import other_forms
 from modcal_core.diagnosis.outliers import isolated_outliers, rejected_share, with_uncontradicted
 from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN, joint_size, needless
 from modcal_core.diagnosis.rounds import chosen_together, surely_worth
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.family import nothing_plainer
-from modcal_core.effects.registry import candidates, family
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.effects import Drivers, Effect, candidates, family_named, nothing_plainer
+from modcal_core.measurements import Samples, spread_rows
 
 SIGNIFICANT = 0.002  # of noise, one scan in 500 has a best as good; what passes is judged on *explain* (sweep)
 MAX_EFFECTS = 30  # for time
@@ -228,7 +229,7 @@ class _EffectSearch:
             return effect, self._with(self.fit, effect, missed)
         seen = self.train.join(self.explain)
         fits = [(form, self._with(self.fit, form)) for form in (effect, *forms)]
-        likely = [(e, f) for e, f in fits if family(e.family).plausible(f.model.effects[-1])]
+        likely = [(e, f) for e, f in fits if family_named(e.family).plausible(f.model.effects[-1])]
         return min(likely or fits, key=lambda pair: self._mean_square(pair[1], seen))
 
     def _with(self, fit: Fit, effect: Effect, missed: float = np.inf) -> Fit:
@@ -321,7 +322,7 @@ class _EffectSearch:
     def make_plainer(self) -> None:
         """Put a family's plainer effect in the place of each that is not needed in full."""
         effects = self.fit.model.effects
-        if not self._weighs and any(family(e.family).plainer is not nothing_plainer for e in effects):
+        if not self._weighs and any(family_named(e.family).plainer is not nothing_plainer for e in effects):
             self.fit = self._refit(self.fit, effects, spread=True)  # by how well each is known
         while self._made_plainer():
             pass
@@ -330,7 +331,7 @@ class _EffectSearch:
         """Whether an effect was found not to be needed in full, and its family's plainer one put in its place."""
         effects = self.fit.model.effects
         for i, effect in enumerate(effects):
-            plain = family(effect.family).plainer(effect)
+            plain = family_named(effect.family).plainer(effect)
             if plain is not None:
                 self.fit = self._refit(self.fit, (*effects[:i], plain, *effects[i + 1 :]), spread=True)
                 self.causes[i] = replace(self.causes[i], effect=plain)

@@ -12,14 +12,11 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.linearise import RowView, linearise
-from modcal_core.calibration.noise import Groups
+from modcal_core.calibration import Fit, Groups, RowView, linearise
 from modcal_core.diagnosis.known_sums import Key, KnownSums
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.effects import Drivers, Effect
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 
 ROUNDING = 1e-12  # of the square of a column, added to what is inverted
 _NOTHING = 1e-8  # square of a direction that the samples show nothing of: single precision loses more of a column

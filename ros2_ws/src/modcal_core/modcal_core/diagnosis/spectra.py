@@ -17,8 +17,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 import scipy
 
-from modcal_core.effects.shapes import periodic
-from modcal_core.geometry.so3 import Array
+from modcal_core.effects import periodic
+from modcal_core.geometry import Array
 
 _FEW = 400  # angles up to which a table is quicker: half of the time of an FFT with 300, as much with 500 to 700
 _SINGLE = 12  # columns; of fewer, each for itself by an FFT takes less than to read the table

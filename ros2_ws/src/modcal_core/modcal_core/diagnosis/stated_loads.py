@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, StatedPayload
+from modcal_core.calibration import Cell, StatedPayload
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis
-from modcal_core.effects.drivers import NominalArm
+from modcal_core.effects import NominalArm
 from modcal_core.errors import BadTable
-from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples, SignalTrack
 
 TOPIC = "/payload_kg"
 

@@ -5,6 +5,11 @@ A driver has the name that people and reports use: ``position:J``, ``load:J``, `
 measured one. Others are ways to know a load and are reported as ``load:J``: ``effort:J`` is the torque that the
 actuator itself reports, ``payload:J`` that of 1 kg at the tip, ``offset_x:J`` … what it changes by for each metre
 beside the tip, and ``moment:J`` the two components across the axis. A family may bring more.
+
+Time goes on for as long again as the recording lasted, for a session rarely ends with it; from there it returns to the
+recording's end, so that days later nothing is extrapolated. Temperatures go on for as far again as they were seen, for
+arms go on warming, and stop there; signals, of which nothing is known, stop at the ends of what was seen. An effect
+whose driver a recording lacks altogether is replaced by what it was on average.
 """
 
 from __future__ import annotations
@@ -18,19 +23,75 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.effects.carried import Carried
-from modcal_core.effects.driver_limits import DriverLimits
-from modcal_core.effects.shapes import Shape
-from modcal_core.effects.sources import brought
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.other_joints import others_by_name
-from modcal_core.measurements.recording import PART
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.told import is_told, staircase, told_at
-from modcal_core.robots.branches import moved_centres
-from modcal_core.robots.gravity import DOWN
-from modcal_core.robots.mechanism import Mechanism, gravity_wrench, offset_wrench, payload_wrench
-from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
+from modcal_core.effects.shapes import Shape, brought
+from modcal_core.geometry import Array
+from modcal_core.measurements import PART, Samples, is_told, others_by_name, staircase, told_at
+from modcal_core.robots import (
+    DOWN,
+    HeldBehind,
+    Inertias,
+    Mechanism,
+    gravity_wrench,
+    moved_centres,
+    offset_wrench,
+    payload_wrench,
+)
+
+# --- Payloads of earlier recordings, as differences to the final one
+
+
+@dataclass(frozen=True)
+class Carried:
+    """Before each of some moments the load at the tip differed from the one in the end, which the arm's bodies contain.
+
+    until: the moments, rising stamps [s]. mass: by how much, (k,) [kg]; of an arm whose masses nobody knows in units of
+    what it carries in the end. moment: the same of mass times place in the tip link, (k, 3) [kg m].
+    """
+
+    until: tuple[float, ...]
+    mass: Array
+    moment: Array
+
+    def at(self, stamps: Array) -> tuple[Array, Array]:
+        """Differences of mass (N,) and of mass times place (3, N) at these stamps; none where a stamp is unknown."""
+        k = np.searchsorted(np.array(self.until), stamps, side="right")
+        mass, moment = np.append(self.mass, 0.0), np.concatenate([self.moment, np.zeros((1, 3))])
+        return mass[k], moment[k].T
+
+
+# --- Where drivers stop: what was recorded of them, beyond which a frozen effect is not continued
+
+
+@dataclass(frozen=True)
+class DriverLimits:
+    """watched: first and last stamp [s] of the recording, None where unknown. clock: whether stamps are times; an order
+    of rows stands still at its middle. ranges: smallest and largest value of temperatures and signals by name.
+    """
+
+    watched: tuple[float, float] | None = None
+    clock: bool = True
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def time(self, stamps: Array) -> Array:
+        """The time [s] that effects go by at these stamps (N,): continuous, and never outside what may be continued."""
+        stamps = np.asarray(stamps, dtype=float)
+        if self.watched is None:
+            return stamps
+        first, last = self.watched
+        if not self.clock:
+            return np.full(stamps.shape, 0.5 * (first + last))
+        length = last - first
+        later = stamps - last
+        return np.where(later <= length, np.maximum(stamps, first), last + np.maximum(2.0 * length - later, 0.0))
+
+    def value(self, name: str, x: Array) -> Array:
+        """Values of a temperature or signal, no further than they may be continued."""
+        if name not in self.ranges:
+            return x
+        low, high = self.ranges[name]
+        beyond = high - low if name.startswith("temperature:") else 0.0
+        return np.clip(x, low - beyond, high + beyond)
+
 
 _LOADS = ("effort", "payload", "moment", "offset_x", "offset_y", "offset_z")
 _FEW = 3  # messages that are no course of a sensor; what was told holds from one on

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import cache
 
+import numpy as np
+
 from modcal_core.effects import drivers as known_drivers
 from modcal_core.effects import shapes as known_shapes
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect
+from modcal_core.effects.effect import ALL, AXIS, LENGTH, SHIFT, Effect
 from modcal_core.effects.family import Family, no_candidates
-from modcal_core.effects.sources import brought
+from modcal_core.effects.shapes import Shape, brought
 from modcal_core.errors import BadTable
+from modcal_core.geometry import Array
+from modcal_core.measurements import PART
 
 
 @cache
@@ -36,7 +40,7 @@ def families() -> dict[str, Family]:
     return out
 
 
-def family(name: str) -> Family:
+def family_named(name: str) -> Family:
     """The family of this name; one that says only what its effects show, where nobody here knows it."""
     return families().get(name) or Family(name, no_candidates)
 
@@ -59,12 +63,12 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
 
 def complexity(effect: Effect) -> int:
     """How much it takes to believe an effect: 0 plain, 1 usual, 2 a free shape."""
-    return family(effect.family).complexity(effect)
+    return family_named(effect.family).complexity(effect)
 
 
 def claimed(effect: Effect) -> bool:
     """Whether a report names it as a cause; otherwise it only makes predictions better."""
-    return family(effect.family).claimed
+    return family_named(effect.family).claimed
 
 
 def with_companions(effects: Sequence[Effect], numbers: Sequence[int]) -> tuple[int, ...]:
@@ -103,3 +107,114 @@ def _known() -> tuple[frozenset[str], frozenset[str]]:
 
 def _unknown(effect: Effect, what: str) -> BadTable:
     return BadTable(f"effect {effect.family} at {effect.place}", f"no {what}", "install the package that provides it")
+
+
+# --- What a recording lets one look for: joints that moved, loads that vary, times between stations, what may grow
+
+MIN_RANGE = 0.05  # rad or m; a joint that moved less drives nothing that could be told
+MIN_SPEED = 1e-3  # rad/s or m/s
+MAX_BREAKS = 160  # times of a step that are tried, for time; the best is looked for more finely afterwards
+MOSTLY = 0.5  # share of the samples at which a driver must be known; at the others something stands in for it
+_MIN_FOLLOWING = 2e-6  # rad or m; a joint that is as close to its commands errs by less than any instrument sees
+MIN_SIDE = 4  # stations on either side of a step
+MAX_SIGNALS = 40  # of a recording, for time
+MAX_CARRIED = 8  # of these, that are tried as loads, for time
+_CONSTANT = 1e-3  # of its size; a load that changes by less is a constant, and drives nothing that could be told
+_MIN_OF_A_SIGN = 0.05  # share of the samples; fewer could all be single wrong readings
+WARM_UPS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)  # time constants, as shares of the recording
+
+
+def moving_joints(drivers: Drivers) -> list[tuple[int, str]]:
+    """Number and name of each joint that moved."""
+    q = drivers.samples.q
+    return [(j, name) for j, name in enumerate(drivers.arm.chain.names) if np.ptp(q[:, j]) > MIN_RANGE]
+
+
+def in_motion(drivers: Drivers) -> bool:
+    """Whether readings were taken while joints moved."""
+    return bool(np.abs(np.nan_to_num(drivers.samples.velocity)).max(initial=0.0) > MIN_SPEED)
+
+
+def followed(drivers: Drivers, j: int) -> bool:
+    """Whether it is known by how much a joint follows its commands, and that varies."""
+    apart = drivers.samples.following[:, j]
+    known = np.isfinite(apart)
+    return bool(known.mean() >= MOSTLY and np.ptp(apart[known]) > _MIN_FOLLOWING) if known.any() else False
+
+
+def varies(x: Array) -> bool:
+    """Whether a load is more than a constant."""
+    return bool(np.ptp(x) > _CONSTANT * max(float(np.abs(x).max()), 1e-3))
+
+
+def loads(drivers: Drivers, j: int) -> dict[str, Array]:
+    """The load of a joint in the ways it is known and varies, by driver, (N,) each.
+
+    By gravity, failing masses by 1 kg at the tip; and as the actuator reports it, where it mostly does.
+    """
+    name = drivers.arm.chain.names[j]
+    out = {}
+    for kind in ("load" if drivers.arm.weighed else "payload", "effort"):
+        if kind == "effort" and np.isfinite(drivers.samples.effort[:, j]).mean() < MOSTLY:
+            continue
+        load = drivers.values(f"{kind}:{name}")
+        if varies(load):
+            out[f"{kind}:{name}"] = load
+    return out
+
+
+def both_signs(x: Array) -> bool:
+    """Whether a number is positive at some samples and negative at others, often enough to compare the two."""
+    return bool(min((x > 0).mean(), (x < 0).mean()) > _MIN_OF_A_SIGN)
+
+
+def base_and_tool(drivers: Drivers) -> list[tuple[str, str]]:
+    """Place and directions in which base and tool can be seen to move: of readings without orientation a shift."""
+    return [("base", ALL), ("tool", ALL if drivers.samples.is_pose.any() else SHIFT)]
+
+
+def growing(drivers: Drivers) -> list[tuple[str, str]]:
+    """Places and directions in which something may grow or creep: every link along itself, every joint, three ways."""
+    out: list[tuple[str, str]] = []
+    chain = drivers.arm.chain
+    for k, name in enumerate(chain.names, chain.first_place):
+        if k:
+            out += [(name, d) for d in ("x", "y", "z")]
+            if chain.length_direction(k).any():
+                out.append((name, LENGTH))
+        out.append((name, AXIS))
+    return out
+
+
+def carried_signals(drivers: Drivers) -> list[str]:
+    """Names of recorded numbers that may say what the arm carries: those that are a message of their own."""
+    return [n for n in signals(drivers, temperatures=False) if PART not in n][:MAX_CARRIED]
+
+
+def signals(drivers: Drivers, *, temperatures: bool) -> list[str]:
+    """Names of recorded temperatures, or of all other recorded signals."""
+    return [n for n in drivers.signal_names() if n.startswith("temperature:") == temperatures][:MAX_SIGNALS]
+
+
+def span(drivers: Drivers) -> tuple[float, float] | None:
+    """First and last stamp [s], None where no time passes."""
+    low, high = float(drivers.samples.stamps.min()), float(drivers.samples.stamps.max())
+    return (low, high) if high > low else None
+
+
+def warm_ups(drivers: Drivers) -> list[Shape]:
+    """Settling since the beginning, with time constants from a small part of the recording to all of it."""
+    within = span(drivers)
+    if within is None:
+        return []
+    length = within[1] - within[0]
+    return [Shape("settle", {"since": within[0], "tau": share * length}) for share in WARM_UPS]
+
+
+def breaks(drivers: Drivers) -> Array:
+    """Times between stations at which something may have happened [s]."""
+    stamps = np.unique(drivers.samples.stamps)
+    between = 0.5 * (stamps[1:] + stamps[:-1])[MIN_SIDE - 1 : -MIN_SIDE or None]
+    if len(between) <= MAX_BREAKS:
+        return np.asarray(between)
+    return np.asarray(between[np.linspace(0, len(between) - 1, MAX_BREAKS).astype(int)])

@@ -3,18 +3,46 @@
 A shape has settings that are not linear (cycles a turn, the time of a step, a time constant). They are found by
 scanning; those that its kind calls *refined* are then fitted together with everything else. :data:`KINDS` has the kinds
 that families share; a family may bring more.
+
+Both are read here, without knowing what a family is; :mod:`registry` says what may be one. A package says
+
+    [project.entry-points."modcal.effects"]
+    taut_cable = "my_package.taut_cable:FAMILY"
 """
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
-from modcal_core.effects.sources import brought
+from modcal_core.effects import families
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
+from modcal_core.measurements import added
+
+# --- Where families come from: the files of ``effects/families``, and what installed packages name as entry points
+
+GROUP = "modcal.effects"
+
+
+@cache
+def brought() -> tuple[tuple[str, Any], ...]:
+    """(how to call it in a message to people, what it names), built-in families first.
+
+    Raises BadTable where a package cannot be loaded.
+    """
+    names = [module.name for module in pkgutil.iter_modules(families.__path__)]
+    order = {name: k for k, name in enumerate(families.ORDER)}
+    names.sort(key=lambda name: (order.get(name, len(order)), name))
+    files = [(f"effects/families/{name}.py", import_module(f"{families.__name__}.{name}").FAMILY) for name in names]
+    return (*files, *added(GROUP))
+
 
 Settings = Mapping[str, float]
 SPLINE_DEGREE = 3  # continuous curvature, which is what a smooth cause has

@@ -25,12 +25,10 @@ from typing import TypeGuard
 import numpy as np
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import LowPass
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import HeldWeight
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots import Chain, HeldWeight, Inertias
 
 _MOST = 3.0  # times the full effort may a reading be: what drives give for a moment is no more
 _READINGS, _STANDS = 50, 2e-3  # readings at rest that count; rad or m by which they may differ

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.single import pose_error, relative, tool_from
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, pose_error, relative, tool_from
 
 _ALIGNED = math.cos(math.radians(5.0))  # of the way and the gains' axis: within it, 0.4 % of a force changes sides
 

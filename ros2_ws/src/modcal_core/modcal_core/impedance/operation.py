@@ -10,29 +10,48 @@ anything that it was given.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.articulation.joints import JointModel
+from modcal_core.articulation import JointModel
 from modcal_core.errors import BadCommand, ModcalError
-from modcal_core.geometry.single import relative, speeds
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, relative, speeds
 from modcal_core.impedance import tare
 from modcal_core.impedance.effort_check import ArmEfforts
 from modcal_core.impedance.impedance import Impedance
-from modcal_core.impedance.input_watch import InputWatch
-from modcal_core.impedance.letting_go import LettingGo
-from modcal_core.impedance.path_check import PathCheck, Reach
-from modcal_core.impedance.path_model import Exploration, PathModel
+from modcal_core.impedance.path_model import Exploration, PathCheck, PathModel, Reach
 from modcal_core.impedance.safety_monitor import ArmSetpoint, LateInput, Limits, SafetyMonitor, SensorReadings
 from modcal_core.impedance.setpoint_filter import SetpointFilter
-from modcal_core.impedance.speed_governor import SpeedGovernor
+from modcal_core.impedance.speed_governor import InputWatch, SpeedGovernor
 from modcal_core.impedance.task import ImpedanceTask, JointPositions, ObjectModel, Stop, Wait
 from modcal_core.impedance.tool_force import ToolForce
 from modcal_core.impedance.wrench import WrenchSensor
-from modcal_core.robots.chain import Chain
+from modcal_core.robots import Chain
+
+# --- When a release ends
+
+_USUAL, _LONGEST = 0.6, 1.9  # s; after a second the safety monitor forbids what goes beyond its limits, as ever
+_LATELY = 0.1  # s over which it is seen whether the tool still moves
+_STANDS = 2e-5  # m by which it then still moves at most: what 8 N do that unwind within two seconds, on stiff fingers
+
+
+class LettingGo:
+    """End of a release. A stiff arm on soft fingers unwinds slowly, so it takes longer while the tool still moves."""
+
+    def __init__(self) -> None:
+        self._past: deque[tuple[float, Array]] = deque()
+
+    def over(self, seconds: float, tool: Array) -> bool:
+        """Whether the release has ended after this time [s], with the tool measured here (3,) [m]."""
+        self._past.append((seconds, tool))
+        while self._past[0][0] < seconds - _LATELY:
+            self._past.popleft()
+        stands = math.dist(self._past[0][1], tool) <= _STANDS
+        return seconds > _LONGEST or (seconds > _USUAL and stands)
+
 
 _STOOD = 2e-3  # m/s at which the tool has arrived
 _CHECK_PATIENCE = 5.0  # s

@@ -20,10 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.single import crossed, speeds
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import pose_and_jacobian
+from modcal_core.geometry import Array, crossed, speeds
+from modcal_core.robots import Chain, pose_and_jacobian
 
 _ROUNDING = 1e-6  # share by which a number may exceed its limit for being rounded
 _I = np.eye(3)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 _ALIKE = 4.0  # neighbouring moments that depart from the model alike: so much fewer they count
 FEWEST = 4  # moments from which three numbers are learned

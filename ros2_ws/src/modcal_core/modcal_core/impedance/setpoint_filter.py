@@ -11,11 +11,9 @@ import math
 
 import numpy as np
 
-from modcal_core.geometry.single import rotation_vector
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, rotation_vector
 from modcal_core.impedance.safety_monitor import Limits
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import pose_and_jacobian
+from modcal_core.robots import Chain, pose_and_jacobian
 
 _SHARE = 0.8  # of the guard's limits that is used
 _DAMPED = 1e-8 * np.eye(6)

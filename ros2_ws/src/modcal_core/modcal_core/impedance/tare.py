@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.input_watch import NO_STATUS
+from modcal_core.geometry import Array
+from modcal_core.impedance.speed_governor import NO_STATUS
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import DOWN, Load, WrenchSensor
 

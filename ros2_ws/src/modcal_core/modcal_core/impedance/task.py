@@ -8,8 +8,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from modcal_core.articulation.joints import JointModel
-from modcal_core.geometry.so3 import Array
+from modcal_core.articulation import JointModel
+from modcal_core.geometry import Array
 from modcal_core.impedance.impedance import Gains, axes_along
 from modcal_core.impedance.speed_governor import GovernorSettings
 from modcal_core.impedance.wrench import DOWN

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.recent_maximum import RecentMaximum
+from modcal_core.geometry import Array
+from modcal_core.impedance.lead_check import RecentMaximum
 from modcal_core.impedance.servo_model import FEWEST, FLOOR, ServoModel
 
 _SPAN = 0.012  # s over which a joint's speed is measured: three readings at 250 Hz

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.gravity import STANDARD_GRAVITY
+from modcal_core.geometry import Array
+from modcal_core.robots import STANDARD_GRAVITY
 
 DOWN = np.array([0.0, 0.0, -STANDARD_GRAVITY])  # m/s², in a base that stands upright
 

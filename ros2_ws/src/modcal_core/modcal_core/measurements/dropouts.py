@@ -3,21 +3,36 @@
 They are left out, counted and said. Where they are more than single wrong readings, the verdict is open for it. A
 recording is refused when nothing is left, or too little for what is asked of it; and, by what is wrong with it, where
 most of its messages are wrong, as those of a tracker that publishes millimetres, or a part of them in another unit.
+
+A mean over a station, or a few stations in a row, would take them for measurements of postures that nobody measured.
+Alone a run of equal readings says little: a coarse instrument repeats itself at rest, a bridge that publishes faster
+than its tracker does so in motion. It must last, and the arm must have been elsewhere meanwhile.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
+from modcal_core.measurements.approach import LEFT
 from modcal_core.measurements.checks import joint_limits
+from modcal_core.measurements.dwells import StationRules, dwells_of, inliers
 from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.measurements.recording import (
+    POSE,
+    JointTrack,
+    ReadingTrack,
+    Recording,
+    SignalTrack,
+    joint_stamps_and_positions,
+)
+from modcal_core.measurements.samples import Samples
+from modcal_core.robots import Mechanism
 
 JOINTS = "joint states without a finite position"
 BEYOND = "joint states with a position that no joint has"
@@ -263,3 +278,157 @@ def _sentence(name: str, rows: np.ndarray, stamps: Array, what: str) -> str:
 
 def _count(lost: dict[str, int], reason: str, n: int) -> None:
     lost[reason] = lost.get(reason, 0) + n
+
+
+# --- Readings of a tracker that hangs: the same pose to the last bit, with new stamps, while the joints go on
+
+HUNG = "readings repeated while the joints moved"
+_MIN = 5  # equal readings in a row
+_LASTS = 1.0  # s; trackers that are read slower than once a second are read at stations
+_HUNG_MAX = 0.5  # share of all; beyond, the topic is none of the target, and is refused as such
+
+
+@dataclass(frozen=True)
+class Hung:
+    """Which readings of each track those are, a sentence a topic, and those of them that make a verdict open."""
+
+    rows: tuple[np.ndarray, ...]
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def dropped(self) -> tuple[tuple[str, int], ...]:
+        """How many they are, by reason."""
+        count = sum(int(rows.sum()) for rows in self.rows)
+        return ((HUNG, count),) if count else ()
+
+    def left_out(self, recording: Recording) -> Recording:
+        """The recording, or one of as many readings, without them."""
+        if not self.dropped:
+            return recording
+        readings = tuple(track.rows(~rows) for track, rows in zip(recording.readings, self.rows, strict=True))
+        return replace(recording, readings=readings)
+
+
+def hung(recording: Recording, names: tuple[str, ...]) -> Hung:
+    """What a tracker repeated while it hung. Of each run the first reading is none of them.
+
+    Stamps have to be on the joints' clock already.
+    """
+    t, q = joint_stamps_and_positions(recording, names)
+    order = np.argsort(t, kind="stable")
+    found, notes, doubts = [], [], []
+    for track in recording.readings:
+        rows = _repeated(track, t[order], q[order])
+        count = int(rows.sum())
+        if count > _HUNG_MAX * len(rows):
+            rows[:], count = False, 0
+        found.append(rows)
+        if not count:
+            continue
+        first = float(track.stamps[int(np.argmax(rows))])
+        said = (
+            f"{track.topic} ({track.frame}): the same pose to the last digit while the joints moved, in {count} of "
+            f"{len(rows)} readings, first at {first:.3f} s: the tracker hung, or had lost its target"
+        )
+        notes.append(f"{said}. They were left out.")
+        if count > MAX_GLITCHES * len(rows):
+            doubts.append(f"{said}, and too often for single wrong readings. See its driver and its sight.")
+    return Hung(tuple(found), tuple(notes), tuple(doubts))
+
+
+def _repeated(track: ReadingTrack, t: Array, q: Array) -> np.ndarray:
+    """Which readings are those, (m,). t, q: joint states in order of time, (k,), (k, n)."""
+    out = np.zeros(len(track.stamps), dtype=np.bool_)
+    if track.kind != POSE or len(t) < 2 or len(out) < _MIN:
+        return out
+    order = np.argsort(track.stamps, kind="stable")
+    stamps, values = track.stamps[order], track.values[order]
+    edges = np.flatnonzero(np.r_[True, (np.diff(values, axis=0) != 0.0).any(axis=1), True])
+    for start, end in pairwise(edges.tolist()):
+        if end - start < _MIN or stamps[end - 1] - stamps[start] < _LASTS:
+            continue
+        low, high = np.searchsorted(t, (stamps[start], stamps[end - 1]))
+        went = q[low : high + 1]
+        if len(went) and np.ptp(went, axis=0).max() > LEFT:
+            out[order[start + 1 : end]] = True
+    return out
+
+
+# --- Readings that were recorded and never became part of a sample, counted by reason
+
+BETWEEN = "readings between stations"  # while the arm moved: as it should be
+GLITCHES = "readings far from the others of their station"
+OUTSIDE = "readings before or after the joint states"
+ALONE = "readings without joint states close by, or thinned"
+UNKNOWN = "readings of a kind that is not known"
+UNUSABLE = "readings in stretches that cannot be used"
+
+Dropped = tuple[tuple[str, int], ...]
+
+
+def dropped(
+    recording: Recording,
+    samples: Samples,
+    rules: StationRules | None = None,
+    since: float = -np.inf,
+    until: float = np.inf,
+) -> Dropped:
+    """How many readings stamped within [since, until) are in none of these samples, by reason.
+
+    samples: cut from the recording.
+    """
+    t, q = joint_stamps_and_positions(recording, samples.names)
+    order = np.argsort(t, kind="stable")
+    t, q = t[order], q[order]
+    count = dict.fromkeys((BETWEEN, GLITCHES, OUTSIDE, ALONE, UNKNOWN), 0)
+    dwells: Array | None = None
+    for track in recording.readings:
+        stamps = track.stamps[(track.stamps >= since) & (track.stamps < until)]
+        if track.kind not in kinds():
+            count[UNKNOWN] += len(stamps)
+            continue
+        inside = stamps[(stamps >= t[0]) & (stamps <= t[-1])] if len(t) else stamps[:0]
+        count[OUTSIDE] += len(stamps) - len(inside)
+        rows = _rows_of(track, samples, since, until)
+        if samples.moving[rows].any() or np.isin(samples.stamps[rows], track.stamps).all():
+            count[ALONE] += max(len(inside) - len(rows), 0)
+        else:
+            dwells = dwells_of(t, q, recording.readings, rules or StationRules()) if dwells is None else dwells
+            within, wrong = _in_dwells(track, inside, dwells)
+            count[BETWEEN] += len(inside) - within
+            count[GLITCHES] += wrong
+    return tuple((reason, n) for reason, n in count.items() if n)
+
+
+def together(parts: list[Dropped]) -> Dropped:
+    """The sums over parts of a recording."""
+    total: dict[str, int] = {}
+    for reason, n in (pair for part in parts for pair in part):
+        total[reason] = total.get(reason, 0) + n
+    return tuple(total.items())
+
+
+def unexpected(counts: Dropped) -> int:
+    """How many readings were dropped though the arm stood still, or for a reason that its motion does not explain."""
+    return sum(n for reason, n in counts if reason != BETWEEN and reason.startswith("readings"))
+
+
+def _rows_of(track: ReadingTrack, samples: Samples, since: float, until: float) -> np.ndarray:
+    """Rows of the samples that came of a track."""
+    if track.frame not in samples.frames:
+        return np.empty(0, int)
+    mine = (samples.frame == samples.frames.index(track.frame)) & (samples.kind == track.kind)
+    return np.flatnonzero(mine & (samples.stamps >= since) & (samples.stamps < until))
+
+
+def _in_dwells(track: ReadingTrack, stamps: Array, dwells: Array) -> tuple[int, int]:
+    """Number of stamps of a track in dwells (d, 2), and number of those readings that are in no mean."""
+    order = np.argsort(track.stamps, kind="stable")
+    ordered, values, own = track.stamps[order], track.values[order, :3], np.sort(stamps)
+    within, wrong = 0, 0
+    for (first, last), rows in zip(np.searchsorted(own, dwells), np.searchsorted(ordered, dwells), strict=True):
+        if last > first:
+            within += int(last - first)
+            wrong += int((~inliers(values[slice(*rows)])).sum())
+    return within, wrong

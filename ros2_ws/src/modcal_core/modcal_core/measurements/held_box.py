@@ -18,8 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadTable, NotEnoughData
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 _STARTS = 300  # orientations, at random; neighbours are some 20° apart, and a box looks alike every 90°

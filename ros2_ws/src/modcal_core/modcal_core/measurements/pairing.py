@@ -14,22 +14,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, so3
 from modcal_core.measurements.approach import TRAVEL
-from modcal_core.measurements.commanded import following
-from modcal_core.measurements.dwells import StationRules, deviation_of_mean, inliers
+from modcal_core.measurements.dwells import StationRules, deviation_of_mean, dwells_of, inliers, spread_rows
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
     POSE,
     ReadingTrack,
     Recording,
+    following,
     joint_stamps_and,
     joint_stamps_and_positions,
 )
-from modcal_core.measurements.settled import dwells_of
-from modcal_core.measurements.thinning import spread_rows
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -2,17 +2,22 @@
 
 Tracks keep the stamps of the messages (seconds since the epoch, as float64 they resolve 0.2 µs) and, where known,
 the time each message was received, which is how a clock that is off shows itself.
+
+A command holds until the next one. Commands that come close together are points of a course, and are interpolated.
+Where joint states are notes of stations, a command noted right behind belongs to the same station.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.errors import BadRecording, NotEnoughData
+from modcal_core.geometry import Array, se3
 
 POSE, POINT, RANGE, BEARING, TOUCH, RAY = "pose", "point", "range", "bearing", "touch", "ray"
 # Notes of a recording that say what its readings are, as `modcal import` writes them
@@ -191,3 +196,207 @@ def _merged(tracks: list[JointTrack]) -> JointTrack:
     return JointTrack(
         names, stamps[order], column("position"), column("velocity"), column("effort"), received, tracks[0].topic
     )
+
+
+# --- What joints were told beside what they reported: commanded − measured at each sample
+
+_COURSE = 0.1  # s between commands up to which they are points of one course; controllers are told more often
+_NOTES = 0.5  # s between joint states from which they are notes of stations; drivers report many times a second
+_BEHIND = 0.1  # s within which messages of one note follow each other, far below the time to the next station
+_NEARER = 0.5  # times as far from what was told; a command of another station is farther by orders of magnitude
+_FARTHEST = 0.2  # rad or m; a joint that is farther away does not follow this command: other units, or led by hand
+
+
+def commanded_at(tracks: Sequence[JointTrack], names: Sequence[str], stamps: Array) -> Array:
+    """Commanded positions (N, n) [rad, m] of the named joints at the stamps (N,) [s]; NaN where nothing was commanded.
+
+    tracks: commands, those of a topic that is preferred first.
+    """
+    out = np.full((len(stamps), len(names)), np.nan)
+    for j, name in enumerate(names):
+        for track in tracks:
+            if name in track.names:
+                told = _held(track.stamps, track.position[:, track.names.index(name)], stamps)
+                out[:, j] = np.where(np.isfinite(out[:, j]), out[:, j], told)
+    return out
+
+
+def following(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: Array, spans: Array) -> Array:
+    """Commanded − measured (N, n) [rad, m] of samples taken over spans (N, 2) [s], NaN where unknown.
+
+    t: stamps of joint states, sorted, (m,); q: positions (m, n). It is averaged over the joint states in a span, and
+    interpolated to a span of no length, which is one stamp.
+    """
+    out = np.full((len(spans), len(names)), np.nan)
+    if not len(t) or not any(name in track.names for track in tracks for name in names):
+        return out
+    apart = _apart(tracks, names, t, q)
+    apart[np.abs(apart) > _FARTHEST] = np.nan
+    first, last = np.searchsorted(t, spans[:, 0]), np.searchsorted(t, spans[:, 1], side="right")
+    long = last - first > 1
+    for j, column in enumerate(apart.T):
+        known = np.isfinite(column)
+        total, count = (np.r_[0.0, np.cumsum(x)] for x in (np.where(known, column, 0.0), known))
+        within = (count[last] - count[first])[long]
+        out[long, j] = (total[last] - total[first])[long] / np.where(within > 0, within, np.nan)
+        out[~long, j] = np.interp(spans[~long].mean(axis=1), t, column, left=np.nan, right=np.nan)
+    return out
+
+
+def _apart(tracks: Sequence[JointTrack], names: Sequence[str], t: Array, q: Array) -> Array:
+    """Commanded − measured at joint states, by the command before each, or just behind where that is what was meant."""
+    apart = commanded_at(tracks, names, t) - q
+    if len(t) < 2 or float(np.median(np.diff(t))) < _NOTES:
+        return apart
+    behind = commanded_at(tracks, names, t + _BEHIND) - q
+    return behind if _usually(behind) < _NEARER * _usually(apart) else apart
+
+
+def _usually(apart: Array) -> float:
+    known = np.abs(apart[np.isfinite(apart)])
+    return float(np.median(known)) if len(known) else np.inf
+
+
+def _held(t: Array, x: Array, stamps: Array) -> Array:
+    """Commands x (m,) given at t (m,) as they stand at the stamps (N,); NaN before the first."""
+    known = np.isfinite(x) & np.isfinite(t)
+    t, x = t[known], x[known]
+    if not len(t):
+        return np.full(len(stamps), np.nan)
+    order = np.argsort(t, kind="stable")
+    t, x = t[order], x[order]
+    last = np.searchsorted(t, stamps, side="right") - 1
+    after = np.minimum(last + 1, len(t) - 1)
+    last = np.maximum(last, 0)
+    step = t[after] - t[last]
+    share = np.where((step > 0.0) & (step <= _COURSE), (stamps - t[last]) / np.where(step > 0.0, step, 1.0), 0.0)
+    return np.where(stamps < t[0], np.nan, x[last] + share * (x[after] - x[last]))
+
+
+# --- Tracks of a recording from plain arrays, checked, with the row in every refusal
+
+APART = 10.0  # s between rows without stamps: far more than a window of dwells, so that each is a station
+_UNIT = 0.02  # by which the length of a quaternion may be off 1
+
+
+def joints_of(
+    q: ArrayLike, names: Sequence[str] | None, stamps: ArrayLike | None, efforts: ArrayLike | None
+) -> JointTrack:
+    """Joint states: one row a posture, APART seconds between them where no stamps are given. Raises BadRecording."""
+    positions = _numbers("q", q, 2)
+    N, n = positions.shape
+    if N == 0:
+        raise NotEnoughData("arrays", "hold no row", "give one posture and one reading a row")
+    if names is not None and (len(names) != n or len(set(names)) != n):
+        raise BadRecording("names", f"{len(set(names))} names for {n} columns of q", "give each column a name")
+    columns = tuple(f"column_{j}" for j in range(n)) if names is None else tuple(names)
+    t: Array = APART * np.arange(N, dtype=float) if stamps is None else _numbers("stamps", stamps, 1, N)
+    if not (np.diff(t) > 0.0).all():
+        row = int(np.argmax(np.diff(t) <= 0.0)) + 1
+        raise BadRecording("stamps", f"do not increase at row {row}", "give rows in the order of time")
+    unknown = np.full((N, n), np.nan)
+    effort = unknown if efforts is None else _numbers("efforts", efforts, 2, N)
+    if effort.shape != (N, n):
+        raise BadRecording("efforts", f"have shape {effort.shape}, not {(N, n)}", "give one number a joint")
+    return JointTrack(columns, t, positions, unknown, effort, np.full(N, np.nan))
+
+
+def commands_of(commanded: ArrayLike | None, joints: JointTrack) -> tuple[JointTrack, ...]:
+    """Commanded positions beside these joint states, row by row; none where none are given. Raises BadRecording."""
+    if commanded is None:
+        return ()
+    told, wanted = _numbers("commanded", commanded, 2, len(joints.stamps)), joints.position.shape
+    if told.shape != wanted:
+        raise BadRecording("commanded", f"have shape {told.shape}, not {wanted}", "give one number a joint")
+    unknown = np.full(wanted, np.nan)
+    return (JointTrack(joints.names, joints.stamps, told, unknown, unknown, joints.received, "arrays"),)
+
+
+def readings_of(
+    points: ArrayLike | None, poses: ArrayLike | None, ranges: Mapping[str, ArrayLike] | None, t: Array, frame: str
+) -> list[ReadingTrack]:
+    """The readings at these stamps; rows that are not finite are left out. Raises BadRecording unless some are left."""
+    given = [name for name, x in (("points", points), ("poses", poses), ("ranges", ranges)) if x is not None]
+    if len(given) != 1:
+        said = "none of points, poses and ranges is given" if not given else f"{' and '.join(given)} are given"
+        raise BadRecording("arrays", said, "give one of them; join samples of several with followed_by")
+    tracks: list[tuple[str, str, Array]] = []
+    if points is not None:
+        values = _numbers("points", points, 2, len(t), finite=False)
+        if values.shape[1] != 3:
+            raise BadRecording("points", f"have shape {values.shape}, not ({len(t)}, 3)", "give x y z [m] in each row")
+        tracks.append((POINT, frame, values))
+    elif poses is not None:
+        tracks.append((POSE, frame, _poses(poses, len(t))))
+    else:
+        for anchor, distances in (ranges or {}).items():
+            tracks.append((RANGE, anchor, _numbers(f"ranges to {anchor}", distances, 1, len(t), finite=False)[:, None]))
+    out = []
+    for kind, name, values in tracks:
+        good = np.isfinite(values).all(axis=1)
+        out.append(ReadingTrack(kind, name, t[good], values[good], np.full(int(good.sum()), np.nan), "arrays"))
+    if not any(len(track.stamps) for track in out):
+        raise BadRecording("arrays", "hold no reading that is finite", "give what the instrument saw")
+    return out
+
+
+def _poses(poses: ArrayLike, N: int) -> Array:
+    """Poses x y z qx qy qz qw (N, 7) from these or from matrices (N, 4, 4). Raises BadRecording."""
+    values = np.asarray(poses, dtype=float)
+    if values.shape == (N, 4, 4):
+        R = values[:, :3, :3]
+        off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
+        if (off > 1e-3).any():
+            raise BadRecording(
+                f"pose of row {int(np.argmax(off))}", "is not a rotation matrix", "give proper rotations"
+            )
+        out = np.full((N, 7), np.nan)
+        good = np.isfinite(values).all(axis=(1, 2))
+        out[good] = se3.to_pose(values[good])
+        return out
+    if values.shape != (N, 7):
+        said = f"have shape {values.shape}, not ({N}, 4, 4) or ({N}, 7)"
+        raise BadRecording("poses", said, "give matrices, or x y z qx qy qz qw")
+    length = np.linalg.norm(values[:, 3:], axis=1)
+    if (np.abs(length - 1.0) > _UNIT).any():
+        row = int(np.argmax(np.abs(length - 1.0)))
+        raise BadRecording(f"quaternion of row {row}", f"has length {length[row]:.4g}, not 1", "give unit quaternions")
+    return values
+
+
+def signals_of(kind: str, given: Mapping[str, ArrayLike] | None, t: Array) -> list[SignalTrack]:
+    """Temperatures or signals at these stamps, by name. Raises BadRecording."""
+    return [
+        SignalTrack(f"{kind}:{name}", t, _numbers(f"{kind} {name}", values, 1, len(t))[:, None], kind)
+        for name, values in (given or {}).items()
+    ]
+
+
+def sigma_of(name: str, given: ArrayLike | None, stamps: Array, t: Array, found: Array) -> Array:
+    """Standard deviations of samples with these stamps, (N,): as given, one for all or one for each t, or as found."""
+    if given is None:
+        return found
+    values = np.asarray(given, dtype=float)
+    if not (np.isfinite(values).all() and (values > 0.0).all() and values.shape in ((), t.shape)):
+        raise BadRecording(name, "is neither one positive number nor one for each row", "give standard deviations")
+    if values.shape == ():
+        return np.full(len(stamps), float(values))
+    rows = np.searchsorted(t, stamps)
+    if not np.array_equal(t[np.minimum(rows, len(t) - 1)], stamps):
+        raise BadRecording(name, "is given by row, but rows were averaged over dwells", "give one number")
+    return values[rows]
+
+
+def _numbers(name: str, values: ArrayLike, dimensions: int, count: int | None = None, finite: bool = True) -> Array:
+    """An array of finite numbers with this number of dimensions and rows. Raises BadRecording."""
+    try:
+        out = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise BadRecording(name, f"is not an array of numbers ({error})", "give numbers") from error
+    if out.ndim != dimensions or (count is not None and len(out) != count):
+        wanted = "(N, n)" if count is None else f"{count} rows" + (f" of {dimensions} dimensions" * (dimensions > 1))
+        raise BadRecording(name, f"has shape {out.shape}, not {wanted}", "give one row a posture")
+    if finite and not np.isfinite(out).all():
+        row = int(np.argmin(np.isfinite(out.reshape(len(out), -1)).all(axis=1)))
+        raise BadRecording(f"{name}, row {row}", "is not finite", "leave such rows out")
+    return out

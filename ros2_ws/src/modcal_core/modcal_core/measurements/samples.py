@@ -1,4 +1,9 @@
-"""Samples: what a fit sees. One row is one reading of one instrument at one posture of the arm."""
+"""Samples: what a fit sees. One row is one reading of one instrument at one posture of the arm.
+
+A posture and what was read there, to a microradian and a micrometre, do not come again: who finds them in two
+recordings looks at the same measurement twice. A few marks of a recording are enough to tell how much of another one it
+holds: those with the least numbers, which are a random choice of them (Broder 1997).
+"""
 
 from __future__ import annotations
 
@@ -11,12 +16,52 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRecording
-from modcal_core.geometry.read_only import view
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.arrays import commands_of, joints_of, readings_of, sigma_of, signals_of
-from modcal_core.measurements.origin import Origin
+from modcal_core.geometry import Array, se3, view
+from modcal_core.measurements.dwells import StationRules, spread_rows
 from modcal_core.measurements.pairing import paired_columns
-from modcal_core.measurements.recording import ORDER_ONLY, POINT, POSE, Recording, SignalTrack
+from modcal_core.measurements.recording import (
+    ORDER_ONLY,
+    PART,
+    POINT,
+    POSE,
+    JointTrack,
+    ReadingTrack,
+    Recording,
+    SignalTrack,
+    commands_of,
+    joints_of,
+    readings_of,
+    sigma_of,
+    signals_of,
+)
+
+# --- Where samples come from: what a report is traced back to, and what was noticed on the way to them
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The origin of samples; all of it unknown where nothing is stated.
+
+    title: name of the recording. notes: a sentence each, as text. dropped: readings that are in no sample, by
+    reason. doubts: sentences on what was left out too often, which make a verdict open. began: first stamp of the
+    recording [s]. sha256: of the bag. instrument: kind of reading, topic and frame. description: the recorded URDF.
+    by_type: topics of readings that nobody named. instrument_mm, instrument_deg: what instruments state of their own
+    error, where the data bear it out. checked: whether units and joints were compared with a robot.
+    """
+
+    title: str = "recording"
+    notes: tuple[str, ...] = ()
+    dropped: tuple[tuple[str, int], ...] = ()
+    began: float | None = None
+    sha256: str | None = None
+    instrument: str | None = None
+    description: str | None = field(default=None, repr=False)
+    by_type: tuple[str, ...] = ()
+    instrument_mm: float | None = None
+    instrument_deg: float | None = None
+    checked: bool = True
+    doubts: tuple[str, ...] = ()
+
 
 SHARED = (
     "names",
@@ -230,3 +275,195 @@ class Samples:
 
 _BY_JOINT = ("q", "velocity", "acceleration", "approach", "effort", "following")
 _ARRAYS = tuple(f.name for f in fields(Samples) if f.name not in SHARED)
+
+
+# --- Samples of a recording, and the recording that samples would be
+
+
+def cut_stations(recording: Recording, names: tuple[str, ...], rules: StationRules | None = None) -> Samples:
+    """The samples of a recording, for these joints in this order.
+
+    Stations keep their number over all instruments. Raises BadRecording when joints and readings have nothing in
+    common.
+    """
+    return Samples(**paired_columns(recording, names, rules))
+
+
+def as_recording(samples: Samples, names: tuple[str, ...]) -> Recording:
+    """Joint states and readings of samples of these joints, in the form that checks ask for."""
+    unknown = np.full(len(samples), np.nan)
+    joints = JointTrack(names, samples.stamps, samples.q, samples.velocity, samples.effort, unknown)
+    readings = []
+    for f, frame in enumerate(samples.frames):
+        for kind in samples.kinds:
+            rows = (samples.frame == f) & (samples.kind == kind)
+            T = se3.transform(samples.R[rows], samples.reading[rows])
+            values = se3.to_pose(T) if kind == POSE else samples.reading[rows]
+            readings.append(ReadingTrack(kind, frame, samples.stamps[rows], values, unknown[rows], "readings"))
+    return Recording((joints,), tuple(readings), samples.signals, source="arrays")
+
+
+# --- Whether the order of the stations goes with the posture: what changes in time may then change with the posture
+
+_NEAREST = 3  # stations that are asked
+_RIGHT = 0.95  # share of the stations that their neighbours in posture put on the right side of a moment
+_MAX = 500  # stations that are asked; spread over the recording
+
+
+def explained_by_posture(samples: Samples, at: float) -> tuple[str, ...]:
+    """Joints whose position alone tells whether a station comes before a moment [s] or after it.
+
+    Each station is put on the side on which the stations lie that are nearest to it in that joint. Where the order has
+    nothing to do with the joint, that is right for half of them.
+    """
+    rows = spread_rows(len(samples), _MAX)
+    after = samples.stamps[rows] >= at
+    if min(after.sum(), (~after).sum()) <= _NEAREST:
+        return ()
+    return tuple(name for j, name in enumerate(samples.names) if _told(samples.q[rows, j], after) >= _RIGHT)
+
+
+def joints_instead(samples: Samples, at: float) -> tuple[str, ...]:
+    """Names, as in ``same_as``, of the joints' errors that may be what seems to have happened at a moment [s]."""
+    return tuple(f"{name} axis by position:{name}" for name in explained_by_posture(samples, at))
+
+
+def _told(q: np.ndarray, after: np.ndarray) -> float:
+    """Share of the stations that the nearest others in q (n,) put on the right side, both sides weighing the same."""
+    gap = np.abs(q[:, None] - q[None])
+    np.fill_diagonal(gap, np.inf)
+    near = np.argsort(gap, axis=1, kind="stable")[:, :_NEAREST]
+    right = (after[near].mean(axis=1) > 0.5) == after
+    return float(0.5 * (right[after].mean() + right[~after].mean()))
+
+
+# --- Marks of readings, by which a recording is known again
+
+_KEPT = 256  # marks: a recording that holds a twentieth of these samples shares a dozen of them
+_FINEST = 1e-6  # m, rad, s; far above what another reader rounds, far below what an arm repeats and a clock counts
+_BITS = np.uint64(16)  # taken off, so that a mark is a number that any reader of YAML keeps
+
+
+def marks_of(samples: Samples) -> tuple[int, ...]:
+    """The least of the samples' marks, in order, at most 256."""
+    return tuple(np.unique(_marks(samples))[:_KEPT].tolist())
+
+
+def share_of_known(marks: tuple[int, ...], samples: Samples) -> float:
+    """Which share of the samples is in the recording that had these marks, as far as they tell; 0 without marks."""
+    if not marks:
+        return 0.0
+    own = _marks(samples)
+    comparable = own if len(marks) < _KEPT else own[own <= marks[-1]]
+    return float(np.isin(comparable, marks).mean()) if len(comparable) else 0.0
+
+
+def _marks(samples: Samples) -> np.ndarray:
+    """A number of 48 bits for each sample, (N,): of its posture, its reading, and the time if that is one."""
+    time = samples.stamps[:, None] if samples.clock else np.empty((len(samples), 0))
+    values = np.concatenate([samples.q, samples.reading, samples.R.reshape(-1, 9), time], axis=1)
+    with np.errstate(over="ignore"):
+        digits = np.round(values / _FINEST).astype(np.int64).view(np.uint64)
+        mark = np.zeros(len(digits), np.uint64)
+        for column in digits.T:  # splitmix64 (Steele, Lea and Flood 2014)
+            mark = mark + column + np.uint64(0x9E3779B97F4A7C15)
+            mark = (mark ^ (mark >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            mark = (mark ^ (mark >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            mark = mark ^ (mark >> np.uint64(31))
+    return mark >> _BITS
+
+
+# --- Recordings one after the other, as they are joined to one
+
+_COPIES = 0.2  # share; a ball that rests at one place may read alike now and then, postures do not come back exactly
+
+
+def after(other: Samples, before: Samples) -> tuple[Samples, float]:
+    """The samples of another recording, and by how much [s] they were put later so as not to run into those before.
+
+    Recordings of one arm cannot overlap in time: their stamps are of different clocks, or count rows. They are put one
+    typical step between stations behind the others, signals and all.
+    """
+    low, high = float(other.stamps.min()), float(other.stamps.max())
+    if low > before.stamps.max() or high < before.stamps.min():
+        return other, 0.0
+    steps = np.diff(np.unique(before.stamps))
+    late = float(before.stamps.max()) + (float(np.median(steps)) if len(steps) else 1.0) - low
+    signals = tuple(replace(track, stamps=track.stamps + late) for track in other.signals)
+    return replace(other, stamps=other.stamps + late, signals=signals, clock=False), late
+
+
+def require_new(other: Samples, before: Samples, name: str) -> None:
+    """Raises BadRecording where another recording repeats readings of those before to the last digit.
+
+    No instrument reads the same twice: it is the same recording, or a part of it, given again. Its stations would
+    count as returns that repeat perfectly, and as witnesses of what they were fitted to.
+    """
+    known = {row.tobytes() for row in _told_of_all(before)}
+    copies = sum(row.tobytes() in known for row in _told_of_all(other))
+    if copies > _COPIES * len(other):
+        raise BadRecording(
+            f"--also {name}",
+            f"is a copy: {copies} of its {len(other)} readings are those of a recording before it, to the last digit",
+            "give each recording once",
+        )
+
+
+def _told_of_all(samples: Samples) -> np.ndarray:
+    """Posture and reading of each sample, (N, n + 12)."""
+    return np.ascontiguousarray(np.column_stack([samples.q, samples.reading, samples.R.reshape(-1, 9)]))
+
+
+def between(before: Samples, other: Samples) -> float:
+    """The moment [s] in the middle between two recordings that do not overlap."""
+    first, second = sorted((before, other), key=lambda s: float(s.stamps.min()))
+    return 0.5 * float(first.stamps[first.stamps < second.stamps.min()].max() + second.stamps.min())
+
+
+# --- Joints that are recorded beside the arm's own: another arm, a gantry, a gripper. They may move the tool too
+
+_MOVES = 1e-3  # rad or m; a joint that moves by less stands still
+_MARK = f"{PART}joint "
+
+
+def other_joints(recording: Recording, samples: Samples) -> tuple[SignalTrack, ...]:
+    """A signal for each joint that moves and is none of the arm's: its position [rad or m] at the samples.
+
+    recording: on the clock of the samples.
+    """
+    at = np.unique(samples.stamps)
+    found: dict[str, SignalTrack] = {}
+    for track in recording.joints:
+        for column, name in enumerate(track.names):
+            known = np.isfinite(track.position[:, column])
+            if name in samples.names or known.sum() < 2:
+                continue
+            order = np.argsort(track.stamps[known], kind="stable")
+            value = np.interp(at, track.stamps[known][order], track.position[known, column][order])
+            if np.ptp(value) > _MOVES:
+                signal = f"signal:{track.topic}{_MARK}{name}"
+                found.setdefault(signal, SignalTrack(signal, at, value[:, None], track.topic))
+    return tuple(found.values())
+
+
+def others_at(samples: Samples) -> Array:
+    """Positions of these joints at the samples, (N, K); K is 0 where there are none."""
+    tracks = [track for track in samples.signals if _MARK in track.name]
+    columns = [np.interp(samples.stamps, track.stamps, track.values[:, 0]) for track in tracks]
+    return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
+
+
+def others_by_name(samples: Samples) -> dict[str, Array]:
+    """Positions of these joints at the samples, (N,), by the joint's name."""
+    tracks = [track for track in samples.signals if _MARK in track.name]
+    return {spoken_name(t.name): np.interp(samples.stamps, t.stamps, t.values[:, 0]) for t in tracks}
+
+
+def moving_beside(samples: Samples) -> tuple[str, ...]:
+    """Names of the joints that were recorded moving and are none of the arm's."""
+    return tuple(spoken_name(track.name) for track in samples.signals if _MARK in track.name)
+
+
+def spoken_name(signal: str) -> str:
+    """A recorded signal as a person calls it: its topic, or the joint."""
+    return signal.rpartition(_MARK)[2].removeprefix("signal:").replace("temperature:", "the temperature of ")

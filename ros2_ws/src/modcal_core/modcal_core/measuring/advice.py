@@ -13,19 +13,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.distributions import quantile_chi2
-from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER
-from modcal_core.calibration.model import place_model
-from modcal_core.calibration.parameters import View
-from modcal_core.calibration.score import errors
-from modcal_core.calibration.structure import choose_parameters
-from modcal_core.effects.registry import claimed
+from modcal_core.calibration import (
+    EQUATIONS_PER_PARAMETER,
+    Cell,
+    View,
+    choose_parameters,
+    errors,
+    place_model,
+    quantile_chi2,
+)
+from modcal_core.effects import claimed
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POSE
-from modcal_core.measurements.returns import MIN_RETURNS
+from modcal_core.geometry import Array
+from modcal_core.measurements import MIN_RETURNS, POSE
 from modcal_core.measuring.choose import (
+    Pool,
     deciding_stations,
     first_stations,
     fit_stations,
@@ -34,16 +36,23 @@ from modcal_core.measuring.choose import (
     proof_stations,
     return_stations,
 )
-from modcal_core.measuring.ending import UNEXPLAINED, End, no_station_helps, proven, spent
-from modcal_core.measuring.goal import Goal
 from modcal_core.measuring.outlook import Outlook, outlook
-from modcal_core.measuring.pool import Pool
-from modcal_core.measuring.proof import MIN_STATIONS, Proof, axes_of, share
+from modcal_core.measuring.proof import (
+    MIN_STATIONS,
+    UNEXPLAINED,
+    End,
+    Goal,
+    Proof,
+    axes_of,
+    no_station_helps,
+    proven,
+    share,
+    spent,
+)
 from modcal_core.measuring.refit import Refit, proven_over, refit
 from modcal_core.measuring.session import DECIDE, PROOF, RETURN, Look, Session, Station
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
-from modcal_core.verdict.floor import Floor, floors
+from modcal_core.robots import Inertias, Mechanism
+from modcal_core.verdict import Floor, floors
 
 BATCH = 2  # stations between two fits: fewer cost time, more are chosen by an older model
 _GROWING = 6  # a batch is at least one in so many of the stations so far: a fit hardly changes by fewer

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 _STEP = 0.02  # rad or m between two postures of a way that are checked
 _OVER = 60  # postures that a way may lead over, nearest first, when the straight one is not free

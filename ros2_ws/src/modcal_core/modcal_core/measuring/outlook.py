@@ -1,6 +1,6 @@
 """What a station would be worth now: how much it lowers the error of the tool that the fit still leaves, in mm².
 
-As in :mod:`modcal_core.planning.rows`, but about the model that has been fitted, with its effects and its noise, and
+As in :mod:`modcal_core.planning.worth`, but about the model that has been fitted, with its effects and its noise, and
 with *suspects* beside them: effects that the fit does not have but an arm may (a spring, a wobble, backlash in each
 joint), and the rivals of those that it has. Suspects are as large as the goal; what the stations so far say of them is
 in the information matrix like everything else. So a station is worth something where the geometry is known badly, where
@@ -18,17 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView, geometry_rows
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.structure import exact_samples
-from modcal_core.calibration.uncertainty import Uncertainty
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect, all_columns, columns, prior_stds
-from modcal_core.effects.registry import candidates
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import KIND_NAMES
-from modcal_core.measurements.recording import POINT
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import Model, RowView, Uncertainty, exact_samples, geometry_rows
+from modcal_core.effects import Drivers, Effect, all_columns, candidates, columns, prior_stds
+from modcal_core.geometry import Array
+from modcal_core.measurements import POINT, Samples
+from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.measuring.refit import Refit
 
 # Suspects: smooth ones of each joint; a gear's thousand harmonics have no better postures than random ones

@@ -10,28 +10,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell, free_cell
-from modcal_core.calibration.change_points import sharpened
-from modcal_core.calibration.finalise import finalise
-from modcal_core.calibration.identify import EQUATIONS_PER_PARAMETER, Fit
-from modcal_core.calibration.readmitted import Readmitted, readmitted, right_after_all
-from modcal_core.calibration.score import outlying
-from modcal_core.calibration.starts import fit_geometry
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
-from modcal_core.diagnosis.residual_curves import with_residual_curves
-from modcal_core.diagnosis.search import diagnose
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.rows import dimensions
-from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.conventions import proved
-from modcal_core.regimes.find import find_regimes
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias, weightless
-from modcal_core.verdict.sanity import sane_inertias
+from modcal_core.calibration import (
+    EQUATIONS_PER_PARAMETER,
+    Calibration,
+    Cell,
+    Fit,
+    Readmitted,
+    choose_parameters,
+    finalise,
+    fit_cell,
+    fit_geometry,
+    free_cell,
+    outlying,
+    readmitted,
+    right_after_all,
+    sharpened,
+    views_of,
+)
+from modcal_core.diagnosis import Diagnosis, causes_of_moves, diagnose, with_residual_curves
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import dimensions
+from modcal_core.plausibility import proved
+from modcal_core.regimes import find_regimes
+from modcal_core.robots import Inertias, Mechanism, weightless
+from modcal_core.verdict import sane_inertias
 
-_EXPLAIN = (3, 8)  # of ten stations these judge effects, the others fit: as in calibration/split.py without its test
+_EXPLAIN = (
+    3,
+    8,
+)  # of ten stations these judge effects, the others fit: as in calibration/data_split.py without its test
 _MIN_FREEDOM = 10  # rows beyond what is fitted, from which effects are looked for: a wrong one costs stations only
 
 

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.modules.bodies import body, path
+from modcal_core.geometry import Array, se3
 from modcal_core.modules.coding import BASES, Coding
 from modcal_core.modules.library import TURNS, ModuleType
 from modcal_core.modules.poe import TURN
+from modcal_core.modules.urdf import body, path
 
 
 @dataclass(frozen=True)

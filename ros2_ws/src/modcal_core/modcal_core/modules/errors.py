@@ -5,7 +5,7 @@ a small error exp(e), so to first order
 
     δ_k = Σ_pieces Ad(T_tail)⁻¹ e_piece,        T_tail: the product of the pieces behind it within M_k,
 
-and each recording tells a part of δ (:mod:`~modcal_core.modules.recording_evidence`). A *module* error belongs to a
+and each recording tells a part of δ (:mod:`~modcal_core.modules.errors`). A *module* error belongs to a
 serial number and is the same wherever the module is bolted; an *interface* error is new in every assembly. Both are
 taken as Gaussian about zero with the standard deviations that the library states. The interfaces, and modules without a
 number, are eliminated assembly by assembly, ``Λ' = (Λ⁻¹ + C Σ Cᵀ)⁻¹``, and what is left is one linear least squares
@@ -15,24 +15,136 @@ over all assemblies at once:
 
 Seen in one assembly only, a module and its two flanges cannot be told apart: the error seen is shared out in
 proportion to their prior variances. Every further assembly, in another place or turned otherwise, tells more.
+
+The arm is fitted with its minimal parameters, like any other. The fit chooses where to put what passes through joints;
+so what is kept are the six deviations of every inner constant M_1 … M_{n-1} together with their information JᵀWJ over
+all six directions, base frames and tool eliminated. It is singular along what the recording cannot tell, and so what
+was chosen there carries no weight. M_0 and M_n do not appear: they are one with where the base stands and where the
+instrument's target sits, which differs after every set-up.
+
+``modules`` is what assembling reads: mean and covariance of every part of every physical module. ``assemblies`` is what
+it was learned from; learning on reads these, and solves for all modules again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from modcal_core.calibration.distributions import beyond_chi2
-from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.library import Library, ModuleTolerance
-from modcal_core.modules.poe import TO_AXIS, Piece, pieces
-from modcal_core.modules.recording_evidence import RecordingEvidence
+from modcal_core.calibration import (
+    Cell,
+    Fit,
+    ModelParameter,
+    beyond_chi2,
+    choose_parameters,
+    fit_cell,
+    identify,
+    normal_equations,
+    views_of,
+)
+from modcal_core.errors import BadRecording, BadTable, NotEnoughData, refusing
+from modcal_core.geometry import DIRECTIONS, Array, se3
+from modcal_core.measurements import Samples
+from modcal_core.modules.library import Assembly, Library, ModuleTolerance
+from modcal_core.modules.poe import TO_AXIS, Piece, chain_of, pieces
+from modcal_core.modules.spec import assembly_from_data, assembly_to_data
+from modcal_core.plausibility import require_plausible
+from modcal_core.robots import Chain
+
+# --- What one recording of an assembly says of the modules in it
+
+_FARTHEST, _MAX_TURNED = 0.015, 0.1  # m, rad; a module that is farther off than this is not the one that is named
+_ANYWHERE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # m, rad: base and tool are free
+
+
+@dataclass(frozen=True)
+class RecordingEvidence:
+    """One assembly and what its recording says.
+
+    deviation: twists (n - 1, 6) [m, rad] with ``M_k exp(deviation)`` the true constant, k = 1 … n - 1, each in the
+    frame that M_k ends in. information: of the same, in their order, (6 n - 6, 6 n - 6). stations: how many were seen.
+    residual: RMS distance that the fit leaves [m].
+    """
+
+    assembly: Assembly
+    deviation: Array
+    information: Array
+    stations: int
+    residual: float
+
+
+def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -> RecordingEvidence:
+    """What these samples, whose joints are those of the assembly's chain, say of it; its geometry is fitted first.
+
+    Raises NotEnoughData where there are too few, or where the arm has one joint only and so nothing between joints;
+    BadRecording where it is not of this assembly.
+    """
+    chain = chain_of(assembly, library)
+    if chain.n < 2:
+        raise NotEnoughData(
+            f"assembly {assembly.name}",
+            "it has one joint, and the parts before and behind it cannot be distinguished from base and tool",
+            "learn from assemblies of two joints or more",
+        )
+    start = fit_cell(chain, samples, Cell())
+    choice = choose_parameters(start.model, views_of(samples))
+    fit = identify(start.model, samples, choice.parameters)
+    require_plausible(start, fit, samples)
+    gap = samples.reading - fit.model.predict_samples(samples)[:, :3, 3]
+    inner = slice(1, chain.n)
+    deviation = se3.log(se3.inverse(chain.origins[inner]) @ fit.model.serial.origins[inner])
+    _require_as_described(assembly, deviation)
+    residual = float(np.sqrt(np.average(np.sum(gap**2, axis=1), weights=fit.weights)))
+    return RecordingEvidence(assembly, deviation, _information(fit, samples, chain), samples.stations, residual)
+
+
+def _require_as_described(assembly: Assembly, deviation: Array) -> None:
+    """Raises BadRecording where some constant is farther from the drawing than any module is badly made."""
+    shift, turn = (np.linalg.norm(deviation[:, at], axis=1) for at in (slice(0, 3), slice(3, 6)))
+    k = int(np.argmax(np.maximum(shift / _FARTHEST, turn / _MAX_TURNED)))
+    if shift[k] <= _FARTHEST and turn[k] <= _MAX_TURNED:
+        return
+    raise BadRecording(
+        f"assembly {assembly.name}",
+        f"between {assembly.joint_names[k]} and {assembly.joint_names[k + 1]} the recording differs from it by "
+        f"{1e3 * shift[k]:.0f} mm and {np.degrees(turn[k]):.0f} degrees",
+        "correct the modules, lengths and turns there, or give this assembly's recording",
+    )
+
+
+def _information(fit: Fit, samples: Samples, chain: Chain) -> Array:
+    """JᵀWJ of all six directions of M_1 … M_{n-1}, after base frames and tool have taken what they can."""
+    inner = [
+        ModelParameter(f"{chain.names[k]}/{name}", k, d) for k in range(1, chain.n) for d, name in enumerate(DIRECTIONS)
+    ]
+    outer = [
+        ModelParameter(f"frame {frame}/{name}", 0, d, f)
+        for f, frame in enumerate(fit.model.frames)
+        for d, name in enumerate(DIRECTIONS)
+    ]
+    outer += [ModelParameter(f"tool/{name}", chain.n, d) for d, name in enumerate(DIRECTIONS)]
+    everything = [*inner, *outer]
+    model = fit.model.with_effects(())
+    H, _ = normal_equations(model, everything, np.zeros(len(everything)), samples, _row_weights(fit, samples))
+    P = len(inner)
+    free = H[P:, P:] + np.diag(np.tile(_ANYWHERE, len(outer) // 6) ** -2.0)
+    H = H[:P, :P] - H[:P, P:] @ np.linalg.solve(free, H[P:, :P])
+    value, vector = np.linalg.eigh(0.5 * (H + H.T))
+    return (vector * np.maximum(value, 0.0)) @ vector.T  # rounding must not say that a direction is less than unknown
+
+
+def _row_weights(fit: Fit, samples: Samples) -> Array:
+    """Weight of each row of a linearisation, (3 N + 3 M,), as the fit had them."""
+    pose = samples.is_pose
+    known_p, known_r = np.nan_to_num(samples.sigma_position), np.nan_to_num(samples.sigma_rotation[pose])
+    position = fit.weights / (fit.noise.position**2 + known_p**2)
+    rotation = fit.weights[pose] / (fit.noise.rotation**2 + known_r**2)
+    return np.concatenate([np.tile(position, 3), np.tile(rotation, 3)])
+
 
 Key = tuple[str, str]  # serial number, part of the module
 _ROUNDS = 3  # the exact product is put in again; a second round changes nanometres
@@ -231,3 +343,119 @@ def _without(information: Array, C: Array, std: Array) -> Array:
 
 def _by_key(keys: Sequence[Key], x: Array) -> dict[Key, Array]:
     return dict(zip(keys, x.reshape(-1, 6), strict=True))
+
+
+# --- What is known of modules as plain data: for people and for the next assembly, and enough to learn on from
+
+FORMAT = 1  # of the file
+_FIX = "give a file that modcal modules learn wrote"
+
+
+def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
+    """The store as nested dictionaries, lists, strings and floats; floats keep every digit."""
+    modules: dict[str, dict[str, Any]] = {}
+    for (serial, part), error in known.parts.items():
+        entry = modules.setdefault(serial, {"kind": error.kind, "length": error.size, "parts": {}})
+        entry["parts"][part] = {
+            "assemblies": error.seen,
+            "mean": _floats(error.twist),
+            "std": _floats(error.std),
+            "covariance": [_floats(row) for row in error.covariance],
+        }
+    return {
+        "modcal_module_store": FORMAT,
+        "library": library.name,
+        "modules": modules,
+        "assemblies": [_recording_to_data(w, library) for w in known.recordings],
+    }
+
+
+@refusing
+def store_from_data(data: Any, library: Library, source: str) -> ModuleErrors:
+    """The store, with everything learned again from its assemblies. Raises BadTable for what is no store."""
+    if not isinstance(data, Mapping) or data.get("modcal_module_store") != FORMAT:
+        raise BadTable(source, f"is not a store of modules (modcal_module_store: {FORMAT})", _FIX)
+    if data.get("library") != library.name:
+        said = f"its modules are of the library '{data.get('library')}', not of '{library.name}'"
+        raise BadTable(source, said, "give --library")
+    stated = data.get("assemblies")
+    if not isinstance(stated, list):
+        raise BadTable(f"{source}: assemblies", "is not a list", _FIX)
+    return learn(
+        [_recording_from_data(w, library, f"{source}: assembly {i + 1}") for i, w in enumerate(stated)], library
+    )
+
+
+@refusing
+def twists_from_data(data: Any, source: str) -> dict[Key, Array]:
+    """Means by (serial number, part) as the store states them. Raises BadTable for what is no store."""
+    if not isinstance(data, Mapping) or data.get("modcal_module_store") != FORMAT:
+        raise BadTable(source, f"is not a store of modules (modcal_module_store: {FORMAT})", _FIX)
+    try:
+        return {
+            (str(serial), str(part)): _numbers(error["mean"], (6,), f"{source}: {serial}: {part}: mean")
+            for serial, entry in data["modules"].items()
+            for part, error in entry["parts"].items()
+        }
+    except (KeyError, TypeError, AttributeError) as error:
+        raise BadTable(f"{source}: modules", f"is not a mapping of serial numbers ({error!r})", _FIX) from error
+
+
+def with_recording(known: ModuleErrors, new: RecordingEvidence, library: Library) -> ModuleErrors:
+    """What is known after one more assembly; one of the same name is replaced, for it is the same flanges seen again.
+
+    Raises BadTable where an assembly of other modules has that name already.
+    """
+    for old in known.recordings:
+        if old.assembly.name == new.assembly.name and old.assembly != new.assembly:
+            said = "is a different assembly in this store"
+            raise BadTable(
+                f"assembly {new.assembly.name}", said, "give each assembly a name of its own, also when rebuilt"
+            )
+    kept = [w for w in known.recordings if w.assembly.name != new.assembly.name]
+    return learn([*kept, new], library)
+
+
+def _recording_to_data(w: RecordingEvidence, library: Library) -> dict[str, Any]:
+    lower = np.tril_indices(len(w.information))
+    spec = assembly_to_data(w.assembly, library)
+    spec.pop("aim")
+    return {
+        **spec,
+        "stations": w.stations,
+        "residual_m": w.residual,
+        "deviation": [_floats(row) for row in w.deviation],
+        "information": _floats(w.information[lower]),
+    }
+
+
+def _recording_from_data(data: Any, library: Library, source: str) -> RecordingEvidence:
+    if not isinstance(data, Mapping):
+        raise BadTable(source, "is not a mapping", _FIX)
+    own = ("stations", "residual_m", "deviation", "information")
+    missing = [key for key in own if key not in data]
+    if missing:
+        raise BadTable(f"{source}: {missing[0]}", "is missing", _FIX)
+    assembly: Assembly = assembly_from_data({k: v for k, v in data.items() if k not in own}, library, source)
+    size = 6 * (assembly.n - 1)
+    deviation = _numbers(data["deviation"], (assembly.n - 1, 6), f"{source}: deviation")
+    lower = np.tril_indices(size)
+    information = np.zeros((size, size))
+    information[lower] = _numbers(data["information"], (len(lower[0]),), f"{source}: information")
+    information += np.tril(information, -1).T
+    stations, residual = (_numbers(data[key], (), f"{source}: {key}") for key in ("stations", "residual_m"))
+    return RecordingEvidence(assembly, deviation, information, int(stations), float(residual))
+
+
+def _numbers(stated: Any, shape: tuple[int, ...], what: str) -> Array:
+    try:
+        out = np.asarray(stated, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        out = np.empty(0)
+    if out.shape != shape or not np.isfinite(out).all():
+        raise BadTable(what, f"does not hold {' x '.join(map(str, shape)) or 'one'} finite numbers", _FIX)
+    return out
+
+
+def _floats(values: Array) -> list[float]:
+    return [float(x) for x in values]

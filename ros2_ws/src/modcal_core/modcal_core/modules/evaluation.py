@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.modules.catalogue import Arms, Catalogue
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.library import Library
-from modcal_core.modules.postures import TargetPostures
 from modcal_core.modules.reaching import reach, starts
 from modcal_core.modules.requirements import ARM, CODE, POSTURE, REACH, REQUIREMENTS, Options
-from modcal_core.modules.targets import Target
+from modcal_core.modules.targets import Target, TargetPostures
 
 MET = -1  # no requirement is broken
 _KEPT = 3  # starts that go on after the first steps

@@ -2,21 +2,22 @@
 
 Every module has an input frame (0) and an output frame (1), z along the way through the flange. A joint acts along z of
 its input frame. Which modules there are, and all their figures, are data: see ``published.yaml`` and
-:func:`modcal_core.modules.library_data.library_from_data`.
+:func:`modcal_core.modules.library.library_from_data`.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.errors import BadTable, refusing
+from modcal_core.geometry import Array, se3, so3
 
 BASE, JOINT, LINK, GRIPPER = "base", "joint", "link", "gripper"
 ROLES = (BASE, JOINT, LINK, GRIPPER)
@@ -120,3 +121,263 @@ class Library:
     def gripper(self) -> ModuleType:
         """The first kind of gripper."""
         return self.of_role(GRIPPER)[0]
+
+
+# --- Which modules are bolted together, in which order, and how each is turned against the one before it
+
+_NEXT = {"": (BASE,), BASE: (JOINT,), JOINT: (LINK,), LINK: (JOINT, GRIPPER), GRIPPER: ()}
+
+
+@dataclass(frozen=True)
+class Module:
+    """One module in its place.
+
+    kind: its name in the library. size: code 0 … 7 of its length. turn: quarter turns about z, 0 … 3, of its input
+    frame against the output frame of the module before it; 0 for a base. serial: of the physical module; "" unknown.
+    """
+
+    kind: str
+    size: int = 0
+    turn: int = 0
+    serial: str = ""
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A chain of modules: a base, then a joint and a link as often as wanted, then a gripper."""
+
+    modules: tuple[Module, ...]
+    name: str = "modular_arm"
+
+    @classmethod
+    def build(
+        cls,
+        base: tuple[int, int],
+        subassemblies: Iterable[tuple[str, int, str, int, int]],
+        base_kind: str = "B",
+        gripper_kind: str = "G",
+        name: str = "modular_arm",
+    ) -> Assembly:
+        """The assembly in the order of the published code.
+
+        base: (size, turn), the turn being that of the first joint on the base. subassemblies: (joint kind, turn, link
+        kind, size, turn), the first turn being that of the link on the joint, the second that of what comes next on
+        the link.
+        """
+        modules = [Module(base_kind, base[0])]
+        turn = base[1]
+        for joint, link_turn, link, size, next_turn in subassemblies:
+            modules += [Module(joint, 0, turn), Module(link, size, link_turn)]
+            turn = next_turn
+        return cls((*modules, Module(gripper_kind, 0, turn)), name)
+
+    @property
+    def joints(self) -> tuple[Module, ...]:
+        """The joints, base to gripper."""
+        return self.modules[1:-1:2]
+
+    @property
+    def links(self) -> tuple[Module, ...]:
+        """The links, base to gripper; link i is bolted onto joint i."""
+        return self.modules[2:-1:2]
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in the arm that comes of it: joint_1 …"""
+        return tuple(f"joint_{k + 1}" for k in range(self.n))
+
+    def with_serials(self, serials: Sequence[str]) -> Assembly:
+        """The same assembly of these physical modules, one serial number each, base to gripper."""
+        named = (replace(m, serial=s) for m, s in zip(self.modules, serials, strict=True))
+        return replace(self, modules=tuple(named))
+
+    def checked(self, library: Library, source: str = "assembly") -> Assembly:
+        """The same assembly, if it can be built from this library. Raises BadTable at the first fault."""
+        before = ""
+        seen: dict[str, int] = {}
+        for i, module in enumerate(self.modules):
+            what = f"{source}: module {i + 1}"
+            kind = library.type(module.kind, what)
+            if kind.role not in _NEXT[before]:
+                after = f"stands after a {before}" if before else "stands first"
+                wanted = " or a ".join(_NEXT[before]) or "nothing"
+                raise BadTable(f"{what} ({module.kind})", f"a {kind.role} {after}", f"use a {wanted} here")
+            if isinstance(module.size, bool) or not isinstance(module.size, int) or not 0 <= module.size < kind.sizes:
+                limit = f"its length code is {module.size!r}, 0 to {kind.sizes - 1} are there"
+                raise BadTable(f"{what} ({module.kind})", limit, "choose a length of the library")
+            if isinstance(module.turn, bool) or not isinstance(module.turn, int) or not 0 <= module.turn < TURNS:
+                said = f"it is turned by {module.turn!r} quarter turns, 0 to {TURNS - 1} are possible"
+                raise BadTable(f"{what} ({module.kind})", said, "give 0, 1, 2 or 3, or degrees 0, 90, 180, 270")
+            if i == 0 and module.turn:
+                raise BadTable(f"{what} ({module.kind})", "a base has no turn", "turn the first joint")
+            if module.serial and module.serial in seen:
+                said = f"serial number {module.serial} is at module {seen[module.serial]} already"
+                raise BadTable(f"{what} ({module.kind})", said, "give each physical module its own")
+            seen[module.serial] = i + 1
+            before = kind.role
+        if before != GRIPPER:
+            ends = f"it ends in a {before}" if before else "it is empty"
+            raise BadTable(source, ends, "end it in a gripper")
+        return self
+
+
+# --- A module library from plain data, as its YAML file holds it, checked at the door
+
+FORMAT = 1
+_SEE = "see docs/modules.md"
+_KEYS = {"role", "code", "motion", "length_m", "output", "elbows", "limits", "radius_m", "mass_kg", "mass_kg_per_m"}
+_MOTIONS = {"revolute": True, "prismatic": False}
+_LONGEST = 10.0  # m; a module that is longer was written in millimetres
+
+
+def published_text() -> str:
+    """The text of the library that is used where no other is given."""
+    return files("modcal_core.modules").joinpath("published.yaml").read_text(encoding="utf-8")
+
+
+def published() -> Library:
+    """The published library: B, G, JR, JP, LC, LP, LR-I, LR-II."""
+    import yaml
+
+    return library_from_data(yaml.safe_load(published_text()), "published.yaml")
+
+
+@refusing
+def library_from_data(data: Any, source: str) -> Library:
+    """The library that nested mappings and lists describe; ``source`` is named in refusals. Raises BadTable."""
+    top = _mapping(data, source, {"modcal_modules", "name", "tolerances", "modules"})
+    if top.get("modcal_modules") != FORMAT:
+        raise BadTable(source, f"is not a module library (modcal_modules: {FORMAT})", _SEE)
+    modules = _mapping(top.get("modules"), f"{source}: modules", None)
+    types = {str(name): _type(str(name), stated, f"{source}: {name}") for name, stated in modules.items()}
+    for role in ROLES:
+        if not any(t.role == role for t in types.values()):
+            raise BadTable(f"{source}: modules", f"there is no {role}", f"add a module with role: {role}")
+    for role in (JOINT, LINK):
+        codes = [t.code for t in types.values() if t.role == role]
+        if len(set(codes)) < len(codes):
+            raise BadTable(f"{source}: modules", f"two kinds of {role} have the same code", "give each its own code")
+    tolerances = _mapping(top.get("tolerances") or {}, f"{source}: tolerances", {"module", "interface"})
+    default = Library("", {})
+    return Library(
+        str(top.get("name", source)),
+        types,
+        _tolerance(tolerances.get("module"), default.module, f"{source}: tolerances: module"),
+        _tolerance(tolerances.get("interface"), default.interface, f"{source}: tolerances: interface"),
+    )
+
+
+def _type(name: str, stated: Any, what: str) -> ModuleType:
+    data = _mapping(stated, what, _KEYS)
+    role = data.get("role")
+    if role not in ROLES:
+        raise BadTable(what, f"its role is {role!r}", f"give one of {', '.join(ROLES)}")
+    motion = data.get("motion", "revolute")
+    if motion not in _MOTIONS or (("motion" in data) != (role == JOINT)):
+        raise BadTable(what, "a joint, and nothing else, has a motion", "give motion: revolute or prismatic")
+    length = _mapping(data.get("length_m") or {"first": 0.0, "step": 0.0}, f"{what}: length_m", {"first", "step"})
+    first, step = (_number(length.get(key, 0.0), f"{what}: length_m: {key}") for key in ("first", "step"))
+    output = _mapping(data.get("output"), f"{what}: output", {"xyz", "along", "rpy"})
+    place = _point(output, f"{what}: output")
+    if role in (BASE, GRIPPER, LINK) and step and not place.along.any():
+        raise BadTable(f"{what}: output", "has a length without a direction", "give along: [x, y, z]")
+    limits = _mapping(data.get("limits") or {}, f"{what}: limits", {"lower", "upper", "velocity", "effort"})
+    low, high = (
+        _number(limits.get(k, d), f"{what}: limits: {k}", finite=False)
+        for k, d in (("lower", -np.inf), ("upper", np.inf))
+    )
+    if not low < high:
+        raise BadTable(f"{what}: limits", f"run from {low:g} to {high:g}", "give lower below upper")
+    if motion == "prismatic" and not (np.isfinite(low) and np.isfinite(high)):
+        raise BadTable(f"{what}: limits", "a sliding joint has an end", "give lower and upper")
+    numbers = {
+        "velocity": limits.get("velocity", 1.0),
+        "effort": limits.get("effort", 100.0),
+        "radius": data.get("radius_m", 0.03),
+        "mass": data.get("mass_kg", 0.0),
+        "mass_per_metre": data.get("mass_kg_per_m", 0.0),
+    }
+    checked = {key: _number(value, f"{what}: {key}") for key, value in numbers.items()}
+    for key, value in checked.items():
+        if value < 0.0 or (value == 0.0 and key == "radius"):
+            raise BadTable(f"{what}: {key}", f"is {value:g}", "give a positive number")
+    made = ModuleType(
+        name=name,
+        role=role,
+        output=place,
+        R=so3.from_rpy(_three(output.get("rpy", (0, 0, 0)), f"{what}: output: rpy")),
+        revolute=_MOTIONS[motion],
+        code=_code(data.get("code", 0 if motion == "revolute" else 1), what),
+        first=first,
+        step=step,
+        elbows=tuple(
+            _point(_mapping(e, f"{what}: elbows", {"xyz", "along"}), f"{what}: elbows")
+            for e in data.get("elbows") or ()
+        ),
+        lower=low,
+        upper=high,
+        **checked,
+    )
+    longest = max(float(np.linalg.norm(made.output.at(made.length(n)))) for n in (0, SIZES - 1))
+    if longest > _LONGEST:
+        raise BadTable(what, f"is {longest:.0f} m long, {_LONGEST:g} m is the limit", "give metres, not millimetres")
+    return made
+
+
+def _tolerance(stated: Any, default: ModuleTolerance, what: str) -> ModuleTolerance:
+    data = _mapping(stated or {}, what, {"length_m", "angle_rad", "zero_rad"})
+    values = (
+        _number(data.get("length_m", default.length), f"{what}: length_m"),
+        _number(data.get("angle_rad", default.angle), f"{what}: angle_rad"),
+        _number(data.get("zero_rad", default.zero), f"{what}: zero_rad"),
+    )
+    if min(values[:2]) <= 0.0 or values[2] < 0.0 or max(values) > 1.0:
+        raise BadTable(what, "standard deviations are above 0 and below 1 (m, rad)", _SEE)
+    return ModuleTolerance(*values)
+
+
+def _mapping(data: Any, what: str, keys: set[str] | None) -> Mapping[str, Any]:
+    if not isinstance(data, Mapping):
+        raise BadTable(what, "is not a mapping", _SEE)
+    unknown = [str(k) for k in data if keys is not None and k not in keys]
+    if unknown:
+        raise BadTable(what, f"'{unknown[0]}' does not belong there", f"keys are {', '.join(sorted(keys or ()))}")
+    return data
+
+
+def _point(data: Mapping[str, Any], what: str) -> ModulePoint:
+    return ModulePoint(
+        _three(data.get("xyz", (0, 0, 0)), f"{what}: xyz"), _three(data.get("along", (0, 0, 0)), f"{what}: along")
+    )
+
+
+def _three(values: Any, what: str) -> Array:
+    try:
+        out = np.array([float(v) for v in values])
+    except (TypeError, ValueError, OverflowError):
+        out = np.empty(0)
+    if out.shape != (3,) or not np.isfinite(out).all():
+        raise BadTable(what, "needs 3 finite numbers", _SEE)
+    out.flags.writeable = False
+    return out
+
+
+def _number(value: Any, what: str, finite: bool = True) -> float:
+    try:
+        out = float(value)
+    except (TypeError, ValueError, OverflowError):
+        out = np.nan
+    if isinstance(value, bool) or np.isnan(out) or (finite and np.isinf(out)):
+        raise BadTable(what, f"{value!r} is not a number", _SEE)
+    return out
+
+
+def _code(value: Any, what: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 4:
+        raise BadTable(f"{what}: code", f"is {value!r}", "give 0 to 3")
+    return value

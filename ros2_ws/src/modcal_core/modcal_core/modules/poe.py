@@ -17,11 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.library import JOINT, Library
-from modcal_core.robots.chain import Chain
+from modcal_core.geometry import Array, se3
+from modcal_core.modules.library import JOINT, Assembly, Library
+from modcal_core.robots import Chain
 
 BASE_LINK, TIP_LINK = "base_link", "tool0"
 _QUARTER = np.array([[1, 0, -1, 0], [0, 1, 0, -1]], dtype=float)  # cos and sin of the quarter turns, exactly

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.modules.catalogue import Arms
 from modcal_core.modules.targets import Target
 

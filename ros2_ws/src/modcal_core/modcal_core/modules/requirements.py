@@ -20,12 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 from modcal_core.modules.catalogue import Arms
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.postures import TargetPostures, frames
-from modcal_core.robots.gravity import STANDARD_GRAVITY
+from modcal_core.modules.targets import TargetPostures, frames
+from modcal_core.robots import STANDARD_GRAVITY
 
 CODE, REACH, ARM, POSTURE = "code", "reachability", "arm", "posture"
 Options = Mapping[str, Any]

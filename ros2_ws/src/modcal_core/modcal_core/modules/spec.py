@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.modules.assembly import Assembly, Module
-from modcal_core.modules.incidence import Entry, Incidence, assembly_of, incidence_of
-from modcal_core.modules.library import Library
+from modcal_core.modules.coding import Entry, Incidence, assembly_of, incidence_of
+from modcal_core.modules.library import Assembly, Library, Module
 
 FORMAT = 1
 _SEE = "see docs/modules.md"

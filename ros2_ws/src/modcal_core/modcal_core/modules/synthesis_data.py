@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, so3
 from modcal_core.modules.evaluation import uses_of
 from modcal_core.modules.genetic import SearchSettings
 from modcal_core.modules.requirements import REQUIREMENTS, Requirement

@@ -1,7 +1,7 @@
 """A model held at one set of values, and what single samples say of it: the quick way to residual and derivatives.
 
-:func:`~modcal_core.calibration.linearise.linearise` inserts the values again in every call, which pays for thousands of
-samples at once. Here that is done once, and a sample costs one pass along the chain and a few small products.
+:func:`~modcal_core.calibration.linearise` inserts the values again in every call, which pays for thousands of samples
+at once. Here that is done once, and a sample costs one pass along the chain and a few small products.
 
 What a place does to the tool is first seen at the root's origin, for there it goes along the chain like the frames do:
 with the adjoint matrix of the place's frame, which for one joint more is multiplied by that of one joint. The way from
@@ -15,17 +15,20 @@ from math import asin, sqrt
 
 import numpy as np
 
-from modcal_core.calibration.linearise import Deviations, RowView, deviations, geometry_rows, model_at
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
-from modcal_core.effects.effect import all_columns, motion
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import HAT, Array
-from modcal_core.geometry.twists import local_twists
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import frames
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.calibration import (
+    INSTRUMENT,
+    Deviations,
+    Model,
+    ModelParameter,
+    RowView,
+    deviations,
+    geometry_rows,
+    model_at,
+)
+from modcal_core.effects import all_columns, motion
+from modcal_core.geometry import HAT, Array, local_twists, se3, so3
+from modcal_core.measurements import Samples
+from modcal_core.robots import Chain, frames, is_serial_arm
 
 _EYE = np.eye(6)
 _AT_ROOT = np.eye(7, 6)  # the frame of the first joint is the root

@@ -14,26 +14,76 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.approach import Approach
-from modcal_core.measurements.dwells import (
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import (
     LATE_STEPS,
     NOISE_FACTOR,
+    POSE,
     SECOND_DIFFERENCE,
     SHORTEST,
+    Approach,
+    JointTrack,
+    ReadingTrack,
+    Samples,
     StationRules,
+    averaged,
     find_dwells,
     fitted_rules,
+    following,
 )
-from modcal_core.measurements.kinds.kind import KIND_NAMES
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.pairing import averaged
-from modcal_core.measurements.recording import POSE, ReadingTrack
-from modcal_core.measurements.samples import Samples
-from modcal_core.online.recent_commands import RecentCommands
+from modcal_core.measurements.kinds import KIND_NAMES, kinds
 
-_HELD = 8192  # joint states, and readings of each frame
+# --- Recent commands to an arm, to compare with reported positions, in bounded memory
+
+_HELD = 4096  # commands; 4 s at 1 kHz, and any stand at the usual rates
+
+
+class RecentCommands:
+    """The last commands for these joints. Stamps in seconds, positions in rad and m."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self._t = np.empty(2 * _HELD)
+        self._q = np.empty((2 * _HELD, len(names)))
+        self._first = self._end = 0
+
+    def add(self, stamps: Array, positions: Array) -> None:
+        """Take commands (k, n), NaN for joints that they do not name, at rising stamps (k,); later ones are replaced.
+
+        So a trajectory takes the place of what is left of the one before.
+        """
+        stamps, positions = stamps[-_HELD:], positions[-_HELD:]
+        if not len(stamps):
+            return
+        self._end = self._first + int(np.searchsorted(self._t[self._first : self._end], stamps[0]))
+        if self._end + len(stamps) > len(self._t):
+            keep = slice(max(self._end - _HELD, self._first), self._end)
+            kept = keep.stop - keep.start
+            self._t[:kept], self._q[:kept] = self._t[keep].copy(), self._q[keep].copy()
+            self._first, self._end = 0, kept
+        if self._end > self._first:  # what a message does not name stays as it was told
+            positions = np.where(np.isfinite(positions), positions, self._q[self._end - 1])
+        rows = slice(self._end, self._end + len(stamps))
+        self._t[rows], self._q[rows] = stamps, positions
+        self._end = rows.stop
+        self._first = max(self._first, self._end - _HELD)
+
+    def following(self, t: Array, q: Array, span: tuple[float, float]) -> Array:
+        """Commanded − measured (n,) over a span [s]; NaN where unknown. t (m,), q (m, n): joint states about it."""
+        told = self._t[self._first : self._end]
+        about = slice(max(int(np.searchsorted(t, span[0])) - 1, 0), int(np.searchsorted(t, span[1], side="right")) + 1)
+        t, q = t[about], q[about]
+        if not len(told) or not len(t) or t[-1] < told[0]:
+            return np.full(len(self._names), np.nan)
+        since = max(int(np.searchsorted(told, t[0], side="right")) - 1, 0)
+        until = int(np.searchsorted(told, t[-1], side="right")) + 1
+        rows = slice(self._first + since, min(self._first + until, self._end))
+        unknown = np.full((rows.stop - rows.start, len(self._names)), np.nan)
+        track = JointTrack(self._names, self._t[rows], self._q[rows], unknown, unknown, unknown[:, 0])
+        return following((track,), self._names, t, q, np.array([span]))[0]
+
+
+_STREAM_HELD = 8192  # joint states, and readings of each frame
 _LONGEST = 3.0  # s of standing still that make one sample; a longer stand makes several
 _JUMP = 1.0  # s; a stamp that lies this far before the last one is a clock that was set back, not a late message
 _RESTLESS = 30.0  # s without a stand after which readings in motion are used
@@ -59,7 +109,7 @@ class _Readings:
     """Readings of one frame that are not used up."""
 
     kind: str
-    waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_HELD))
+    waiting: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=_STREAM_HELD))
     last: float = -np.inf
 
 
@@ -87,9 +137,9 @@ class SampleStream:
 
     def _forget(self) -> None:
         n = len(self.names)
-        self._t = np.empty(2 * _HELD)
-        self._q = np.empty((2 * _HELD, n))
-        self._effort = np.empty((2 * _HELD, n))
+        self._t = np.empty(2 * _STREAM_HELD)
+        self._q = np.empty((2 * _STREAM_HELD, n))
+        self._effort = np.empty((2 * _STREAM_HELD, n))
         self._first = self._end = 0
         self._low = self._high = np.zeros(n)
         self._since = -np.inf  # when the present stand began
@@ -167,14 +217,14 @@ class SampleStream:
 
     def _append(self, stamp: float, q: Array, effort: Array | None) -> None:
         if self._end == len(self._t):
-            keep = slice(self._end - _HELD, self._end)
+            keep = slice(self._end - _STREAM_HELD, self._end)
             for a in (self._t, self._q, self._effort):
-                a[:_HELD] = a[keep]
-            self._first, self._end = 0, _HELD
+                a[:_STREAM_HELD] = a[keep]
+            self._first, self._end = 0, _STREAM_HELD
         self._t[self._end], self._q[self._end] = stamp, q
         self._effort[self._end] = np.nan if effort is None else self._known(effort)
         self._end += 1
-        self._first = max(self._first, self._end - _HELD)
+        self._first = max(self._first, self._end - _STREAM_HELD)
 
     def _known(self, effort: Array) -> Array:
         """The efforts, those that are not finite as they were before: a stand's mean must not be lost to one."""

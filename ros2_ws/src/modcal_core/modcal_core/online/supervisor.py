@@ -4,17 +4,104 @@
 
 A result is accepted by policy when it is surely better on stations that its fit has not seen, or when somebody says so.
 Until then the last trusted model stands.
+
+A tracker's driver that is restarted with another setting looks like a base that has moved by metres, or like a load.
+Once there are enough samples, the same question is asked as of a recording that is checked.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
 
-from modcal_core.calibration.store import Calibration
-from modcal_core.measurements.samples import Samples
-from modcal_core.online.change_hypothesis import ChangeHypothesis
-from modcal_core.online.estimator import RandomWalk
-from modcal_core.online.live import Live
+import numpy as np
+
+from modcal_core.calibration import Calibration, Model, NoiseModel, errors
+from modcal_core.errors import BadRecording
+from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.online.change_detector import ChangeDetector, ChangeHypothesis, find_change
+from modcal_core.online.estimator import Estimator, RandomWalk
+from modcal_core.plausibility import MIN, MISREAD, ArmMiss, inverse_pose, recognised
+
+# --- Whether what seems to have changed is how readings are written
+
+_UNTOLD = "readings in another unit or convention"
+
+
+def or_misread(change: ChangeHypothesis, model: Model, rows: Sequence[Samples], noise: NoiseModel) -> ChangeHypothesis:
+    """The change; the mistake in its place, where the samples (rows) since then are of the arm once that is undone.
+
+    While there are too few to tell, a change that is larger than an arm's own is said to be either.
+    """
+    samples = reduce(Samples.followed_by, rows)
+    off, reach = errors(model, samples), model.chain.reach()
+    if len(samples) < MIN:
+        turned = float(np.median(off.rotation_norm)) if samples.is_pose.all() else 0.0
+        near = ArmMiss(float(np.median(off.position_norm)), turned).size(reach) < MISREAD * reach
+        return change if near else replace(change, same_as=(_UNTOLD, *change.same_as))
+    try:
+        undone = recognised(model, samples, noise).undone
+    except BadRecording as mistake:
+        said = str(mistake)
+    else:
+        if undone is None:
+            return change
+        said = f"{inverse_pose().offender}: {inverse_pose().remedy}"
+    size = float(np.sqrt(np.mean(off.position_norm**2)))
+    return replace(change, place="tracker", direction="convention", size=size, same_as=(), mistake=said)
+
+
+# --- What goes on sample by sample while a calibration is trusted: the running estimate, and the watch on the model
+
+_RIDGE = 1e-12  # of each variance; a covariance that was written down may have lost its last digits
+
+
+class Live:
+    """Follows one calibration with every sample.
+
+    estimator: the parameters as they stand now. detector: whether the calibration still holds. hypothesis: what has
+    changed, None while nothing has. changed: since when [s]. since: samples taken in after that. strange: samples of
+    frames that the calibration does not know, and of kinds that are no positions.
+    """
+
+    def __init__(self, calibration: Calibration, random_walk: RandomWalk | None = None) -> None:
+        """Begin with a calibration that carries its uncertainty; raises ValueError for one that does not."""
+        known = calibration.uncertainty
+        if known is None:
+            raise ValueError("a calibration without its uncertainty cannot be followed")
+        covariance = known.covariance + _RIDGE * np.diag(np.diag(known.covariance))
+        self.calibration = calibration
+        model, noise = calibration.calibrated, calibration.noise
+        self.estimator = Estimator(model, known.parameters, noise, covariance, random_walk, calibration.kind)
+        self.detector = ChangeDetector(model, known.parameters, covariance, noise)
+        self.hypothesis: ChangeHypothesis | None = None
+        self.changed: float | None = None
+        self.since = 0
+        self.strange = 0
+
+    def add(self, sample: Samples) -> None:
+        """Take in one sample (a row)."""
+        known = int(sample.frame[0]) < len(self.calibration.calibrated.frames)
+        if not known or not is_direct([str(sample.kind[0])]):
+            self.strange += 1
+            return
+        self.estimator.update(sample)
+        changed = self.detector.add(sample)
+        if changed is not None and self.hypothesis is None:
+            self.changed = changed
+        if self.changed is None:
+            return
+        self.since += 1
+        # asked again as samples come in: the first answer rests on very few
+        if self.hypothesis is None or (self.since & (self.since - 1)) == 0:
+            self.hypothesis = self._asked(min(self.changed, self.detector.seen[-1].stamp))
+
+    def _asked(self, since: float) -> ChangeHypothesis:
+        rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
+        return or_misread(find_change(self.detector, since), self.detector.model, rows, self.calibration.noise)
+
 
 ASKED, BETTER = "asked", "better"
 LEARNING, TRUSTED, SUSPECTED = "learning", "trusted", "suspected"

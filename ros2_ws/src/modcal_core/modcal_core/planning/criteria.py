@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 ACCURACY = "accuracy"
 CRITERIA = (ACCURACY, "d", "o1", "o2", "o3", "o4", "o5")

@@ -12,19 +12,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView, geometry_rows
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import ModelParameter, View
-from modcal_core.calibration.score import FINEST
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.structure import choose_parameters, general_samples
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import Effect, all_columns, columns, prior_stds
+from modcal_core.calibration import (
+    FINEST,
+    Calibration,
+    Model,
+    ModelParameter,
+    NoiseModel,
+    RowView,
+    View,
+    choose_parameters,
+    general_samples,
+    geometry_rows,
+)
+from modcal_core.effects import Drivers, Effect, all_columns, columns, prior_stds
 from modcal_core.errors import NotPlannable
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import random_postures
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
+from modcal_core.robots import random_postures
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
 _SAME = 0.0025  # of the squares, 5 % of the size: what differs by less is as good as one (that of a scan's candidates)

@@ -7,22 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.parameters import ModelParameter, View
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.structure import choose_parameters, joint_ranges
+from modcal_core.calibration import Calibration, Model, ModelParameter, View, choose_parameters, joint_ranges
 from modcal_core.errors import BadTable, NotPlannable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POSE
-from modcal_core.planning.accuracy import Accuracy, Workspace
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import POSE
 from modcal_core.planning.closed_chain import one_frame_model
-from modcal_core.planning.designs import sobol_postures
-from modcal_core.planning.rows import StationRows, position_rows, station_rows
-from modcal_core.planning.site import Site
+from modcal_core.planning.sensitivity import sobol_postures
+from modcal_core.planning.site import Site, view_postures
 from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
-from modcal_core.planning.views import view_postures
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.planning.worth import Accuracy, StationRows, Workspace, position_rows, station_rows
+from modcal_core.robots import Mechanism, is_serial_arm
 
 CANDIDATES = 1500  # random postures that stations are chosen from, for time
 _WORKSPACE = 400  # postures that stand for the workspace

@@ -14,12 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 from modcal_core.planning.site import BASE, Ball, Site
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import Frames, frames
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm, takes, tool_frames
+from modcal_core.robots import Chain, Frames, Mechanism, frames, is_serial_arm, takes, tool_frames
 
 _SHARE_OF_REACH = 0.04  # radius of a link where none is stated: 5 cm of an arm of 1.3 m
 _NEIGHBOURS = 2.0  # sums of radii along the arm within which spheres are not compared

@@ -11,17 +11,134 @@ with A_j = J_j U and B_j = J_j P Γ U:
 
 (Sherman, Morrison & Woodbury). So a change costs one product of all candidates' rows with 2 c columns, in place of two
 with all P parameters.
+
+The parameters, their derivatives and the weights are those of ``modcal calibrate``: one weight a reading from its own
+scatter and from what the arm does not repeat. The noise itself is not that simple, for a joint that does not repeat
+moves the tool along its own arc; so the covariance that the fit will really have is kept beside,
+
+    C = A (Σ_i J_iᵀ W_i R_i W_i J_i + Λ) A,    A = (Σ_i J_iᵀ W_i J_i + Λ)⁻¹,    R_i = σ_i² 1 + J_q Σ_q J_qᵀ
+
+with Λ the prior, which takes the arm to be as far from its drawing as robots are.
+
+What is left of the position error, in a posture with derivatives G, is ``G θ`` with θ of the covariance that the fit
+has (see :mod:`modcal_core.planning.worth`), and on top of it what the joints do not repeat. Sizes are over postures of
+the workspace and over what the noise may turn out to be; the noise of the tracker itself is not part of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.calibration import Model, ModelParameter, RowView, exact_samples, geometry_rows
+from modcal_core.geometry import Array
+from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.planning.criteria import Criterion
-from modcal_core.planning.rows import StationRows
+from modcal_core.planning.site import Noise
+
+# --- What each station would tell: the rows that it adds to the normal equations of the calibration, and its noise
+
+
+@dataclass(frozen=True)
+class StationRows:
+    """N stations with c numbers read at each: 3 of a point, 6 of a pose.
+
+    J: derivatives times the prior's standard deviations, over the readings' that the fit supposes, (N, c, P). noise:
+    the true covariance of the readings in the same units, (N, c, c). scale: the prior's standard deviations, (P,)
+    [m, rad]. unrepeated: mean square of the distance [m²] by which the joints do not repeat, (N,). joint_variance: what
+    variance the fit adds to each reading's own for it, (c,) [m², rad²].
+    """
+
+    J: Array
+    noise: Array
+    scale: Array
+    unrepeated: Array
+    joint_variance: Array
+
+    def of(self, chosen: np.ndarray) -> StationRows:
+        """These stations alone."""
+        return replace(self, J=self.J[chosen], noise=self.noise[chosen], unrepeated=self.unrepeated[chosen])
+
+    def joined(self, other: StationRows) -> StationRows:
+        """These stations and others of the same fit."""
+        return replace(
+            self,
+            J=np.concatenate([self.J, other.J]),
+            noise=np.concatenate([self.noise, other.noise]),
+            unrepeated=np.concatenate([self.unrepeated, other.unrepeated]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.J)
+
+    def information(self, chosen: np.ndarray | Sequence[int]) -> Array:
+        """JᵀWJ of these stations, parameters in units of their priors, (P, P)."""
+        J = self.J[chosen].reshape(-1, self.J.shape[2])
+        return J.T @ J
+
+    def covariance(self, chosen: np.ndarray | Sequence[int]) -> Array:
+        """Covariance (P, P) of the parameters, in units of their priors, that a fit to these stations will have."""
+        J, R = self.J[chosen], self.noise[chosen]
+        eye = np.eye(J.shape[2])
+        A = np.linalg.inv(self.information(chosen) + eye)
+        out = A @ (np.einsum("ncp,ncd,ndr->pr", J, R, J, optimize=True) + eye) @ A
+        return np.asarray(0.5 * (out + out.T))
+
+
+def station_rows(
+    model: Model,
+    parameters: Sequence[ModelParameter],
+    q: Array,
+    kind: str,
+    noise: Noise,
+    joint_variance: Array | None = None,
+) -> StationRows:
+    """The rows of stations at postures q (N, n) [rad, m], read as points or poses through the model's one frame.
+
+    joint_variance: that of other stations of the same fit; that of these where it is not given.
+    """
+    N, n = q.shape
+    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
+    view = RowView.of(model, samples, model.drivers(samples))
+    scale = np.array([p.prior_std for p in parameters])
+    J = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
+    turning, first = model.chain.revolute, model.chain.first_place
+    repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
+    Jq = _by_station(np.stack([view.unit_column(first + k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
+    unrepeated = np.sum(Jq[:, :3] ** 2, axis=(1, 2))
+    distance = np.linalg.norm(samples.reading, axis=1)
+    read = np.full((N, J.shape[1]), noise.rotation)
+    read[:, :3] = (noise.position + noise.per_metre * distance)[:, None]
+    # as a fit finds it: one number for all stations
+    if joint_variance is None:
+        joint_variance = np.repeat(np.mean(np.sum(Jq**2, axis=2).reshape(N, -1, 3), axis=(0, 2)), 3)
+    weight = 1.0 / np.sqrt(read**2 + joint_variance)
+    R = Jq @ Jq.transpose(0, 2, 1)
+    R[:, np.arange(J.shape[1]), np.arange(J.shape[1])] += read**2
+    return StationRows(
+        J * weight[..., None], R * weight[:, :, None] * weight[:, None, :], scale, unrepeated, joint_variance
+    )
+
+
+def position_rows(model: Model, parameters: Sequence[ModelParameter], q: Array, noise: Noise) -> tuple[Array, Array]:
+    """Derivatives of the target's position (N, 3, P) [m] per prior deviation, and unrepeated mean squares (N,) [m²]."""
+    N, n = q.shape
+    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype=KIND_NAMES))
+    view = RowView.of(model, samples, model.drivers(samples))
+    scale = np.array([p.prior_std for p in parameters])
+    turning, first = model.chain.revolute, model.chain.first_place
+    repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
+    Jq = _by_station(np.stack([view.unit_column(first + k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
+    G = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
+    return G, np.sum(Jq**2, axis=(1, 2))
+
+
+def _by_station(rows: Array, N: int) -> Array:
+    """Rows (P, c N), component-major, as (N, c, P)."""
+    return rows.reshape(len(rows), -1, N).transpose(2, 1, 0)
 
 
 @dataclass(frozen=True)
@@ -108,3 +225,51 @@ def _eliminated(S: Array, *G: Array) -> tuple[Array, Array]:
 def _cofactor(S: Array, i: int, j: int) -> Array:
     (a, b), (c, d) = ([k for k in range(3) if k != omitted] for omitted in (i, j))
     return np.asarray((-1) ** (i + j) * (S[a, c] * S[b, d] - S[a, d] * S[b, c]))
+
+
+# --- How accurate an arm will be once it has been calibrated from certain stations
+
+_DRAWS = 200  # for time: the mean of as many is known to some per cent
+_SEED = 11  # the same draws every time, so that sets of stations are compared on equal terms
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """rms, p95: of the calibrated arm's position error [m]. model: RMS of the part that the calibration leaves [m].
+    repeat: RMS of the part that the joints do not repeat [m].
+    """
+
+    rms: float
+    p95: float
+    model: float
+    repeat: float
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where accuracy counts. G: (N, 3, P) [m] per prior deviation of each parameter. repeat: mean squares (N,) [m²]."""
+
+    G: Array
+    repeat: Array
+
+    @cached_property
+    def gamma(self) -> Array:
+        """Mean of GᵀG, (P, P): the mean square error is tr(C Γ)."""
+        flat = self.G.reshape(-1, self.G.shape[2])
+        return flat.T @ flat / len(self.G)
+
+    def left(self, covariance: Array) -> float:
+        """RMS position error [m] that this covariance leaves, without what the joints do not repeat."""
+        return float(np.sqrt(np.sum(covariance * self.gamma)))
+
+    def accuracy(self, covariance: Array) -> Accuracy:
+        """The accuracy that this covariance (P, P) of the parameters, in units of their priors, leaves."""
+        model = self.left(covariance) ** 2
+        repeat = float(np.mean(self.repeat))
+        rng = np.random.default_rng(_SEED)
+        value, vector = np.linalg.eigh(covariance)
+        theta = (vector * np.sqrt(np.maximum(value, 0.0))) @ rng.standard_normal((len(value), _DRAWS))
+        error = self.G @ theta  # (N, 3, draws)
+        error += np.sqrt(self.repeat / 3.0)[:, None, None] * rng.standard_normal(error.shape)
+        p95 = float(np.percentile(np.linalg.norm(error, axis=1), 95.0))
+        return Accuracy(float(np.sqrt(model + repeat)), p95, float(np.sqrt(model)), float(np.sqrt(repeat)))

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import turns_left
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.chain import Chain
+from modcal_core.calibration import turns_left
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Samples
+from modcal_core.robots import Chain
 
 ANGLE = 0.012  # rad; nominal arms turn their tips by some 3 mrad too far
 OF_REACH = 0.006  # the same for positions

@@ -15,14 +15,12 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_place, turns_left
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import base_and_tool_turns, tool_and_place, turns_left
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import ANGLE, OF_REACH, Disagreement
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 _MIN = 40  # stations; a coordinate has 13 coefficients
 _MAX = 400  # the same at most; more say the same

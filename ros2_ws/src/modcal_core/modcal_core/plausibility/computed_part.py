@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_place
-from modcal_core.calibration.runs import consecutive
-from modcal_core.calibration.score import FINEST
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.calibration import FINEST, base_and_tool_turns, consecutive, tool_and_place
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Samples
+from modcal_core.robots import Mechanism, forward, is_serial_arm
 
 _MIN = 30  # stations
 _MAX = 400  # the same at most

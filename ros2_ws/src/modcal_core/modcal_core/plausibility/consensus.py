@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place
-from modcal_core.calibration.runs import consecutive
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, consecutive, tool_and_place
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import Disagreement, Placed, limits
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import forward
+from modcal_core.robots import Chain, forward
 
 CLEARLY = 2.0  # times both limits; what misses by less may be the arm's own error, or that of a few stations drawn
 _DRAWN = 5  # stations

@@ -14,8 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.geometry import se3, so3
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.agreement import Disagreement, Placed
 from modcal_core.plausibility.consensus import CLEARLY, Consensus
 from modcal_core.plausibility.joint_search import EXPLAINED, JointSearch
@@ -29,8 +28,7 @@ from modcal_core.plausibility.mistakes import (
     of_several_joints,
     of_units,
 )
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 _MIN = 12  # stations that must agree, and be explained
 _MIN_SHARE = 0.2  # of the stations that must agree, lest chance finds that many

@@ -19,17 +19,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
-from modcal_core.calibration.split import distinct
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, distinct, tool_and_place, turns_left
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.consensus import placed_by_most
 from modcal_core.plausibility.mistakes import Mistake, inverse_pose, of_axes, of_joints, of_rotations, of_units
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 BEYOND_DOUBT = 50.0  # difference of log-likelihoods
 MIN_STATIONS = 12  # poses of a frame: six unknown turns, and as much again to tell

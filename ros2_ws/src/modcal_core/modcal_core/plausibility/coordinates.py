@@ -12,13 +12,13 @@ from itertools import product
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake, of_axes_of_the_pose
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Mechanism, forward, is_serial_arm
 
 _MIN = 24  # stations; nine numbers of base and tool, and ways enough to hit by chance with fewer
 _MAX = 200  # the same at most, the first ones: steps must follow each other

@@ -11,15 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.joint_columns import MIN_ROWS, likely_orders
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 _MAX = 100  # stations; more say the same
 _LIKELY = 6  # orders that are placed

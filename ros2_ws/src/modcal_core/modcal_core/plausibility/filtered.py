@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from modcal_core.calibration.closed_form import base_by_positions, tool_and_place
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import base_by_positions, tool_and_place
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Mechanism, forward, is_serial_arm
 
 _MIN, _MAX = 24, 400  # stations
 _BEFORE, _AFTER = 8, 3  # rows that a filter reaches

@@ -14,10 +14,9 @@ from math import factorial, perm
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import forward
+from modcal_core.geometry import Array
+from modcal_core.measurements import spread_rows
+from modcal_core.robots import Chain, forward
 
 MIN_ROWS = 26  # half of what is seen is fitted; with fewer rows chance explains too much
 _ROWS = 40  # evenly along the table; a coordinate has 13 coefficients

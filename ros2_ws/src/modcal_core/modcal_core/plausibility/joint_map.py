@@ -14,18 +14,14 @@ from itertools import combinations, product
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.agreement import ANGLE, Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake
 from modcal_core.plausibility.most_seen import most_seen
 from modcal_core.plausibility.screening import most_likely
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import frames, spatial_jacobian
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, frames, is_serial_arm, spatial_jacobian
 
 _MIN = 40  # stations; some seventy numbers are fitted to three or six of each
 _MAX = 100  # the same at most

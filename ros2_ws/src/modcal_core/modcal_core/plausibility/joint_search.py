@@ -12,15 +12,12 @@ from itertools import combinations, product
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, turns_left
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import base_and_tool_turns, turns_left
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.agreement import ANGLE, Disagreement, Placed
 from modcal_core.plausibility.consensus import CLEARLY, Consensus
-from modcal_core.robots.kinematics import spatial_jacobian
-from modcal_core.robots.mechanism import forward
+from modcal_core.robots import forward, spatial_jacobian
 
 EXPLAINED = 0.8  # share of the rest that an explanation must bring back
 _CLOSEST = 0.9  # share of angles that a circular deviation is taken of

@@ -11,16 +11,12 @@ from itertools import combinations
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import frames
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, frames, is_serial_arm
 
 _MIN = 24  # stations; nine numbers of base and tool, and pairs enough to hit by chance with fewer
 _MAX = 100  # the same at most

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import errors, usual_miss
+from modcal_core.calibration import Cell, Model, errors, fit_cell, usual_miss
 from modcal_core.errors import ModcalError
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.mistakes import (
     Mistake,
     inverse_pose,
@@ -22,7 +20,7 @@ from modcal_core.plausibility.mistakes import (
     of_units,
 )
 from modcal_core.plausibility.screening import most_likely
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Mechanism, forward, is_serial_arm
 
 _BETTER = 4.0  # how many times smaller the error must get before a mistake is named
 _TURNED = 0.05  # rad that orientations may be missed by: nominal arms turn tips 3 mrad too far ...

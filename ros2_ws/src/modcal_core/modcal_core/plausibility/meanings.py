@@ -15,16 +15,13 @@ from functools import partial
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, tool_and_place, turns_left
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import base_and_tool_turns, tool_and_place, turns_left
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.conventions import BEYOND_DOUBT, Match, match, points_match, rough_scores, thinned
 from modcal_core.plausibility.mistakes import Mistake
 from modcal_core.plausibility.turning import Turning, turnings
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import forward
+from modcal_core.robots import Chain, forward
 
 LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m; units that tables have positions in
 MIN_ROWS = 12  # six unknown turns, and as much again to tell

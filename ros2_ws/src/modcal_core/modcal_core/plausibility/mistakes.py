@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import Samples
 
 # Sequences of three axes; upper case about moving axes, lower case about fixed ones, as SciPy writes them
 THREE_AXES = tuple(s for w in ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX") for s in (w, w.lower()))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.measurements import Samples
+from modcal_core.robots import Mechanism, is_serial_arm
 
 
 def most_seen(samples: Samples, chain: Mechanism, least: int, most: int) -> Samples | None:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.runs import consecutive
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import consecutive
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.consensus import placed_by_most
 from modcal_core.plausibility.joint_map import mixed_joints
 from modcal_core.plausibility.links import other_link
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Mechanism, forward, is_serial_arm
 
 _MIN, _MAX = 48, 400  # stations; two parts of 24, which links are told by
 _MIN_SHARE = 0.2  # of the stations that must agree, lest chance finds that many

@@ -14,15 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.runs import consecutive
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import consecutive
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.consensus import placed_by_most
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 _MIN = 24  # stations
 _MAX = 400  # the same at most, the first ones: rows that are left out would hide where the others belong

@@ -11,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place
 from modcal_core.geometry import so3
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import Disagreement, Placed, limits
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 _MIN, _MAX = 30, 400  # stations
 _WINDOW_POSES, _WINDOW_POINTS = 6, 10  # stations that base and tool are found from

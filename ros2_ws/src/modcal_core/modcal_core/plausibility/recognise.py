@@ -13,12 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.score import errors
+from modcal_core.calibration import Model, NoiseModel, errors
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.recording import POINT
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import POINT, Samples
 from modcal_core.plausibility.agreement import ANGLE
 from modcal_core.plausibility.conventions import match, points_match, rough_scores
 from modcal_core.plausibility.mistakes import (
@@ -33,7 +30,7 @@ from modcal_core.plausibility.mistakes import (
     of_units,
 )
 from modcal_core.plausibility.standing import standing
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.robots import is_serial_arm
 
 INVERTED = "pose inverted"
 MIN = 6  # readings of a frame, from which base and tool of an arm that is known leave enough to judge it by

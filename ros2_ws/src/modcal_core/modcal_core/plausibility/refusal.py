@@ -14,14 +14,9 @@ from typing import NoReturn
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.score import usual_miss
+from modcal_core.calibration import AnyDistance, Cell, Fit, fit_cell, usual_miss
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.other_joints import moving_beside
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.measurements import Samples, moving_beside, spread_rows
 from modcal_core.plausibility.channels import disagreeing_channel
 from modcal_core.plausibility.consistency import disagreement
 from modcal_core.plausibility.coordinates import written_otherwise

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.score import usual_miss
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import AnyDistance, Fit, usual_miss
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.socket_places import require_one_place
 
 LIMIT_OF_REACH = 0.01  # a fitted arm that misses by more than this share of its reach is not an arm with small errors

@@ -10,13 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.agreement import Disagreement, limits
 from modcal_core.plausibility.mistakes import Mistake, of_joints, of_several_joints
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 _FEW = 60  # stations, evenly along the recording
 _MIN = 24  # stations; nine numbers of base and tool, and mistakes enough to hit by chance with fewer

@@ -11,17 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.instruments import Instrument, new_instruments
-from modcal_core.calibration.locate_instruments import place_instruments
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import scene_in
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import Instrument, new_instruments, place_instruments
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.measurements.kinds import scene_in
 from modcal_core.plausibility.conventions import BEYOND_DOUBT
 from modcal_core.plausibility.meanings import ARM_SHARE, OF_MOTION
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import forward
+from modcal_core.robots import Chain, forward
 
 _MAX = 120  # rows, evenly along the table; each trial of a tool places the instruments again
 _INDEPENDENT = 100  # rows that count, as of poses: errors of a nominal arm are alike in neighbouring postures

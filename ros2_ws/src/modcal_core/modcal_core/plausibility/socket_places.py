@@ -10,11 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.agreement import limits
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Mechanism, forward, is_serial_arm
 
 _MIN = 6  # rows of a socket: three times what its place and the ball's ask for
 _CLEARLY, _APART = 2.0, 4.0  # times what a nominal arm misses by, and what sockets that stood scatter by: elsewhere

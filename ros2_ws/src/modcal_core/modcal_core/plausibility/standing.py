@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 
 
 def standing(samples: Samples, said: str) -> BadRecording | None:

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance, Distance
-from modcal_core.calibration.identify import Fit
+from modcal_core.calibration import AnyDistance, Distance, Fit
 from modcal_core.geometry import se3
 from modcal_core.plausibility.agreement import Disagreement
 

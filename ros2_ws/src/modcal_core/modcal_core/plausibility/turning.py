@@ -9,8 +9,7 @@ from itertools import permutations
 
 import numpy as np
 
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, so3
 
 QUATERNION, EULER, ROTVEC, MATRIX = "quaternion", "euler", "rotvec", "matrix"
 # About moving axes; the same about fixed axes are these with axes and columns in the reverse order

@@ -11,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.score import usual_miss
+from modcal_core.calibration import Cell, fit_cell, usual_miss
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 from modcal_core.plausibility.listed import NO_HELP, explaining, missed_angle
 from modcal_core.plausibility.mistakes import left_handed
-from modcal_core.robots.mechanism import Mechanism, forward
+from modcal_core.robots import Mechanism, forward
 
 EVERYTHING = "joint states and readings"  # the offender of a refusal that can name none
 _FAR = 10.0  # times as far apart as any two flange positions can be, from which readings are not in metres

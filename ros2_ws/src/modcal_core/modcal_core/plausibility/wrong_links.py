@@ -14,15 +14,12 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from modcal_core.calibration.closed_form import base_and_tool_turns, turns_left
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import base_and_tool_turns, turns_left
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.plausibility.agreement import ANGLE, OF_REACH, Disagreement
 from modcal_core.plausibility.most_seen import most_seen
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm
 
 _MIN, _MAX = 40, 400  # stations; as few as tell base, tool and a link's pose, and more than these say the same
 _FEW = 60  # stations to which turns are fitted

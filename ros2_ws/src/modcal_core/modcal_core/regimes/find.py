@@ -19,30 +19,35 @@ from functools import partial
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, fit_cell, free_cell
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.moves import Move as Move
-from modcal_core.calibration.moves import What, identify_moved
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.calibration.runs import in_order_of_time, independent_unit, runs_of
-from modcal_core.calibration.score import errors, outlying, squared_residuals
-from modcal_core.calibration.starts import fit_geometry
-from modcal_core.calibration.structure import choose_parameters, views_of
-from modcal_core.effects.effect import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, is_move
+from modcal_core.calibration import (
+    Cell,
+    Fit,
+    Model,
+    ModelParameter,
+    Move,
+    NoiseModel,
+    What,
+    choose_parameters,
+    errors,
+    fit_cell,
+    fit_geometry,
+    free_cell,
+    identify_moved,
+    in_order_of_time,
+    independent_unit,
+    outlying,
+    runs_of,
+    squared_residuals,
+    views_of,
+)
+from modcal_core.effects import ACROSS, ALL, AXIS, EXPECTED_ANGLE, EXPECTED_LENGTH, SHIFT, Effect, Shape, is_move
 from modcal_core.effects.families import axis_wobble, drift, gear_harmonic, step
-from modcal_core.effects.shapes import Shape
 from modcal_core.errors import ModcalError
-from modcal_core.geometry import se3
-from modcal_core.geometry.twists import error_values
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.posture_order import explained_by_posture
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.geometry import error_values, se3
+from modcal_core.measurements import Samples, explained_by_posture, spread_rows
+from modcal_core.measurements.kinds import is_direct
 from modcal_core.regimes.setups import Setup, SetupReadings, Stretches, stretches
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots import Inertias, Mechanism
 
 _MAX = 3000  # samples; a longer recording is thinned evenly
 _ROUNDS = 3  # of stretches and a fit of the arm

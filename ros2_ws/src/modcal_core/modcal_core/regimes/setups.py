@@ -14,12 +14,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from modcal_core.calibration.initial import hand_eye, procrustes
-from modcal_core.calibration.model import Model
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import forward
+from modcal_core.calibration import Model, hand_eye, procrustes
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples
+from modcal_core.robots import forward
 
 _WINDOW = {True: 8, False: 12}  # stations that fix base and tool together: of poses, of points
 _MAX_WINDOWS = 60  # for time; they overlap by half up to there

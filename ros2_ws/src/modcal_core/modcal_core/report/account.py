@@ -7,10 +7,9 @@ from textwrap import fill
 
 import numpy as np
 
-from modcal_core.report.page import Chart
-from modcal_core.report.palette import AFTER, BAD, INK, LIGHT, SOFT, WARN
+from modcal_core.report.page import AFTER, BAD, INK, LIGHT, SOFT, WARN, Chart
 from modcal_core.report.plots import chart, in_decades, line_size, plot, with_margin
-from modcal_core.verdict.verdict import Row, Verdict
+from modcal_core.verdict import Row, Verdict
 
 EFFECT = "effect:"
 # How a row is called on a page, and its colour: what the model took away, what it leaves though it could be predicted,

@@ -8,16 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.known_distances import KnownDistance
-from modcal_core.calibration.score import ErrorSize
-from modcal_core.diagnosis.choice import EffectChoice
+from modcal_core.calibration import ErrorSize, KnownDistance
+from modcal_core.diagnosis import EffectChoice
 from modcal_core.report.contents import STAGES, ReportContents
-from modcal_core.report.findings import Finding
-from modcal_core.report.loads import loads_to_json
+from modcal_core.report.diagnosis_entries import Finding, loads_to_json
 from modcal_core.report.sentence import sentence
-from modcal_core.verdict.floor import reading_scatter_mm
-from modcal_core.verdict.tolerance import Tolerance
-from modcal_core.verdict.verdict import Row, Share, Verdict
+from modcal_core.verdict import Row, Share, Tolerance, Verdict, reading_scatter_mm
 
 FORMAT = 1
 _STRONGEST = 10  # candidates of a scan that report.json names

@@ -6,36 +6,166 @@ Held-out pixels stand in it and are never called accuracy; what stands for accur
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.store import Calibration, to_data
-from modcal_core.camera.causes import CameraCause
-from modcal_core.camera.corners import READOUT
-from modcal_core.camera.decision import APPLY, CANNOT_TELL
-from modcal_core.camera.known import uncertainty_about
-from modcal_core.camera.lens import DISTORTIONS, Lens
-from modcal_core.camera.solve import CameraSolution
-from modcal_core.camera.tool_error import ToolError
-from modcal_core.camera.weakness import ALL_BUT_IMAGES
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.registry import family
+from modcal_core.calibration import Calibration, NoiseModel, to_data
+from modcal_core.camera import (
+    ALL_BUT_IMAGES,
+    APPLY,
+    CANNOT_TELL,
+    COMMON,
+    DISTORTIONS,
+    READOUT,
+    SCALE,
+    SHAPE,
+    BundleMarker,
+    CameraCause,
+    CameraSolution,
+    FurtherSeen,
+    Lens,
+    MarkerBundle,
+    ToolError,
+    uncertainty_about,
+)
+from modcal_core.effects import ReportEntry, family_named
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.report.as_json import FORMAT, tolerance_data
-from modcal_core.report.camera_body import body_data, body_notes
-from modcal_core.report.camera_parts import further_data, moved_data, rests_on_data
-from modcal_core.report.contents import STAGES
-from modcal_core.report.effect_sizes import at_tool, parameters
-from modcal_core.report.trace import Trace
+from modcal_core.report.contents import STAGES, Trace
+from modcal_core.report.diagnosis_entries import at_tool, parameters
 from modcal_core.robot import Robot
-from modcal_core.robots.urdf import joint_origins
-from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
-from modcal_core.verdict.tolerance import Tolerance
+from modcal_core.robots import NO_HASH, calibrated_urdf, joint_origins, kinematics_yaml_data, lacks_hash
+from modcal_core.verdict import Tolerance
+
+# --- Parts of a calibration by camera's data: a move among the images, other cameras, what the stated size is worth
+
+
+def moved_data(solution: CameraSolution) -> dict[str, Any]:
+    """What was moved among the images, where something was."""
+    moved = solution.moved
+    assert moved is not None
+    what = "target" if moved.in_world == solution.fit.poses.camera_on_tip else "camera"
+    return {
+        "what": what,
+        "before_image": solution.fit.table.names[moved.at],
+        "shift_mm": 1e3 * moved.shift_m,
+        "turn_deg": float(np.degrees(moved.turn_rad)),
+        "focal_percent": 100.0 * moved.focal,
+    }
+
+
+def further_data(one: FurtherSeen) -> dict[str, Any]:
+    """A further camera."""
+    lens = one.state.lens
+    return {
+        "name": one.name,
+        "mounting": "tip" if one.mounting.camera_on_tip else "world",
+        "target": one.target.label,
+        "images": {"given": one.given, "used": one.used, "left_out": one.left_out},
+        "rms_px": one.rms_px,
+        "lens": {
+            name: {"value": float(lens.values[i]), "std": float(one.std[i])}
+            for i, name in enumerate(lens.names)
+            if lens.used[i]
+        },
+        "clock_s": one.state.offset_s,
+        "readout_s": one.state.readout_s,
+    }
+
+
+def rests_on_data(solution: CameraSolution) -> dict[str, float] | None:
+    """What the stated size of the target is worth, None where the images show it."""
+    rests = solution.rests_on
+    if rests is None:
+        return None
+    return {
+        "images_percent": 100.0 * rests.images_std,
+        "mm_per_percent": 10.0 * rests.per_unit_m,
+        "if_wrong_high95_mm": 1e3 * rests.if_wrong_m,
+    }
+
+
+# --- What a calibration by camera found of a body: how large it is, and where its markers are on it
+
+_NAMED = 3  # markers that are named in a sentence, those that are farthest off
+_TIMES = 3.0  # the stated tolerance, beyond which a marker is named: one of a thousand is off by so much
+_SURE = 3.0  # standard deviations of where it is
+
+
+@dataclass(frozen=True)
+class _MarkerPlace:
+    """marker: whose. offset_m: from the drawing, in the body's frame, (3,). std_m: of it, RMS of the three. turn_rad:
+    from the drawing, 0 where corners were not read.
+    """
+
+    marker: BundleMarker
+    offset_m: np.ndarray
+    std_m: float
+    turn_rad: float
+
+    @property
+    def off_m(self) -> float:
+        """How far it is from its place."""
+        return float(np.linalg.norm(self.offset_m))
+
+
+def body_data(solution: CameraSolution) -> dict[str, Any] | None:
+    """The body as ``report.json`` has it, None of a sheet."""
+    target, fit = solution.target, solution.fit
+    if not isinstance(target, MarkerBundle):
+        return None
+    P = fit.poses.count + 1
+    std = np.sqrt(np.diag(fit.covariance))[P + SCALE.start : P + SCALE.stop]
+    sizes = {"size": (fit.state.shape[0], std[0])}
+    if target.turning:
+        sizes["print_size"] = (fit.state.shape[1], std[1])
+    return {
+        **{name: {"value": float(value), "std": float(s)} for name, (value, s) in sizes.items()},
+        "tolerance_mm": 1e3 * target.place_m,
+        "offsets_in_tolerances": fit.sizes.places,
+        "markers": [
+            {
+                "id": one.marker.id,
+                "offset_mm": (1e3 * one.offset_m).tolist(),
+                "std_mm": 1e3 * one.std_m,
+                "turn_deg": float(np.degrees(one.turn_rad)) if target.turning else None,
+            }
+            for one in _places(solution, target)
+        ],
+    }
+
+
+def body_notes(solution: CameraSolution) -> tuple[str, ...]:
+    """Where the markers of a body are, in sentences; nothing of a sheet."""
+    target = solution.target
+    if not isinstance(target, MarkerBundle):
+        return ()
+    places = _places(solution, target)
+    rms = float(np.sqrt(np.mean([one.off_m**2 for one in places]) / 3.0))
+    out = [f"Markers are {1e3 * rms:.2f} mm from their places on the drawing, RMS along an axis."]
+    far = [one for one in places if one.off_m > _TIMES * target.place_m and one.off_m > _SURE * one.std_m]
+    far = sorted(far, key=lambda one: -one.off_m)[:_NAMED]
+    if far:
+        named = ", ".join(f"{m.marker.label} by {1e3 * m.off_m:.1f} ± {1e3 * m.std_m:.1f} mm" for m in far)
+        out.append(f"Off the drawing by more than {_TIMES:.0f} times what is stated: {named}.")
+    return tuple(out)
+
+
+def _places(solution: CameraSolution, target: MarkerBundle) -> list[_MarkerPlace]:
+    """Where the markers are, in the order of the target."""
+    fit = solution.fit
+    values = fit.state.shape[SHAPE:].reshape(len(target.markers), -1)
+    first = fit.poses.count + 1 + COMMON
+    std = np.sqrt(np.diag(fit.covariance))[first:].reshape(values.shape)
+    grown = fit.state.shape[0] * (target.middles - target.middles.mean(axis=0))
+    return [
+        _MarkerPlace(one, v[:3] + g, float(np.sqrt((s[:3] ** 2).mean())), float(np.linalg.norm(v[3:])))
+        for one, v, g, s in zip(target.markers, values, grown, std, strict=True)
+    ]
+
 
 _TOLD_BY = {
     "lens": " Images of the board tilted, near, and in every corner of the image tell it.",
@@ -323,7 +453,7 @@ def _named(solution: CameraSolution) -> list[tuple[CameraCause, str]]:
         e = cause.effect
         sizes = parameters((e,), solution.fit.poses.model.chain)
         entry = ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)
-        out.append((cause, family(e.family).sentence(entry)))
+        out.append((cause, family_named(e.family).sentence(entry)))
     return out
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.camera.clean import distances_of_views
-from modcal_core.camera.fit import CameraFit
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.report.page import Chart
-from modcal_core.report.palette import AFTER
+from modcal_core.camera import CameraFit, distances_of_views
+from modcal_core.measurements import spread_rows
+from modcal_core.report.page import AFTER, Chart
 from modcal_core.report.panel import Panel
 
 _DRAWN = 4000  # corners in a picture; more only make the page heavy

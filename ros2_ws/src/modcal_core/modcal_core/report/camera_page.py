@@ -3,18 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.report.counted import counted
+from modcal_core.calibration import Model
+from modcal_core.geometry import Array
+from modcal_core.measurements import spread_rows
 from modcal_core.report.effect_tables import number, size_tables
-from modcal_core.report.page import Chart, PageTable, plain_page
-from modcal_core.report.parameter_tables import parameter_tables
-from modcal_core.report.robot_scene import MAX_POSTURES, RobotScene, arm_paths, joints_in_words
+from modcal_core.report.page import MAX_POSTURES, Chart, PageTable, RobotScene, arm_paths, joints_in_words, plain_page
+from modcal_core.report.sentence import counted
+
+# --- The parameters of a report as a technician reads them: one unit a table
+
+Parameter = tuple[str, float, float, str]  # name, value, standard deviation, unit
+_PARTS = (("m", "mm", 1e3, "Lengths"), ("rad", "mrad", 1e3, "Angles"), ("1", "‰", 1e3, "Ratios"))
+
+
+@dataclass(frozen=True)
+class ParameterTable:
+    """Rows of one unit: name, value and standard deviation in it."""
+
+    title: str
+    unit: str
+    rows: tuple[tuple[str, float, float], ...]
+
+
+def parameter_tables(parameters: tuple[Parameter, ...]) -> tuple[ParameterTable, ...]:
+    """All of them, a table for each unit."""
+    parts = [(si, unit, factor, title) for si, unit, factor, title in _PARTS]
+    known = {si for si, *_ in _PARTS}
+    parts += [(unit, unit, 1.0, "Others") for unit in sorted({p[3] for p in parameters} - known)]
+    tables = [
+        ParameterTable(title, unit, tuple((name, factor * v, factor * s) for name, v, s, u in parameters if u == si))
+        for si, unit, factor, title in parts
+    ]
+    return tuple(table for table in tables if table.rows)
+
 
 TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
 _HOLDS = {

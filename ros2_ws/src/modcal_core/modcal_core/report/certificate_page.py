@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modcal_core.report.certificate import Certificate, Scale
+from modcal_core.report.certificates import Certificate, Scale
 from modcal_core.report.page import Chart, framed, render
 
 _WIDTH, _LEFT, _RIGHT = 370.0, 8.0, 362.0  # points; a phone shows all of it
@@ -10,7 +10,7 @@ _LABEL = 36.0  # points, half of what the tolerance's label takes
 _HEIGHT, _BAR, _AXIS = 54.0, 22.0, 36.0
 
 
-def to_html(one: Certificate) -> str:
+def certificate_html(one: Certificate) -> str:
     """The certificate as HTML text."""
     return render(
         "certificate.html.j2",

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.checking.outcome import NamedChange, SizeFound
+from modcal_core.checking import NamedChange, SizeFound
 from modcal_core.checkup import Checked
-from modcal_core.report.page import Chart, PageTable, plain_page
-from modcal_core.report.palette import AFTER, BEFORE
+from modcal_core.report.page import AFTER, BEFORE, Chart, PageTable, plain_page
 from modcal_core.report.panel import Panel
-from modcal_core.report.summary import SummaryLine, SummaryTable, Tone
+from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
 
 FORMAT = 1  # of check.json
 _HEADINGS = {
@@ -35,7 +34,7 @@ _FILES = {
 }
 
 
-def to_json_data(found: Checked, calibration: str = "") -> dict[str, Any]:
+def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
     """The data of check.json. calibration: the name of what was checked."""
     return {
         "modcal_check": FORMAT,
@@ -100,7 +99,7 @@ def _finite(x: float) -> float | None:
     return float(x) if np.isfinite(x) else None
 
 
-def summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
+def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
     """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
     out: list[SummaryTable | SummaryLine] = []
     rows = [
@@ -141,7 +140,7 @@ def _row(change: NamedChange, s: SizeFound) -> tuple[str, ...]:
     return change.label, s.name, f"{s.value:+.4g}", span, s.unit
 
 
-def to_html(found: Checked, title: str, files: Sequence[str]) -> str:
+def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
     """The page. files: names of those beside it."""
     heading, tone = _HEADINGS[found.status]
     if found.status == "unchanged" and found.alike:

@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import ndtri
 
-from modcal_core.calibration.store import Calibration
-from modcal_core.effects.registry import claimed
+from modcal_core.calibration import Calibration
+from modcal_core.effects import claimed
 from modcal_core.errors import BadRobot, NotEnoughData
-from modcal_core.report.summary import SummaryLine, SummaryTable, Tone, legend
+from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone, legend
 from modcal_core.report.tool_difference import ToolDifference, tool_difference
 
 Result = Literal["same", "differs", "within tolerance", "beyond tolerance", "cannot tell"]
@@ -248,7 +248,7 @@ def _notes(first: Side, second: Side, tool: ToolDifference | None) -> tuple[str,
     return tuple(out)
 
 
-def to_json_data(found: Comparison) -> dict[str, Any]:
+def comparison_data(found: Comparison) -> dict[str, Any]:
     """The data of comparison.json: plain dictionaries, None where something does not apply."""
     tool = found.tool
     return {
@@ -308,11 +308,11 @@ def _sizes(sizes: Mapping[str, tuple[float, float | None, str]] | None) -> dict[
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
 
 
-def summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
+def comparison_summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
     """What a terminal shows: errors, tool, the parameters that differ most for their uncertainty, effects, result."""
     names = tuple(side.name for side in found.sides)
     out: list[SummaryTable | SummaryLine] = []
-    data = to_json_data(found)
+    data = comparison_data(found)
     rows = []
     for side in data["sides"]:
         e = side["error_mm"] or {}

@@ -3,30 +3,81 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from modcal_core.calibration.identifiability import Identifiability
-from modcal_core.calibration.known_distances import KnownDistance
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.readmitted import Readmitted
-from modcal_core.calibration.score import Errors, ErrorSize
-from modcal_core.calibration.split import Split
-from modcal_core.diagnosis.choice import EffectChoice
-from modcal_core.diagnosis.evidence_map import EvidenceMap
-from modcal_core.diagnosis.loads import Loads
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.report.findings import Finding
-from modcal_core.report.intervals import independent_units
+from modcal_core.calibration import (
+    Errors,
+    ErrorSize,
+    Identifiability,
+    KnownDistance,
+    Model,
+    Readmitted,
+    Split,
+    block_length,
+    units_of_stations,
+)
+from modcal_core.diagnosis import EffectChoice, EvidenceMap, Loads
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
+from modcal_core.report.diagnosis_entries import Finding
 from modcal_core.report.joint_offsets import JointOffsets
-from modcal_core.report.trace import Trace
-from modcal_core.verdict.grounds import Grounds
-from modcal_core.verdict.rejection import Rejected
-from modcal_core.verdict.tolerance import Asked, Tolerance, assess, interval
-from modcal_core.verdict.verdict import Status, Verdict
+from modcal_core.verdict import Asked, Grounds, Rejected, Status, Tolerance, Verdict, assess, interval
+from modcal_core.version import __version__
+
+# --- What a report can be traced back to: the program, the recording, the arm and the instrument
+
+
+@dataclass(frozen=True)
+class Trace:
+    """date: the first stamp of the recording, ISO 8601 in UTC, so that two runs give the same bytes. bag_sha256: of the
+    bag's file; of a folder, of the list that ``sha256sum`` prints of its files in order of their names. robot: the name
+    in the description. instrument: kind of reading, topic and frame. None where not known.
+    """
+
+    version: str = __version__
+    date: str | None = None
+    bag_sha256: str | None = None
+    robot: str | None = None
+    instrument: str | None = None
+
+
+def iso_date(stamp: float) -> str:
+    """A stamp [s] as date and time, UTC."""
+    return datetime.fromtimestamp(stamp, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+# --- Which held-out samples are independent of each other
+
+_MIN_BLOCK = 5  # stations; the shortest that the split makes of a dense recording
+
+
+def independent_units(samples: Samples, rows: np.ndarray, blocks: bool) -> np.ndarray:
+    """A number for each of these rows of the samples, (k,), the same for rows whose errors may be alike.
+
+    A station is a unit of its own, with others in its posture where there are many of them. Where stations are dense,
+    neighbours in time are neighbours in posture: there a unit is a run of neighbours, no longer than a block of the
+    split. blocks: whether the split made blocks.
+    """
+    if not len(rows):
+        return np.empty(0, int)
+    _, first, station = np.unique(samples.station, return_index=True, return_inverse=True)
+    order = np.argsort(samples.stamps[first], kind="stable")
+    length = block_length(samples)
+    if length == 1 and not blocks:
+        return np.asarray(units_of_stations(samples)[1][station[rows]])
+    rank = np.empty(len(order), int)
+    rank[order] = np.arange(len(order))
+    taken = np.unique(rank[station[rows]])
+    run = np.cumsum(np.r_[0, np.diff(taken) > 1])
+    within = np.arange(len(taken)) - np.searchsorted(run, run)
+    unit = np.zeros(len(order), int)
+    unit[taken] = run * len(order) + within // max(length, _MIN_BLOCK)
+    return np.asarray(unit[rank[station[rows]]])
+
 
 STAGES = ("nominal", "geometric", "final")
 

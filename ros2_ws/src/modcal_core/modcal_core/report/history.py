@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from modcal_core.checking.history import Series
-from modcal_core.report.summary import SummaryLine, SummaryTable
+from modcal_core.checking import Series
+from modcal_core.report.terminal import SummaryLine, SummaryTable
 
 FORMAT = 1  # of history.json
 
@@ -44,7 +44,7 @@ class History:
         return " ".join(self.trends) if self.trends else f"Nothing grows or falls beyond chance over {seen}."
 
 
-def to_json_data(found: Sequence[History]) -> dict[str, Any]:
+def history_data(found: Sequence[History]) -> dict[str, Any]:
     """The data of history.json."""
     return {
         "modcal_history": FORMAT,
@@ -70,7 +70,7 @@ def _series(s: Series) -> dict[str, Any]:
     return {"name": s.name, "unit": s.unit, "points": points, "trend": trend}
 
 
-def summary(found: Sequence[History]) -> tuple[SummaryTable | SummaryLine, ...]:
+def history_summary(found: Sequence[History]) -> tuple[SummaryTable | SummaryLine, ...]:
     """What a terminal shows."""
     out: list[SummaryTable | SummaryLine] = []
     for h in found:

@@ -8,20 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.diagnosis.evidence_map import EvidenceMap
-from modcal_core.effects.drivers import remembered
+from modcal_core.diagnosis import EvidenceMap
+from modcal_core.effects import remembered
 from modcal_core.report.account import accounts
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.camera_page import parameter_tables
 from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.effect_shapes import effect_shapes
 from modcal_core.report.effect_tables import Sizes, size_tables
-from modcal_core.report.figures import error_histogram, spread_chart, timeline
+from modcal_core.report.figures import comparisons, error_histogram, spread_chart, timeline
 from modcal_core.report.page import as_script_data, render
-from modcal_core.report.parameter_tables import parameter_tables
-from modcal_core.report.residuals import comparisons
 from modcal_core.report.scene import scene, still
 from modcal_core.report.sentence import STATUS_WORDS, sentence
-from modcal_core.verdict.verdict import Status
+from modcal_core.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
 MAX_BYTES = 950_000  # of a page: below 1 MB, with what a mail puts around it

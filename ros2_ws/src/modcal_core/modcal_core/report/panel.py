@@ -14,9 +14,8 @@ from html import escape
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.report.page import Chart, framed
-from modcal_core.report.palette import LIGHT
+from modcal_core.geometry import Array
+from modcal_core.report.page import LIGHT, Chart, framed
 
 _WIDTH, _HEIGHT = 216.0, 126.0  # points
 _LEFT, _RIGHT, _TOP = 44.64, 210.24, 8.64  # of the axes

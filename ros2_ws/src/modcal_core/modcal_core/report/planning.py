@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.planning.accuracy import Accuracy
-from modcal_core.planning.plan import Plan
-from modcal_core.report.counted import percent
-from modcal_core.report.page import Chart, plain_page
+from modcal_core.geometry import Array
+from modcal_core.measurements import spread_rows
+from modcal_core.planning import Accuracy, Plan
+from modcal_core.report.page import MAX_POINTS, MAX_POSTURES, Chart, RobotScene, arm_paths, joints_in_words, plain_page
 from modcal_core.report.panel import Panel, side_by_side
-from modcal_core.report.robot_scene import MAX_POINTS, MAX_POSTURES, RobotScene, arm_paths, joints_in_words
-from modcal_core.robots.table_rows import plain
+from modcal_core.report.sentence import percent
+from modcal_core.robots import plain
 
 _FILES = [
     ("plan.yaml", "the stations and what is expected of them, for programs"),
@@ -70,7 +68,7 @@ def _middle(sets: Sequence[Accuracy]) -> Accuracy:
     return Accuracy(*(float(np.median([getattr(a, k) for a in sets])) for k in ("rms", "p95", "model", "repeat")))
 
 
-def sentences(plan: Plan) -> list[str]:
+def plan_sentences(plan: Plan) -> list[str]:
     """What a person should know."""
     request, a, k = plan.request, plan.accuracy, plan.distinct
     more = "" if request.besides is None else f" besides the {len(request.besides)} that are measured"
@@ -150,9 +148,9 @@ def figure(plan: Plan) -> str:
     return side_by_side(_charts(plan), _HIGH)
 
 
-def to_html(plan: Plan, title: str) -> str:
+def planning_html(plan: Plan, title: str) -> str:
     """The plan as a page: sentences, pictures, files."""
-    first, *others = sentences(plan)
+    first, *others = plan_sentences(plan)
     return plain_page(f"{title}: stations to measure", first, others, _charts(plan), _FILES, robot=_robot(plan))
 
 

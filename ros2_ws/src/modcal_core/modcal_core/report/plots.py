@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.report.page import Chart, framed
-from modcal_core.report.palette import INK, LIGHT
+from modcal_core.geometry import Array
+from modcal_core.report.page import INK, LIGHT, Chart, framed
 from modcal_core.report.panel import round_numbers
 
 if TYPE_CHECKING:

@@ -2,14 +2,91 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from modcal_core.files import write_folder
+import numpy as np
+
+from modcal_core.calibration import Calibration, to_data
+from modcal_core.files import to_json, to_yaml, write_folder
+from modcal_core.geometry import so3
+from modcal_core.report.as_json import to_json_data
 from modcal_core.report.contents import ReportContents
 from modcal_core.report.sentence import sentence
-from modcal_core.report.summary import summary, text
+from modcal_core.report.terminal import summary, text
+from modcal_core.robots import (
+    NO_HASH,
+    Chain,
+    Delta,
+    calibrated_urdf,
+    delta_to_data,
+    joint_origins,
+    kinematics_yaml_data,
+    lacks_hash,
+)
+
+# --- The files that a calibration leaves behind, as library, command and calibrator node all write them
+
+
+def calibration_files(
+    calibration: Calibration,
+    report: ReportContents,
+    nominal: Chain,
+    urdf: str,
+    factory: Mapping[str, Any] | None = None,
+    page: bool = True,
+) -> dict[str, str]:
+    """Names and texts of everything the calibration of a serial arm leaves behind; without report.html if not page.
+
+    factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash are kept. The robot
+    description and the kinematics hold the geometry that is best alone: their readers know no effects.
+    """
+    calibrated = calibration.geometric.serial
+    corrected = calibrated_urdf(urdf, nominal, calibrated)
+    kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), factory)
+    return _with_report(
+        report,
+        {
+            "calibration.yaml": to_yaml(to_data(calibration)),
+            "calibrated.urdf": corrected,
+            "kinematics.yaml": (NO_HASH if lacks_hash(kinematics) else "") + to_yaml(kinematics),
+        },
+        page,
+    )
+
+
+def delta_files(calibration: Calibration, report: ReportContents, page: bool = True) -> dict[str, str]:
+    """The same for a Delta, into whose file the tool that was found is written as well."""
+    calibrated = calibration.geometric.chain
+    assert isinstance(calibrated, Delta)
+    T = calibration.geometric.T_tip_tool
+    tool = np.r_[T[:3, 3], so3.log(T[:3, :3])]
+    with_tool = calibrated.with_vector(np.r_[calibrated.constants.ravel(), tool])
+    return _with_report(
+        report,
+        {"calibration.yaml": to_yaml(to_data(calibration)), "calibrated_delta.yaml": to_yaml(delta_to_data(with_tool))},
+        page,
+    )
+
+
+def report_files(report: ReportContents, page: bool = True, calibration: str = "") -> dict[str, str]:
+    """Names and texts of a report. calibration: of an evaluation, the name of what was evaluated."""
+    return _with_report(report, {}, page, calibration)
+
+
+def _with_report(
+    report: ReportContents, others: dict[str, str], page: bool = True, calibration: str = ""
+) -> dict[str, str]:
+    """A report, whose page names the other files as well, before those."""
+    files = {"report.json": to_json(to_json_data(report))}
+    if page:
+        # drawing it takes longer than many a fit, and so does the import of what draws it
+        from modcal_core.report.html import to_html
+
+        files["report.html"] = to_html(report, ["report.json", *others], calibration)
+    return {**files, **others}
 
 
 @dataclass(frozen=True)
@@ -33,7 +110,5 @@ class Report(ReportContents):
 
     def save(self, folder: str | Path, page: bool = True) -> Path:
         """Write report.json, and report.html if page, into a folder; returns the folder."""
-        from modcal_core.report.files import report_files  # a parser of URDFs comes with it
-
         write_folder(Path(folder), report_files(self, page))
         return Path(folder)

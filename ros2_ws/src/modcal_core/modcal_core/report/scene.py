@@ -7,19 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import Errors
-from modcal_core.effects.effect import motion
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.rows import indirect_rows
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import Errors, Model
+from modcal_core.effects import motion
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.report.contents import ReportContents
-from modcal_core.report.page import Chart
-from modcal_core.report.palette import AFTER, BEFORE, INK, LIGHT, SOFT
+from modcal_core.report.page import AFTER, BEFORE, INK, LIGHT, SOFT, Chart
 from modcal_core.report.plots import chart, columns, limits_to_scale, line_size, plot
-from modcal_core.robots.delta import ARMS, Delta
-from modcal_core.robots.mechanism import tool_frames
+from modcal_core.robots import ARMS, Delta, tool_frames
 
 if TYPE_CHECKING:
     from lets_plot.plot.core import PlotSpec

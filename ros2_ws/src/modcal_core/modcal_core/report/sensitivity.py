@@ -7,14 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.planning.gain import NAMED
-from modcal_core.planning.study import Study
-from modcal_core.report.counted import percent
-from modcal_core.report.page import PageTable, plain_page
-from modcal_core.report.palette import AFTER, GOOD, INK, LIGHT, WARN
+from modcal_core.measurements import spread_rows
+from modcal_core.planning import NAMED, Study
+from modcal_core.report.page import (
+    AFTER,
+    GOOD,
+    INK,
+    LIGHT,
+    MAX_POSTURES,
+    WARN,
+    PageTable,
+    RobotScene,
+    arm_paths,
+    joints_in_words,
+    plain_page,
+)
 from modcal_core.report.plots import SMALL, chart, columns, line_size, plot, svg
-from modcal_core.report.robot_scene import MAX_POSTURES, RobotScene, arm_paths, joints_in_words
+from modcal_core.report.sentence import percent
 
 if TYPE_CHECKING:
     from lets_plot.plot.core import FeatureSpec, PlotSpec
@@ -31,7 +40,7 @@ _ROW = 21  # px of a picture, a parameter
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
-def to_json_data(study: Study) -> dict[str, Any]:
+def sensitivity_data(study: Study) -> dict[str, Any]:
     """Numbers and texts that JSON can hold."""
     at, joint = study.indices, study.joint
     rows = []
@@ -75,7 +84,7 @@ def to_json_data(study: Study) -> dict[str, Any]:
             "std_mrad": 1e3 * study.measured.std_rad,
         },
         "parameters": rows,
-        "sentences": sentences(study),
+        "sentences": sensitivity_sentences(study),
     }
 
 
@@ -85,7 +94,7 @@ def _constant(study: Study) -> np.ndarray:
     return np.asarray(np.ptp(single, axis=0) <= _SAME * np.maximum(single.max(axis=0), 1e-300))
 
 
-def sentences(study: Study) -> list[str]:
+def sensitivity_sentences(study: Study) -> list[str]:
     """What a person should know first."""
     joint, names = study.joint, study.closed.names
     lengths = np.array([f.is_length for f in study.closed.factors])
@@ -141,7 +150,7 @@ def to_text(study: Study) -> str:
         f"| parameter | SFCDPE mm | RSFCDPE | mean mm | min … max mm | share | S | S_T | S_T distance | gain mm "
         f"| seen by {len(study.measured.q)} stations | gain left mm |"
     )
-    lines = ["# Sensitivity", "", *(f"* {s}" for s in sentences(study)), "", head, "|---" * 12 + "|"]
+    lines = ["# Sensitivity", "", *(f"* {s}" for s in sensitivity_sentences(study)), "", head, "|---" * 12 + "|"]
     vector, distance = study.variance["vector"], study.variance["distance"]
     for k in np.argsort(-joint.before.share, kind="stable"):
         name = at.names[k]
@@ -168,9 +177,9 @@ def pictures(study: Study) -> dict[str, str]:
     return {f"{name}.svg": svg(drawn, name) for name, (drawn, _) in _plots(study).items()}
 
 
-def to_html(study: Study, title: str) -> str:
+def sensitivity_html(study: Study, title: str) -> str:
     """The study as a page: the answer, sentences, the strongest parameters, the robot, and pictures."""
-    first, *others = sentences(study)
+    first, *others = sensitivity_sentences(study)
     charts = [chart(drawn, name, words, words) for name, (drawn, words) in _plots(study).items()]
     plain = [one for one in charts if one.name in _PLAIN]
     expert = [one for one in charts if one.name not in _PLAIN]

@@ -11,14 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import ErrorSize
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.typical import outside_drivers
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.report.base_and_tool import base_and_tool_motions as taken_by
-from modcal_core.report.base_and_tool import parameter_motions, poses_at, twists, without
+from modcal_core.calibration import Calibration, ErrorSize, Model, outside_drivers
+from modcal_core.geometry import Array
+from modcal_core.measurements import spread_rows
+from modcal_core.report.joint_offsets import base_and_tool_motions as taken_by
+from modcal_core.report.joint_offsets import parameter_motions, poses_at, twists, without
 
 _MAX = 300  # postures; the differences are smooth, and more say the same
 _DRAWS = 1000  # of the covariances; the 95 % quantile then has 50 above it

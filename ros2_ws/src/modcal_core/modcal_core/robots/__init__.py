@@ -1,1 +1,49 @@
 """Robots: the serial chain, and the formats it is read from and written to."""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_core.robots.acceleration import Drives, Window, bias_torque, read_drives, torque
+    from modcal_core.robots.chain import Chain
+    from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
+    from modcal_core.robots.delta import RATIO, ZERO, Delta
+    from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+    from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_positions
+    from modcal_core.robots.dh import to_dh
+    from modcal_core.robots.dh_nearest import NearestTable, nearest_dh
+    from modcal_core.robots.fastest_motion import constant_bounds
+    from modcal_core.robots.gravity import DOWN, STANDARD_GRAVITY, HeldWeight, chain_gravity_wrench
+    from modcal_core.robots.inertia import Payload, with_payload
+    from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
+    from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, pose_and_jacobian
+    from modcal_core.robots.kinematics import spatial_jacobian
+    from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
+    from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
+    from modcal_core.robots.table_rows import plain, read_rows, vector
+    from modcal_core.robots.tables import CONVENTIONS, UNITS, from_csv, from_table, loss, to_csv, to_table
+    from modcal_core.robots.urdf import LoadedArm, joint_origins, other_tips, read_chain, read_path, require_method
+    from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
+    from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
+    from modcal_core.robots.urdf_tree import Tree, document, parse, rerooted
+    from modcal_core.robots.urdf_write import NO_HASH, calibrated_urdf, chain_urdf, joint_element, kinematics_yaml_data
+    from modcal_core.robots.urdf_write import lacks_hash, number, origin_element, urdf_text, xacro_origins
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
+__all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
+__all__ += ["Drives", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "LoadedArm", "Mechanism"]
+__all__ += ["NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian", "calibrated_urdf"]
+__all__ += ["chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds", "delta_from_data"]
+__all__ += ["delta_inverse", "delta_to_data", "document", "forward", "frames", "from_csv", "from_table"]
+__all__ += ["gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
+__all__ += ["joint_origins", "kinematics_yaml_data", "lacks_hash", "loss", "moved_centres", "nearest_dh", "number"]
+__all__ += ["offset_wrench", "origin_element", "other_tips", "parse", "passable", "payload_wrench", "plain"]
+__all__ += ["pose_and_jacobian", "position_jacobians", "random_postures", "reachable", "read_chain", "read_drives"]
+__all__ += ["read_inertias", "read_path", "read_rows", "require_method", "rerooted", "spatial_jacobian", "takes"]
+__all__ += ["to_csv", "to_dh", "to_table", "tool_frames", "tool_positions", "torque", "urdf_text", "vector"]
+__all__ += ["weightless", "with_payload", "xacro_origins"]

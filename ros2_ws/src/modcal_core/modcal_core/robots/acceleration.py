@@ -13,25 +13,277 @@ A joint that stands may begin to move either way: then dry friction is taken fro
 * *equivalent*: each joint by itself, the others at rest and whatever their drives must bear left out of account,
   ``lower_i / M_ii ≤ q̈_i ≤ upper_i / M_ii``: the equivalent-inertia method, with unequal bounds up and down.
 * *given*: joint i's interval in the polytope while the others accelerate as they do, all drives minded.
-* *box*: bounds that hold together, whatever the others do within theirs (:mod:`modcal_core.robots.boxes`).
+* *box*: bounds that hold together, whatever the others do within theirs (:mod:`modcal_core.robots.acceleration`).
+
+Newton and Euler's recursion, written in the base frame, where it becomes sums along the chain. With S_i the unit twist
+of joint i and I_j the spatial inertias of :mod:`modcal_core.robots.inertia`, at q̈ = 0:
+
+    V_j = Σ_{i ≤ j} S_i q̇_i,    A_j = (−g, 0) + Σ_{i ≤ j} ad(V_i) S_i q̇_i,
+    F_j = I_j A_j − ad(V_j)ᵀ I_j V_j,    τ_i = S_iᵀ Σ_{j ≥ i} F_j.
+
+Gravity is an acceleration of the base upwards (Luh, Walker and Paul 1980; Featherstone 2008, chapter 5).
+
+They are read on their own: kinematics need none of these numbers, and must not fail where one of them is nonsense.
+
+Wanted are bounds −l ≤ x ≤ u with l, u > 0, of the greatest product Π (u_i l_i)^w_i, such that every x between them
+obeys ``lower ≤ A x ≤ upper``. Which weights w_i > 0 is a matter of taste, and 1 the plain choice; whichever, the box
+does not depend on the units of the components. A box obeys a row
+if its worst corner does, which is linear in (u, l): with A⁺ and A⁻ the positive and negative parts of A,
+
+    | A⁺  A⁻ | | u |     |  upper |
+    | A⁻  A⁺ | | l |  ≤  | −lower |
+
+so a concave function, Σ w log z, is maximised over a polytope, B z ≤ h with B ≥ 0, z > 0. With multipliers y of the
+rows the optimum is where Bᵀ y = w/z and y (h − B z) = 0; Newton's method on both, the second relaxed to μ → 0 (a
+primal-dual interior point; Boyd and Vandenberghe, Convex Optimization, 2004, chapter 11).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dposv
 
 from modcal_core.errors import BadRobot, Overloaded
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.boxes import largest_box
+from modcal_core.geometry import Array, so3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dynamics import DOWN, bias_of
-from modcal_core.robots.inertia import Bodies
-from modcal_core.robots.urdf_drives import Drives
+from modcal_core.robots.gravity import STANDARD_GRAVITY
+from modcal_core.robots.inertia import Bodies, beyond
 from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.robots.urdf_tree import document
+
+# --- The torques that a motion takes: M(q) q̈ + C(q, q̇) q̇ + g(q), without friction
+
+DOWN = (0.0, 0.0, -STANDARD_GRAVITY)
+
+
+def bias_torque(
+    chain: Chain, inertias: Inertias, q: ArrayLike, velocity: ArrayLike, gravity: ArrayLike = DOWN
+) -> Array:
+    """Drive torques C(q, q̇) q̇ + g(q) (N, n) [N m; N] that go with no joint acceleration.
+
+    q, velocity: (N, n) [rad, m; rad/s, m/s]. gravity: acceleration of free fall (3,) [m/s²] in the base.
+    """
+    return bias_of(Bodies.at(chain, inertias, q), velocity, gravity)
+
+
+def bias_of(bodies: Bodies, velocity: ArrayLike, gravity: ArrayLike = DOWN) -> Array:
+    """:func:`bias_torque` of bodies at their postures."""
+    rate = np.swapaxes(bodies.twists, 1, 2) * np.asarray(velocity, dtype=float)[..., None]  # S_i q̇_i, (N, n, 6)
+    V = np.cumsum(rate, axis=1)
+    ad = _bracket(V)
+    A = np.cumsum((ad @ rate[..., None])[..., 0], axis=1)
+    A[..., :3] -= np.asarray(gravity, dtype=float)
+    inertia = bodies.spatial
+    force = inertia @ A[..., None] - np.swapaxes(ad, -1, -2) @ (inertia @ V[..., None])
+    return np.einsum("nai,nia->ni", bodies.twists, beyond(force[..., 0]))
+
+
+def torque(
+    chain: Chain,
+    inertias: Inertias,
+    q: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    gravity: ArrayLike = DOWN,
+) -> Array:
+    """Drive torques (N, n) [N m; N] of a motion without friction: M q̈ + C q̇ + g. All arguments (N, n)."""
+    bodies = Bodies.at(chain, inertias, q)
+    inertial = np.einsum("nij,nj->ni", bodies.matrix, np.asarray(acceleration, dtype=float))
+    return inertial + bias_of(bodies, velocity, gravity)
+
+
+def _bracket(V: Array) -> Array:
+    """ad(V) of twists (..., 6) as matrices (..., 6, 6): ad(V) X is the change of X as its frame moves with V."""
+    turn, shift = so3.hat(V[..., 3:]), so3.hat(V[..., :3])
+    out = np.zeros((*V.shape, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = turn
+    out[..., :3, 3:] = shift
+    return out
+
+
+# --- What the drives of a chain can do, as a URDF states it: effort, velocity, friction
+
+# field: the element and its attribute, and what is written where nothing is stated
+_STATED = {
+    "torque": ("limit", "effort", np.nan),
+    "speed": ("limit", "velocity", np.inf),
+    "coulomb": ("dynamics", "friction", 0.0),
+    "viscous": ("dynamics", "damping", 0.0),
+}
+
+
+@dataclass(frozen=True)
+class Drives:
+    """The drives of n joints, all seen from the joint: behind the gear.
+
+    names: the joints. torque: largest torque either way [N m; N where it slides], NaN where nobody says. speed: largest
+    speed [rad/s; m/s]. coulomb: dry friction [N m; N]. viscous: friction per speed [N m s/rad; N s/m]. rotor: inertia
+    of motor and gear [kg m²; kg]. All (n,).
+    """
+
+    names: tuple[str, ...]
+    torque: Array
+    speed: Array
+    coulomb: Array
+    viscous: Array
+    rotor: Array
+
+    def with_values(self, what: str, values: Mapping[str, float]) -> Drives:
+        """The drives with other numbers of one kind, by joint. Raises BadRobot for a wrong joint or number."""
+        new = np.array(getattr(self, what))
+        for name, value in values.items():
+            if name not in self.names:
+                raise BadRobot(
+                    f"{what} of joint '{name}'", "is not of this arm", f"name one of {', '.join(self.names)}"
+                )
+            least = "above 0" if what in ("torque", "speed") else "0 or more"
+            if not np.isfinite(value) or value < 0.0 or (value == 0.0 and least == "above 0"):
+                raise BadRobot(f"{what} of joint {name}", f"is {value:g}, not a number {least}", "correct it")
+            new[self.names.index(name)] = value
+        new.flags.writeable = False
+        changed: dict[str, Any] = {what: new}
+        return replace(self, **changed)
+
+    def require_torque(self) -> None:
+        """Raises BadRobot for a joint whose largest torque nobody says."""
+        unknown = [name for name, known in zip(self.names, np.isfinite(self.torque), strict=True) if not known]
+        if unknown:
+            said = "the robot description states no effort for it"
+            raise BadRobot(f"drive of joint {', '.join(unknown)}", said, "write <limit effort>, or give the torque")
+
+
+def read_drives(urdf_xml: str, chain: Chain) -> Drives:
+    """The drives of a chain that was read from this URDF; an effort of 0 counts as none stated, so does a speed of 0.
+
+    Raises BadRobot for a number that is none, or is negative, and for a joint that the URDF does not have.
+    """
+    joints = {e.get("name"): e for e in document(urdf_xml).iterchildren("joint")}
+    columns = {what: np.empty(chain.n) for what in _STATED}
+    for k, name in enumerate(chain.names):
+        if name not in joints:
+            raise BadRobot(f"joint {name}", "is not in the robot description", "give the URDF the chain came from")
+        for what, (tag, attribute, none) in _STATED.items():
+            element = joints[name].find(tag)
+            columns[what][k] = _number(None if element is None else element.get(attribute), none, name, attribute)
+    for array in (*columns.values(), rotor := np.zeros(chain.n)):
+        array.flags.writeable = False
+    return Drives(chain.names, **columns, rotor=rotor)
+
+
+def _number(text: str | None, none: float, joint: str, attribute: str) -> float:
+    if text is None or not text.strip():
+        return none
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if np.isnan(value) or value < 0.0:
+        raise BadRobot(f"joint {joint}: {attribute}", f"'{text}' is not a number of 0 or more", "correct the URDF")
+    return none if value == 0.0 or np.isinf(value) else value
+
+
+# --- The largest box around nothing at all that keeps to linear limits
+
+_MAX_STEPS = 60
+_GAP = 1e-7  # of Σ w log z, to the best there is: bounds within some 1e-5 of the best ones, and never outside
+_TO_THE_WALL = 0.99  # of the way to where something would turn negative
+_CENTRING = 0.1
+
+
+def largest_box(
+    A: ArrayLike, lower: ArrayLike, upper: ArrayLike, weights: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Lower and upper bounds (N, n), lower < 0 < upper, of the largest boxes in N polytopes lower ≤ A x ≤ upper.
+
+    A: (N, m, n), no column without a number. lower < 0 < upper: (N, m). weights: (n,) > 0; all 1 if none are given.
+    """
+    A = np.asarray(A, dtype=float)
+    n = A.shape[-1]
+    up, down = np.maximum(A, 0.0), np.maximum(-A, 0.0)
+    B = np.concatenate([np.concatenate([up, down], axis=-1), np.concatenate([down, up], axis=-1)], axis=-2)
+    h = np.concatenate([np.asarray(upper, dtype=float), -np.asarray(lower, dtype=float)], axis=-1)
+    assert (h > 0.0).all()
+    assert (B.max(axis=-2) > 0.0).all()
+    # in units in which each bound alone would be 1 and every limit is 1
+    B = B / h[..., None]
+    alone = 1.0 / B.max(axis=-2)
+    w = np.ones(n) if weights is None else np.asarray(weights, dtype=float)
+    assert (w > 0.0).all()
+    largest = _largest_of_one if len(B) == 1 else _largest
+    z = largest(B * alone[..., None, :], np.tile(w / w.mean(), 2)) * alone
+    z /= (B @ z[..., None]).max(axis=(-2, -1))[..., None]  # rounding must not leave it outside
+    return -z[..., n:], z[..., :n]
+
+
+def _largest(B: Array, w: Array) -> Array:
+    """z (N, k) of the greatest Σ w log z with B z ≤ 1, for B (N, m, k) whose columns reach 1."""
+    N, m, k = B.shape
+    z = np.full((N, k), 0.5) / B.sum(axis=-1).max(axis=-1)[:, None]
+    s = 1.0 - (B @ z[..., None])[..., 0]
+    y = np.full((N, m), 1.0 / m) / s
+    weights, sides = np.diag(w), np.empty((N, m, 2))
+    for _ in range(_MAX_STEPS):
+        gap = (y * s).sum(axis=-1, keepdims=True)
+        aim = (_CENTRING / m) * gap / s  # where y would be, were all y s alike and smaller
+        scaled = B * z[:, None, :]  # by which z changes relatively: well conditioned whatever the bounds' sizes
+        scaled_t = scaled.swapaxes(-1, -2)
+        sides[..., 0], sides[..., 1] = y, aim
+        missing = w[:, None] - scaled_t @ sides  # (N, k, 2): with y as it is, and there
+        open_ = (gap > _GAP) | (np.abs(missing[..., 0]).max(axis=-1, keepdims=True) > _GAP)
+        if not open_.any():
+            break
+        slope = y / s
+        d = np.linalg.solve(weights + scaled_t @ (scaled * slope[..., None]), missing[..., 1:])
+        ds = -(scaled @ d)[..., 0]
+        dy = aim - y - slope * ds
+        d = d[..., 0]
+        step = np.where(open_, np.minimum(_reach(d), _reach(ds / s)), 0.0)
+        z, s = z * (1.0 + step * d), s + step * ds
+        y = y + np.where(open_, _reach(dy / y), 0.0) * dy
+    return z
+
+
+def _largest_of_one(B: Array, w: Array) -> Array:
+    """The same of one, B (1, m, k), step by step: what a node asks for many times a second, in half the time."""
+    B = B[0]
+    m, k = B.shape
+    z = np.full(k, 0.5 / float(B.sum(axis=1).max()))
+    s = 1.0 - B @ z
+    y = (1.0 / m) / s
+    for _ in range(_MAX_STEPS):
+        gap = float(y @ s)
+        scaled = B * z
+        missing = w - y @ scaled
+        if gap <= _GAP and float(np.abs(missing).max()) <= _GAP:
+            break
+        inverse = 1.0 / s
+        aim, slope = (_CENTRING * gap / m) * inverse, y * inverse
+        matrix = scaled.T @ (scaled * slope[:, None])
+        matrix.flat[:: k + 1] += w
+        d = dposv(matrix, w - aim @ scaled, overwrite_a=1)[1]
+        ds = -(scaled @ d)
+        dy = aim - y - slope * ds
+        step = min(_reach_of_one(d), _reach_of_one(ds * inverse))
+        z, s = z * (1.0 + step * d), s + step * ds
+        y = y + _reach_of_one(dy / y) * dy
+    return z[None]
+
+
+def _reach_of_one(change: Array) -> float:
+    worst = -float(change.min())
+    return _TO_THE_WALL / worst if worst > _TO_THE_WALL else 1.0
+
+
+def _reach(change: Array) -> Array:
+    """How much of a relative change (N, k) leaves positive values positive, (N, 1), at most 1."""
+    worst = -change.min(axis=-1, keepdims=True)
+    return np.minimum(1.0, _TO_THE_WALL / np.maximum(worst, 1e-300))
+
 
 STILL = 1e-3  # rad/s or m/s below which a joint may begin to move either way
 

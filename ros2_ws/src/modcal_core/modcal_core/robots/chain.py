@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 
 
 def _read_only(a: ArrayLike, dtype: type = float) -> np.ndarray:

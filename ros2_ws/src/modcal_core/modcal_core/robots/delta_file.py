@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.robots.delta import ARMS, AZIMUTH, DISTAL, OFFSET, PROXIMAL, RATIO, ZERO, Delta
 
 FORMAT = 1

@@ -22,9 +22,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import NotReachable
-from modcal_core.geometry.so3 import Array, cross
-from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DISTAL, OFFSET, PROXIMAL, RATIO, ZERO, Delta
-from modcal_core.robots.delta_tilt import Stand, level_tilts, tilted, tilted_shares
+from modcal_core.geometry import Array, cross
+from modcal_core.robots.delta import (
+    ARMS,
+    AZIMUTH,
+    CONSTANTS,
+    DISTAL,
+    OFFSET,
+    PROXIMAL,
+    RATIO,
+    ZERO,
+    Delta,
+    Stand,
+    level_tilts,
+    tilted,
+    tilted_shares,
+)
 from modcal_core.robots.kinematics import Frames, Loop, moved_frame
 
 # rows of an arm's twist: by how much its rods differ, per spacing; behind it that times four lengths (delta_tilt)
@@ -134,7 +147,7 @@ def stretch(delta: Delta, f: Frames) -> Array:
     return np.stack(rates)
 
 
-def inverse(delta: Delta, position: ArrayLike, yaw: float = 0.0) -> Array:
+def delta_inverse(delta: Delta, position: ArrayLike, yaw: float = 0.0) -> Array:
     """The posture q (n,) [rad] with the tip at a position (3,) [m] in the base, turned about z by yaw [rad].
 
     Of the two postures of an arm the one with its elbow outwards is taken. Raises NotReachable, naming the arm and by

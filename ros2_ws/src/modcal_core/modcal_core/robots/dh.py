@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import NotRepresentable
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.table_rows import read_rows, write_rows
 

@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import to_dh, to_mdh
-from modcal_core.robots.kinematics import forward
+from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.tables import from_table
 
 # rad; far more than manufacture leaves between axes that are meant to be parallel, far less than any designed angle
@@ -66,8 +65,8 @@ def nearest_dh(chain: Chain, convention: str = "dh", largest_offset: float = 10.
     table = (to_dh if convention == "dh" else to_mdh)(snapped, largest_offset)
     rng = np.random.default_rng(0)
     fitted, checked = _postures(chain, _FITTED, rng), _postures(chain, _CHECKED, rng)
-    table = _fit(table, fitted, forward(chain, fitted))
-    off = _off(table, checked, forward(chain, checked))
+    table = _fit(table, fitted, chain_forward(chain, fitted))
+    off = _off(table, checked, chain_forward(chain, checked))
     distance, angle = np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1) / _LEVER
     return NearestTable(
         table=table,
@@ -133,6 +132,6 @@ def _moved(table: Mapping[str, Any], places: list[tuple[int, str]], step: Array)
 
 def _off(table: Mapping[str, Any], q: Array, T: Array) -> Array:
     """How far the table's tip is off (N, 6): position [m], and rotation times the lever [m]."""
-    found = forward(from_table(table), q)
+    found = chain_forward(from_table(table), q)
     turn = so3.log(np.swapaxes(T[:, :3, :3], 1, 2) @ found[:, :3, :3])
     return np.concatenate([found[:, :3, 3] - T[:, :3, 3], _LEVER * turn], axis=1)

@@ -4,28 +4,181 @@ Along q(s) the drives give τ = (M q') s̈ + (M q'' + C(q, q') q') ṡ² + g + f
 friction, which goes with ṡ = √x. There the square root is replaced by lines that err on the safe side: where friction
 takes torque from the drive by its tangent at the last solution (so the error goes as this is repeated), where it helps
 to brake by its chord. The direction of every joint is known along a path, and with it the sign of dry friction.
+
+With x = ṡ² and u = s̈ = ½ dx/ds, whatever bounds torques or accelerations along a path reads, at each place s,
+
+    lower(s) ≤ a(s) u + b(s) x ≤ upper(s),      0 ≤ x ≤ most(s).
+
+On a grid with u constant between two places, x_{k+1} = x_k + 2 Δ_k u_k. Backwards from the end, the set of speeds from
+which the end can still be reached is an interval [0, K_k]; forwards from the beginning, the greatest acceleration that
+stays within these sets is best at every place (Pham and Pham, A new approach to time-optimal path parameterization
+based on reachability analysis, IEEE Transactions on Robotics 34(3), 2018); where a row loses its u between two places,
+to within what the grid itself is off. The limits are asked for at both ends of every interval, so that between places
+they are overstepped to second order in Δ only.
+
+K_k is the largest x for which some u obeys all rows. u is eliminated by pairing each row that bounds it from below with
+each that bounds it from above (Fourier and Motzkin), which leaves bounds on x alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.acceleration import Window, window
+from modcal_core.errors import BadTable, Overloaded
+from modcal_core.geometry import Array
+from modcal_core.robots.acceleration import DOWN, Drives, Window, bias_of, window
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.dynamics import DOWN, bias_of
 from modcal_core.robots.inertia import Bodies
-from modcal_core.robots.joint_path import JointPath
-from modcal_core.robots.path_timing import PathRows, Timing, fastest
-from modcal_core.robots.urdf_drives import Drives
 from modcal_core.robots.urdf_inertias import Inertias
+
+# --- A path through joint positions without a time: how far along each joint stands, and its first two derivatives
+
+_SAME = 1e-9  # rad or m between waypoints that are one
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """A smooth path q(s), 0 ≤ s ≤ length. spline: with values (n,) [rad, m]."""
+
+    spline: CubicSpline
+
+    @classmethod
+    def through(cls, waypoints: ArrayLike) -> JointPath:
+        """The natural cubic spline through postures (m, n), s being the length of the straight lines between them.
+
+        Raises BadTable where there are fewer than two, or two that follow each other are one.
+        """
+        q = np.asarray(waypoints, dtype=float)
+        if q.ndim != 2 or len(q) < 2 or not np.isfinite(q).all():
+            raise BadTable("joint path", f"has waypoints of shape {q.shape}", "give two or more postures, all finite")
+        steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
+        if steps.min() < _SAME:
+            k = int(np.argmin(steps))
+            raise BadTable(f"joint path: waypoints {k + 1} and {k + 2}", "are one posture", "leave one of them out")
+        return cls(CubicSpline(np.r_[0.0, np.cumsum(steps)], q, bc_type="natural"))
+
+    @property
+    def length(self) -> float:
+        """Where the path ends."""
+        return float(self.spline.x[-1])
+
+    def at(self, s: ArrayLike) -> tuple[Array, Array, Array]:
+        """q, dq/ds, d²q/ds² (N, n) at places s (N,)."""
+        s = np.asarray(s, dtype=float)
+        return self.spline(s), self.spline(s, 1), self.spline(s, 2)
+
+
+# --- The fastest way along a path, between limits that are linear in its acceleration and its squared speed
+
+_NONE = 1e-12  # of the largest in its row: a coefficient that counts as zero
+_SLACK = 1e-9  # of the greatest x, by which rounding may miss the sets on the way forward
+
+
+@dataclass(frozen=True)
+class PathRows:
+    """Limits at N + 1 places of a path: lower ≤ a u + b x ≤ upper, all (N + 1, m), and x ≤ most, (N + 1,)."""
+
+    a: Array
+    b: Array
+    lower: Array
+    upper: Array
+    most: Array
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When a path is where. s: places (N + 1,). x: squared speeds there. t: times [s], from 0."""
+
+    s: Array
+    x: Array
+    t: Array
+
+    @property
+    def duration(self) -> float:
+        """Seconds from rest to rest."""
+        return float(self.t[-1])
+
+    def at(self, t: Array) -> tuple[Array, Array, Array]:
+        """s, ṡ, s̈ (m,) at times t (m,) [s], clipped to the path's own."""
+        t = np.clip(np.asarray(t, dtype=float), 0.0, self.duration)
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.s) - 2)
+        u = 0.5 * np.diff(self.x) / np.diff(self.s)
+        speed, since = np.sqrt(self.x[k]), t - self.t[k]
+        return self.s[k] + speed * since + 0.5 * u[k] * since**2, speed + u[k] * since, u[k]
+
+
+def fastest(s: Array, rows: PathRows) -> Timing:
+    """The fastest timing from rest to rest at places s (N + 1,) within these limits.
+
+    Raises Overloaded where the limits do not let the path be gone at all.
+    """
+    step = np.diff(s)
+    reachable = np.zeros(len(s))
+    for k in range(len(step) - 1, -1, -1):
+        p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])
+        reachable[k] = min(_largest_x(p, r, h), rows.most[k])
+        if not reachable[k] > 0.0:
+            raise Overloaded(
+                f"path at {s[k] / s[-1]:.1%} of its length",
+                "no speed within the limits reaches its end",
+                "reduce the payload, or use a path that the drives can hold everywhere",
+            )
+    x = np.zeros(len(s))
+    for k in range(len(step)):
+        p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])
+        x[k + 1] = np.clip(x[k] + 2.0 * step[k] * _largest_u(p, h - r * x[k]), 0.0, reachable[k + 1])
+        if x[k + 1] <= _SLACK * reachable.max() and k + 1 < len(step):
+            raise Overloaded(
+                f"path at {s[k + 1] / s[-1]:.1%} of its length", "the limits bring it to a stop", "use another path"
+            )
+    speed = np.sqrt(x)
+    return Timing(s, x, np.r_[0.0, np.cumsum(2.0 * step / (speed[1:] + speed[:-1]))])
+
+
+def _interval(rows: PathRows, k: int, twice: float, reachable: float) -> tuple[Array, Array, Array]:
+    """p u + r x ≤ h, (m,) each, of the interval behind place k, x being that at its beginning. twice: 2 Δ_k."""
+    a = np.concatenate([rows.a[k], rows.a[k + 1] + twice * rows.b[k + 1]])
+    b = np.concatenate([rows.b[k], rows.b[k + 1]])
+    upper, lower = (np.concatenate([side[k], side[k + 1]]) for side in (rows.upper, rows.lower))
+    p = np.concatenate([a, -a, [twice, -twice]])
+    r = np.concatenate([b, -b, [1.0, -1.0]])
+    h = np.concatenate([upper, -lower, [reachable, 0.0]])
+    # where nothing moves a row says nothing; where it holds only rounding, neither
+    keep = np.isfinite(h)
+    return p[keep], r[keep], h[keep]
+
+
+def _largest_x(p: Array, r: Array, h: Array) -> float:
+    """The largest x of p u + r x ≤ h, where x = 0 has a solution; infinite where nothing bounds it."""
+    size = np.maximum(np.abs(p), np.abs(r))
+    above, below = p > _NONE * size, p < -_NONE * size
+    flat = ~above & ~below & (r > 0.0)
+    # u ≤ (h − r x) / p from above, ≥ from below: together a bound on x
+    slope_a, end_a = r[above] / p[above], h[above] / p[above]
+    slope_b, end_b = r[below] / p[below], h[below] / p[below]
+    slope = slope_a[:, None] - slope_b[None, :]
+    room = end_a[:, None] - end_b[None, :]
+    if (room < 0.0).any():
+        return 0.0
+    rises = slope > 0.0
+    bounds = np.concatenate([room[rises] / slope[rises], h[flat] / r[flat]])
+    return float(bounds.min(initial=np.inf))
+
+
+def _largest_u(p: Array, h: Array) -> float:
+    """The largest u of p u ≤ h."""
+    above = p > 0.0
+    return float((h[above] / p[above]).min())
+
 
 _ROUNDS = 3  # of tangents, after one without viscous friction
 _MIN = 1e-3  # of the greatest x: tangents are taken no nearer to standing
-_NONE = 1e-30  # N m s: less friction than there is
+_FASTEST_MOTION_NONE = 1e-30  # N m s: less friction than there is
 _FASTEST = 1e3  # 1/s along the path, where no speed limit says less
 
 
@@ -99,8 +252,8 @@ def _with_viscous(rows: PathRows, pull: Array, x: Array) -> PathRows:
     takes, gives = np.maximum(pull, 0.0), np.minimum(pull, 0.0)
     # no nearer to standing than makes sense, and not where the tangent would leave nothing to stand with
     at = np.sqrt(np.maximum(x, _MIN * x.max()))[:, None]
-    at_upper = np.minimum(at, rows.upper / np.maximum(takes, _NONE))
-    at_lower = np.minimum(at, -rows.lower / np.maximum(-gives, _NONE))
+    at_upper = np.minimum(at, rows.upper / np.maximum(takes, _FASTEST_MOTION_NONE))
+    at_lower = np.minimum(at, -rows.lower / np.maximum(-gives, _FASTEST_MOTION_NONE))
     chord = 1.0 / np.sqrt(rows.most)[:, None]  # √x ≥ x / √most, and √x ≤ x / (2 √x̂) + √x̂ / 2
     # what raises a torque counts against the upper limit by its tangent, against the lower one by its chord
     b_upper = rows.b + takes * (0.5 / at_upper) + gives * chord

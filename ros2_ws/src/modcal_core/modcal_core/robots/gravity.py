@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.geometry.single import crossed_rows
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, crossed_rows
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import Frames, frames, posture_frames
 from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
@@ -14,7 +13,7 @@ STANDARD_GRAVITY = 9.80665  # m/s²
 DOWN = np.array([0.0, 0.0, -1.0])  # in the base, where nothing else is known
 
 
-def gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Array | None = None) -> Array:
+def chain_gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Array | None = None) -> Array:
     """Weight of the bodies beyond each joint, (n, 6, N): force [N], moment about the joint's origin [N m].
 
     Both in the frame just before the joint's motion, with its axis along z, so row 5 is the torque about a turning

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import frames, link_frames, spatial_jacobian
 from modcal_core.robots.urdf_inertias import Inertias

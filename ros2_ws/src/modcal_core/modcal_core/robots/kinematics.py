@@ -18,9 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.single import crossed_rows, tool_from
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, crossed_rows, se3, so3, tool_from
 from modcal_core.robots.chain import Chain
 
 # Sets of positions whose sines are kept: what is fitted, what judges it, and both. With fewer samples it is not worth
@@ -207,7 +205,7 @@ def moved_frame(axes: Array, p: Array, twist: Array) -> None:
             turned += z * c
 
 
-def forward(chain: Chain, q: ArrayLike) -> Array:
+def chain_forward(chain: Chain, q: ArrayLike) -> Array:
     """Tip poses T_base_tip (..., 4, 4) for joint positions q (..., n) [rad, m]."""
     q = np.asarray(q, dtype=float)
     return frames(chain, q.reshape(-1, chain.n)).transform(-1).reshape(q.shape[:-1] + (4, 4))

@@ -13,7 +13,7 @@ from typing import Protocol, Self, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.robots import delta_kinematics, gravity, kinematics
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
@@ -105,7 +105,7 @@ def forward(robot: Mechanism, q: ArrayLike) -> Array:
     raise NotImplementedError(type(robot).__name__)
 
 
-forward.register(Chain, kinematics.forward)
+forward.register(Chain, kinematics.chain_forward)
 forward.register(Delta, delta_kinematics.forward)
 
 
@@ -162,7 +162,7 @@ def gravity_wrench(robot: Mechanism, inertias: Inertias, q: ArrayLike, moved: Ar
     return np.zeros((robot.n, 6, len(np.asarray(q))))
 
 
-gravity_wrench.register(Chain, gravity.gravity_wrench)
+gravity_wrench.register(Chain, gravity.chain_gravity_wrench)
 
 
 @singledispatch

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 
 _TABLE = {"convention", "base_link", "tip_link", "base", "tool", "joints"}

@@ -1,14 +1,125 @@
-"""A chain from a kinematic table of any known convention."""
+"""A chain from a kinematic table of any known convention.
+
+After H. Zhuang, Z. S. Roth and F. Hamano, "A complete and parametrically continuous kinematic model for robot
+manipulators", IEEE Transactions on Robotics and Automation 8(4), 1992. With each joint axis as z of its frame, the step
+from one joint to the next is ``V = R(b) Rz(beta) Trans(l)``: b (3,) is the direction of the next axis seen from this
+one, and
+
+            | 1 - bx²/(1+bz)    -bx by/(1+bz)    bx |
+    R(b) =  | -bx by/(1+bz)     1 - by²/(1+bz)   by |
+            | -bx               -by              bz |
+
+is the shortest turn that brings z there. l (3,) [m] leads to the next joint's frame. A row is the step *behind* its
+joint; beta and the third component of l commute with the next joint's motion, so an export leaves them 0: four numbers
+a joint, and no angle at which they jump but for opposite axes. Those are avoided by ``reversed: true``, which says that
+the joint counts negatively about its b. Base and tool, which need all six, are poses; the rest of the table is as in
+:mod:`modcal_core.robots.table_rows`.
+
+The paper keeps bx and by and takes bz = √(1 - bx² - by²) ≥ 0. Between perpendicular axes, the commonest case, that root
+loses half of the digits, so all three are written here; two are read, too.
+
+::
+
+    # convention: dh
+    # base_link: base_link
+    # tip_link: tool0
+    # base: 0.0 0.0 0.0 0.0 0.0 0.0            x y z [m], roll pitch yaw [rad]
+    # tool: 0.0 0.0 0.0 0.0 0.0 0.0
+    name,type,theta,d,a,alpha,lower,upper
+    shoulder_pan_joint,revolute,0.0,0.1273,0.0,1.5707963267948966,-6.28,6.28
+
+CPC has columns bx by bz lx ly lz beta reversed in place of the four. Numbers keep every digit. With a line
+``# unit: mm deg`` lengths are in millimetres and angles in degrees throughout, as most controllers show them.
+A table without names is of joints joint_1, joint_2, …; ``joint`` and ``offset`` are read as name and theta, as many
+tables have them, and semicolons as commas. A turn or a length that no arm has is of another unit, and refused.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from modcal_core.errors import BadTable, refusing
+import numpy as np
+
+from modcal_core.errors import BadTable, NotRepresentable, refusing
+from modcal_core.geometry import Array, se3
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.cpc import from_cpc
-from modcal_core.robots.dh import from_dh, from_mdh
+from modcal_core.robots.dh import from_dh, from_mdh, to_dh, to_mdh
+from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.table_rows import plain, read_rows, vector, write_rows
+
+# --- Complete and parametrically continuous (CPC) tables, to and from chains
+
+_KEYS = {"b", "l", "beta", "reversed"}
+_FLIP_BELOW = -0.5  # an axis that points more than 120° away is followed backwards
+_HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])  # about x: takes z to -z
+
+
+def from_cpc(table: Mapping[str, Any]) -> Chain:
+    """The chain of a CPC table. Raises BadTable."""
+    rows = read_rows(table, "cpc", _KEYS)
+    beta = rows.column("beta")
+    steps = [np.eye(4)]
+    for name, row, turn in zip(rows.names, rows.rows, beta, strict=True):
+        b = _direction(row.get("b", (0.0, 0.0, 1.0)), f"cpc table, joint {name}: b")
+        shift = vector(row.get("l", (0.0, 0.0, 0.0)), 3, f"cpc table, joint {name}: l")
+        steps.append(_tilt(b) @ se3.exp([0, 0, 0, 0, 0, turn]) @ se3.transform(p=shift))
+        if not isinstance(row.get("reversed", False), bool):
+            raise BadTable(f"cpc table, joint {name}: reversed", f"is {row['reversed']!r}", "give true or false")
+    side = np.array([-1.0 if row.get("reversed", False) else 1.0 for row in rows.rows])
+    return rows.chain(np.stack(steps), side[:, None] * [0.0, 0.0, 1.0])
+
+
+def to_cpc(chain: Chain) -> dict[str, Any]:
+    """The CPC table of a chain, with the same kinematics to rounding. Any serial chain has one."""
+    constants = chain.along_z
+    flip, rest = np.eye(4), np.eye(4)
+    columns: list[dict[str, Any]] = []
+    flipped = False
+    for k in range(chain.n):
+        own: dict[str, Any] = {"reversed": True} if flipped else {}
+        # where the last joint's axis leads is the tool's business
+        V = np.eye(4)
+        if k < chain.n - 1:
+            T = rest @ flip @ constants[k + 1]
+            flipped = bool(T[2, 2] < _FLIP_BELOW)
+            flip = _HALF_TURN if flipped else np.eye(4)
+            T = T @ flip
+            V = _tilt(T[:3, 2])
+            V[:3, 3] = T[:3, 3]
+            V = V @ se3.transform(p=[0.0, 0.0, -(se3.inverse(V)[:3, :3] @ T[:3, 3])[2]])
+            rest = se3.inverse(V) @ T
+        shift = V[:3, :3].T @ V[:3, 3]
+        shift[2] = 0.0
+        columns.append({"b": plain(V[:3, 2]), "l": plain(shift), **own})
+    return write_rows("cpc", chain, columns, constants[0], rest @ flip @ constants[-1])
+
+
+def _direction(values: object, what: str) -> Array:
+    count = len(values) if isinstance(values, list | tuple) else 3
+    b = vector(values, 2 if count == 2 else 3, what)
+    if len(b) == 2:
+        if b @ b > 1.0:
+            raise BadTable(what, f"is longer than 1 ({np.sqrt(b @ b):.6g})", "give a direction")
+        b = np.r_[b, np.sqrt(1.0 - b @ b)]
+    length = float(np.linalg.norm(b))
+    if abs(length - 1.0) > 1e-6:
+        raise BadTable(what, f"has length {length:.6g}, not 1", "give a direction")
+    if b[2] / length < -1.0 + 1e-9:
+        raise BadTable(what, "points straight back, where CPC is singular", "write b forwards and reversed: true")
+    return b / length
+
+
+def _tilt(b: Array) -> Array:
+    """R(b) of the module's heading, as a transform (4, 4)."""
+    x, y, z = b
+    k = 1.0 / (1.0 + z)
+    R = np.array([[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, z]])
+    return se3.transform(R)
+
 
 _READERS = {"dh": from_dh, "mdh": from_mdh, "cpc": from_cpc}
 
@@ -21,3 +132,182 @@ def from_table(table: Mapping[str, Any]) -> Chain:
         said = "has no key 'convention'" if convention is None else f"convention {convention!r} is unknown"
         raise BadTable("kinematic table", said, f"write convention: {', '.join(_READERS)}")
     return _READERS[convention](table)
+
+
+# --- A chain as a table of any convention, with the proof that nothing was lost
+
+CONVENTIONS = ("cpc", "dh", "mdh")
+EXACT = 1e-10  # m, and entries of rotations, by which an exported table may be off
+_POSTURES = 64
+_SPAN = 3.0  # rad
+_SLIDE = 0.5  # m
+
+
+def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dict[str, Any]:
+    """The table of a chain as plain data. Raises NotRepresentable where DH, classical or modified, cannot hold it.
+
+    largest_offset: of a DH row [m]. CPC holds every chain.
+    """
+    if convention not in CONVENTIONS:
+        raise BadTable(f"convention '{convention}'", "is unknown", f"choose {', '.join(CONVENTIONS)}")
+    table = {"dh": to_dh, "mdh": to_mdh}[convention](chain, largest_offset) if convention != "cpc" else to_cpc(chain)
+    off = loss(chain, table)
+    if off > EXACT * max(1.0, largest_offset / 10.0):
+        said = f"read back, it is off by {off:.2g}, {EXACT:g} is the limit"
+        raise NotRepresentable(f"{convention} table", said, "write a CPC table instead")
+    return table
+
+
+def loss(chain: Chain, table: dict[str, Any]) -> float:
+    """The largest difference [m, and of rotations] of the tip's pose between a chain and its table, over postures."""
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (_POSTURES, chain.n)) * np.where(chain.revolute, _SPAN, _SLIDE)
+    return float(np.abs(chain_forward(from_table(table), q) - chain_forward(chain, q)).max())
+
+
+# --- Kinematic tables as CSV, one row a joint; what is not of a joint stands in comment lines before them
+
+_VECTORS = {"b": ("bx", "by", "bz"), "l": ("lx", "ly", "lz")}
+_DH = ("theta", "d", "a", "alpha")
+_COLUMNS = {"dh": _DH, "mdh": _DH, "cpc": ("bx", "by", "bz", "lx", "ly", "lz", "beta", "reversed")}
+_TEXTS = ("convention", "base_link", "tip_link")
+_POSES = ("base", "tool")
+_NOTE, _UNIT = "note", "unit"
+# what a metre and a radian are in each unit
+_DEGREES = 180.0 / math.pi
+UNITS = {"m rad": (1.0, 1.0), "mm deg": (1e3, _DEGREES), "m deg": (1.0, _DEGREES), "mm rad": (1e3, 1.0)}
+_ALSO_CALLED = {"joint": "name", "offset": "theta"}
+_FULL_TURN = 6.3  # rad; a joint's offset or twist beyond is in degrees
+_LONGEST_M = 10.0  # of a link; longer is in millimetres
+_LENGTHS, _ANGLES = ("d", "a"), ("theta", "alpha", "beta")
+
+
+def to_csv(table: Mapping[str, Any], notes: Sequence[str] = (), unit: str = "m rad") -> str:
+    """The CSV text of a table as data (see :mod:`modcal_core.robots.table_rows`); notes become comments.
+
+    unit: of :data:`UNITS`, in which the text is; the table is in m and rad.
+    """
+    out = io.StringIO()
+    table = _scaled(table, *UNITS[unit])
+    for key in _TEXTS:
+        out.write(f"# {key}: {table[key]}\n")
+    if unit != "m rad":
+        out.write(f"# {_UNIT}: {unit}\n")
+    for key in _POSES:
+        out.write(f"# {key}: {' '.join(repr(v) for v in (*table[key]['xyz'], *table[key]['rpy']))}\n")
+    for note in notes:
+        out.write(f"# {_NOTE}: {note}\n")
+    columns = ("name", "type", *_COLUMNS[table["convention"]], "lower", "upper")
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(columns)
+    for joint in table["joints"]:
+        cells = dict(joint)
+        for key, names in _VECTORS.items():
+            cells.update(zip(names, cells.pop(key, ()), strict=False))
+        rows.writerow([_cell(cells.get(column)) for column in columns])
+    return out.getvalue()
+
+
+def from_csv(text: str, source: str = "table") -> dict[str, Any]:
+    """The table as data, in m and rad, that a CSV text holds. Raises BadTable with the line."""
+    table: dict[str, Any] = {}
+    unit = "m rad"
+    lines = text.lstrip("\ufeff").splitlines()
+    while lines and (lines[0].startswith("#") or not lines[0].strip()):
+        key, _, value = lines.pop(0).lstrip("# ").partition(":")
+        key, value = key.strip(), value.strip()
+        if key in _TEXTS:
+            table[key] = value
+        elif key in _POSES:
+            numbers = _numbers(value, 6, f"{source}, {key}")
+            table[key] = {"xyz": numbers[:3], "rpy": numbers[3:]}
+        elif key == _UNIT:
+            if value not in UNITS:
+                raise BadTable(f"{source}, unit", f"is '{value}'", f"write one of {', '.join(UNITS)}")
+            unit = value
+        elif key and key != _NOTE:
+            known = ", ".join((*_TEXTS, *_POSES, _UNIT, _NOTE))
+            raise BadTable(f"{source}, comment '{key}'", "is not a key of the table", f"write one of {known}")
+    convention = table.get("convention")
+    if convention not in _COLUMNS:
+        said = "states no convention" if convention is None else f"convention '{convention}' is unknown"
+        raise BadTable(source, said, f"begin with a line such as '# convention: dh' ({', '.join(_COLUMNS)})")
+    rows = csv.reader(lines, delimiter=";" if lines and ";" in lines[0] and "," not in lines[0] else ",")
+    header = [_ALSO_CALLED.get(cell.strip(), cell.strip()) for cell in next(rows, [])]
+    allowed = {"name", "type", *_COLUMNS[convention], "lower", "upper"}
+    if not header or not set(header) <= allowed or len(set(header)) < len(header):
+        odd = next((c for c in header if c not in allowed), next((c for c in header if header.count(c) > 1), ""))
+        said = f"column '{odd}' is not one of a {convention} table" if odd not in allowed else f"has '{odd}' twice"
+        said = said if header else "has no columns"
+        raise BadTable(source, said, f"write {','.join(('name', 'type', *_COLUMNS[convention], 'lower', 'upper'))}")
+    table["joints"] = [_joint(row, header, f"{source}, joint {i + 1}") for i, row in enumerate(rows) if any(row)]
+    for i, joint in enumerate(table["joints"]):
+        if joint.get("name", "").isdigit():
+            joint["name"] = f"joint_{joint['name']}"
+        _require_unit(joint, unit, f"{source}, joint {i + 1}")
+    return _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
+
+
+def _require_unit(joint: Mapping[str, Any], unit: str, where: str) -> None:
+    """Raises BadTable for a turn or a length that no arm has, in this unit."""
+    metre, radian = UNITS[unit]
+    for keys, most, size in ((_ANGLES, _FULL_TURN, radian), (_LENGTHS, _LONGEST_M, metre)):
+        for key in keys:
+            if abs(joint.get(key, 0.0)) > most * size:
+                said = f"is {joint[key]:g}, in the unit {unit}"
+                raise BadTable(f"{where}: {key}", said, f"write the unit as '# unit: mm deg' ({', '.join(UNITS)})")
+
+
+def _scaled(table: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
+    """The table with every length and every angle times a factor."""
+    out = dict(table)
+    for key in _POSES:
+        if key in out:
+            pose = out[key]
+            out[key] = {"xyz": [length * v for v in pose["xyz"]], "rpy": [angle * v for v in pose["rpy"]]}
+    out["joints"] = [_scaled_row(row, length, angle) for row in table["joints"]]
+    return out
+
+
+def _scaled_row(row: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:
+    out = dict(row)
+    limit = length if row.get("type") == "prismatic" else angle
+    factors = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_ANGLES, angle) | {"lower": limit, "upper": limit}
+    out.update({key: factor * out[key] for key, factor in factors.items() if key in out})
+    if "l" in out:
+        out["l"] = [length * v for v in out["l"]]
+    return out
+
+
+def _joint(row: list[str], header: list[str], where: str) -> dict[str, Any]:
+    if len(row) != len(header):
+        raise BadTable(where, f"has {len(row)} cells, the header {len(header)}", "correct the line")
+    cells = {key: cell.strip() for key, cell in zip(header, row, strict=True) if cell.strip()}
+    out: dict[str, Any] = {key: cells.pop(key) for key in ("name", "type") if key in cells}
+    if "reversed" in cells:
+        said = cells.pop("reversed").lower()
+        if said not in ("true", "false"):
+            raise BadTable(f"{where}: reversed", f"is '{said}'", "write true or false")
+        out["reversed"] = said == "true"
+    for key, names in _VECTORS.items():
+        if any(name in cells for name in names):
+            out[key] = _numbers(" ".join(cells.pop(name, "?") for name in names), 3, f"{where}: {key}")
+    out.update({key: _numbers(cell, 1, f"{where}: {key}")[0] for key, cell in cells.items()})
+    return out
+
+
+def _numbers(text: str, count: int, where: str) -> list[float]:
+    try:
+        out = [float(word) for word in text.split()]
+    except ValueError:
+        out = []
+    if len(out) != count:
+        raise BadTable(where, f"needs {count} number{'s' * (count > 1)}, has '{text}'", "correct the table")
+    return out
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(float(value)) if isinstance(value, int | float) else str(value)

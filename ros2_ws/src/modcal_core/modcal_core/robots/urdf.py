@@ -6,16 +6,133 @@ The frame of a joint is the frame of its child link, so joint k of the chain mov
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
+from modcal_core.robots.acceleration import DOWN, Drives, Window, read_drives, window
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_tip import default_tip, tips
-from modcal_core.robots.urdf_tree import TURNS, Tree, parse
+from modcal_core.robots.inertia import Payload, with_payload
+from modcal_core.robots.urdf_inertias import Inertias, read_inertias
+from modcal_core.robots.urdf_tree import TURNS, Joint, Tree, parse
+
+# --- Where an arm ends when nobody says so: past its joints and its flange, short of a gripper's fingers
+
+# Usual names of a tool frame, the best first.
+_TOOL_NAMES = tuple(
+    re.compile(pattern)
+    for pattern in (r"(^|[_/-])tool0$", r"tcp$", r"(^|[_/-])(ee|eef|end_effector)([_/-]|$)", r"flange$")
+)
+
+
+# Words by which a gripper's own joint, or the link that it moves, is known; the second kind also names whole hands.
+_FINGER = re.compile(r"finger|jaw|knuckle|thumb|claw|pincer")
+_GRIPPER = re.compile(r"grip")
+
+
+@dataclass(frozen=True)
+class Tips:
+    """tip: the link where the arm ends. others: where arms of as many joints end that might have been meant as well."""
+
+    tip: str
+    others: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _End:
+    """A link where a way ends: whether a joint of it was not recorded, names of its joints, its length in links."""
+
+    link: str
+    unknown: bool
+    moving: tuple[str, ...]
+    length: int
+
+    @property
+    def order(self) -> tuple[bool, int, int, int, str]:
+        """The first is the best."""
+        return self.unknown, -len(self.moving), _rank(self.link), -self.length, self.link
+
+
+def default_tip(tree: Tree, base: str, recorded: Collection[str] | None = None) -> str:
+    """The end of the arm, as :func:`tips` has it. Raises BadRobot when nothing moves."""
+    return tips(tree, base, recorded).tip
+
+
+def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> Tips:
+    """The end of the arm: the link behind most moving joints; and the ends of other arms with as many.
+
+    Among several, one with a tool's usual name (tool0, tcp, ee, flange), then the one with the longest way, then the
+    first by name. The way ends before joints that mimic or are mimicked, before those that a chain cannot hold, before
+    a gripper's own, and where it forks into a hand. recorded: names of the joints that were recorded; of arms whose
+    joints were all recorded the longest is taken, and where there is none the longest at all, so that the missing
+    joints can be named. Raises BadRobot when nothing moves.
+    """
+    led = {joint.mimics for joint in tree.joints if joint.mimics is not None}
+    ends: list[_End] = []
+
+    def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool) -> None:
+        fingers = _fingers(tree, link, len(moving))
+        further = [j for j in tree.below[link] if not j.moves or (_usable(j) and j.name not in led | fingers)]
+        if moving and not further:
+            ends.append(_End(link, unknown, moving, length))
+        for joint in further:
+            missing = joint.moves and recorded is not None and joint.name not in recorded
+            follow(joint.child, (*moving, joint.name) if joint.moves else moving, length + 1, unknown or missing)
+
+    follow(base, (), 0, False)
+    if not ends:
+        raise BadRobot(f"link '{base}'", "no moving joint behind it", "give the --base of an arm")
+    best = min(ends, key=lambda end: end.order)
+    rivals: dict[tuple[str, ...], _End] = {}
+    for end in sorted(ends, key=lambda end: end.order):
+        if end.unknown == best.unknown and len(end.moving) == len(best.moving) and end.moving != best.moving:
+            rivals.setdefault(end.moving, end)
+    return Tips(best.link, tuple(end.link for end in rivals.values()))
+
+
+def _usable(joint: Joint) -> bool:
+    return joint.kind in TURNS and joint.mimics is None
+
+
+def _rank(link: str) -> int:
+    return next((i for i, pattern in enumerate(_TOOL_NAMES) if pattern.search(link.lower())), len(_TOOL_NAMES))
+
+
+def _fingers(tree: Tree, link: str, before: int) -> set[str]:
+    """The joints of a hand's fingers on a link, behind so many joints; none of them is the arm's continuation.
+
+    They are known by two or more branches that are the longest, and shorter than the arm before; the two arms of a
+    torso are longer than what carries them. A single one is known by its name, or by that of the link that it moves.
+    """
+    depth = {joint.name: _depth(tree, joint) for joint in tree.below[link]}
+    deepest = max(depth.values(), default=0)
+    if 0 < deepest < before and list(depth.values()).count(deepest) > 1:
+        return {name for name, d in depth.items() if d > 0}
+    return {
+        joint.name
+        for joint in tree.below[link]
+        if joint.moves and depth[joint.name] < before and _named_as_finger(joint, len(depth))
+    }
+
+
+def _named_as_finger(joint: Joint, beside: int) -> bool:
+    """Whether a joint's names are a gripper's; beside: how many joints its parent carries.
+
+    The joint before a whole hand may be named after it as well: a gripper's own stands on a palm, which carries more.
+    """
+    names = f"{joint.name} {joint.child}".lower()
+    return bool(_FINGER.search(names)) or (beside > 1 and bool(_GRIPPER.search(names)))
+
+
+def _depth(tree: Tree, joint: Joint) -> int:
+    return int(joint.moves) + max((_depth(tree, j) for j in tree.below[joint.child]), default=0)
+
 
 _FARTHEST = 20.0  # m; an arm whose constants add up to more is suspected of millimetres
 
@@ -38,7 +155,7 @@ def read_chain(
 ) -> Chain:
     """The chain from base to tip link of a URDF.
 
-    base: default the root link. tip: default see :func:`modcal_core.robots.urdf_tip.default_tip`. recorded: names of
+    base: default the root link. tip: default see :func:`modcal_core.robots.urdf.default_tip`. recorded: names of
     the joints that were recorded; a default tip is sought behind those only. Raises BadRobot.
     """
     tree = parse(urdf_xml)
@@ -96,3 +213,83 @@ def _check_unit(chain: Chain, tree: Tree) -> None:
     if chain.revolute.any() and long > _FARTHEST:
         said = f"its links add up to {long:.0f} m, {_FARTHEST:g} m is the limit: it looks like millimetres"
         raise BadRobot(f"robot '{tree.name}'", said, "give <origin xyz> in metres")
+
+
+# --- An arm with what it carries and what its drives may give
+
+COUPLED, EQUIVALENT = "coupled", "equivalent"
+METHODS = (COUPLED, EQUIVALENT)
+
+
+@dataclass(frozen=True)
+class LoadedArm:
+    """chain, bare inertias and drives as the URDF has them; payload at the tip; share of the torque that may be used;
+    gravity (3,) [m/s²] in the base.
+    """
+
+    chain: Chain
+    inertias: Inertias
+    drives: Drives
+    payload: Payload = field(default_factory=Payload)
+    share: float = 1.0
+    gravity: Array = field(default_factory=lambda: np.array(DOWN))
+
+    @classmethod
+    def read(
+        cls, urdf_xml: str, base: str | None = None, tip: str | None = None, recorded: Collection[str] | None = None
+    ) -> LoadedArm:
+        """The arm of a URDF, carrying nothing; base, tip, recorded as of :func:`read_chain`. Raises BadRobot."""
+        chain = read_chain(urdf_xml, base, tip, recorded)
+        inertias = read_inertias(urdf_xml, chain)
+        if not inertias.known:
+            raise BadRobot("robot description", "states no mass of any link", "write the links' <inertial>")
+        return cls(chain, inertias, read_drives(urdf_xml, chain))
+
+    def carrying(self, payload: Payload) -> LoadedArm:
+        """The arm with another payload."""
+        return replace(self, payload=payload)
+
+    def using(self, share: float, gravity: ArrayLike = DOWN) -> LoadedArm:
+        """The arm with this share of its torque, in this gravity. Raises BadRobot for numbers that are none."""
+        g = np.asarray(gravity, dtype=float).ravel()
+        if not (np.isfinite(share) and 0.0 < share <= 1.0):
+            raise BadRobot(
+                "share of the torque", f"{share:g} is not above 0 and at most 1", "give a share, such as 0.8"
+            )
+        if g.shape != (3,) or not np.isfinite(g).all() or np.linalg.norm(g) > 100.0:
+            raise BadRobot("gravity", "is not x y z of 100 m/s² at most", "give it in the base link, such as 0 0 -9.81")
+        return replace(self, share=float(share), gravity=g)
+
+    def with_drives(self, **values: Mapping[str, float]) -> LoadedArm:
+        """The arm with other torque, speed, coulomb, viscous or rotor of its drives, by joint. Raises BadRobot."""
+        drives = self.drives
+        for what, by_joint in values.items():
+            drives = drives.with_values(what, by_joint)
+        return replace(self, drives=drives)
+
+    def window(self, q: ArrayLike, velocity: ArrayLike | None = None) -> Window:
+        """What the drives leave for accelerating at q, at a velocity, (N, n) each. Raises BadRobot."""
+        return window(self.chain, self._loaded, self.drives, q, velocity, self.share, self.gravity)
+
+    @cached_property
+    def _loaded(self) -> Inertias:
+        """The inertias with what is carried, which a node asks for at every posture."""
+        return with_payload(self.inertias, self.chain, self.payload)
+
+    def bounds(self, q: ArrayLike, velocity: ArrayLike | None = None, method: str = COUPLED) -> tuple[Array, Array]:
+        """Lower and upper bounds of acceleration (N, n) [rad/s², m/s²], lower < 0 < upper.
+
+        method: "coupled", bounds that hold together whatever the other joints do within theirs, or "equivalent", each
+        joint by its equivalent inertia. Raises Overloaded where the drives cannot hold the arm, BadRobot for what is
+        not known.
+        """
+        require_method(method)
+        left = self.window(q, velocity)
+        left.require_held()
+        return left.box() if method == COUPLED else left.equivalent()
+
+
+def require_method(method: str) -> None:
+    """Raises BadRobot for a method that there is none of."""
+    if method not in METHODS:
+        raise BadRobot(f"method '{method}'", f"is neither {' nor '.join(METHODS)}", "choose one of them")

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.effects.effect import place_index
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.calibration import RowView
+from modcal_core.effects import place_index
+from modcal_core.measurements import spread_rows
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.case import Case
 
 _MIN, _MAX = 60, 3000  # readings in motion

@@ -11,10 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.model import Model
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import Model, RowView
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 from modcal_core.verdict.features import Group
 
 _MIN = 12  # readings of a frame: fewer do not tell the nine numbers of a scale and a shear from their noise

@@ -7,19 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.distances import AnyDistance
-from modcal_core.calibration.identify import Fit
-from modcal_core.calibration.linearise import linearise
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
-from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.calibration.score import Errors, errors
-from modcal_core.calibration.split import Split
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.uncertainty import Uncertainty, uncertainty
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import (
+    AnyDistance,
+    Calibration,
+    Errors,
+    Fit,
+    Model,
+    ModelParameter,
+    NoiseModel,
+    Split,
+    Uncertainty,
+    errors,
+    linearise,
+    uncertainty,
+)
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 
 _MAX_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
 _MAX_REFITTED = 400  # the same of base and tool

@@ -8,12 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from modcal_core.calibration.removal import without
-from modcal_core.calibration.score import Errors, errors
-from modcal_core.effects.effect import Effect
-from modcal_core.effects.registry import claimed, companionless, with_companions
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import Errors, errors, without
+from modcal_core.effects import Effect, claimed, companionless, with_companions
+from modcal_core.geometry import Array
+from modcal_core.measurements import spread_rows
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.verdict import Interval
 
@@ -41,8 +39,8 @@ class Contribution:
 def contributions(case: Case) -> tuple[Contribution, ...]:
     """One for each effect of the final model that a report names, in its order, and one for all others together.
 
-    The others are fitted again by one step (:mod:`modcal_core.calibration.removal`). The cost is then that of the model
-    so changed, without linearising.
+    The others are fitted again by one step (:mod:`modcal_core.calibration.covariance`). The cost is then that of the
+    model so changed, without linearising.
     """
     effects = case.model.effects
     if not effects or not len(case.held_out):

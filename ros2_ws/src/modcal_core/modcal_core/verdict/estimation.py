@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.measurements import spread_rows
 from modcal_core.verdict.case import Case, derivatives
 
 _MAX = 400  # scored samples; the mean over more is the same

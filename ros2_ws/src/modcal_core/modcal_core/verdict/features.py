@@ -13,14 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.model import Model
-from modcal_core.diagnosis.hysteresis import moments_on_base, play, slipped
-from modcal_core.effects.effect import place_index
-from modcal_core.effects.shapes import periodic
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.other_joints import moving_beside, others_at, spoken_name
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import Model, RowView
+from modcal_core.diagnosis import moments_on_base, play, slipped
+from modcal_core.effects import periodic, place_index
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, moving_beside, others_at, spoken_name
 
 _OWN_WAVES = 6  # waves a turn of a joint's own position
 _SMOOTH = 16  # random functions of the whole posture

@@ -13,14 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from modcal_core.calibration.noise import REJECT_Z, standard_score
-from modcal_core.calibration.score import Errors
-from modcal_core.calibration.stated import Stated
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.other_joints import others_at
-from modcal_core.measurements.returns import MIN_RETURNS, SAME, returns
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import REJECT_Z, Errors, Stated, standard_score
+from modcal_core.geometry import Array
+from modcal_core.measurements import MIN_RETURNS, SAME, Samples, others_at, returns
+from modcal_core.measurements.kinds import is_direct
 from modcal_core.verdict.verdict import Interval, Repeatability
 
 _JUMP = 30.0  # times; six Gaussian differences along one line leave such a gap among their sizes once in some 700
@@ -123,7 +119,7 @@ def _beyond(seen: Floor | None, stated: Floor | None, unit: str) -> tuple[str, .
 def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """For each posture that was come back to the rows of its visits, one a visit, in order of time.
 
-    What counts as one, see :mod:`modcal_core.measurements.returns`.
+    What counts as one, see :mod:`modcal_core.measurements.approach`.
     """
     keep = ~samples.moving if wrong is None else ~(samples.moving | wrong)
     others = others_at(samples)

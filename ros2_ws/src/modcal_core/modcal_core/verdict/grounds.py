@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from modcal_core.calibration.runs import RejectedPlace
+from modcal_core.calibration import RejectedPlace
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.score import Errors
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.approach import TRAVEL
-from modcal_core.measurements.recording import POINT, POSE
-from modcal_core.measurements.returns import LEFT, SAME
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import Errors
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import LEFT, POINT, POSE, SAME, TRAVEL, Samples
 
 POSES, CYCLES = 5, 30  # that ISO 9283:1998 asks for (7.2, tables 5 and 8)
 

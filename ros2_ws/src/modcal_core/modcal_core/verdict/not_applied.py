@@ -10,12 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.store import Calibration
-from modcal_core.calibration.typical import averaged, outside_drivers
-from modcal_core.effects.drivers import NominalArm
-from modcal_core.effects.effect import Effect
-from modcal_core.measurements.samples import Samples
+from modcal_core.calibration import Calibration, Model, averaged, outside_drivers
+from modcal_core.effects import Effect, NominalArm
+from modcal_core.measurements import Samples
 from modcal_core.verdict.grounds import NotApplied
 
 

@@ -13,14 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.nonnegative import nonnegative
-from modcal_core.effects.effect import place_index
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.calibration import RowView, nonnegative
+from modcal_core.effects import place_index
+from modcal_core.geometry import Array
+from modcal_core.measurements import spread_rows
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.robots import Chain, is_serial_arm
 from modcal_core.verdict.case import Case, weights
 
 _MAX = 300  # samples, for time; more are thinned evenly

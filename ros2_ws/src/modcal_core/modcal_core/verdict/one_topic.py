@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.runs import station_numbers
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import RANGE
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import RowView, station_numbers
+from modcal_core.geometry import Array
+from modcal_core.measurements import RANGE, spread_rows
 from modcal_core.verdict.case import Case, weights
 
 _MIN = 50  # readings of an instrument

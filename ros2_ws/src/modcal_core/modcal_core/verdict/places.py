@@ -6,20 +6,23 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from modcal_core.calibration.score import Errors
-from modcal_core.diagnosis.dependence import WORTH_NAMING, asked_of, dependence
-from modcal_core.measurements.samples import Samples
-from modcal_core.plausibility.agreement import Disagreement, limits
-from modcal_core.plausibility.channels import disagreeing_channel
-from modcal_core.plausibility.consistency import disagreement
-from modcal_core.plausibility.coordinates import written_otherwise
-from modcal_core.plausibility.joint_map import mixed_joints
-from modcal_core.plausibility.links import other_link
-from modcal_core.plausibility.of_a_part import part_apart
-from modcal_core.plausibility.pairing import mispaired
-from modcal_core.plausibility.placements import several_placements
-from modcal_core.plausibility.screening import wrong_joints
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.calibration import Errors
+from modcal_core.diagnosis import WORTH_NAMING, asked_of, dependence
+from modcal_core.measurements import Samples
+from modcal_core.plausibility import (
+    Disagreement,
+    disagreeing_channel,
+    disagreement,
+    limits,
+    mispaired,
+    mixed_joints,
+    other_link,
+    part_apart,
+    several_placements,
+    written_otherwise,
+    wrong_joints,
+)
+from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.rejected_alike import rejected_alike
 from modcal_core.verdict.status import MAX_PREDICTABLE, MAX_REJECTED

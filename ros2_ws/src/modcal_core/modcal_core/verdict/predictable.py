@@ -19,11 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.distributions import gumbel_of
-from modcal_core.calibration.split import block_length, units_of_stations
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.thinning import spread_rows
+from modcal_core.calibration import block_length, gumbel_of, units_of_stations
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 from modcal_core.verdict.by_instrument import by_instrument
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.features import groups, on_the_way, single_waves

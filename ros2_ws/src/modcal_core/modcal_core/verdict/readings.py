@@ -6,11 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from modcal_core.calibration.score import FINEST, Errors
-from modcal_core.calibration.stated import Stated
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import Mechanism, forward, is_serial_arm
+from modcal_core.calibration import FINEST, Errors, Stated
+from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.robots import Mechanism, forward, is_serial_arm
 
 # Powers of ten of a metre that tables and pendants round to; an instrument has errors of its own beside its last digit
 _STEPS = (1e-3, 1e-4, 1e-5, 1e-6)

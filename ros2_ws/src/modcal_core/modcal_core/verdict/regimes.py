@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.calibration.runs import station_numbers
-from modcal_core.measurements.samples import Samples
-from modcal_core.regimes.find import moves_of
+from modcal_core.calibration import Model, station_numbers
+from modcal_core.measurements import Samples
+from modcal_core.regimes import moves_of
 from modcal_core.verdict.grounds import Regime
 
 

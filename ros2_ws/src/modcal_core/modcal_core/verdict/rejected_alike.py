@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.verdict.case import Case
 
 _MIN = 6  # rejected readings

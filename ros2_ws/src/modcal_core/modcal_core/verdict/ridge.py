@@ -13,7 +13,7 @@ from typing import Protocol, cast
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
 _EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected to explain: sets the ridge

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.calibration.model import Model
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.calibration import Model
+from modcal_core.robots import Inertias, Mechanism
 
 _MAX_KG = 5000.0  # the heaviest serial arms weigh three tonnes in all
 

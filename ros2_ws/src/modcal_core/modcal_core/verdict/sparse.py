@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.verdict.features import Waves
 from modcal_core.verdict.ridge import Baseline, Layout, Trials, single
 

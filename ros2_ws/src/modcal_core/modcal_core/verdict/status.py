@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from modcal_core.calibration.score import FINEST
-from modcal_core.calibration.stated import Stated
-from modcal_core.measurements.returns import MIN_RETURNS
+from modcal_core.calibration import FINEST, Stated
+from modcal_core.measurements import MIN_RETURNS
 from modcal_core.verdict.account import account
 from modcal_core.verdict.along_motion import along_motion
 from modcal_core.verdict.case import Case

@@ -19,7 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.verdict.verdict import Verdict
 
 Statistic = Literal["mean", "rms", "p95", "max"]

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.linearise import RowView
-from modcal_core.calibration.runs import station_numbers
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import is_direct
+from modcal_core.calibration import RowView, station_numbers
+from modcal_core.geometry import Array
+from modcal_core.measurements.kinds import is_direct
 from modcal_core.verdict.case import Case, weights
 
 _MIN = 40  # stations

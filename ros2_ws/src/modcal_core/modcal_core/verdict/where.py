@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots import Mechanism
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.verdict import Reason, Verdict
 

@@ -4,8 +4,17 @@
 ``propose`` finds a mapping for a table that has none, and proves it on the data.
 """
 
-from __future__ import annotations
+from typing import TYPE_CHECKING
 
-from modcal_msgs_py.tables.convert import Tables, import_tables, read_tables
+if TYPE_CHECKING:
+    from modcal_msgs_py.tables.convert import Tables, import_tables, read_tables
+    from modcal_msgs_py.tables.propose import find
+    from modcal_msgs_py.tables.proposed import Proposal, proposal
+    from modcal_msgs_py.tables.schema import json_schema
+    from modcal_msgs_py.tables.tracks import read_track
+else:
+    from modcal_core.lazy import lazy_face
 
-__all__ = ["Tables", "import_tables", "read_tables"]
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["Proposal", "Tables", "find", "import_tables", "json_schema", "proposal", "read_tables", "read_track"]

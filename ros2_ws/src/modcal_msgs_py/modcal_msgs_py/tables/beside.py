@@ -7,26 +7,111 @@ up. Where neither tells it, the columns are not used, and that is said.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import gravity_wrench
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.geometry import Array
+from modcal_core.robots import Chain, Inertias, chain_gravity_wrench
 from modcal_msgs_py.tables.candidates import JointColumns, Numbers, is_counter
-from modcal_msgs_py.tables.deviations import stated_deviations
-from modcal_msgs_py.tables.faults import Faults
 from modcal_msgs_py.tables.fitted import ColumnChoice, Fitted, scales
-from modcal_msgs_py.tables.joints import EFFORTS
+from modcal_msgs_py.tables.joints import EFFORTS, UNITS
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, OTHER, VELOCITY, angle_triples, matrices, quaternions
-from modcal_msgs_py.tables.moments import RowTimes
+from modcal_msgs_py.tables.moments import RowTimes, stamps_of
 from modcal_msgs_py.tables.sheet import Sheet
-from modcal_msgs_py.tables.stamps import stamps_of
-from modcal_msgs_py.tables.table import Table
+from modcal_msgs_py.tables.table import Faults, Table
+
+# --- Standard deviations that an instrument states of every reading: which columns, of what, in which unit
+
+_FINEST = 1e-6  # m, rad; standard deviations of instruments are more
+_STD = {"std", "stdev", "stddev", "sigma", "sd", "deviation", "u"}  # the last only where a coverage is stated
+_ALONG, _ABOUT = ("x", "y", "z"), ("rx", "ry", "rz", "roll", "pitch", "yaw")
+_TURNED = {"rot", "rotation", "angle", "orientation", "ori", "angular"}
+
+
+def stated_deviations(numbers: Numbers, fitted: Fitted) -> tuple[dict[str, Any], set[int], list[str]]:
+    """What a mapping states under ``std``, the columns that it takes, and what is to be said of them.
+
+    By their labels, of positions and of orientations; empty where the table has none.
+    """
+    used: set[int] = set()
+    said: list[str] = []
+    if fitted.body.points:
+        return {}, used, said
+    groups: dict[tuple[str, str], dict[str, int]] = {}
+    for k in range(numbers.values.shape[1]):
+        label = numbers.labels[k]
+        words = [w for w in label.words if not w.isdigit()]
+        axis = next((w for w in words if w in _ALONG or w in _ABOUT), "")
+        marked = bool((_STD if label.coverage else _STD - {"u"}) & set(words))
+        short = re.fullmatch(rf"(?:s|sd|std|sigma{'|u' if label.coverage else ''})([xyz])", "".join(words))
+        if k in fitted.columns or not (marked or short) or not _stated(numbers.values[:, k]):
+            continue
+        axis = short[1] if short is not None else axis
+        turned = axis in _ABOUT or bool(_TURNED & set(words))
+        groups.setdefault(("orientation" if turned else "position", label.coverage), {}).setdefault(axis, k)
+    stated: dict[str, Any] = {}
+    for (what, factor), found in groups.items():
+        columns = _axes(found)
+        coverage = float(factor or 1.0)
+        if not columns or what in stated or (what == "orientation" and fitted.best.meaning.turning is None):
+            continue
+        if stated and coverage != float(stated.get("coverage", 1.0)):
+            continue
+        unit = _unit_of_std(numbers, fitted, columns, what, coverage)
+        shown = ", ".join(numbers.shown(k) for k in columns)
+        if unit is None:
+            said.append(f"standard deviations {shown} are not used: no unit makes them plausible; state std")
+            continue
+        keys = [numbers.key(k) for k in columns]
+        stated[what] = keys if len(keys) == 3 else keys[0]
+        stated["unit" if what == "position" else "orientation_unit"] = unit
+        if coverage > 1.0:
+            stated["coverage"] = coverage
+        of = f"{factor} standard deviations" if coverage > 1.0 else "standard deviations"
+        each = "" if len(columns) == 3 else " along each axis"
+        said.append(f"{shown} are {of} of the {what}{each}, in {unit}")
+        used |= set(columns)
+    return stated, used, said
+
+
+def _stated(values: Array) -> bool:
+    there = values[np.isfinite(values)]
+    return len(there) > 0 and bool((there >= 0.0).all()) and bool((there > 0.0).any())
+
+
+def _axes(found: Mapping[str, int]) -> list[int]:
+    for names in (("x", "y", "z"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw")):
+        if set(names) <= set(found):
+            return [found[name] for name in names]
+    return [found[""]] if "" in found else []
+
+
+def _unit_of_std(numbers: Numbers, fitted: Fitted, columns: Sequence[int], what: str, coverage: float) -> str | None:
+    """The unit by the label; else that of the readings, or another one, with which the size is an instrument's."""
+    label, typical = numbers.labels[columns[0]], float(np.nanmedian(numbers.values[:, list(columns)])) / coverage
+    if what == "orientation":
+        if label.unit in ("deg", "rad"):
+            return label.unit
+        if label.unit is not None or label.told:
+            return None
+        turning = fitted.best.meaning.turning
+        assert turning is not None
+        fits = [u for u in ("rad", "deg") if _FINEST < UNITS[u] * typical < max(fitted.best.match.typical_angle, 1e-3)]
+        if turning.form in ("euler", "rotvec"):
+            same = "deg" if turning.degrees else "rad"
+            return same if same in fits else None
+        return fits[0] if len(fits) == 1 else None
+    if label.unit in ("mm", "m", "in", "cm"):
+        return label.unit
+    if label.unit is not None or label.told:
+        return None
+    most = max(fitted.best.match.typical, 1e-4)
+    same = fitted.best.meaning.unit
+    return next((u for u in (same, "mm", "m") if _FINEST < UNITS[u] * typical < most), None)
+
 
 _SPEEDS = {"rad/s": "rad/s", "rad/sec": "rad/s", "rads": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "deg/sec": "deg/s",
            "dps": "deg/s", "degs": "deg/s"}  # fmt: skip
@@ -229,7 +314,7 @@ def _holds(chain: Chain, inertias: Inertias | None, q: Array, effort: Array) -> 
     if inertias is None or not inertias.known or rows.sum() < _MIN_MOVING:
         return 0.0
     turning = np.asarray(chain.revolute, bool)
-    wrench = gravity_wrench(chain, inertias, q[rows])
+    wrench = chain_gravity_wrench(chain, inertias, q[rows])
     asked = -np.where(turning[:, None], wrench[:, 5], wrench[:, 2]).T
     a, b = (x - x.mean(axis=0) for x in (asked, effort[rows]))
     size = float(np.linalg.norm(a) * np.linalg.norm(b))

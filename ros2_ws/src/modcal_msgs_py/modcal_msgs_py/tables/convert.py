@@ -15,16 +15,13 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.measurements.recording import SOCKETS, JointTrack, ReadingTrack, Recording, SignalTrack
-from modcal_core.measurements.schema import shown
+from modcal_core.measurements import SOCKETS, JointTrack, ReadingTrack, Recording, SignalTrack, shown
 from modcal_msgs_py.tables import joints as of_joints
 from modcal_msgs_py.tables import readings as of_readings
-from modcal_msgs_py.tables.faults import Faults
-from modcal_msgs_py.tables.joining import join
+from modcal_msgs_py.tables.moments import stamps_of
 from modcal_msgs_py.tables.schema import require_mapping
 from modcal_msgs_py.tables.sheet import Form, read_sheet
-from modcal_msgs_py.tables.stamps import stamps_of
-from modcal_msgs_py.tables.table import Table
+from modcal_msgs_py.tables.table import Faults, Table, join
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import JointTrack
+from modcal_core.geometry import Array
+from modcal_core.measurements import JointTrack
 from modcal_msgs_py.tables.table import Table
 
 UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "gon": np.pi / 200.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}

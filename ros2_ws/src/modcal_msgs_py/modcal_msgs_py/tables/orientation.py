@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, so3
 from modcal_msgs_py.tables.table import Table
 
 FORMS = ("euler", "quaternion", "rotvec", "matrix")

@@ -15,20 +15,27 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
-from modcal_core.plausibility.joint_columns import likely_orders
-from modcal_core.plausibility.meanings import MIN_ROWS, Postures, judge, rivals, same_poses
-from modcal_core.plausibility.turning import MATRIX, Turning
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.plausibility import MATRIX, MIN_ROWS, Postures, Turning, judge, likely_orders, rivals, same_poses
+from modcal_core.robots import Chain, Inertias
 from modcal_msgs_py.tables.beside import OtherColumns, find_beside
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool
-from modcal_msgs_py.tables.fitted import MAX_RAD, ColumnChoice, Fitted, differences, missed, scales, units, worse
+from modcal_msgs_py.tables.fitted import (
+    MAX_RAD,
+    ColumnChoice,
+    Fitted,
+    decided,
+    deviation_columns,
+    differences,
+    missed,
+    scales,
+    units,
+    with_deviations,
+    worse,
+)
 from modcal_msgs_py.tables.labels import MEASURED, turn_labels
 from modcal_msgs_py.tables.moments import RowTimes, find_time
-from modcal_msgs_py.tables.reached import decided, deviation_columns, with_deviations
-from modcal_msgs_py.tables.rigid import rigid_poses
+from modcal_msgs_py.tables.readings import rigid_bodies, rigid_poses
 from modcal_msgs_py.tables.sighted import SightColumns, Sighted, find_sights, is_sight, sight_columns
-from modcal_msgs_py.tables.targets import rigid_bodies
 from modcal_msgs_py.tables.together import Together, together
 
 NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from modcal_core.errors import BadTable
-from modcal_core.measurements.schema import Schema, require, shown
+from modcal_core.measurements import Schema, require, shown
 from modcal_msgs_py.tables.joints import EFFORTS
 from modcal_msgs_py.tables.orientation import FORMS
 from modcal_msgs_py.tables.readings import TOPICS

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import BEARING, RANGE, TOUCH
-from modcal_core.plausibility.conventions import BEYOND_DOUBT
-from modcal_core.plausibility.meanings import LENGTHS, MIN_ROWS
-from modcal_core.plausibility.sights import Sighting, SightMatch, sights_match
-from modcal_core.robots.chain import Chain
+from modcal_core.geometry import Array
+from modcal_core.measurements import BEARING, RANGE, TOUCH
+from modcal_core.plausibility import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
+from modcal_core.robots import Chain
 from modcal_msgs_py.tables.candidates import JointColumns, Numbers
 from modcal_msgs_py.tables.fitted import ColumnChoice, scales, units
 from modcal_msgs_py.tables.joints import UNITS

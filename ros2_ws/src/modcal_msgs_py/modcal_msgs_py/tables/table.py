@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,10 +11,70 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.schema import shown
-from modcal_msgs_py.tables.faults import Faults
-from modcal_msgs_py.tables.sheet import Sheet
+from modcal_core.geometry import Array
+from modcal_core.measurements import shown
+from modcal_msgs_py.tables.sheet import Form, Sheet, read_sheet
+
+# --- What is wrong with rows of a table, collected, so that one message names them all
+
+_MAX_LINES, _MAX_KINDS = 20, 12  # that a message lists; more are counted
+
+
+@dataclass
+class Faults:
+    """Faulty cells and missing ones of one file. skip: whether rows with missing cells are left out and counted."""
+
+    file: str
+    skip: bool = False
+    _cells: dict[tuple[str, str], list[tuple[int, str]]] = field(default_factory=dict)
+    _missing: dict[str, set[int]] = field(default_factory=dict)
+
+    def bad(self, line: int, column: object, said: str, kind: str = "") -> None:
+        """Note a cell that cannot be used. kind: what cells with the same fault have in common."""
+        found = self._cells.setdefault((f"column {column}" if column is not None else "", kind or said), [])
+        if all(line != seen for seen, _ in found[-1:]):
+            found.append((line, said))
+
+    def missing(self, lines: Iterable[int], what: str) -> None:
+        """Note rows that lack something that is needed."""
+        self._missing.setdefault(what, set()).update(lines)
+
+    def require_none(self) -> None:
+        """Raises BadTable that names all faulty rows with the reasons, if there are any."""
+        told = [_told(column, cells) for (column, _), cells in self._cells.items()]
+        rows = {line for cells in self._cells.values() for line, _ in cells}
+        remedy = "correct the cells, or leave the rows out"
+        if not self.skip:
+            for what, lines in self._missing.items():
+                told.append(f"{_lines(sorted(lines))}, {what}: no number")
+                rows |= lines
+            if self._missing:
+                remedy = "correct the cells, leave the rows out, or state missing: skip"
+        if not told:
+            return
+        more = f"; {len(told) - _MAX_KINDS} more reasons" if len(told) > _MAX_KINDS else ""
+        count = f"{len(rows)} faulty rows: " if len(rows) > 1 else ""
+        raise BadTable(self.file, f"{count}{'; '.join(told[:_MAX_KINDS])}{more}", remedy)
+
+    def notes(self) -> list[str]:
+        """A sentence for each reason why rows were left out."""
+        return [
+            f"{self.file}: {len(lines)} row{'s were' if len(lines) > 1 else ' was'} left out: no number in {what}."
+            for what, lines in self._missing.items()
+            if lines
+        ]
+
+
+def _told(column: str, cells: list[tuple[int, str]]) -> str:
+    line, said = cells[0]
+    also = f" (also {_lines([other for other, _ in cells[1:]])})" if len(cells) > 1 else ""
+    return f"line {line}{', ' if column else ''}{column}: {said}{also}"
+
+
+def _lines(lines: list[int]) -> str:
+    more = f" and {len(lines) - _MAX_LINES} more" if len(lines) > _MAX_LINES else ""
+    return f"line{'s' if len(lines) > 1 else ''} {', '.join(map(str, lines[:_MAX_LINES]))}{more}"
+
 
 # What exports write where there is no number, in small letters
 MISSING = frozenset(
@@ -130,3 +190,61 @@ class Table:
             return header.index(key)
         known = ", ".join((*header, *self.joined)) or f"0 to {len(first) - 1}"
         raise BadTable(self.path.name, f"has no column {key}", f"columns are {known}")
+
+
+# --- Columns of another file beside those of a table: rows belong together by a station's number, a name, or a time
+
+
+def join(table: Table, stated: Mapping[str, Any], folder: Path, source: str) -> None:
+    """Put the columns of another file into a table, each under its own name, or FILE.NAME where that is taken.
+
+    Rows without a partner have empty cells there. Raises BadTable where no row has one, or one has several.
+    """
+    name = str(stated["files"]).replace("{stem}", table.path.stem).replace("{folder}", table.path.parent.name)
+    path = folder / name
+    if not path.is_file():
+        raise BadTable(
+            f"{source}: joined {name}", "is not a file", "give its name relative to the folder of the tables"
+        )
+    other = Table(read_sheet(path, Form.stated({"decimal": table.sheet.decimal, **stated})), Faults(path.name))
+    (ours, theirs), *_ = stated["by"].items()
+    partner = _partners(table, ours, other, theirs, stated.get("within"))
+    if not (partner >= 0).any():
+        said = f"no row of {path.name} has a {theirs} that is a {ours} of {table.path.name}"
+        raise BadTable(f"{source}: joined", said, "check the columns in by, or state within")
+    taken = {*table.sheet.header, *table.joined}
+    for i, label in enumerate(other.sheet.header):
+        cells = other.text(i)
+        if other.sheet.decimal != table.sheet.decimal:
+            cells = [cell.replace(other.sheet.decimal, table.sheet.decimal) for cell in cells]
+        key = label if label not in taken else f"{path.stem}.{label}"
+        table.joined[key] = [cells[k] if k >= 0 else "" for k in partner]
+
+
+def _partners(table: Table, ours: str, other: Table, theirs: str, within: float | None) -> np.ndarray:
+    """The row of the other table that belongs to each row (N,), −1 for none."""
+    if within is None:
+        rows: dict[object, int] = {}
+        for k, cell in enumerate(other.text(theirs)):
+            key = _key(cell, other.sheet.decimal)
+            if key in rows and cell:
+                said = f"lines {other.sheet.lines[rows[key]]} and {other.sheet.lines[k]} both have {theirs} {cell}"
+                raise BadTable(other.path.name, said, "state within: for times, or leave one of them out")
+            rows[key] = k
+        return np.array([rows.get(_key(cell, table.sheet.decimal), -1) for cell in table.text(ours)])
+    wanted, known = table.numbers(ours), other.numbers(theirs)
+    order = np.argsort(known)
+    order = order[np.isfinite(known[order])]
+    if not len(order):
+        return np.full(len(wanted), -1)
+    right = np.clip(np.searchsorted(known[order], wanted), 1, max(len(order) - 1, 1))
+    right = np.minimum(right, len(order) - 1)
+    left = np.maximum(right - 1, 0)
+    nearer = np.where(np.abs(known[order[left]] - wanted) <= np.abs(known[order[right]] - wanted), left, right)
+    partner = order[nearer]
+    return np.where(np.abs(known[partner] - wanted) <= within, partner, -1)
+
+
+def _key(cell: str, decimal: str) -> object:
+    value = number(cell, decimal)
+    return cell.strip() if value is None or value != value else value

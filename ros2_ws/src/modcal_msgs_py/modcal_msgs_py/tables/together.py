@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_msgs_py.tables.candidates import Numbers
-from modcal_msgs_py.tables.faults import Faults
-from modcal_msgs_py.tables.joining import join
 from modcal_msgs_py.tables.sheet import Form, Sheet
 from modcal_msgs_py.tables.sniff import Sniffed, sniff
-from modcal_msgs_py.tables.table import Table
+from modcal_msgs_py.tables.table import Faults, Table, join
 
 _MIN_COLUMNS = 2  # of a further file: the shared one, and one more
 _SHARED = 0.5  # of the rows must have a partner

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_msgs_py.tables.candidates import Numbers
 from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, angle_triples, quaternions
-from modcal_msgs_py.tables.moments import find_time
+from modcal_msgs_py.tables.moments import SECONDS, find_time
 from modcal_msgs_py.tables.sniff import sniff
-from modcal_msgs_py.tables.stamps import SECONDS
 
 _FORMS = "x y z, or x y z qx qy qz qw, a time before them or not"
 _WIDTHS = (3, 7)  # of a bare row without its time

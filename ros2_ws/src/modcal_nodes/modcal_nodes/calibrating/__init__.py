@@ -1,1 +1,26 @@
 """What the calibrator node is made of: what it remembers, solves, keeps and says."""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_nodes.calibrating.arm import KnownArm
+    from modcal_nodes.calibrating.buffer import Buffer
+    from modcal_nodes.calibrating.by_camera import ByCamera
+    from modcal_nodes.calibrating.check_service import CheckService
+    from modcal_nodes.calibrating.corners import CornerIntake
+    from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
+    from modcal_nodes.calibrating.intake import CommandSubscription, Intake, lacking, listen, policy, require_policy
+    from modcal_nodes.calibrating.publishers import Publishers
+    from modcal_nodes.calibrating.standing import Standing, standing_of_json
+    from modcal_nodes.calibrating.state import StateFolder
+    from modcal_nodes.calibrating.worker import SolveWorker, Solved, condense, solve
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["Buffer", "ByCamera", "CheckService", "CommandSubscription", "CornerIntake", "Intake", "KnownArm"]
+__all__ += ["Publishers", "SolveWorker", "Solved", "Standing", "StateFolder", "collected", "condense", "lacking"]
+__all__ += ["listen", "model_status", "policy", "require_policy", "sample_status", "solve", "standing_of_json"]

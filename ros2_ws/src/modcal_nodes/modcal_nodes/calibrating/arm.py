@@ -6,19 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration.store import fingerprint
+from modcal_core.calibration import fingerprint
 from modcal_core.errors import BadRecording, ModcalError
-from modcal_core.measurements.checks import joint_limits
-from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.online.stream import SampleStream
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
-from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.commanded import Commands
-from modcal_msgs_py.readings import READING
-from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.topics import JOINT_COMMANDS
+from modcal_core.measurements import joint_limits
+from modcal_core.measurements.kinds import kinds
+from modcal_core.online import SampleStream
+from modcal_core.robots import Chain, Delta, Mechanism, is_serial_arm, read_chain
+from modcal_msgs_py import JOINT_COMMANDS, READING, Commands, seconds
 
 
 class KnownArm:

@@ -6,14 +6,9 @@ import math
 from typing import Any
 
 from modcal_core.errors import BadRecording
-from modcal_core.measurements.dropouts import DAY, ELSEWHEN
-from modcal_core.measurements.dropped import UNUSABLE, Dropped, together
-from modcal_core.measurements.recording import Recording
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import DAY, ELSEWHEN, UNUSABLE, Dropped, Recording, Samples, together
 from modcal_core.recalibrate import SampleMemory
-from modcal_msgs_py.messages import RecordingBuilder, why_left_out
-from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.topics import JOINT_STATES
+from modcal_msgs_py import JOINT_STATES, RecordingBuilder, seconds, why_left_out
 
 _JUMP = 1.0  # s
 _OVERTAKEN = 500  # messages by which one topic may be ahead of another

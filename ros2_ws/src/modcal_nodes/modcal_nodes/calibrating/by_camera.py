@@ -7,11 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from modcal_core.camera.views import BoardView
-from modcal_core.camera.watching import Moved
+from modcal_core.camera import BoardView, Moved
 from modcal_core.files import write_folder
-from modcal_core.geometry.so3 import Array
-from modcal_core.online.supervisor import BETTER
+from modcal_core.geometry import Array
+from modcal_core.online import BETTER
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import MIN, CameraSolved, CornerIntake, solve_corners

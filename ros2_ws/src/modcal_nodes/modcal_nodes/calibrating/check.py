@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration
 from modcal_core.errors import NotEnoughData
 from modcal_core.files import to_json
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 from modcal_core.public import check
 from modcal_core.recalibrate import SampleMemory
-from modcal_core.report.checkup import to_json_data
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.report import checkup_data
+from modcal_core.robots import Mechanism
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def live_check(
     samples, _, _ = heard.prepared(chain, clock_limit)
     found = check(calibration, newest_of(samples, newest, since))
     said = f"{found.sentence} {found.advice.sentence}"
-    return LiveCheck(said, to_json(to_json_data(found)), found.status != "unchanged")
+    return LiveCheck(said, to_json(checkup_data(found)), found.status != "unchanged")
 
 
 def newest_of(samples: Samples, count: int, since: float | None) -> Samples:

@@ -14,24 +14,27 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.camera.beside import beside
-from modcal_core.camera.clean import enough_corners
-from modcal_core.camera.decision import APPLY
-from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.moments import ImageMoments
-from modcal_core.camera.prepared import CameraImages
-from modcal_core.camera.solve import solve_camera
-from modcal_core.camera.target import PrintedTarget
-from modcal_core.camera.target_file import read_target
-from modcal_core.camera.views import BoardView
-from modcal_core.camera.watching import CameraWatch, Moved
+from modcal_core.camera import (
+    APPLY,
+    BoardView,
+    CameraFit,
+    CameraImages,
+    CameraWatch,
+    ImageMoments,
+    Moved,
+    PrintedTarget,
+    beside,
+    enough_corners,
+    read_target,
+    solve_camera,
+)
 from modcal_core.errors import BadRecording, ModcalError
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.recalibrate import SampleMemory
-from modcal_core.report.camera import camera_files, camera_report
+from modcal_core.report import camera_files, camera_report
 from modcal_core.robot import Robot
-from modcal_msgs_py.corners import read_corners
-from modcal_nodes.ros.health import OK, WARN, Status
+from modcal_msgs_py import read_corners
+from modcal_nodes.ros import OK, WARN, Status
 
 MIN = 8  # images, from which a solve is tried
 _JOINTS_S = 10.0  # s of joint states that are remembered

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.online.stream import SampleStream
-from modcal_core.online.supervisor import SUSPECTED, Supervisor
+from modcal_core.online import SUSPECTED, SampleStream, Supervisor
 from modcal_core.recalibrate import ModelComparison
 from modcal_nodes.calibrating.standing import Standing
-from modcal_nodes.ros.health import ERROR, OK, WARN, Status
+from modcal_nodes.ros import ERROR, OK, WARN, Status
 
 _ADVISED = 40  # stations before a first solve that nobody has set: some twice as many numbers as an arm has
 _TIMED = 20_000  # updates whose times are remembered

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rclpy.node import Node
-from sensor_msgs.msg import Range
+from sensor_msgs.msg import JointState, PointCloud2, Range, Temperature
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
-from modcal_core.errors import ModcalError
-from modcal_core.online.supervisor import Supervisor
-from modcal_msgs_py.stamps import seconds
-from modcal_msgs_py.topics import JOINT_COMMANDS, TYPES
+from modcal_core.errors import BadTable, ModcalError
+from modcal_core.measurements.kinds import kinds
+from modcal_core.online import ASKED, BETTER, Policy, Supervisor
+from modcal_msgs_py import JOINT_COMMANDS, TYPES, seconds
 from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import CornerIntake
 from modcal_nodes.calibrating.diagnostics import Times
+from modcal_nodes.ros import LATCHED, SENSOR, GuardedNode, MonitoredSubscription
 
 # of the instruments, by their names in ROS
 READING_MESSAGES = {
@@ -99,3 +103,88 @@ class Intake:
     def _refuse(self, error: ModcalError) -> None:
         self.refused += 1
         self._log.warning(str(error), throttle_duration_sec=5.0)
+
+
+# --- What the calibrator subscribes to
+
+
+def listen(
+    node: GuardedNode,
+    intake: Intake,
+    describe: Callable[[String], None],
+    patience: float,
+    described: bool,
+    corners: Sequence[str],
+) -> list[MonitoredSubscription]:
+    """The subscriptions. patience: seconds of silence that are accepted. described: whether the arm is known without
+    robot_description. corners: topics with those of a target, none where none are taken.
+    """
+    hear = partial(MonitoredSubscription, node, patience=patience, single=True)
+    inputs = [hear(JointState, "joint_states", intake.joint_state, SENSOR, needed=True)]
+    for kind in kinds().values():
+        take = partial(intake.reading, kind.topic, kind.name)
+        inputs.append(hear(READING_MESSAGES[kind.message], kind.topic, take, SENSOR, single=False))
+    inputs.append(hear(Temperature, "temperature", partial(intake.remember, "temperature"), SENSOR, single=False))
+    for camera, topic in enumerate(corners):
+        inputs.append(hear(PointCloud2, topic, partial(intake.corners, camera), SENSOR))
+    return [*inputs, hear(String, "robot_description", describe, LATCHED, needed=not described)]
+
+
+# --- What a calibrator needs before it can work: topics that have not come yet, and a policy that there is
+
+_NO_DESCRIPTION = "robot_description: not received yet: publish it (latched), or set the parameter"
+_NO_JOINTS = "joint_states: not received yet: start the robot's driver, or remap the topic"
+_NO_TRACKER = "tracker/pose, tracker/point and other readings: none received yet: start the tracker, or remap its topic"
+_NO_CORNERS = "corners: not received yet: start board_detector, or remap its topic"
+
+
+def lacking(arm: KnownArm, inputs: Iterable[MonitoredSubscription], by_camera: bool) -> str:
+    """What must come before stations can be cut, or images be kept; empty: nothing."""
+    if arm.chain is None:
+        if not arm.description and arm.delta is None:
+            return _NO_DESCRIPTION
+        return arm.trouble or _NO_JOINTS
+    topics = ("corners",) if by_camera else tuple(kind.topic for kind in kinds().values())
+    if any(subscription.count for subscription in inputs if subscription.topic.endswith(topics)):
+        return ""
+    return _NO_CORNERS if by_camera else _NO_TRACKER
+
+
+def require_policy(chosen: dict[str, Any]) -> None:
+    """Raises BadTable for a policy that there is none of."""
+    if chosen["accept"] not in (ASKED, BETTER):
+        raise BadTable(f"accept '{chosen['accept']}'", f"{BETTER} and {ASKED} are known", "set one of them")
+
+
+def policy(chosen: dict[str, Any]) -> Policy:
+    """When results are trusted, and when a solve starts by itself."""
+    return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
+
+
+# --- Commanded joints, whichever of two types of messages they come as: heard once somebody publishes them
+
+_KINDS = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
+_LOOK = 1.0  # s between looks at who publishes
+
+
+class CommandSubscription:
+    """Subscribes to ``joint_commands`` with the type that its publisher has."""
+
+    def __init__(self, node: GuardedNode, hear: Callable[[str, Any], None]) -> None:
+        """hear: called with the type's name and the message."""
+        self._node, self._hear = node, hear
+        self._topic = node.resolve_topic_name(JOINT_COMMANDS)
+        self._next = 0.0
+        self._found = False
+
+    def look(self) -> MonitoredSubscription | None:
+        """The subscription, once, when somebody has begun to publish."""
+        if self._found or time.monotonic() < self._next:
+            return None
+        self._next = time.monotonic() + _LOOK
+        for info in self._node.get_publishers_info_by_topic(self._topic):
+            if info.topic_type in _KINDS:
+                self._found = True
+                hear = partial(self._hear, info.topic_type)
+                return MonitoredSubscription(self._node, _KINDS[info.topic_type], JOINT_COMMANDS, hear, SENSOR)
+        return None

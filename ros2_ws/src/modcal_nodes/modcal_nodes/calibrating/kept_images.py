@@ -13,11 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from modcal_core.camera.target import PrintedTarget
-from modcal_core.camera.target_file import target_to_data
-from modcal_core.camera.views import BoardView
+from modcal_core.camera import BoardView, PrintedTarget, target_to_data
 from modcal_core.errors import BadTable
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 _FILES = "images*.npz"
 

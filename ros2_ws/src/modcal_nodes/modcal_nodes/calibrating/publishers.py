@@ -9,11 +9,10 @@ import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension, String
 
-from modcal_core.camera.watching import Moved
-from modcal_core.online.change_hypothesis import ChangeHypothesis
-from modcal_core.online.estimator import Estimator
+from modcal_core.camera import Moved
+from modcal_core.online import ChangeHypothesis, Estimator
 from modcal_core.recalibrate import ModelComparison
-from modcal_nodes.ros.running import LATCHED
+from modcal_nodes.ros import LATCHED
 
 _OF_THE_MODEL = {
     "~/robot_description": "calibrated.urdf",

@@ -6,9 +6,8 @@ import json
 from dataclasses import dataclass
 from typing import cast, get_args
 
-from modcal_core.report.report import Report
-from modcal_core.report.sentence import REMEDY, short_status
-from modcal_core.verdict.verdict import Status
+from modcal_core.report import REMEDY, Report, short_status
+from modcal_core.verdict import Status
 
 _MAX_SAID = 2  # reasons in a message; the report has all of them
 

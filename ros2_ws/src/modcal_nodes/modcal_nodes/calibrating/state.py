@@ -8,15 +8,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.files import write_folder
-from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.samples import SHARED, Samples
-from modcal_nodes.io.inputs import read_calibration
+from modcal_core.measurements import SHARED, Samples, SignalTrack
+from modcal_nodes.io import read_calibration
 
 _SAMPLES = "samples.npz"
 _LOCK = ".in_use"
@@ -121,3 +121,62 @@ def _read_samples(path: Path) -> Samples | None:
         raise BadTable(
             str(path), f"is damaged ({type(error).__name__})", "remove it; stations are collected again"
         ) from error
+
+
+# --- The folder in which the calibrator keeps what it trusts and what it has heard; without one nothing is kept
+
+
+class _WarningLog(Protocol):
+    def warning(self, message: str) -> Any: ...
+
+    def error(self, message: str) -> Any: ...
+
+
+class StateFolder:
+    """path: of the folder, None where nothing is kept."""
+
+    def __init__(self, folder: str, log: _WarningLog) -> None:
+        """Lock the folder. Raises BadTable where another calibrator uses it."""
+        self.path = Path(folder) if folder else None
+        self._log = log
+        self._lock = StateLock(self.path) if self.path else None
+        if self._lock is not None and self._lock.warning:
+            log.warning(self._lock.warning)
+
+    def read(self) -> State:
+        """What it holds. Raises BadTable for what is damaged."""
+        return read_state(self.path) if self.path else State()
+
+    def leave_alone(self) -> None:
+        """What it holds is of another arm: from now on nothing is written."""
+        self.path = None
+
+    def keep(self, calibration: Calibration, files: Mapping[str, str]) -> None:
+        """What is trusted from now on."""
+        if self.path:
+            write_state(self.path, State(calibration, files))
+
+    def save(
+        self, calibration: Calibration | None, files: Mapping[str, str], samples: Samples | None
+    ) -> tuple[bool, str]:
+        """Whether all was saved, and where or why not."""
+        if not self.path:
+            return False, "no folder: set the parameter state"
+        try:
+            write_state(self.path, State(calibration, files if calibration else None, samples))
+        except OSError as error:
+            return False, f"{self.path}: {error.strerror}: make room, or check its permissions"
+        return True, f"saved in {self.path}"
+
+    def save_samples(self, samples: Samples | None) -> None:
+        """The stations so far; a failure is logged."""
+        if self.path and samples is not None:
+            try:
+                write_state(self.path, State(samples=samples))
+            except OSError as error:
+                self._log.error(f"{self.path}: {error.strerror}: stations are not saved")
+
+    def release(self) -> None:
+        """Let others have it."""
+        if self._lock is not None:
+            self._lock.release()

@@ -12,15 +12,14 @@ from typing import Any
 
 import rclpy
 
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration
 from modcal_core.errors import ModcalError
-from modcal_core.measurements.dropped import Dropped
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Dropped, Samples
 from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
-from modcal_core.report.files import calibration_files, delta_files
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
+from modcal_core.report import calibration_files, delta_files
+from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_nodes.calibrating.standing import Standing, standing_of
-from modcal_nodes.ros.child_process import settle_in
+from modcal_nodes.ros import settle_in
 
 _YIELDING = 5  # of niceness: what nodes do within milliseconds goes before what takes seconds
 

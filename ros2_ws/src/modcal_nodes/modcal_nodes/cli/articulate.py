@@ -9,27 +9,18 @@ from pathlib import Path
 import click
 import numpy as np
 
-from modcal_core.articulation.choice import choose
-from modcal_core.articulation.rotation_convention import require_convention
-from modcal_core.articulation.track import Track
+from modcal_core.articulation import Track, choose, require_convention
 from modcal_core.errors import BadRecording, about
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.dropouts import cleaned
-from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
-from modcal_core.report.articulation import Articulation
-from modcal_core.robots.kinematics import forward
-from modcal_msgs_py.bag_files import SUFFIXES
-from modcal_msgs_py.choosing import Topics
-from modcal_msgs_py.mcap_read import list_topics, read_bag
-from modcal_msgs_py.tables.tracks import read_track
-from modcal_msgs_py.topics import accepted, role_of
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import POINT, POSE, ReadingTrack, Recording, cleaned, joint_stamps_and_positions
+from modcal_core.report import Articulation
+from modcal_core.robots import chain_forward
+from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
+from modcal_msgs_py.tables import read_track
 from modcal_nodes.cli.console import Output, say, speaking, written
-from modcal_nodes.cli.number import Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.robot import arm_line, chain_line, described
-from modcal_nodes.io.articulated import write_articulation
-from modcal_nodes.io.inputs import read_calibration
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, arm_line, chain_line, described
+from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.io import read_calibration, write_articulation
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
 
@@ -101,7 +92,9 @@ def articulate_command(
     else:
         handle = next((name for name in topic if "=" not in name), None)
         topics = Topics.of([name for name in topic if "=" in name], ignore, tf)
-        read = _of_bag(read_bag(bag, topics=_with_handle(bag, topics, handle)), handle, urdf, calibration, base, tip)
+        read = _of_bag(
+            read_recording(bag, topics=_with_handle(bag, topics, handle)), handle, urdf, calibration, base, tip
+        )
     rows = np.unique(np.linspace(0, len(read.values) - 1, _MAX).round().astype(int))  # first and last pose too
     values = read.values[rows]
     with about(str(bag)):
@@ -172,7 +165,7 @@ def _of_bag(
         raise BadRecording(
             f"{recording.source}, joint_states", f"do not contain {', '.join(missing)}", "give another --tip"
         )
-    return _Read(se3.to_pose(forward(chain, q[good])), stamps[good], chain.base, arm)
+    return _Read(se3.to_pose(chain_forward(chain, q[good])), stamps[good], chain.base, arm)
 
 
 def _reading(reading: ReadingTrack) -> _Read:

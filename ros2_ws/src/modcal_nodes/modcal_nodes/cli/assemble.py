@@ -13,24 +13,31 @@ from rich.table import Table
 
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.files import read_yaml, to_yaml, write_folder
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.error_store import store_from_data, store_to_data, twists_from_data, with_recording
-from modcal_core.modules.errors import ModuleError, ModuleErrors, learn, surprise
-from modcal_core.modules.incidence import incidence_of
-from modcal_core.modules.library import JOINT, Library
-from modcal_core.modules.picture import picture
-from modcal_core.modules.poe import chain_of, module_frames
-from modcal_core.modules.recording_evidence import recording_evidence
-from modcal_core.modules.spec import assembly_to_data
-from modcal_core.modules.urdf import urdf_of
+from modcal_core.modules import (
+    JOINT,
+    Assembly,
+    Library,
+    ModuleError,
+    ModuleErrors,
+    assembly_to_data,
+    chain_of,
+    incidence_of,
+    learn,
+    module_frames,
+    picture,
+    recording_evidence,
+    store_from_data,
+    store_to_data,
+    surprise,
+    twists_from_data,
+    urdf_of,
+    with_recording,
+)
 from modcal_core.preprocess import prepare
-from modcal_msgs_py.choosing import Topics
-from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.console import Output, speaking, with_options, written
-from modcal_nodes.cli.legend import explain, table
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.topics import TOPICS
-from modcal_nodes.io.assemblies import read_assembly
+from modcal_msgs_py import Topics, read_recording
+from modcal_nodes.cli.console import Output, explain, speaking, table, with_options, written
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN
+from modcal_nodes.io import read_assembly
 
 _LIBRARY = click.option(
     "--library", "library_file", type=EXISTING, metavar="FILE",
@@ -141,7 +148,7 @@ def learn_command(
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
     with output.working() as watch:
         watch(f"reading {bag.name}")
-        prepared = prepare(read_bag(bag, topics=Topics.of(topic, ignore, tf)), chain_of(assembly, library))
+        prepared = prepare(read_recording(bag, topics=Topics.of(topic, ignore, tf)), chain_of(assembly, library))
         watch("fitting the modules")
         new = recording_evidence(assembly, library, prepared.samples)
         others = [w for w in known.recordings if w.assembly.name != assembly.name]

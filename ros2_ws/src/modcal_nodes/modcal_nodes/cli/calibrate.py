@@ -9,28 +9,30 @@ from typing import Any
 import click
 from rich.console import Console
 
-from modcal_core.calibration.stated import Stated
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration, Stated
 from modcal_core.files import write_folder
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples
 from modcal_core.public import evaluate
-from modcal_core.report.as_json import to_json_data
-from modcal_core.report.files import report_files
-from modcal_core.report.report import Report
-from modcal_core.verdict.tolerance import STATISTICS
-from modcal_msgs_py.choosing import Topics
+from modcal_core.report import Report, report_files, to_json_data
+from modcal_core.verdict import STATISTICS
+from modcal_msgs_py import Topics
 from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, exit_code, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, with_options, written
-from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.robot import arm_line, chain_line
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, arm_line, chain_line
+from modcal_nodes.cli.numbers import Decimal, Whole
 from modcal_nodes.cli.show import show_report
-from modcal_nodes.cli.topics import TOPICS
-from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
-from modcal_nodes.io.options import Options
-from modcal_nodes.io.progress import Watch
-from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
+from modcal_nodes.io import (
+    Options,
+    Watch,
+    calibrate_bag,
+    of_calibrated,
+    of_cell,
+    opened,
+    read_cell,
+    read_topics,
+    stated_from,
+)
 
 SEED = Whole(min=0)  # what NumPy takes
 _SPLITS = click.option(
@@ -192,7 +194,7 @@ def evaluate_command(
             )
         files = report_files(report, calibration=calibration_name(calibration))
         if said is not None:
-            from modcal_core.report.certificate import is_made_from
+            from modcal_core.report import is_made_from
 
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)

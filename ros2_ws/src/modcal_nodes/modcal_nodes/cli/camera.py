@@ -15,15 +15,14 @@ from modcal_core.robot import Robot
 from modcal_nodes.cli.camera_input import read_input, stated_lenses
 from modcal_nodes.cli.certificate import camera_certificate_files, certified_hashes, exit_code
 from modcal_nodes.cli.console import Output, tell, written
-from modcal_nodes.cli.number import Decimal
-from modcal_nodes.cli.paths import EXISTING
-from modcal_nodes.cli.robot import arm_line
-from modcal_nodes.io.progress import Watch
+from modcal_nodes.cli.inputs import EXISTING, arm_line
+from modcal_nodes.cli.numbers import Decimal
+from modcal_nodes.io import Watch
 
 if TYPE_CHECKING:
-    from modcal_core.camera.solve import CameraSolution
-    from modcal_core.report.particulars import Particulars
-    from modcal_nodes.vision.images import ImageFolder
+    from modcal_core.camera import CameraSolution
+    from modcal_core.report import Particulars
+    from modcal_nodes.vision import ImageFolder
 
 _OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
 _TOGETHER = (*_OF_IMAGES, "flat_target", "fisheye", "also_camera")
@@ -120,8 +119,7 @@ def calibrate_images(
     said: what is stated for a certificate, None where none is asked for. Returns the exit code.
     """
     # OpenCV, which other verbs can do without
-    from modcal_core.report.camera import camera_files, camera_report, lines
-    from modcal_core.report.camera_certificate import camera_tolerance
+    from modcal_core.report import camera_files, camera_report, camera_tolerance, lines
 
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
@@ -148,7 +146,7 @@ def plan_next_images(
     camera: dict[str, Any], options: dict[str, Any], count: int, out: Path | None, output: Output
 ) -> None:
     """Choose the images to take after those that there are, from a folder or a bag, write them, and say them."""
-    from modcal_core.camera.plan import plan_images
+    from modcal_core.camera import plan_images
 
     bag = None if camera["joints"] is not None else camera["images"]
     source: Path = camera["images"]
@@ -191,8 +189,7 @@ def _solved(
     camera: dict[str, Any], options: dict[str, Any], bag: Path | None, watch: Watch
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
     """The robot, its images, and what they lead to."""
-    from modcal_core.camera.solve import solve_camera
-    from modcal_core.camera.target_file import read_any_target
+    from modcal_core.camera import read_any_target, solve_camera
 
     target = read_any_target(camera["target"])
     stated = stated_lenses(camera["camera_info"] or ())

@@ -2,33 +2,92 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modcal_core.errors import BadTable
+import numpy as np
+
+from modcal_core.errors import BadRobot, BadTable, about
+from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
-from modcal_msgs_py.choosing import Topics
-from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.two_arms import arm_of_file, arm_recorded
-from modcal_nodes.io.progress import Watch
-from modcal_nodes.io.recorded import opened
+from modcal_core.robots import Tree, chain_forward, held_behind, parse, read_chain, rerooted
+from modcal_msgs_py import Topics, read_recording
+from modcal_nodes.io import Watch, opened
 
 if TYPE_CHECKING:
-    from modcal_core.camera.beside import ReadingsBeside
-    from modcal_core.camera.bundle import MarkerBundle
-    from modcal_core.camera.lens import Lens
-    from modcal_core.camera.prepared import CameraImages
-    from modcal_core.camera.target import PrintedTarget
-    from modcal_core.measurements.recording import Recording
-    from modcal_nodes.vision.images import ImageFolder
+    from modcal_core.camera import CameraImages, Lens, MarkerBundle, PrintedTarget, ReadingsBeside
+    from modcal_nodes.vision import ImageFolder
+
+
+# --- The arm that images are of: between two links of a URDF, also from the tip of one arm to that of another
+
+
+def arm_of_file(
+    urdf: Path, base: str | None, tip: str | None, recorded: Collection[str]
+) -> tuple[Robot, tuple[str, ...]]:
+    """As arm_between, of a file."""
+    with about(str(urdf)):
+        return arm_between(urdf.read_text(encoding="utf-8", errors="replace"), base, tip, recorded)
+
+
+def arm_recorded(
+    recording: Recording, urdf: Path | None, base: str | None, tip: str | None
+) -> tuple[Robot, tuple[str, ...]]:
+    """As arm_between, of a recording, which holds the description where no file is given."""
+    recorded = frozenset(name for track in recording.joints for name in track.names)
+    if urdf is not None:
+        return arm_of_file(urdf, base, tip, recorded)
+    if recording.robot_description is None:
+        raise BadRobot(recording.source, "holds no robot_description", "give --urdf, or record the topic")
+    with about(f"{recording.source}, robot_description"):
+        return arm_between(recording.robot_description, base, tip, recorded)
+
+
+def arm_between(
+    urdf: str, base: str | None, tip: str | None, recorded: Collection[str]
+) -> tuple[Robot, tuple[str, ...]]:
+    """(the arm, what is to be said of it, in sentences): where the tip is not carried by the base, both arms as one.
+
+    urdf: text. recorded: names of the joints whose positions are known. The second is empty where the arm is one.
+    Raises ModcalError.
+    """
+    if base is None or tip is None:
+        return Robot.from_urdf(urdf, base, tip, recorded), ()
+    tree = parse(urdf)
+    over = _above_both(tree, tree.link(base), tree.link(tip))
+    if over == base:
+        return Robot.from_urdf(urdf, base, tip, recorded), ()
+    turned = rerooted(urdf, base)
+    robot = Robot.from_urdf(turned, base, tip)
+    said = (
+        f"{tip} is not carried by {base}: both arms are calibrated as one chain of {robot.n} joints from {base} over "
+        f"{over} to {tip}, and calibrated.urdf has {base} as its root."
+    )
+    if over == tip or robot.inertias is None:
+        return replace(robot, inertias=None), (said,)
+    carrying = read_chain(urdf, tree.root(), base)
+    down = -chain_forward(carrying, np.zeros((1, carrying.n)))[0, 2, :3]
+    own = sum(joint.moves and joint.mimics is None for joint in tree.path(over, tree.link(base)))
+    return replace(robot, inertias=held_behind(turned, robot.inertias, robot.chain, own, down)), (said,)
+
+
+def _above_both(tree: Tree, base: str, tip: str) -> str:
+    """The link that carries both, or is one of them."""
+    above, link = {base}, base
+    while link in tree.above:
+        link = tree.above[link].parent
+        above.add(link)
+    link = tip
+    while link not in above:
+        link = tree.above[link].parent
+    return link
 
 
 def stated_lenses(given: Sequence[str]) -> dict[str, tuple[Lens, str]]:
     """The lenses in camera_info files, each with its file, by camera_key of its camera, "" where none is said."""
-    from modcal_nodes.vision.images import read_camera_info
-    from modcal_nodes.vision.wide_table import camera_key
+    from modcal_nodes.vision import camera_key, read_camera_info
 
     out = {}
     for said in given:
@@ -65,16 +124,13 @@ def read_input(
     stated: dict[str, tuple[Lens, str]],
 ) -> CameraInput:
     """The robot, and what was seen of it."""
-    from modcal_core.camera.beside import beside
-    from modcal_nodes.vision.bag import read_bag_images
-    from modcal_nodes.vision.corner_table import read_corner_tables
-    from modcal_nodes.vision.images import read_images, require_size
-    from modcal_nodes.vision.wide_table import camera_key
+    from modcal_core.camera import beside
+    from modcal_nodes.vision import camera_key, read_bag_images, read_corner_tables, read_images, require_size
 
     recording, first, notes, two_arms = None, "", tuple[str, ...](), tuple[str, ...]()
     further: tuple[CameraImages, ...] = ()
     if bag is not None:
-        recording = read_bag(bag, topics=Topics.of(options["topic"], options["ignore"]))
+        recording = read_recording(bag, topics=Topics.of(options["topic"], options["ignore"]))
     if camera["images"] is not None:
         columns = _columns(camera["joints"])
         robot, two_arms = arm_of_file(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
@@ -137,9 +193,8 @@ def _of_table(
     stated: dict[str, tuple[Lens, str]],
 ) -> CameraImages:
     """What a further camera of a table of corners saw."""
-    from modcal_core.camera.prepared import CameraImages
-    from modcal_nodes.vision.images import require_size
-    from modcal_nodes.vision.wide_table import camera_key
+    from modcal_core.camera import CameraImages
+    from modcal_nodes.vision import camera_key, require_size
 
     lens, source = stated.get(camera_key(name)) or (None, "")
     if lens is not None:
@@ -167,11 +222,8 @@ def _further(
     """What a further camera saw. said: its topic, and after = the file of its target, where that is another. stated:
     lenses by camera_key.
     """
-    from modcal_core.camera.prepared import CameraImages
-    from modcal_core.camera.target_file import read_any_target
-    from modcal_nodes.vision.bag import read_bag_images
-    from modcal_nodes.vision.images import require_size
-    from modcal_nodes.vision.wide_table import camera_key
+    from modcal_core.camera import CameraImages, read_any_target
+    from modcal_nodes.vision import camera_key, read_bag_images, require_size
 
     topic, _, file = said.partition("=")
     if file and not Path(file).exists():
@@ -200,7 +252,7 @@ def camera_urdf(path: Path) -> Path:
 
 def _columns(path: Path) -> frozenset[str]:
     """The columns of a table of joints, so that the tip behind them is taken."""
-    from modcal_nodes.vision.images import joint_column
+    from modcal_nodes.vision import joint_column
 
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         first = file.readline(1 << 16)

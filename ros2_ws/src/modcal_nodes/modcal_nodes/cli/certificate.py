@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from modcal_core.calibration.stated import Stated
+from modcal_core.calibration import Stated
 from modcal_core.errors import BadTable
-from modcal_core.report.particulars import Particulars
-from modcal_core.report.report import Report
-from modcal_nodes.io.inputs import read_particulars
+from modcal_core.report import Particulars, Report
+from modcal_nodes.io import read_particulars
 
 if TYPE_CHECKING:
-    from modcal_core.camera.solve import CameraSolution
-    from modcal_core.report.certificate import Hashes
-    from modcal_core.verdict.tolerance import Tolerance
+    from modcal_core.camera import CameraSolution
+    from modcal_core.report import Hashes
+    from modcal_core.verdict import Tolerance
 
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 CERTIFICATE = (
@@ -56,20 +55,18 @@ def certificate_files(
     report: Report, stated: Stated, said: Particulars, hashes: Hashes, made_from: bool = False
 ) -> dict[str, str]:
     """Name and text of the certificate's file; the arguments are those of the certificate."""
-    from modcal_core.report.certificate import certificate
-    from modcal_core.report.certificate_page import to_html
+    from modcal_core.report import certificate, certificate_html
 
-    return {"certificate.html": to_html(certificate(report, stated, said, hashes, made_from))}
+    return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
 
 
 def camera_certificate_files(
     solution: CameraSolution, robot: str, met: Tolerance | None, said: Particulars, hashes: Hashes, images: int
 ) -> dict[str, str]:
     """The same of a calibration by camera; the arguments are those of its certificate."""
-    from modcal_core.report.camera_certificate import camera_certificate
-    from modcal_core.report.certificate_page import to_html
+    from modcal_core.report import camera_certificate, certificate_html
 
-    return {"certificate.html": to_html(camera_certificate(solution, robot, met, said, hashes, images))}
+    return {"certificate.html": certificate_html(camera_certificate(solution, robot, met, said, hashes, images))}
 
 
 def certified_hashes(
@@ -79,7 +76,7 @@ def certified_hashes(
 
     images: folders and files that a calibration by camera was made from; of all of them one, as of a bag of many files.
     """
-    from modcal_core.report.certificate import Hashes
+    from modcal_core.report import Hashes
 
     if isinstance(calibration, Path) and calibration.is_dir():
         calibration = calibration / "calibration.yaml"

@@ -10,22 +10,28 @@ from typing import Any
 
 import click
 
-from modcal_core.calibration.store import Calibration
-from modcal_core.checking.known import pattern_of
+from modcal_core.calibration import Calibration
+from modcal_core.checking import pattern_of
 from modcal_core.checkup import Checked
 from modcal_core.errors import BadTable
 from modcal_core.files import read_json, to_json, write_folder
 from modcal_core.public import check
-from modcal_core.report.certificate import is_made_from
-from modcal_core.report.checkup import summary, to_html, to_json_data
-from modcal_core.report.files import calibration_files, delta_files, report_files
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.report import (
+    calibration_files,
+    checkup_data,
+    checkup_html,
+    checkup_summary,
+    delta_files,
+    is_made_from,
+    report_files,
+)
+from modcal_core.robots import is_serial_arm
 from modcal_nodes.cli.calibrate import FROZEN, calibration_name, frozen_samples, stated_of
 from modcal_nodes.cli.certificate import certificate_files, certified_hashes, exit_code, particulars
 from modcal_nodes.cli.console import Output, speaking, with_options, written
-from modcal_nodes.cli.paths import EXISTING
+from modcal_nodes.cli.inputs import EXISTING
 from modcal_nodes.cli.show import show_blocks
-from modcal_nodes.io.inputs import of_cell, read_cell, stated_from
+from modcal_nodes.io import of_cell, read_cell, stated_from
 
 
 @click.command("check")
@@ -62,18 +68,18 @@ def check_command(
             stated = stated_of(options["cell_file"], samples, options)
             files |= certificate_files(found.report, stated, said, hashes, is_made_from(frozen, samples))
     name = calibration_name(calibration)
-    files["check.html"] = to_html(found, f"{name}, checked by {bag.resolve().stem}", [n for n in files])
+    files["check.html"] = checkup_html(found, f"{name}, checked by {bag.resolve().stem}", [n for n in files])
     out = out or Path(f"{bag.resolve().stem}_check")
     write_folder(out, files)
     where = written(out, files, "Check", "check.html")
-    output.result(to_json_data(found, name), partial(show_blocks, summary(found)), where)
+    output.result(checkup_data(found, name), partial(show_blocks, checkup_summary(found)), where)
     return exit_code(found.report.tolerance)
 
 
 def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: str | None) -> dict[str, str]:
     """Names and texts of the files of a check, but for its page: what was found, and the repaired model."""
     name = calibration_name(calibration)
-    files: dict[str, str] = {"check.json": to_json(to_json_data(found, name))}
+    files: dict[str, str] = {"check.json": to_json(checkup_data(found, name))}
     if len(found.advice.stations):
         files["stations.csv"] = _table(found)
     repaired = found.repaired
@@ -83,7 +89,7 @@ def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: 
         return files | delta_files(repaired, found.report)
     text, chain = _description(calibration, urdf, recorded, repaired)
     if text is None:
-        from modcal_core.calibration.store import to_data
+        from modcal_core.calibration import to_data
         from modcal_core.files import to_yaml
 
         return files | {"calibration.yaml": to_yaml(to_data(repaired))} | report_files(found.report, calibration=name)
@@ -95,7 +101,7 @@ def _description(
 ) -> tuple[str | None, Any]:
     """The robot description to write into, and the arm as it stands there; None where there is none of this arm."""
     from modcal_core.errors import ModcalError
-    from modcal_core.robots.urdf import read_chain
+    from modcal_core.robots import read_chain
 
     nominal = repaired.nominal.serial
     beside = (calibration if calibration.is_dir() else calibration.parent) / "calibrated.urdf"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ from typing import Any
 import click
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
 from rich.text import Text
 
 from modcal_core.errors import plain
-from modcal_nodes.io.progress import Watch, silent
+from modcal_nodes.io import Watch, silent
 
 _WIDE = 160
 
@@ -152,3 +153,24 @@ def with_options(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
         return command
 
     return decorate
+
+
+# --- What the columns of a table mean, said below it
+
+Columns = Mapping[str, str]  # heading: its meaning; empty where the heading says it all
+
+
+def table(columns: Columns, words: int = 1) -> Table:
+    """An empty table with these headings. words: how many columns, from the left, hold words; the others numbers."""
+    made = Table(box=None, header_style="bold", pad_edge=False)
+    for i, heading in enumerate(columns):
+        # a name stays whole, and no digit is left out, however narrow the terminal
+        made.add_column(heading, justify="left" if i < words else "right", overflow="fold", no_wrap=i == 0)
+    return made
+
+
+def explain(columns: Columns, console: Console) -> None:
+    """Print what each heading means, a line each."""
+    for heading, meaning in columns.items():
+        if meaning:
+            console.print(f"  {heading}: {meaning}", style="dim", highlight=False)

@@ -13,21 +13,32 @@ import click
 import yaml
 from rich.console import Console
 
-from modcal_core.calibration.store import Calibration, from_data
+from modcal_core.calibration import Calibration, from_data
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml, to_yaml, write_file
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.dh_nearest import NearestTable, nearest_dh
-from modcal_core.robots.table_csv import UNITS, from_csv, to_csv
-from modcal_core.robots.table_export import CONVENTIONS, loss, to_table
-from modcal_core.robots.tables import from_table
-from modcal_core.robots.urdf import joint_origins, read_chain, read_path
-from modcal_core.robots.urdf_elements import chain_urdf
-from modcal_core.robots.vendor import NO_HASH, kinematics_yaml_data, lacks_hash
-from modcal_core.robots.xacro import xacro_origins
+from modcal_core.robots import (
+    CONVENTIONS,
+    NO_HASH,
+    UNITS,
+    Chain,
+    NearestTable,
+    chain_urdf,
+    from_csv,
+    from_table,
+    joint_origins,
+    kinematics_yaml_data,
+    lacks_hash,
+    loss,
+    nearest_dh,
+    read_chain,
+    read_path,
+    to_csv,
+    to_table,
+    xacro_origins,
+)
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.io.inputs import read_calibration
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN
+from modcal_nodes.io import read_calibration
 
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself

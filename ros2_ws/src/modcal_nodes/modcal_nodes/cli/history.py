@@ -12,14 +12,13 @@ from typing import Any
 
 import click
 
-from modcal_core.calibration.store import Calibration, fingerprint
-from modcal_core.checking.history import Values, series_of, values_of
+from modcal_core.calibration import Calibration, fingerprint
+from modcal_core.checking import Values, series_of, values_of
 from modcal_core.errors import BadTable
 from modcal_core.files import read_json, to_json, write_folder
-from modcal_core.report.history import History, HistoryEntry, summary, to_json_data
-from modcal_core.report.joint_offsets import offsets_of
+from modcal_core.report import History, HistoryEntry, history_data, history_summary, offsets_of
 from modcal_nodes.cli.console import Output, speaking, written
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN
 from modcal_nodes.cli.show import show_blocks
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
@@ -39,11 +38,11 @@ def history_command(folder: Path, out: Path | None, output: Output) -> int:
     with output.working() as watch:
         watch("reading")
         found = read_history(folder)
-        files = {"history.json": to_json(to_json_data(found))}
+        files = {"history.json": to_json(history_data(found))}
         out = out or folder
         write_folder(out, files)
     where = written(out, files, "History", "history.json")
-    output.result(to_json_data(found), partial(show_blocks, summary(found)), where)
+    output.result(history_data(found), partial(show_blocks, history_summary(found)), where)
     return 0
 
 

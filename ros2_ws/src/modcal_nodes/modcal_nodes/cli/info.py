@@ -13,15 +13,11 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.errors import ModcalError
-from modcal_core.measurements.inspection import inspect
-from modcal_core.measurements.recording import Recording
+from modcal_core.measurements import Recording, inspect
 from modcal_core.robot import Robot
-from modcal_msgs_py.choosing import Topics
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py import Topics, read_recording
 from modcal_nodes.cli.console import Output, speaking, with_options
-from modcal_nodes.cli.paths import EXISTING
-from modcal_nodes.cli.robot import chain_line, described
-from modcal_nodes.cli.topics import TOPICS
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, chain_line, described
 
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 
@@ -50,7 +46,7 @@ def info_command(
     output: Output,
 ) -> None:
     """Show what is in BAG, what it can be used for, and what looks wrong."""
-    recording = read_bag(bag, topics=Topics.of(topic, ignore, tf))
+    recording = read_recording(bag, topics=Topics.of(topic, ignore, tf))
     findings: tuple[str, ...] = ()
     try:
         robot: Robot | None = described(recording, delta, urdf, base, tip)
@@ -80,7 +76,7 @@ def _images(
     bag: Path, recording: Recording, target: Path | None, topic: str | None, names: Sequence[str]
 ) -> tuple[dict[str, Any], list[str]]:
     """(what is known of the images, what they can be used for)."""
-    from modcal_msgs_py.images import image_topics
+    from modcal_msgs_py import image_topics
 
     found = image_topics(recording.listed)
     if target is None:
@@ -89,8 +85,8 @@ def _images(
         there = ", ".join(f"{one.count} of {one.topic}" for one in found)
         return {"topics": [one.topic for one in found]}, [f"a calibration by camera ({there}): see with --target FILE"]
     # OpenCV, which other bags can do without
-    from modcal_core.camera.target_file import read_target
-    from modcal_nodes.vision.worth import images_worth, worth_line
+    from modcal_core.camera import read_target
+    from modcal_nodes.vision import images_worth, worth_line
 
     worth = images_worth(bag, recording, read_target(target), topic, names)
     use = [f"a calibration by camera: {worth_line(worth)}"] if worth.found >= _MIN_IMAGES else []

@@ -12,25 +12,14 @@ from rich.table import Table
 
 from modcal_core.errors import BadRecording, BadTable, about
 from modcal_core.files import to_json, to_yaml, write_folder
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import Recording, joint_stamps_and
-from modcal_core.measurements.thinning import spread_rows
-from modcal_core.report.limits import LimitsFound, joint_limits, to_json_data
-from modcal_core.report.limits_page import to_html
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.inertia import Payload
-from modcal_core.robots.loaded_arm import LoadedArm
-from modcal_core.robots.mechanism import random_postures
-from modcal_msgs_py.bag_files import SUFFIXES
-from modcal_msgs_py.choosing import Topics
-from modcal_msgs_py.mcap_read import read_bag
-from modcal_nodes.cli.by_joint import numbers_by_joint
-from modcal_nodes.cli.console import Output, speaking, tell, with_options, written
-from modcal_nodes.cli.legend import explain, table
-from modcal_nodes.cli.number import Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.robot import arm_line, described, file_line
-from modcal_nodes.cli.topics import TOPICS
+from modcal_core.geometry import Array
+from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
+from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html
+from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
+from modcal_msgs_py import SUFFIXES, Topics, read_recording
+from modcal_nodes.cli.console import Output, explain, speaking, table, tell, with_options, written
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, arm_line, described, file_line
+from modcal_nodes.cli.numbers import Whole, numbers_by_joint
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough
@@ -117,7 +106,7 @@ def limits_command(
     (constant).
     """
     topics = Topics.of(topic, ignore, tf)
-    recording = read_bag(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
+    recording = read_recording(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
     if recording is not None and (at or velocity or workspace):
         raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
     if recording is not None:
@@ -134,13 +123,13 @@ def limits_command(
     found = LimitsFound(arm, q, v, source.name)
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
-        data = {**to_json_data(found), "notes": list(notes)}
+        data = {**limits_data(found), "notes": list(notes)}
     where = ""
     if out is not None:
         files = {
             "limits.json": to_json(data),
             "joint_limits.yaml": to_yaml(joint_limits(found)),
-            "report.html": to_html(found, source.stem, tuple(notes)),
+            "report.html": limits_html(found, source.stem, tuple(notes)),
         }
         write_folder(out, files)
         where = written(out, files, "Limits", "limits.json")

@@ -12,33 +12,45 @@ import click
 import numpy as np
 from rich.console import Console
 
-from modcal_core.calibration.score import errors
+from modcal_core.calibration import errors
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml
-from modcal_core.measurements.recording import POINT, POSE
-from modcal_core.measuring.advice import BATCH, Advice, Advisor
-from modcal_core.measuring.entries import require_likely
-from modcal_core.measuring.goal import MAX_STATIONS, Goal
-from modcal_core.measuring.pool import of_recording, of_robot
-from modcal_core.measuring.session import Session
-from modcal_core.measuring.table import FilledTable, text_of, with_table
-from modcal_core.planning.site import Site, site_from_data
-from modcal_core.report.counted import counted
-from modcal_core.report.notes import readmitted_note
+from modcal_core.measurements import POINT, POSE
+from modcal_core.measuring import (
+    BATCH,
+    MAX_STATIONS,
+    Advice,
+    Advisor,
+    FilledTable,
+    Goal,
+    Session,
+    of_recording,
+    of_robot,
+    require_likely,
+    text_of,
+    with_table,
+)
+from modcal_core.planning import Site, site_from_data
+from modcal_core.report import counted, readmitted_note
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.robot import BASE, TIP, arm_line
+from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, arm_line
+from modcal_nodes.cli.numbers import Decimal, Whole
 from modcal_nodes.cli.simulate import parameter
-from modcal_nodes.io.inputs import read_cell
-from modcal_nodes.io.progress import Watch
-from modcal_nodes.io.recorded import opened
-from modcal_nodes.measuring.folder import NEXT, Folder, StoredSession, outcome_data
-from modcal_nodes.measuring.measurers import CellInProcess, Measurer, Replay, one_a_station
-from modcal_nodes.ros.parameters import SIMULATED_CELL
+from modcal_nodes.io import Watch, opened, read_cell
+from modcal_nodes.measuring import (
+    NEXT,
+    CellInProcess,
+    Folder,
+    Measurer,
+    Replay,
+    StoredSession,
+    one_a_station,
+    outcome_data,
+)
+from modcal_nodes.ros import SIMULATED_CELL
 
 _BY_HAND = 4  # stations at once, since whoever fills in a table gives the command again for each lot
 _POSITIVE = Decimal(min=0.0, min_open=True)

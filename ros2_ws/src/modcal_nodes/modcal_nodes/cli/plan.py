@@ -9,19 +9,101 @@ from typing import Any
 import click
 import numpy as np
 
-from modcal_core.errors import BadTable
+from modcal_core.calibration import Calibration
+from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.files import read_yaml, to_yaml, write_folder
-from modcal_core.planning.criteria import ACCURACY, CRITERIA
-from modcal_core.planning.plan import STARTS, Plan, PlanRequest, plan
-from modcal_core.planning.posture_pool import CANDIDATES
-from modcal_core.planning.returns import RETURNS
-from modcal_core.planning.site import Site, site_from_data
-from modcal_core.report.planning import figure, sentences, to_csv, to_html, to_plan_data, to_trajectory_data
-from modcal_nodes.cli.console import Output, say, speaking, written
-from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.robot import BASE, TIP, file_line, read_robot
+from modcal_core.planning import (
+    ACCURACY,
+    CANDIDATES,
+    CRITERIA,
+    RETURNS,
+    STARTS,
+    DecidingStations,
+    Plan,
+    PlanRequest,
+    Site,
+    allowed,
+    plan,
+    propose,
+    site_from_data,
+    undecided_by_posture,
+)
+from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
+from modcal_nodes.cli.console import Output, console, say, speaking, written
+from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, file_line, read_robot
+from modcal_nodes.cli.numbers import Decimal, Whole
 from modcal_nodes.cli.stations import read_stations
+from modcal_nodes.io import read_calibration
+
+# --- ``modcal plan --decide``: the stations that tell two explanations of the same error apart
+
+
+def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site | None = None) -> None:
+    """Propose the stations that tell explanations apart, print them, and write plan.yaml."""
+    folder = report if report.is_dir() else report.parent
+    calibration = read_calibration(folder)
+    ties = [(i, j) for i, rivals in enumerate(calibration.rivals) for j in range(len(rivals))]
+    if not ties:
+        raise NotEnoughData(str(report), "no effect in it has a rival", "there is nothing to decide: use it as it is")
+    rng = np.random.default_rng(seed)
+    share = max(2, stations // len(ties))
+    page = console()
+    proposals = []
+    for i, j in ties:
+        page.print(_tie(calibration, i, j), highlight=False)
+        if instead := undecided_by_posture(calibration, i, j):
+            page.print(f"  postures cannot decide this: {instead}", highlight=False)
+            continue
+        proposal = propose(calibration, i, j, share, rng, None if site is None else allowed(calibration, site))
+        page.print(f"  {_worth(proposal)}", highlight=False)
+        proposals.append(proposal)
+    deciding = [p for p in proposals if p.decides]
+    if not deciding:
+        return
+    out = out or folder.with_name(f"{folder.name}_plan")
+    write_folder(out, {"plan.yaml": to_yaml(_data(calibration, deciding))})
+    click.echo(f"Stations: {out / 'plan.yaml'}")
+
+
+def _tie(calibration: Calibration, i: int, j: int) -> str:
+    effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
+    return f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?"
+
+
+def _worth(proposal: DecidingStations) -> str:
+    if proposal.decides:
+        return f"{len(proposal.q)} stations tell them apart, by {proposal.separation:.0f} standard deviations"
+    if proposal.same and proposal.by_effort:
+        return (
+            "postures cannot decide this: what the actuators exert beyond gravity is not known in advance: "
+            "record stations with another payload, and come to them from both sides"
+        )
+    if proposal.same:
+        return "no posture within the limits tells them apart: for this tool they are the same motion"
+    return (
+        f"{len(proposal.q)} stations tell them apart by {proposal.separation:.1f} standard deviations only: "
+        f"about {proposal.needed} are needed (--stations)"
+    )
+
+
+def _data(calibration: Calibration, proposals: list[DecidingStations]) -> dict[str, object]:
+    names = calibration.nominal.chain.names
+    return {
+        "modcal_plan": 1,
+        "joints": list(names),
+        "ties": [
+            {
+                "between": [p.effect.label, p.rival.label],
+                "separation": float(p.separation),
+                "stations": [
+                    {"position": [float(x) for x in q], **({"approach": [int(x) for x in a]} if a.any() else {})}
+                    for q, a in zip(p.q, p.approach, strict=True)
+                ],
+            }
+            for p in proposals
+        ],
+    }
+
 
 _NEXT = 10  # images, where no number is asked for
 _DECIDING = 16  # stations, where none are asked for
@@ -122,8 +204,6 @@ def plan_command(
         return
     site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
     if report is not None:
-        from modcal_nodes.cli.deciding import decide
-
         if robot is not None or accuracy_mm is not None:
             raise BadTable(
                 "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
@@ -148,7 +228,7 @@ def plan_command(
         watch("writing the plan")
         files = _files(found, speed, dwell, robot.stem)
         write_folder(out, files)
-    said = [file_line(robot, chain, tip), *sentences(found)]
+    said = [file_line(robot, chain, tip), *plan_sentences(found)]
     output.result(to_plan_data(found), partial(say, said), written(out, files, "Stations", "plan.yaml"))
 
 
@@ -190,5 +270,5 @@ def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any
         "stations.csv": to_csv(found),
         "trajectory.yaml": to_yaml(to_trajectory_data(found, speed, dwell)),
         "stations.svg": figure(found),
-        "report.html": to_html(found, title),
+        "report.html": planning_html(found, title),
     }

@@ -9,9 +9,9 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from modcal_msgs_py.mcap_repair import Repair, repair_bag
+from modcal_msgs_py import Repair, repair_bag
 from modcal_nodes.cli.console import Output, speaking
-from modcal_nodes.cli.paths import WRITTEN
+from modcal_nodes.cli.inputs import WRITTEN
 
 
 @click.command("repair")

@@ -13,18 +13,23 @@ from rich.table import Table
 from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.files import read_yaml, to_json, write_folder
 from modcal_core.geometry import se3
-from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
-from modcal_core.planning.designs import DESIGNS, design
-from modcal_core.planning.study import Measured, Study, study
-from modcal_core.planning.variance import ARMS
-from modcal_core.report.sensitivity import pictures, sentences, single_csv, to_html, to_json_data, to_text
-from modcal_core.robots.mechanism import Mechanism, is_serial_arm
-from modcal_core.robots.table_rows import vector
-from modcal_nodes.cli.console import Output, say, speaking, written
-from modcal_nodes.cli.legend import explain, table
-from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.robot import BASE, TIP, TOOL, file_line, read_robot
+from modcal_core.planning import (
+    ARMS,
+    DESIGNS,
+    ClosedChain,
+    Measured,
+    Study,
+    calibration_chain,
+    design,
+    dh_closed_chain,
+    sizes_of,
+    study,
+)
+from modcal_core.report import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences, single_csv, to_text
+from modcal_core.robots import Mechanism, is_serial_arm, vector
+from modcal_nodes.cli.console import Output, explain, say, speaking, table, written
+from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, TOOL, WRITTEN, file_line, read_robot
+from modcal_nodes.cli.numbers import Decimal, Whole
 from modcal_nodes.cli.stations import read_stations
 
 _SHOWN = 12  # parameters in the terminal
@@ -115,13 +120,13 @@ def sensitivity_command(
         watch("moving each parameter")
         result = study(closed, q, kind, sizes, factor, measured, rng, bins, 4 * ARMS if thorough else ARMS)
         watch("writing the report")
-        data = to_json_data(result)
+        data = sensitivity_data(result)
         files = {
             "sensitivity.json": to_json(data),
             "sensitivity.md": to_text(result),
             "single_point.csv": single_csv(result),
             **pictures(result),
-            "report.html": to_html(result, robot.stem),
+            "report.html": sensitivity_html(result, robot.stem),
         }
         write_folder(out, files)
     arm = file_line(robot, chain, tip)
@@ -132,7 +137,7 @@ def _show(result: Study, arm: str, console: Console) -> None:
     say([arm], console)
     console.print(_table(result))
     explain(_COLUMNS, console)
-    say(sentences(result), console)
+    say(sensitivity_sentences(result), console)
 
 
 def _closed_chain(chain: Mechanism, parameters: str, tool: tuple[float, float, float], reading: str) -> ClosedChain:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from modcal_core.report.report import Report
-from modcal_core.report.summary import SummaryLine, SummaryTable, Tone, summary
+from modcal_core.report import Report, SummaryLine, SummaryTable, Tone, summary
 
 STYLES: dict[Tone, str] = {
     "plain": "",

@@ -11,17 +11,14 @@ import click
 import yaml
 
 from modcal_core.errors import BadTable
-from modcal_core.planning.returns import RETURNS
-from modcal_core.robots.urdf import other_tips
-from modcal_msgs_py.recording_write import write_recording
+from modcal_core.planning import RETURNS
+from modcal_core.robots import other_tips
+from modcal_msgs_py import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.cli.robot import chain_line
-from modcal_nodes.ros.parameter import Parameter
-from modcal_nodes.ros.parameters import SIMULATED_CELL
-from modcal_nodes.simulation.plant import Plant
-from modcal_nodes.simulation.recording import recorded
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, chain_line
+from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.ros import SIMULATED_CELL, Parameter
+from modcal_nodes.simulation import Plant, recorded
 
 _OF_THE_NODE = (
     "urdf",

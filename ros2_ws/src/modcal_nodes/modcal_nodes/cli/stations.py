@@ -6,9 +6,9 @@ import csv
 from pathlib import Path
 
 from modcal_core.files import read_yaml
-from modcal_core.geometry.so3 import Array
-from modcal_core.planning.stations import stations_from_data, stations_from_rows
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.geometry import Array
+from modcal_core.planning import stations_from_data, stations_from_rows
+from modcal_core.robots import Mechanism
 
 
 def read_stations(path: Path, chain: Mechanism) -> Array:

@@ -14,18 +14,25 @@ from rich.table import Table
 
 from modcal_core.errors import plain
 from modcal_core.files import read_yaml, to_json, to_yaml, write_folder
-from modcal_core.modules.genetic import Generation
-from modcal_core.modules.library import Library
-from modcal_core.modules.picture import picture
-from modcal_core.modules.ranking import described, sentence, to_data, to_markdown
-from modcal_core.modules.spec import assembly_to_data
-from modcal_core.modules.synthesis import Synthesis, SynthesisTask, Watch, synthesize
-from modcal_core.modules.synthesis_data import task_from_data
-from modcal_nodes.cli.console import console, written
-from modcal_nodes.cli.legend import explain, table
-from modcal_nodes.cli.number import Whole
-from modcal_nodes.cli.paths import EXISTING, WRITTEN
-from modcal_nodes.io.assemblies import read_library
+from modcal_core.modules import (
+    Generation,
+    Library,
+    Synthesis,
+    SynthesisTask,
+    Watch,
+    assembly_to_data,
+    described,
+    picture,
+    sentence,
+    synthesize,
+    task_from_data,
+    to_data,
+    to_markdown,
+)
+from modcal_nodes.cli.console import console, explain, table, written
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN
+from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.io import read_library
 
 _COLUMNS = {
     "rank": "",

@@ -12,8 +12,8 @@ import click
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.cli.paths import WRITTEN
+from modcal_nodes.cli.inputs import WRITTEN
+from modcal_nodes.cli.numbers import Decimal, Whole
 
 _PAPERS = ("A4", "A3", "A2", "letter")
 _MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
@@ -117,9 +117,8 @@ def target_command(
     if square is None:
         raise click.UsageError("Missing option '--square'.", click.get_current_context())
     # OpenCV, which other verbs can do without
-    from modcal_core.camera.target import CHARUCO, CHESSBOARD, TAG, PrintedTarget
-    from modcal_core.camera.target_file import target_to_data
-    from modcal_nodes.vision.sheet import draw_sheet
+    from modcal_core.camera import CHARUCO, CHESSBOARD, TAG, PrintedTarget, target_to_data
+    from modcal_nodes.vision import draw_sheet
 
     kind, (columns, rows) = chosen[0]
     inner = {CHARUCO: _MARKER * square, CHESSBOARD: 0.0, TAG: 0.0}.get(kind, 0.25 * square)
@@ -152,7 +151,7 @@ def target_command(
 
 def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> int:
     """Put the measured lengths of the rulers into a target file."""
-    from modcal_core.camera.target_file import target_from_data
+    from modcal_core.camera import target_from_data
 
     path = out / "target.yaml" if out.is_dir() else out
     if not path.is_file():

@@ -21,10 +21,8 @@ from rich.live import Live
 
 from modcal_core.errors import BadRecording, plain
 from modcal_nodes.cli.console import Terminal
-from modcal_nodes.cli.number import Decimal, Whole
-from modcal_nodes.watching.listener import Listener
-from modcal_nodes.watching.snapshot import Heard
-from modcal_nodes.watching.table import Changes, table
+from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.watching import Changes, Heard, Listener, table
 
 _PATIENCE = 8.0  # s without a word after which it says what to check
 _ENOUGH = 2.5  # s: every node speaks once a second, and what it latched comes with it

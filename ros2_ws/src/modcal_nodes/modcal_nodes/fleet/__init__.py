@@ -1,1 +1,12 @@
 """Many recordings: calibrated on all cores or on a cluster, and put in one table."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_nodes.fleet.recordings import DONE, Row, calibrate_all, find_bags, names_of, write_table
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["DONE", "Row", "calibrate_all", "find_bags", "names_of", "write_table"]

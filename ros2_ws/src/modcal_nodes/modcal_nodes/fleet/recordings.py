@@ -17,11 +17,10 @@ from distributed import Client, as_completed
 
 from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.files import replace_folder
-from modcal_core.report.as_json import to_json_data
+from modcal_core.report import to_json_data
 from modcal_core.result import Result
-from modcal_msgs_py.bag_files import SUFFIXES
-from modcal_nodes.io.options import Options
-from modcal_nodes.io.recorded import calibrate_bag
+from modcal_msgs_py import SUFFIXES
+from modcal_nodes.io import Options, calibrate_bag
 
 Row = dict[str, Any]
 DONE, REFUSED, FAILED = "done", "refused", "failed"

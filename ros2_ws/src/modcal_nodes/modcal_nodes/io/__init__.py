@@ -1,1 +1,23 @@
 """Files in and out: calibrations, cells, reports, results."""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_nodes.io.articulated import write_articulation
+    from modcal_nodes.io.assemblies import read_assembly, read_library
+    from modcal_nodes.io.inputs import of_cell, parse_calibration, read_calibration, read_cell, read_delta
+    from modcal_nodes.io.inputs import read_particulars, read_topics, stated_from
+    from modcal_nodes.io.options import Options
+    from modcal_nodes.io.progress import Watch, silent
+    from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
+    from modcal_nodes.io.report_schema import SCHEMA
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["SCHEMA", "Options", "Watch", "calibrate_bag", "of_calibrated", "of_cell", "opened", "parse_calibration"]
+__all__ += ["read_assembly", "read_calibration", "read_cell", "read_delta", "read_library", "read_particulars"]
+__all__ += ["read_topics", "silent", "stated_from", "write_articulation"]

@@ -5,19 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.urdf import describe
+from modcal_core.articulation import JointModel, describe
 from modcal_core.files import to_json, write_folder
-from modcal_core.report.articulation import Articulation, to_html, to_json_data
+from modcal_core.report import Articulation, articulation_data, articulation_html
 
 _URDF = "object.urdf"
 
 
 def write_articulation(found: Articulation, out: Path) -> tuple[dict[str, Any], tuple[str, ...], list[str]]:
     """Write them into a folder; returns what articulation.json holds, the names, and what a person should hear."""
-    data = to_json_data(found)
+    data = articulation_data(found)
     choice = found.choice
-    files = {"articulation.json": to_json(data), "report.html": to_html(found)}
+    files = {"articulation.json": to_json(data), "report.html": articulation_html(found)}
     said = [data["verdict"]]
     if not choice.follows:
         said.append(

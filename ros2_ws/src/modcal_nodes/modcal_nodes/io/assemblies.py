@@ -7,10 +7,7 @@ from pathlib import Path
 
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml
-from modcal_core.modules.assembly import Assembly
-from modcal_core.modules.library import Library
-from modcal_core.modules.library_data import library_from_data, published
-from modcal_core.modules.spec import assembly_from_data
+from modcal_core.modules import Assembly, Library, assembly_from_data, library_from_data, published
 
 
 def read_library(path: Path | None) -> Library:

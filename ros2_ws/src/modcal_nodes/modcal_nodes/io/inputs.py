@@ -5,29 +5,100 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from modcal_core.calibration.cell import Cell, StatedPayload
-from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance
-from modcal_core.calibration.locate_instruments import Known
-from modcal_core.calibration.moves import WHATS, Move, What
-from modcal_core.calibration.stated import Stated
-from modcal_core.calibration.stated_places import StatedTool
-from modcal_core.calibration.store import Calibration, from_data
+from modcal_core.calibration import (
+    WHATS,
+    AnyDistance,
+    Calibration,
+    Cell,
+    Distance,
+    Known,
+    Move,
+    Stated,
+    StatedPayload,
+    StatedTool,
+    StationDistance,
+    What,
+    from_data,
+)
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.kind import frame_on_plane
-from modcal_core.measurements.schema import require, shown, told
-from modcal_core.report.particulars import Particulars
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.delta_file import delta_from_data
-from modcal_msgs_py.choosing import Topics
-from modcal_nodes.io.cell_schema import SCHEMA
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import Schema, require, shown, told
+from modcal_core.measurements.kinds import frame_on_plane
+from modcal_core.report import Particulars
+from modcal_core.robots import Delta, delta_from_data
+from modcal_msgs_py import Topics
+
+# --- The cell file, as a schema: what it may say, key by key
+
+_NUMBER = {"type": "number"}
+_TEXT = {"type": "string", "minLength": 1}
+_TEXTS = {"type": ["array", "null"], "items": {"type": "string"}}
+_WHAT = {"type": "string", "enum": list(WHATS)}
+_THREE = {"type": "array", "items": _NUMBER, "minItems": 3, "maxItems": 3}
+
+
+def _mapping(properties: Schema, *required: str) -> Schema:
+    return {"type": "object", "properties": properties, "required": list(required), "additionalProperties": False}
+
+
+def _list(items: Schema) -> Schema:
+    return {"type": ["array", "null"], "items": items}
+
+
+_PAIR = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}
+_STAMPS = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
+_DISTANCE = {"distance_m": _NUMBER, "std_m": _NUMBER}
+_PLANE = _mapping({"normal": _THREE, "offset_m": _NUMBER}, "normal", "offset_m")
+_QUATERNION = {"type": "array", "items": _NUMBER, "minItems": 4, "maxItems": 4}
+_POSE = {"position_m": _THREE, "quaternion": _QUATERNION}
+SCHEMA = _mapping(
+    {
+        "distances": _list(
+            {
+                "type": "object",
+                "oneOf": [
+                    _mapping({"between": _PAIR, **_DISTANCE}, "between", "distance_m"),
+                    _mapping({"stamps": _STAMPS, **_DISTANCE}, "stamps", "distance_m"),
+                ],
+            }
+        ),
+        "fixed": _TEXTS,
+        "own_target": _TEXTS,
+        "sockets": _TEXTS,
+        "known": _list(
+            _mapping(
+                {"frame": _TEXT, "in": _TEXT, "plane": _PLANE, **_POSE, "std_m": _NUMBER, "std_deg": _NUMBER},
+                "frame",
+                "in",
+            )
+        ),
+        "tool": {
+            **_mapping({**_POSE, "std_m": _NUMBER, "std_deg": _NUMBER}, "position_m", "std_m"),
+            "type": ["object", "null"],
+        },
+        "payloads": _list(_mapping({"mass_kg": _NUMBER, "centre_m": _THREE}, "mass_kg")),
+        "gravity": {**_THREE, "type": ["array", "null"]},
+        "moved": _list(_mapping({"stamp": _NUMBER, "what": _WHAT}, "stamp", "what")),
+        "own_in_recordings": {**_WHAT, "type": ["string"]},
+        "repeatability_mm": _NUMBER,
+        "repeatability_deg": _NUMBER,
+        "repeatability_iso": _NUMBER,
+        "instrument_mm": _NUMBER,
+        "instrument_deg": _NUMBER,
+        "topics": {"type": ["object", "null"], "additionalProperties": {"type": ["string", "array"], "items": _TEXT}},
+        "ignore": _TEXTS,
+        "tf": {"type": ["string", "null"]},
+        "certificate": {**_mapping({field.name: _TEXT for field in fields(Particulars)}), "type": ["object", "null"]},
+    }
+)
+
 
 T = TypeVar("T")
 # Names of the options of the command line, and what they state

@@ -6,23 +6,15 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.moves import Move
-from modcal_core.calibration.own_statement import together_stated
-from modcal_core.calibration.stated import Stated
-from modcal_core.calibration.store import Calibration
+from modcal_core.calibration import Calibration, Cell, Move, Stated, together_stated
 from modcal_core.errors import BadRecording, about
 from modcal_core.files import read_yaml
-from modcal_core.measurements.dropped import together
-from modcal_core.measurements.origin import Origin
-from modcal_core.measurements.samples import Samples
-from modcal_core.measurements.sequence import after, between, require_new
+from modcal_core.measurements import Origin, Samples, after, between, require_new, together
 from modcal_core.public import calibrate, tolerance_asked
 from modcal_core.result import Result
 from modcal_core.robot import Robot
-from modcal_msgs_py.bag import Bag, read_bag
-from modcal_msgs_py.choosing import Topics
-from modcal_nodes.cli.robot import described
+from modcal_msgs_py import Bag, Topics, read_bag
+from modcal_nodes.cli import described
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
 from modcal_nodes.io.options import Options
 from modcal_nodes.io.progress import Watch, silent

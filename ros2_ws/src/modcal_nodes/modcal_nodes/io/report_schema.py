@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modcal_core.measurements.schema import Schema
+from modcal_core.measurements import Schema
 
 _NUMBER = {"type": "number"}
 _NULL_NUMBER = {"type": ["number", "null"]}

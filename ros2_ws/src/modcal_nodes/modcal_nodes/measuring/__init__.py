@@ -1,1 +1,17 @@
 """Measuring on order: the folder that keeps a session, and those who measure for it."""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_nodes.measuring.folder import NEXT, CellInProcess, Folder, Measurer, Replay, StoredSession
+    from modcal_nodes.measuring.folder import one_a_station, outcome_data
+    from modcal_nodes.measuring.sequence import StationSequence
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["NEXT", "CellInProcess", "Folder", "Measurer", "Replay", "StationSequence", "StoredSession"]
+__all__ += ["one_a_station", "outcome_data"]

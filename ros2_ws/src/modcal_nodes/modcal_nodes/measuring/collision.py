@@ -18,9 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry.so3 import Array
-from modcal_core.planning.site import Site
-from modcal_core.robots.urdf_tree import document
+from modcal_core.geometry import Array
+from modcal_core.planning import Site
+from modcal_core.robots import document
 
 _ALWAYS = 0.9  # share of random postures from which a pair that touches is drawn touching
 _DRAWN = 200  # random postures for that

@@ -7,15 +7,20 @@ station it waits until the joints stand, then for readings; where none come the 
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from sensor_msgs.msg import JointState
 
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.approach import TRAVEL
-from modcal_core.measuring.motion import TimedMotion
-from modcal_core.measuring.session import UNSEEN, Station
+from modcal_core.errors import BadCommand
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import TRAVEL
+from modcal_core.measuring import UNSEEN, Station, TimedMotion
+from modcal_msgs_py import JointInput
 
 IDLE, MOVING, SETTLING, READING, HELD = "idle", "moving", "settling", "reading", "held"
 _BEYOND = 1e-3  # rad or m outside a limit that a report may be, for rounding
@@ -207,3 +212,78 @@ class Runner:
 
     def _forget(self) -> None:
         self._read, self._seen, self._effort = [], [], []
+
+
+# --- What the joints of an arm report now, from messages of one driver or several
+
+
+class JointReports:
+    """The newest report of all joints. clock: seconds of the node's own time, in which messages are stamped."""
+
+    def __init__(self, names: tuple[str, ...], lower: Array, upper: Array, clock: Callable[[], float]) -> None:
+        self._joints, self._clock = JointInput(names, lower, upper), clock
+        self._received = -np.inf
+
+    def receive(self, message: JointState, stale: float) -> None:
+        """Take a message. Raises BadCommand for one that is wrong or older than ``stale`` [s]."""
+        self._joints.receive(message, self._clock(), stale)
+        self._received = time.monotonic()
+
+    def require_fresh(self, stale: float) -> None:
+        """Raises BadCommand unless every joint was received within so many seconds."""
+        self._joints.require_fresh(self._clock(), stale)
+
+    @property
+    def position(self) -> Array | None:
+        """Where the joints are (n,), None while some were never heard of."""
+        return None if self._joints.missing() else self._joints.position.copy()
+
+    def now(self) -> JointReport | None:
+        """The report; None while some joints were never heard of."""
+        q = self.position
+        if q is None:
+            return None
+        effort = self._joints.effort.copy()
+        # joints may come in messages of several drivers: the one heard longest ago counts
+        age = max(self._clock() - float(self._joints.stamps.min()), 0.0)
+        received = min(self._received, time.monotonic() - age)
+        return JointReport(q, received, effort if np.isfinite(effort).all() else None)
+
+
+def required(reports: JointReports | None, stale: float) -> None:
+    """Raises BadCommand where joints were never heard of, or not for so many seconds."""
+    if reports is None:
+        raise BadCommand("joint_states", "not received yet", "start the driver, or remap the topic")
+    reports.require_fresh(stale)
+
+
+# --- One thing at a time that takes long, done in a thread of its own, so that every period of a node is kept
+
+
+class Worker:
+    """Does one piece of work at a time elsewhere; what comes of it is taken where :meth:`finish` is called."""
+
+    def __init__(self, name: str) -> None:
+        self._pool = ThreadPoolExecutor(1, name)
+        self._future: Future[Any] | None = None
+        self._then: Callable[[Any], None] = lambda _: None
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being done, or was done and has not been taken."""
+        return self._future is not None
+
+    def begin(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        """Do this; ``then`` gets what comes of it."""
+        self._then = then
+        self._future = self._pool.submit(work)
+
+    def finish(self) -> None:
+        """Take what has been done, if it has; raises what the work raised."""
+        if self._future is not None and self._future.done():
+            future, self._future = self._future, None
+            self._then(future.result())
+
+    def close(self) -> None:
+        """Begin nothing more."""
+        self._pool.shutdown(wait=False, cancel_futures=True)

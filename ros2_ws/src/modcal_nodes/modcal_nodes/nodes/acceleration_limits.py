@@ -11,17 +11,28 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import ModcalError
-from modcal_core.robots.inertia import Payload
-from modcal_core.robots.loaded_arm import LoadedArm, require_method
-from modcal_msgs_py.commands import JointInput, fill_accelerations
-from modcal_nodes.cli.by_joint import numbers_by_joint
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import ACCELERATION_LIMITS
-from modcal_nodes.ros.refusals import Refusals
-from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, always, subscription_status
+from modcal_core.robots import LoadedArm, Payload, require_method
+from modcal_msgs_py import JointInput, fill_accelerations
+from modcal_nodes.cli import numbers_by_joint
+from modcal_nodes.ros import (
+    ACCELERATION_LIMITS,
+    ERROR,
+    FRESH,
+    LATCHED,
+    OK,
+    WARN,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    Refusals,
+    Status,
+    always,
+    declare,
+    follow,
+    run,
+    subscription_status,
+    values,
+)
 
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
 _REST = 0.004  # s

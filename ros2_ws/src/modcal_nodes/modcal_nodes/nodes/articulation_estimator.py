@@ -13,29 +13,40 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.misfit import NONE
-from modcal_core.articulation.online import Tracker, TrackerSettings, TrackerState
-from modcal_core.articulation.stamp_order import StampOrder
-from modcal_core.articulation.urdf import describe
+from modcal_core.articulation import NONE, JointModel, StampOrder, Tracker, TrackerSettings, TrackerState, describe
 from modcal_core.errors import BadCommand, ModcalError
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.wrench import Load
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
-from modcal_core.robots.urdf import read_chain
-from modcal_msgs_py.commands import JointInput
-from modcal_msgs_py.objects import fill_expected, fill_markers, fill_object_state, seen, status_values
-from modcal_msgs_py.setpoints import wrench_numbers
-from modcal_msgs_py.stamps import seconds, set_seconds
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import ARTICULATION_ESTIMATOR
-from modcal_nodes.ros.refusals import Refusals
-from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_core.geometry import Array, se3
+from modcal_core.impedance import Load
+from modcal_core.robots import Chain, chain_forward, read_chain
+from modcal_msgs_py import (
+    JointInput,
+    fill_expected,
+    fill_markers,
+    fill_object_state,
+    seconds,
+    seen,
+    set_seconds,
+    status_values,
+    wrench_numbers,
+)
+from modcal_nodes.ros import (
+    ARTICULATION_ESTIMATOR,
+    ERROR,
+    FRESH,
+    LATCHED,
+    OK,
+    WARN,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    Refusals,
+    Status,
+    declare,
+    follow,
+    run,
+    subscription_status,
+    values,
+)
 
 _POSES: dict[str, type] = {
     "tool_pose": PoseWithCovarianceStamped,
@@ -161,7 +172,7 @@ class ArticulationEstimator(GuardedNode):
         self._joints.require_fresh(now, self._chosen["timeout_s"])
         stamp = float(self._joints.stamps.min())
         if self._due(stamp, self._chain.base):
-            T = forward(self._chain, self._joints.position)
+            T = chain_forward(self._chain, self._joints.position)
             self._follow(T[:3, 3], T[:3, :3], stamp, self._chain.base)
 
     def _take_pose(self, message: Any) -> None:

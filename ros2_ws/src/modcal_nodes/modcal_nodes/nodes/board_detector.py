@@ -11,25 +11,25 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import String
 
-from modcal_core.camera.lens import Lens
-from modcal_core.camera.target_file import read_target
-from modcal_core.camera.views import BoardView
+from modcal_core.camera import BoardView, Lens, read_target
 from modcal_core.errors import BadTable, ModcalError
-from modcal_msgs_py.commands import fill_pose
-from modcal_msgs_py.corners import fill_corners
-from modcal_msgs_py.images import lens_data, raw_image
-from modcal_nodes.ros.declaring import declare, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import BOARD_DETECTOR
-from modcal_nodes.ros.running import FRESH, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
-from modcal_nodes.vision.annotate import annotated
-from modcal_nodes.vision.board_pose import board_pose
-from modcal_nodes.vision.coaching import Coach
-from modcal_nodes.vision.detect import detect
-from modcal_nodes.vision.grey import grey_of
-from modcal_nodes.vision.images import lens_from_data
+from modcal_msgs_py import fill_corners, fill_pose, lens_data, raw_image
+from modcal_nodes.ros import (
+    BOARD_DETECTOR,
+    ERROR,
+    FRESH,
+    OK,
+    WARN,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    Status,
+    declare,
+    run,
+    subscription_status,
+    values,
+)
+from modcal_nodes.vision import Coach, annotated, board_pose, detect, grey_of, lens_from_data
 
 
 class BoardDetector(GuardedNode):

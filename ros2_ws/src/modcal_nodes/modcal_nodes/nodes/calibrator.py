@@ -14,38 +14,51 @@ from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRobot, ModcalError
 from modcal_core.files import write_folder
-from modcal_core.measurements.dropped import Dropped
-from modcal_core.measurements.samples import Samples
-from modcal_core.online.change_hypothesis import ChangeHypothesis
-from modcal_core.online.estimator import RandomWalk
-from modcal_core.online.supervisor import Supervisor
+from modcal_core.measurements import Dropped, Samples
+from modcal_core.online import ChangeHypothesis, RandomWalk, Supervisor
 from modcal_core.recalibrate import Job
-from modcal_core.robots.mechanism import is_serial_arm
-from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_core.robots.urdf_write import calibrated_urdf
-from modcal_nodes.calibrating.arm import KnownArm
-from modcal_nodes.calibrating.buffer import Buffer
-from modcal_nodes.calibrating.by_camera import ByCamera
-from modcal_nodes.calibrating.check_service import CheckService
-from modcal_nodes.calibrating.commands import CommandSubscription
-from modcal_nodes.calibrating.corners import CornerIntake
-from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
-from modcal_nodes.calibrating.intake import Intake
-from modcal_nodes.calibrating.listening import listen
-from modcal_nodes.calibrating.needs import lacking, policy, require_policy
-from modcal_nodes.calibrating.publishers import Publishers
-from modcal_nodes.calibrating.standing import Standing, standing_of_json
-from modcal_nodes.calibrating.state_folder import StateFolder
-from modcal_nodes.calibrating.worker import Solved, SolveWorker, condense, solve
-from modcal_nodes.io.inputs import read_cell, read_delta
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, Health, Status
-from modcal_nodes.ros.parameters import CALIBRATOR
-from modcal_nodes.ros.running import run
-from modcal_nodes.ros.subscriptions import subscription_status, tracker_status
-from modcal_nodes.ros.tf_broadcaster import Broadcaster
-from modcal_nodes.ros.tf_frames import static_frames
+from modcal_core.robots import calibrated_urdf, is_serial_arm, read_inertias
+from modcal_nodes.calibrating import (
+    Buffer,
+    ByCamera,
+    CheckService,
+    CommandSubscription,
+    CornerIntake,
+    Intake,
+    KnownArm,
+    Publishers,
+    Solved,
+    SolveWorker,
+    Standing,
+    StateFolder,
+    collected,
+    condense,
+    lacking,
+    listen,
+    model_status,
+    policy,
+    require_policy,
+    sample_status,
+    solve,
+    standing_of_json,
+)
+from modcal_nodes.io import read_cell, read_delta
+from modcal_nodes.ros import (
+    CALIBRATOR,
+    ERROR,
+    OK,
+    Broadcaster,
+    GuardedNode,
+    Health,
+    Status,
+    declare,
+    follow,
+    run,
+    static_frames,
+    subscription_status,
+    tracker_status,
+    values,
+)
 
 _POLL = 0.1  # s
 _REST = 0.005  # s

@@ -13,9 +13,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from modcal_core.calibration.store import Calibration
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.commander import (
+from modcal_core.calibration import Calibration
+from modcal_core.correction import (
+    ArmState,
     CalibratedRobot,
     Commander,
     CommanderSettings,
@@ -24,20 +24,30 @@ from modcal_core.correction.commander import (
     finite,
 )
 from modcal_core.errors import BadCommand, BadTable, ModcalError
-from modcal_core.measurements.approach import Approach
-from modcal_msgs_py.commands import JointInput, desired_pose, fill_pose, require_new
-from modcal_msgs_py.signals import SignalsHeard
-from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.io.inputs import parse_calibration, read_calibration, read_delta
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import CORRECTOR
-from modcal_nodes.ros.refusals import Refusals
-from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, always, subscription_status
-from modcal_nodes.ros.tf_broadcaster import Broadcaster
-from modcal_nodes.ros.tf_frames import corrected_frame
+from modcal_core.measurements import Approach
+from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_seconds
+from modcal_nodes.io import parse_calibration, read_calibration, read_delta
+from modcal_nodes.ros import (
+    CORRECTOR,
+    ERROR,
+    FRESH,
+    LATCHED,
+    OK,
+    WARN,
+    Broadcaster,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    Refusals,
+    Status,
+    always,
+    corrected_frame,
+    declare,
+    follow,
+    run,
+    subscription_status,
+    values,
+)
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)

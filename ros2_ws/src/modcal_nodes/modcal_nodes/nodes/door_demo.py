@@ -19,13 +19,21 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadCommand, BadTable
-from modcal_nodes.ros.declaring import declare, values
-from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
-from modcal_nodes.ros.health import OK, Health, Status
-from modcal_nodes.ros.launch_files import LAUNCHES
-from modcal_nodes.ros.parameters import DOOR_DEMO
-from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.simulation.learned import PullRecord
+from modcal_nodes.ros import (
+    DOOR_DEMO,
+    FRESH,
+    LATCHED,
+    LAUNCHES,
+    OK,
+    GuardedNode,
+    Health,
+    NodeEnds,
+    Status,
+    declare,
+    run,
+    values,
+)
+from modcal_nodes.simulation import PullRecord
 
 _PERIOD, _AGAIN = 0.2, 1.0  # s between two looks, and between two attempts to begin
 _KINDS = ("door", "drawer")

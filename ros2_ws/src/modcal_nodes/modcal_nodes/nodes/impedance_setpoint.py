@@ -20,26 +20,39 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from modcal_core.articulation.urdf import frames, read
+from modcal_core.articulation import frames, read
 from modcal_core.errors import BadCommand, ModcalError
-from modcal_core.impedance.operation import Operation
-from modcal_core.impedance.safety_monitor import ArmSetpoint
-from modcal_core.impedance.task import Stop, Wait
-from modcal_msgs_py.setpoints import ObjectInput
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import IMPEDANCE_SETPOINT
-from modcal_nodes.ros.refusals import Refusals
-from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, always, subscription_status
-from modcal_nodes.ros.transitions import noted
-from modcal_nodes.setpoint.arm import limits, task
-from modcal_nodes.setpoint.arm_inputs import ArmInputs
-from modcal_nodes.setpoint.changes import require_changeable
-from modcal_nodes.setpoint.joint_efforts import JointEfforts
-from modcal_nodes.setpoint.joint_softness import JointSoftness
-from modcal_nodes.setpoint.publishers import SetpointPublishers
+from modcal_core.impedance import ArmSetpoint, Operation, Stop, Wait
+from modcal_msgs_py import ObjectInput
+from modcal_nodes.ros import (
+    ERROR,
+    FRESH,
+    IMPEDANCE_SETPOINT,
+    LATCHED,
+    OK,
+    WARN,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    Refusals,
+    Status,
+    always,
+    declare,
+    follow,
+    noted,
+    run,
+    subscription_status,
+    values,
+)
+from modcal_nodes.setpoint import (
+    ArmInputs,
+    JointEfforts,
+    JointSoftness,
+    SetpointPublishers,
+    limits,
+    require_changeable,
+    task,
+)
 
 _TICKS = 2000  # of which the times are remembered
 _LET_GO = 2.0  # s, the longest that letting go takes

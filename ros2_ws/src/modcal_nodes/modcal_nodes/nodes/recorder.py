@@ -12,14 +12,25 @@ from rclpy.logging import get_logger
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRecording, ModcalError
-from modcal_msgs_py.mcap_write import FLUSH_SECONDS, BagWriter
-from modcal_msgs_py.topics import READINGS
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import RECORDER
-from modcal_nodes.ros.running import run
-from modcal_nodes.ros.topic_recorder import UNHEARD, Complaint, Taken, TopicRecorder
+from modcal_msgs_py import FLUSH_SECONDS, READINGS, BagWriter
+from modcal_nodes.ros import (
+    ERROR,
+    OK,
+    RECORDER,
+    UNHEARD,
+    WARN,
+    Complaint,
+    GuardedNode,
+    Health,
+    NodeEnds,
+    Status,
+    Taken,
+    TopicRecorder,
+    declare,
+    follow,
+    run,
+    values,
+)
 
 _LOOK_SECONDS = 0.1
 _REST = 0.01  # s; the middleware stamps what comes meanwhile, only simulated time is read after it

@@ -14,17 +14,21 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable, ModcalError
-from modcal_nodes.ros.declaring import declare, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import Health
-from modcal_nodes.ros.parameters import SIMULATED_CELL
-from modcal_nodes.ros.running import LATCHED, run
-from modcal_nodes.simulation.commands import legs
-from modcal_nodes.simulation.pace import Beat, CellTime, Grid
-from modcal_nodes.simulation.plant import TRACKER, TRACKER_PHASE, Plant
-from modcal_nodes.simulation.rates import Rates
-from modcal_nodes.simulation.spoken import Poses, States, stamp
-from modcal_nodes.simulation.switches import SWITCHES
+from modcal_nodes.ros import LATCHED, SIMULATED_CELL, GuardedNode, Health, declare, run, values
+from modcal_nodes.simulation import (
+    SWITCHES,
+    TRACKER,
+    TRACKER_PHASE,
+    Beat,
+    CellTime,
+    Grid,
+    Plant,
+    Poses,
+    Rates,
+    States,
+    legs,
+    stamp,
+)
 
 _MIN_PERIOD = 1e-3  # s between beats; what falls due in between is sent together
 _MAX_AT_ONCE = 0.2  # s of wall time that one beat makes up for, so that services are answered in between

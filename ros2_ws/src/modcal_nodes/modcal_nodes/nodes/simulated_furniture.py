@@ -15,20 +15,22 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadTable, ModcalError
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.urdf import read_chain
-from modcal_nodes.ros.declaring import declare, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import Health
-from modcal_nodes.ros.parameters import SIMULATED_FURNITURE
-from modcal_nodes.ros.running import LATCHED, run
-from modcal_nodes.simulation.commands import legs
-from modcal_nodes.simulation.furniture import draw
-from modcal_nodes.simulation.furniture_mjcf import Servo
-from modcal_nodes.simulation.pace import Beat, CellTime, Grid
-from modcal_nodes.simulation.pulling import Pulling, effort_limits
-from modcal_nodes.simulation.rates import Rates
-from modcal_nodes.simulation.spoken import States, stamp
+from modcal_core.geometry import Array
+from modcal_core.robots import read_chain
+from modcal_nodes.ros import LATCHED, SIMULATED_FURNITURE, GuardedNode, Health, declare, run, values
+from modcal_nodes.simulation import (
+    Beat,
+    CellTime,
+    Grid,
+    Pulling,
+    Rates,
+    Servo,
+    States,
+    draw,
+    effort_limits,
+    legs,
+    stamp,
+)
 
 _MAX_AT_ONCE = 0.1  # s of physics between two looks at what came in
 _LOST = 5.0  # s that are not made up for: the node's clock was set

@@ -16,16 +16,27 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import ModcalError
-from modcal_core.measuring.motion import TimedMotion
-from modcal_msgs_py.stamps import seconds, set_seconds
-from modcal_nodes.measuring.sequence import StationSequence
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import STATION_RUNNER
-from modcal_nodes.ros.refusals import Refusals
-from modcal_nodes.ros.running import FRESH, LATCHED, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_core.measuring import TimedMotion
+from modcal_msgs_py import seconds, set_seconds
+from modcal_nodes.measuring import StationSequence
+from modcal_nodes.ros import (
+    ERROR,
+    FRESH,
+    LATCHED,
+    OK,
+    STATION_RUNNER,
+    WARN,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    Refusals,
+    Status,
+    declare,
+    follow,
+    run,
+    subscription_status,
+    values,
+)
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # a simulated time that stands must not keep an arm from being held
 

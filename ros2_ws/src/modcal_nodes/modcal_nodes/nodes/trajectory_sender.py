@@ -12,16 +12,24 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadCommand, BadTable
 from modcal_core.files import read_yaml
-from modcal_core.planning.trajectory_file import Trajectory, trajectory_from_data
-from modcal_msgs_py.commands import JointInput
-from modcal_msgs_py.stamps import set_seconds
-from modcal_nodes.ros.declaring import declare, values
-from modcal_nodes.ros.guarded import GuardedNode, NodeEnds
-from modcal_nodes.ros.health import OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import TRAJECTORY_SENDER
-from modcal_nodes.ros.refusals import Refusals
-from modcal_nodes.ros.running import FRESH, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status
+from modcal_core.planning import Trajectory, trajectory_from_data
+from modcal_msgs_py import JointInput, set_seconds
+from modcal_nodes.ros import (
+    FRESH,
+    OK,
+    TRAJECTORY_SENDER,
+    WARN,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    NodeEnds,
+    Refusals,
+    Status,
+    declare,
+    run,
+    subscription_status,
+    values,
+)
 
 _PERIOD = 0.1  # s
 

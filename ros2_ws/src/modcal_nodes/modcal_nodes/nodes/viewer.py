@@ -14,27 +14,34 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from modcal_core.calibration.store import Calibration
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.commander import CalibratedRobot
-from modcal_core.correction.picture import tool_ellipsoid
+from modcal_core.calibration import Calibration
+from modcal_core.correction import ArmState, CalibratedRobot, tool_ellipsoid
 from modcal_core.errors import BadCommand, ModcalError
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.approach import Approach
-from modcal_core.measurements.recording import POINT, POSE
-from modcal_msgs_py.commands import JointInput
-from modcal_msgs_py.signals import SignalsHeard
-from modcal_nodes.calibrating.arm import KnownArm
-from modcal_nodes.io.inputs import parse_calibration
-from modcal_nodes.ros.declaring import declare, follow, values
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, OK, WARN, Health, Status
-from modcal_nodes.ros.parameters import VIEWER
-from modcal_nodes.ros.refusals import Refusals
-from modcal_nodes.ros.running import LATCHED, SENSOR, run
-from modcal_nodes.ros.subscriptions import MonitoredSubscription, subscription_status, tracker_status
-from modcal_nodes.viewing import drawing
-from modcal_nodes.viewing.stations import JudgedStations, Stations
+from modcal_core.geometry import Array
+from modcal_core.measurements import POINT, POSE, Approach
+from modcal_msgs_py import JointInput, SignalsHeard
+from modcal_nodes.calibrating import KnownArm
+from modcal_nodes.io import parse_calibration
+from modcal_nodes.ros import (
+    ERROR,
+    LATCHED,
+    OK,
+    SENSOR,
+    VIEWER,
+    WARN,
+    GuardedNode,
+    Health,
+    MonitoredSubscription,
+    Refusals,
+    Status,
+    declare,
+    follow,
+    run,
+    subscription_status,
+    tracker_status,
+    values,
+)
+from modcal_nodes.viewing import JudgedStations, Stations, drawing
 
 _REST = 0.003  # s
 _LIFETIME = 2.0  # s that axes and ellipsoids outlive this node by

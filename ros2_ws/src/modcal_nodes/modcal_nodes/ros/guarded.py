@@ -7,25 +7,44 @@ parameter callbacks) is wrapped here, the built-in services included. A delibera
 from __future__ import annotations
 
 import inspect
+import math
 import threading
 import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
 from copy import copy
-from functools import update_wrapper
+from functools import update_wrapper, wraps
 from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 from modcal_core.errors import ModcalError
-from modcal_nodes.ros.pending import waiting
+
+# --- Messages that wait behind the one a callback was given
+
+
+def waiting(subscription: Subscription, most: int, raw: bool = False) -> list[tuple[Any, dict[str, Any]]]:
+    """(message, info) of at most so many messages that have arrived; raw: as CDR bytes.
+
+    By way of the executor each message costs ten times as much, and a kilohertz would be more than it can bring. The
+    limit lets other topics, timers and services have their turn.
+    """
+    out = list[tuple[Any, dict[str, Any]]]()
+    handle, kind = subscription.handle, subscription.msg_type
+    with handle:
+        while len(out) < most and (taken := handle.take_message(kind, raw)) is not None:
+            out.append(taken)
+    return out
+
 
 _AGAIN = 1.0  # s after a fault until a latched message is handled once more
 _RECENT = 10.0  # s in which a fault counts as recent
@@ -275,3 +294,66 @@ def _refusal(request: Any, response: Any, said: str) -> Any:
     if hasattr(answer, "results") and hasattr(request, "parameters"):
         answer.results = [SetParametersResult(successful=False, reason=said) for _ in request.parameters]
     return answer
+
+
+# --- What a node has refused: said in the log, counted, and told on ``/diagnostics`` for a while
+
+_SAID_FOR = 5.0  # s that diagnostics go on telling of a refusal
+_REFUSALS_THROTTLE = 2.0  # s between two lines in the log
+
+
+class Refusals:
+    """What was refused of late, by part: the topic it came on, or what of the node it is about."""
+
+    def __init__(self, node: Node, news: Callable[[], None] = lambda: None) -> None:
+        """news: called when a part refuses something that had refused nothing of late."""
+        self._node, self._news = node, news
+        self._said: dict[str, tuple[float, str]] = {}
+        self._logged = -math.inf
+        self.counts: Counter[str] = Counter()
+
+    def guarded(self, part: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """The callback, with what it refuses said and counted."""
+
+        def guarded(message: Any) -> None:
+            try:
+                callback(message)
+            except ModcalError as error:
+                self.refuse(part, str(error))
+
+        return guarded
+
+    def refuse(self, part: str, said: str) -> None:
+        """Say and count a refusal."""
+        self.counts[part] += 1
+        news, now = not self.recent(part), time.monotonic()
+        self._said[part] = now, said
+        # rclpy's own throttle looks up the caller first, which takes a millisecond: one that refuses everything would
+        # fall behind, and refuse what it hears for being late
+        if now - self._logged >= _REFUSALS_THROTTLE:
+            self._logged = now
+            self._node.get_logger().warning(said)
+        if news:
+            self._news()
+
+    def recent(self, *parts: str) -> str:
+        """What was refused of late of these parts, or of all; nothing if nothing was."""
+        since = time.monotonic() - _SAID_FOR
+        return "; ".join(said for part, (at, said) in self._said.items() if at >= since and part in (parts or [part]))
+
+
+# --- Transitions of a lifecycle node whose exceptions are said and counted; rclpy would keep them to itself
+
+
+def noted(transition: Callable[[Any, LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:
+    """A transition of a GuardedNode that notes what it raises among the node's faults, and then has failed."""
+
+    @wraps(transition)
+    def noting(self: Any, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(self, state)
+        except Exception as error:
+            self.faults.note(transition.__name__, error)
+            return TransitionCallbackReturn.ERROR
+
+    return noting

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from modcal_core.planning.returns import RETURNS
+from modcal_core.planning import RETURNS
 from modcal_nodes.ros import pulling_parameters as pulling
 from modcal_nodes.ros.parameter import Parameter
 

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import gc
+import inspect
+import multiprocessing
+import os
+import signal
+import socket
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import wait
+from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -14,12 +24,105 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, described
+from modcal_nodes.ros.parameter import Parameter
+from modcal_nodes.ros.parameters import NODES
 from modcal_nodes.ros.resting import RestingExecutor
-from modcal_nodes.ros.signals import SignalGuard
-from modcal_nodes.ros.usage import answered
+
+# --- Signals that ask a process to end
+
+_PATIENCE = 10.0  # s after the first signal, from which another one interrupts what hangs
+
+
+class SignalGuard:
+    """SIGINT and SIGTERM set ``asked``, and nothing else, however often they come."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._since = 0.0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        if not self.asked:
+            self.asked, self._since = True, time.monotonic()
+        elif time.monotonic() - self._since > _PATIENCE:
+            raise KeyboardInterrupt
+
+    def done(self) -> None:
+        """Closed: what comes from now on must not end Python's own end, which would restore what signals do."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+    def wake(self, wake: Callable[[], object]) -> None:
+        """Have this called, from a thread, at every signal: a wait outside Python would not see it."""
+        ours, theirs = socket.socketpair()
+        theirs.setblocking(False)
+        signal.set_wakeup_fd(theirs.fileno(), warn_on_full_buffer=False)
+        self._ends = ours, theirs  # open as long as this is
+
+        def listen() -> None:
+            while ours.recv(64):
+                wake()
+
+        threading.Thread(target=listen, name="signals", daemon=True).start()
+
+
+# --- What ``--help`` says of an executable, and what is said of arguments that none of them has
+
+_WIDTH = 120
+_ROS = (
+    "  --ros-args -p NAME:=VALUE          a parameter",
+    "  --ros-args --params-file FILE      parameters from a file",
+    "  --ros-args -r FROM:=TO             another name for a topic or service; __ns:=/arm puts all in a namespace",
+    "  --ros-args --log-level LEVEL       debug, info, warn, error or fatal",
+)
+
+
+def answered(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int | None:
+    """The exit code, if the arguments ask for help or are none that a node has; None: the node is to be started."""
+    words = list(sys.argv if arguments is None else arguments)
+    name = Path(words[0]).name if words else ""
+    if any(word in ("-h", "--help") for word in words[1:]):
+        try:
+            print(help_text(name, make), flush=True)
+        except BrokenPipeError:  # `calibrator --help | head`: the interpreter's last flush must not complain either
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    try:
+        own = remove_ros_args(words)[1:]
+    except RuntimeError as error:  # rcl's own errors have no public name
+        print(f"modcal: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    if own:
+        print(f"modcal: {own[0]}: is not an argument of {name}: see {name} --help", file=sys.stderr)
+        return 2
+    return None
+
+
+def help_text(name: str, make: Callable[[], Any]) -> str:
+    """Usage, what the node does, and its parameters with defaults."""
+    about = inspect.cleandoc(inspect.getdoc(make) or "").splitlines()[:1]
+    lines = [f"usage: ros2 run modcal_nodes {name} [--ros-args ...]", "", *about, "", *_ROS]
+    if parameters := NODES.get(name):
+        lines += ["", "Parameters (those marked * may be changed while it runs):"]
+        lines += [line for key, parameter in parameters.items() for line in _told(key, parameter)]
+    lines += [
+        "",
+        "Exit code 0: stopped on request. 2: unusable parameters, files or disk, one line on stderr. 1: a fault.",
+    ]
+    return "\n".join(lines)
+
+
+def _told(name: str, parameter: Parameter) -> list[str]:
+    default = parameter.default if parameter.default != "" else '""'
+    bounds = "" if parameter.low is None else f", {parameter.low:g} to {parameter.high:g}"
+    star = "*" if parameter.live else " "
+    return [f" {star}{name} ({default}{bounds})", f"      {parameter.description}"[:_WIDTH]]
+
 
 RCLError = rclpy_implementation.RCLError
 _PAUSE = 0.05  # s after a fault of the executor itself, so that one that lasts does not take the processor
@@ -105,3 +208,22 @@ def _close(node: Node | None) -> int:
     finally:
         node.destroy_node()
     return 0
+
+
+# --- Processes of our own: what each does first
+
+
+def settle_in(yielding: int = 0) -> None:
+    """Leave Ctrl-C to the parent, and end with it, however that ends. yielding: by how much nicer than it."""
+    if yielding:
+        os.nice(yielding)
+    # Ctrl-C in a terminal reaches every process of the group; the parent decides when this one ends
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)

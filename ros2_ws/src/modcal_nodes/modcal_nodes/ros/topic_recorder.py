@@ -19,12 +19,9 @@ from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks, 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from modcal_msgs_py.bag_metadata import qos_profile
-from modcal_msgs_py.topics import READINGS, TYPES
-from modcal_msgs_py.types import jazzy
-from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.health import ERROR, WARN
-from modcal_nodes.ros.pending import waiting
+from modcal_msgs_py import READINGS, TYPES, jazzy, qos_profile
+from modcal_nodes.ros.guarded import GuardedNode, waiting
+from modcal_nodes.ros.subscriptions import ERROR, WARN
 
 # Five seconds of a fast driver may wait while this process gets no time.
 _DEPTH = 5000

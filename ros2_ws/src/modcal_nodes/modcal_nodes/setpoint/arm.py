@@ -7,16 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.safety_monitor import Limits
-from modcal_core.impedance.speed_governor import GovernorSettings
-from modcal_core.impedance.task import ImpedanceTask
-from modcal_core.impedance.wrench import Load, WrenchSensor
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
-from modcal_core.robots.urdf import read_chain
+from modcal_core.errors import BadRobot, BadTable
+from modcal_core.geometry import Array, se3
+from modcal_core.impedance import ArmEfforts, GovernorSettings, ImpedanceTask, Limits, Load, Operation, WrenchSensor
+from modcal_core.robots import Chain, chain_forward, read_chain, read_drives, read_inertias
 
 _SLOWS, _STANDS = 0.6, 0.95  # of the most force: what needs less than that is opened
 _LEAD, _LEAD_SHARE = 0.08, 1.3  # m by which the expected pose may lead; of what the most force takes of the impedance
@@ -137,7 +131,7 @@ def _fixed(urdf: str, chain: Chain, frame: str) -> Array:
         said = f"does not move with {chain.tip}: joints lie between them"
         raise BadTable(f"wrench_frame '{frame}'", said, "name a link that is fixed to the tool")
     q = np.zeros(chain.n)
-    return se3.inverse(forward(chain, q)) @ forward(other, q)
+    return se3.inverse(chain_forward(chain, q)) @ chain_forward(other, q)
 
 
 def _numbers(name: str, chosen: dict[str, Any], count: int) -> Array:
@@ -154,3 +148,77 @@ def _vector(name: str, chosen: dict[str, Any]) -> Array:
 def _three(name: str, chosen: dict[str, Any]) -> tuple[float, float, float]:
     a, b, c = _numbers(name, chosen, 3).tolist()
     return a, b, c
+
+
+# --- What is known of an arm's joints by which their efforts show a force; or why nothing tells
+
+
+@dataclass(frozen=True)
+class JointEfforts:
+    """arm: what is known, None where that is not enough. unknown: why not, as text."""
+
+    arm: ArmEfforts | None
+    unknown: str = ""
+
+    @classmethod
+    def of(cls, urdf: str, chain: Chain) -> JointEfforts:
+        """For the masses and efforts that a URDF states."""
+        try:
+            bodies, full = read_inertias(urdf, chain), read_drives(urdf, chain).torque
+        except BadRobot as error:  # what is nonsense can be pulled with, as what is not there
+            return cls(None, f"the robot description cannot be used ({error})")
+        if not bodies.mass.any():
+            return cls(None, "the robot description states no masses")
+        if not np.isfinite(full).all():
+            return cls(None, "the robot description does not state the effort of every joint")
+        return cls(ArmEfforts(chain, bodies, full))
+
+    def said(self, operation: Operation | None) -> str:
+        """The force [N] that they show at least in a pull, or why they show none; empty before it moves."""
+        if operation is None or operation.phase == "tare":
+            return ""
+        check = operation.tool_force.efforts
+        return (self.unknown or check.unusable) or f"{check.force:.1f}"
+
+
+# --- How soft the servos of an arm's joints may be, by which a force that is not felt is judged; or why nothing tells
+
+_FEW = 3  # joints of one effort are made alike; all of more than that, from shoulder to wrist, are a placeholder
+
+
+@dataclass(frozen=True)
+class JointSoftness:
+    """least (n,): stiffness that each joint's servo has at least [N m/rad], NaN where nothing tells. unknown: why not,
+    for a person; empty where the leads of joints are judged.
+    """
+
+    least: Array
+    unknown: str = ""
+
+    @classmethod
+    def of(cls, urdf: str, chain: Chain, max_lead: float, held: str = "") -> JointSoftness:
+        """For servos that lead by so much [rad] at most under the effort of a URDF.
+
+        held: why it is not joints that are held, as text, where that is known.
+        """
+        unknown = np.full(chain.n, np.nan)
+        if held or not max_lead > 0.0:
+            return cls(unknown, held or "max_joint_lead_rad is 0")
+        try:
+            torque = read_drives(urdf, chain).torque
+        except BadRobot as error:  # whose efforts are nonsense can be pulled with, as one that states none
+            return cls(unknown, f"the efforts of the robot description cannot be used ({error})")
+        stated = torque[chain.revolute & np.isfinite(torque)]
+        if not len(stated):
+            return cls(unknown, "the robot description states no effort of a joint")
+        if len(stated) > _FEW and np.ptp(stated) == 0.0:
+            return cls(unknown, f"the robot description states {stated[0]:g} N m for every joint, a placeholder")
+        return cls(np.where(chain.revolute, torque / max_lead, np.nan))
+
+    @property
+    def said(self) -> str:
+        """Which signals limit a force that the sensor hides, as text."""
+        if self.unknown:
+            return f"the lead of the tool alone ({self.unknown})"
+        least, most = np.nanmin(self.least), np.nanmax(self.least)
+        return f"the leads of tool and joints (servos of {least:.0f} to {most:.0f} N m/rad at least)"

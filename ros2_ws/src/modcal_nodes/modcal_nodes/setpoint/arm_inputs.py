@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,10 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
 from modcal_core.errors import BadCommand
-from modcal_core.geometry.so3 import Array
-from modcal_core.impedance.task import JointPositions
-from modcal_core.robots.kinematics import pose_and_jacobian
-from modcal_msgs_py.commands import JointInput, desired_pose
-from modcal_msgs_py.setpoints import wrench_numbers
-from modcal_msgs_py.stamps import seconds
+from modcal_core.geometry import Array
+from modcal_core.impedance import JointPositions
+from modcal_core.robots import pose_and_jacobian
+from modcal_msgs_py import JointInput, desired_pose, seconds, wrench_numbers
 from modcal_nodes.setpoint.arm import SensedArm
 
 
@@ -73,3 +72,32 @@ class ArmInputs:
         if not abs(now - self.sensor.stamp) <= timeout:
             raise BadCommand("wrench", "no message was received recently", "check that its publisher is alive")
         self.measured(now)
+
+
+# --- Which parameters of ``impedance_setpoint`` may change, and when: some at once, some between pulls, some never
+
+_AT_CONFIGURE = (
+    "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "timeout_s",
+    "rate_hz",
+)  # fmt: skip
+WHILE_PULLING = {
+    "speed_m_s", "exploration_speed_m_s", "slowdown_force_n", "slowdown_moment_nm", "stop_force_n", "stop_moment_nm",
+    "max_force_n", "max_moment_nm", "max_speed_m_s", "max_acceleration_m_s2", "max_angular_speed_rad_s",
+    "max_angular_acceleration_rad_s2", "max_displacement_m", "max_rotation_rad", "joint_speed_rad_s", "joint_speed_m_s",
+    "joint_acceleration_rad_s2", "joint_acceleration_m_s2", "min_gain", "contact_stiffness_n_m",
+    "arm_stiffness_n_m",
+}  # fmt: skip
+
+
+def require_changeable(new: Mapping[str, Any], now: Mapping[str, Any], configured: bool, pulls: bool) -> None:
+    """Raises BadCommand for a parameter among the new ones that would have no effect if it changed now.
+
+    now: the present ones. configured, pulls: the state of the node.
+    """
+    changed = [name for name, value in new.items() if value != now[name]]
+    fixed = [name for name in changed if name not in WHILE_PULLING]
+    if fixed and pulls:
+        raise BadCommand(f"parameter {fixed[0]}", "cannot change while it pulls", "call ~/stop first")
+    for name in changed:
+        if name in _AT_CONFIGURE and configured:
+            raise BadCommand(f"parameter {name}", "is read when the node is configured", "clean it up first")

@@ -6,9 +6,8 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.lifecycle import LifecycleNode
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from modcal_core.impedance.safety_monitor import ArmSetpoint
-from modcal_msgs_py.setpoints import fill_point, fill_target, fill_wrench
-from modcal_msgs_py.stamps import set_seconds
+from modcal_core.impedance import ArmSetpoint
+from modcal_msgs_py import fill_point, fill_target, fill_wrench, set_seconds
 
 
 class SetpointPublishers:

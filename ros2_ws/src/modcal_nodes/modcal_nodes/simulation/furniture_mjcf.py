@@ -6,11 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import STANDARD_GRAVITY
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.geometry import Array, se3
+from modcal_core.robots import STANDARD_GRAVITY, Chain, Inertias
 from modcal_nodes.simulation.furniture import FOLDS_AT, Furniture
 from modcal_nodes.simulation.mjcf import inertial, placed, quoted, text
 

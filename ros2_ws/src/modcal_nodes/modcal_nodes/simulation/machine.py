@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 from modcal_nodes.simulation.mjcf import NO_MASS, PAYLOAD
 
 _SETTLED = 1e-12  # rad or m, the last step of a spring that has found its balance

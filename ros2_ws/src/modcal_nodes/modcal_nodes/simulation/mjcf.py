@@ -6,11 +6,8 @@ from html import escape
 
 import numpy as np
 
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import STANDARD_GRAVITY
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.geometry import Array, so3
+from modcal_core.robots import STANDARD_GRAVITY, Chain, Inertias
 
 PAYLOAD = "payload"
 NO_MASS = 1e-9  # kg and kg m²; MuJoCo moves no body without either

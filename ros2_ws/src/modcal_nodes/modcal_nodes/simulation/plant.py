@@ -5,27 +5,132 @@ The node ``simulated_cell`` says it aloud as time goes by; ``modcal simulate`` w
 
 from __future__ import annotations
 
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.errors import BadTable, about
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.delta import Delta
-from modcal_core.robots.mechanism import Mechanism
-from modcal_core.robots.urdf import read_chain
-from modcal_core.robots.urdf_inertias import Inertias, read_inertias
-from modcal_nodes.io.inputs import read_delta
+from modcal_core.errors import BadTable, ModcalError, about
+from modcal_core.geometry import Array, so3
+from modcal_core.robots import Chain, Delta, Inertias, Mechanism, read_chain, read_inertias
+from modcal_nodes.io import read_delta
+from modcal_nodes.ros import OK, WARN, Status
 from modcal_nodes.simulation.delta_world import make_delta_world, require_drivable
 from modcal_nodes.simulation.machine import Machine, tracker_and_tool
-from modcal_nodes.simulation.program import Program, tour
-from modcal_nodes.simulation.switches import Switches
-from modcal_nodes.simulation.within_limits import within_limits
+from modcal_nodes.simulation.program import Program, tour, within_limits
 from modcal_nodes.simulation.world import World
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+# --- Effects of the simulated cell that are switched on and off while it runs
+
+AMBIENT = 20.0  # °C
+EXPANSION = 23e-6  # 1/K, aluminium
+_VECTORS = {"tool_bump_m": 1.0, "tool_turn_rad": math.pi, "tracker_move_m": 10.0}  # longest that is taken
+SWITCHES = (*_VECTORS, "payload_kg", "warm_up_link", "warm_up_m", "warm_up_s")
+
+
+@dataclass(frozen=True)
+class Growth:
+    """A link that tends to a length: ``target + (first − target) exp(−(t − since) / tau)`` [m]."""
+
+    since: float = 0.0
+    first: float = 0.0
+    target: float = 0.0
+    tau: float = 60.0
+
+    def at(self, t: float) -> float:
+        """How much longer the link is at a time [m]."""
+        return self.target + (self.first - self.target) * math.exp(-max(t - self.since, 0.0) / self.tau)
+
+
+class Switches:
+    """The present values of the switches, and what they do to a world."""
+
+    def __init__(self, world: Machine, chosen: dict[str, Any]) -> None:
+        """Begin with these values at time zero. Raises BadTable for one that cannot be."""
+        self._world = world
+        self._values = {name: chosen[name] for name in SWITCHES}
+        self._growth: dict[str, Growth] = {}
+        if (reason := self.refusal(self._values)) is not None:
+            raise BadTable("simulated cell", reason, "set another value")
+        for name, value in self._values.items():
+            self.set(name, value, 0.0)
+
+    def refusal(self, wanted: dict[str, Any]) -> str | None:
+        """Why these values cannot be taken together with the others as they are, or None."""
+        for name in _VECTORS.keys() & wanted.keys():
+            v = np.asarray(wanted[name], dtype=float)
+            if v.shape != (3,) or not np.isfinite(v).all():
+                return f"{name} takes three finite numbers"
+            if np.linalg.norm(v) > _VECTORS[name]:
+                return f"{name} is longer than {_VECTORS[name]:.4g}"
+        for name in ("payload_kg", "warm_up_m", "warm_up_s"):
+            if not math.isfinite(wanted.get(name, 0.0)):
+                return f"{name} takes a finite number"
+        both = {**self._values, **wanted}
+        if both["warm_up_m"] != 0.0 and not both["warm_up_link"]:
+            return "warm_up_link must name the link that warms up before warm_up_m is set"
+        if both["warm_up_link"]:
+            try:
+                self._world.length(both["warm_up_link"])
+            except ModcalError as error:
+                return f"warm_up_link: {error}"
+        return None
+
+    def value(self, name: str) -> Any:
+        """The present value of a switch."""
+        value = self._values[name]
+        return list(value) if name in _VECTORS else value
+
+    def set(self, name: str, value: Any, now: float) -> None:
+        """Take a value that :meth:`refusal` does not refuse, from this time [s] on."""
+        self._values[name] = value
+        if name == "payload_kg":
+            self._world.carry(value)
+        elif name in ("tool_bump_m", "tool_turn_rad"):
+            self._world.bump(self._values["tool_bump_m"], self._values["tool_turn_rad"])
+        elif name == "tracker_move_m":
+            self._world.move_tracker(value)
+        else:
+            self._warm(now)
+
+    def rebase(self, before: float, after: float) -> None:
+        """The time that was ``before`` is now called ``after``; nothing warms or cools by that."""
+        self._growth = {
+            link: Growth(after, growth.at(before), growth.target, growth.tau) for link, growth in self._growth.items()
+        }
+
+    def pass_to(self, now: float) -> None:
+        """Let the warm links of the world be as long as they are at a time [s]."""
+        for link, growth in self._growth.items():
+            self._world.grow(link, growth.at(now))
+
+    def temperature(self, now: float) -> tuple[str, float] | None:
+        """The link that ``warm_up_link`` names and how warm it is [°C]; None where it names none."""
+        link = self._values["warm_up_link"]
+        if not link:
+            return None
+        return link, AMBIENT + self._growth[link].at(now) / (EXPANSION * self._world.length(link))
+
+    def _warm(self, now: float) -> None:
+        """The named link tends to its growth; any other one cools."""
+        named, tau = self._values["warm_up_link"], self._values["warm_up_s"]
+        if named:
+            self._growth.setdefault(named, Growth())
+        self._growth = {
+            link: Growth(now, growth.at(now), self._values["warm_up_m"] if link == named else 0.0, tau)
+            for link, growth in self._growth.items()
+        }
+
 
 TRACKER = "tracker"  # the frame that it reports in
 TRACKER_PHASE = 2.0**0.5 - 1.0  # of a joint state's period: the same stamp would say that this is a finished station
@@ -211,3 +316,132 @@ def _compliance(given: ArrayLike, chain: Mechanism) -> Array:
         said = f"1 or {chain.n} numbers from 0 to 0.001 are understood"
         raise BadTable(f"joint_compliance_rad_per_nm {compliance.tolist()}", said, "set as many")
     return np.broadcast_to(compliance, (chain.n,))
+
+
+# --- When the simulated cell speaks: on a grid of times, whatever the machine does meanwhile
+
+NANO = 1_000_000_000
+
+
+class Grid:
+    """Times ``start + (k + phase) / rate`` [s], each of them handed out once."""
+
+    def __init__(self, rate: float, phase: float = 0.0) -> None:
+        self._rate, self._phase = rate, phase
+        self.count = 0
+        self.start(0.0)
+
+    def start(self, at: float) -> None:
+        """Start over at a time."""
+        self._start, self._k = at, 0
+
+    def take(self, until: float) -> Iterator[float]:
+        """The times up to ``until`` that have not been handed out yet."""
+        while (due := self._start + (self._k + self._phase) / self._rate) <= until:
+            self._k += 1
+            yield due
+            self.count += 1  # once it has been dealt with
+
+
+class CellTime:
+    """Seconds of the cell's own time; it speaks from zero on.
+
+    Either the time of the node's clock, or a simulated one that runs ``factor`` times as fast as the wall's and reads
+    ``first`` [s] in the beginning.
+    """
+
+    def __init__(self, node: Node, delay: float, simulated: bool, first: float = 0.0, factor: float = 1.0) -> None:
+        self._clock, self.delay, self.simulated, self._factor = node.get_clock(), delay, simulated, factor
+        self._base = round((first + delay) * NANO)
+        self._wall = time.monotonic()
+
+    def begin(self) -> bool:
+        """Start to count at ``-delay``; False while the node's clock has no time yet."""
+        self._wall = time.monotonic()
+        if not self.simulated:
+            now = int(self._clock.now().nanoseconds)
+            if now == 0:
+                return False
+            self._base = now + round(self.delay * NANO)
+        return True
+
+    def now(self) -> float:
+        """Seconds, below zero while the cell is still silent."""
+        if self.simulated:
+            return (time.monotonic() - self._wall) * self._factor - self.delay
+        return 1e-9 * (self._clock.now().nanoseconds - self._base)
+
+    def stamp(self, seconds: float) -> tuple[int, int]:
+        """Seconds and nanoseconds of the stamp of a time."""
+        return divmod(self._base + round(seconds * NANO), NANO)
+
+
+class Beat:
+    """Calls a function at a rate from a thread of its own: rclpy's executor spends more on a timer than the cell does.
+
+    The lock is held during each call.
+    """
+
+    def __init__(self, period: float, call: Callable[[], None], alive: Callable[[], bool] = lambda: True) -> None:
+        """call: guarded, so that what it raises is told. alive: asked after a failure; whether to go on."""
+        self._period, self._call, self._alive = period, call, alive
+        self.lock = threading.Lock()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="beat", daemon=True)
+
+    def start(self) -> None:
+        """Begin to call."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End it, and wait until it has ended."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._ended.is_set():
+            try:
+                with self.lock:
+                    self._call()
+            except Exception:
+                if self._alive():
+                    raise
+                return
+            # a beat that was missed is not made up for: the call sends all that is due
+            due = max(due + self._period, time.monotonic() - self._period)
+            time.sleep(max(due - time.monotonic(), 0.0))
+
+
+# --- How fast the simulated cell really speaks
+
+LATE = 0.1  # s of wall time that the cell may lag behind its own clock
+
+
+class Rates:
+    """Messages a second, counted from one report to the next, and how far the cell is behind."""
+
+    def __init__(self, grids: Mapping[str, Grid], factor: float) -> None:
+        self._grids, self._factor = grids, factor
+        self._since = time.monotonic()
+        self._counts = {name: grid.count for name, grid in grids.items()}
+        self.lag = 0.0  # s of wall time, the worst since the last report
+
+    def note(self, lag: float) -> None:
+        """Take notice that the cell is behind by so many seconds of its own time."""
+        self.lag = max(self.lag, lag / self._factor)
+
+    def status(self) -> Status:
+        """What was achieved since the last time."""
+        now = time.monotonic()
+        span = max(now - self._since, 1e-3)
+        counts = {name: grid.count for name, grid in self._grids.items()}
+        values: dict[str, object] = {
+            f"{name} [Hz]": f"{(counts[name] - self._counts[name]) / span:.1f}" for name in counts
+        }
+        values["lag [s]"] = f"{self.lag:.4f}"
+        late = self.lag > LATE
+        self._since, self._counts, self.lag = now, counts, 0.0
+        message = "behind its own clock: lower the rates or time_factor" if late else "publishes in time"
+        return Status("rates", WARN if late else OK, message, values)

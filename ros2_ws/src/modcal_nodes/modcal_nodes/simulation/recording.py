@@ -8,13 +8,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.recording import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
-from modcal_nodes.io.progress import Watch, silent
-from modcal_nodes.simulation.pace import Grid
-from modcal_nodes.simulation.plant import TRACKER, TRACKER_PHASE, Plant
-from modcal_nodes.simulation.switches import SWITCHES
+from modcal_core.geometry import Array, se3
+from modcal_core.measurements import POINT, POSE, JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_nodes.io import Watch, silent
+from modcal_nodes.simulation.plant import SWITCHES, TRACKER, TRACKER_PHASE, Grid, Plant
 
 _TEMPERATURE_RATE = 1.0  # Hz
 _MANY = 100  # moments between two words of how far it is

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from sensor_msgs.msg import JointState, Temperature
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 
 
 def stamp(

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_inertias import Inertias
+from modcal_core.geometry import Array, se3
+from modcal_core.robots import Chain, Inertias
 from modcal_nodes.simulation.machine import Machine
 from modcal_nodes.simulation.mjcf import body_name, mjcf
 

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from visualization_msgs.msg import Marker, MarkerArray
 
-from modcal_core.correction.correction import Correction
-from modcal_core.correction.picture import Residuals, enlarged_axes, joint_axes
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import forward
-from modcal_msgs_py.pictures import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_picture
+from modcal_core.correction import Correction, Residuals, enlarged_axes, joint_axes
+from modcal_core.geometry import Array
+from modcal_core.robots import Chain, chain_forward
+from modcal_msgs_py import Colour, arrows, caption, colour_of, dots, ellipsoids, fill_picture
 from modcal_nodes.viewing.stations import JudgedStations
 
 CALIBRATED, NOMINAL, SCALE = "calibrated", "nominal", "scale"
@@ -97,7 +95,7 @@ def stations_picture(correction: Correction, judged: JudgedStations | None) -> M
     model, chain = correction.model, correction.model.serial
     parts = []
     if len(correction.calibration.postures):
-        T = forward(chain, correction.calibration.postures) @ model.T_tip_tool
+        T = chain_forward(chain, correction.calibration.postures) @ model.T_tip_tool
         parts += dots(Marker, RECORDED, T[:, :3, 3], _GREY, 0.5 * _DOT)
     if judged is not None:
         at, rejected = judged.calibrated.expected, judged.calibrated.rejected
@@ -108,5 +106,5 @@ def stations_picture(correction: Correction, judged: JudgedStations | None) -> M
 
 def waiting_picture(chain: Chain, postures: Array) -> MarkerArray:
     """Where the nominal arm had its tip at stations that no calibration judges yet, postures (N, n)."""
-    parts = dots(Marker, WAITING, forward(chain, postures)[:, :3, 3], _YELLOW, _DOT) if len(postures) else []
+    parts = dots(Marker, WAITING, chain_forward(chain, postures)[:, :3, 3], _YELLOW, _DOT) if len(postures) else []
     return fill_picture(MarkerArray(), Marker, chain.base, parts)

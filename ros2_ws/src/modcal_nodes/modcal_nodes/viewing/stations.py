@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.correction.arm_state import ArmState
-from modcal_core.correction.correction import Correction
-from modcal_core.correction.picture import Residuals, arm_state_of, known_to, residuals
-from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.samples import Samples
-from modcal_core.online.estimator import joined
+from modcal_core.correction import ArmState, Correction, Residuals, arm_state_of, known_to, residuals
+from modcal_core.measurements import Samples, SignalTrack
+from modcal_core.online import joined
 
 _MIN_GAP = 0.2  # s between readings of an arm in motion that are kept
 

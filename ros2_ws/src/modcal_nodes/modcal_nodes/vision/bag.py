@@ -15,19 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.clean import MIN_CORNERS, enough_corners
-from modcal_core.camera.lens import Lens
-from modcal_core.camera.moments import ImageMoments
-from modcal_core.camera.target import PrintedTarget
-from modcal_core.camera.views import BoardView
+from modcal_core.camera import MIN_CORNERS, BoardView, ImageMoments, Lens, MarkerBundle, PrintedTarget, enough_corners
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.approach import Approach
-from modcal_core.measurements.recording import Listed, Recording
-from modcal_core.measurements.thinning import spread_rows
-from modcal_msgs_py.corners import read_corners
-from modcal_msgs_py.images import (
+from modcal_core.geometry import Array
+from modcal_core.measurements import Approach, Listed, Recording, spread_rows
+from modcal_msgs_py import (
     CLOUD,
     TAGS,
     RawImage,
@@ -36,16 +28,17 @@ from modcal_msgs_py.images import (
     info_topic,
     lens_data,
     raw_image,
+    read_corners,
     read_messages,
     size_of,
     stamp_of,
     stamps_of,
     tag_topics,
 )
-from modcal_nodes.vision.detect import Detection
+from modcal_nodes.vision.body import require_tags, tag_view
+from modcal_nodes.vision.detection import Detection
 from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import ImageFolder, lens_from_data, look_for
-from modcal_nodes.vision.tags import require_tags, tag_view
 
 _MAX = 200  # images that are looked at
 _STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre

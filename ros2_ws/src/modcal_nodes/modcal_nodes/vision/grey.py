@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from modcal_msgs_py.images import RawImage
+from modcal_msgs_py import RawImage
 from modcal_nodes.vision.images import grey_of_file, in_eight_bits, is_mosaic
 
 _COLOURS = {

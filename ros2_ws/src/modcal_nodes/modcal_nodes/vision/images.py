@@ -13,16 +13,22 @@ from typing import Any
 import cv2
 import numpy as np
 
-from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
-from modcal_core.camera.moments import NOTHING_KNOWN, ImageMoments
-from modcal_core.camera.target import PrintedTarget
-from modcal_core.camera.views import BoardView
+from modcal_core.camera import (
+    DISTORTIONS,
+    FISHEYE,
+    NOTHING_KNOWN,
+    PINHOLE,
+    BoardView,
+    ImageMoments,
+    Lens,
+    MarkerBundle,
+    PrintedTarget,
+)
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.files import parse_yaml
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_nodes.vision.body import detect_body
-from modcal_nodes.vision.detect import Detection, detect
+from modcal_nodes.vision.detection import Detection, detect
 
 SCALED = "Images of 16 bits a channel were scaled to 8, each from its own black to its own white."
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")

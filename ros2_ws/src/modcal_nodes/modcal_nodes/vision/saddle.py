@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from modcal_core.camera.homography import homography
-from modcal_core.camera.target import CHARUCO, PrintedTarget
-from modcal_core.geometry.so3 import Array
+from modcal_core.camera import CHARUCO, PrintedTarget, homography
+from modcal_core.geometry import Array
 
 _PERSPECTIVE = 6  # corners, of which two are left to say that a perspective through four of them is none
 _NEARLY_FLAT = 0.2  # nearest over farthest corner of a board: one that fills the image and is tilted by 60° has 0.3

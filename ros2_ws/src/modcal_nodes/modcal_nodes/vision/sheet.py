@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from fpdf import FPDF
 
-from modcal_core.camera.target import ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
+from modcal_core.camera import ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
 from modcal_core.errors import BadTable
-from modcal_nodes.vision.detect import charuco_board, dictionary
+from modcal_nodes.vision.detection import charuco_board, dictionary
 
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "letter": (215.9, 279.4), "A2": (420.0, 594.0)}  # mm
 _MARGIN = 6.0  # mm that printers leave blank

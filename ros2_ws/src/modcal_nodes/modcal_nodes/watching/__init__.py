@@ -1,1 +1,13 @@
 """Parts of ``modcal watch``: what it has received, what it listens to, and how that is shown."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_nodes.watching.listener import Listener
+    from modcal_nodes.watching.snapshot import Changes, Heard, table
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["Changes", "Heard", "Listener", "table"]

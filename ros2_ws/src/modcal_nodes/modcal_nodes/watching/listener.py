@@ -15,8 +15,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 
-from modcal_msgs_py.stamps import seconds
-from modcal_nodes.ros.running import FRESH, LATCHED
+from modcal_msgs_py import seconds
+from modcal_nodes.ros import FRESH, LATCHED
 from modcal_nodes.watching.snapshot import ESTIMATE, NUMBERS, POSE, TEXTS, Heard
 
 _QUEUE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)

@@ -27,14 +27,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from modcal_core.articulation.guesses import KEEP, best_of, frame, middle_rotation
+from modcal_core.articulation.joint_motion import (
+    EYE,
+    KEEP,
+    Motion,
+    best_of,
+    frame,
+    log_and_jacobian,
+    middle_rotation,
+    quick_log,
+)
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.model import ArticulationModel
-from modcal_core.articulation.motion import EYE, Motion, log_and_jacobian, quick_log
 from modcal_core.articulation.track import Track
-from modcal_core.geometry import so3
-from modcal_core.geometry.single import posed, rotation_vector, turned
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, posed, rotation_vector, so3, turned
 
 
 class AxisModel(ArticulationModel):

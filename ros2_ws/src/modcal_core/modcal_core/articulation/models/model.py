@@ -14,7 +14,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from modcal_core.articulation.motion import Motion
+from modcal_core.articulation.joint_motion import Motion
 from modcal_core.articulation.track import Track
 
 Kind: TypeAlias = str  # name of a joint type

@@ -18,10 +18,10 @@ from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models import prismatic, revolute, rigid, screw
 from modcal_core.articulation.models.axis import AxisModel
 from modcal_core.articulation.models.model import ArticulationModel, Kind
-from modcal_core.articulation.models.shape import REMEDY, PathShape
+from modcal_core.articulation.models.parametric import REMEDY, PathShape
 from modcal_core.errors import BadRobot, BadTable
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.packages import added
+from modcal_core.geometry import Array
+from modcal_core.measurements import added
 
 GROUP = "modcal.articulation"
 AXES: Mapping[Kind, AxisModel] = {m.name: m for m in (rigid.MODEL, prismatic.MODEL, revolute.MODEL, screw.MODEL)}

@@ -11,17 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.guesses import best_of, far_apart, few, some_three
+from modcal_core.articulation.joint_motion import Motion, best_of, far_apart, few, scaled, some_three
 from modcal_core.articulation.joints import JointModel, followed, placed, span, wrapped
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion, robust
 from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.models.prismatic import line
-from modcal_core.articulation.motion import Motion, scaled
 from modcal_core.articulation.scene import LOG_2PI
 from modcal_core.articulation.track import Track
-from modcal_core.geometry import so3
-from modcal_core.geometry.single import crossed, rotation_vector, turned
-from modcal_core.geometry.so3 import HAT, Array
+from modcal_core.geometry import HAT, Array, crossed, rotation_vector, so3, turned
 
 RADIUS = (2e-3, 200.0)  # m; beyond, a circle cannot be told from a turn on the spot, or from a line
 # How far a turn weighs against a shift where one configuration must satisfy both: a hand is about this long.

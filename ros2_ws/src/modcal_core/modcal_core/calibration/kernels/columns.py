@@ -19,8 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from modcal_core.calibration.kernels.sweeps import PostureBlock
-from modcal_core.geometry import so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, so3
 
 _SLIDES = [0, 1, 2, 5]  # directions that a sliding joint lets through
 _THREE = np.arange(3)

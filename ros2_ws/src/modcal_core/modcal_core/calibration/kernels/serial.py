@@ -1,7 +1,7 @@
 """Equations of a serial arm without effects that is watched by points or by poses: quick, block by block.
 
-The plain version is :func:`~modcal_core.calibration.linearise.linearise` with
-:func:`~modcal_core.calibration.normal_equations.normal_equations`. What makes this one quick:
+The plain version is :func:`~modcal_core.calibration.linearisation.linearise` with
+:func:`~modcal_core.calibration.equations.normal_equations`. What makes this one quick:
 
 * turns of the joints are computed once, as complex numbers, for they do not change with the values (see :mod:`turns`);
 * residual and gradient come from two sweeps along the chain (see :mod:`sweeps`), without a Jacobian;
@@ -28,14 +28,13 @@ from modcal_core.calibration.kernels.sweeps import (
     tool_in_places,
     wrench_on_tool,
 )
-from modcal_core.calibration.linearise import Linearised
+from modcal_core.calibration.linearisation import Linearised
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.kinds.registry import is_direct
-from modcal_core.measurements.samples import Samples
-from modcal_core.robots.mechanism import is_serial_arm
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import is_direct
+from modcal_core.robots import is_serial_arm
 
 BLOCK = 4096  # samples in a sweep
 COLUMNS = 2048  # samples whose columns are made at once; they fit the cache of one core
@@ -56,7 +55,7 @@ def is_serial(model: Model, samples: Samples, parameters: Sequence[ModelParamete
 
 
 class SerialSystem:
-    """The equations of :class:`~modcal_core.calibration.system.System` for one serial arm."""
+    """The equations of :class:`~modcal_core.calibration.equations.System` for one serial arm."""
 
     quick_gradient = True
 

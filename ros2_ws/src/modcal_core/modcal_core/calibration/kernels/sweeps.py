@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration.kernels.turns import Complex, from_left, quaternions
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import Family
-from modcal_core.effects.observable import moving_joints
+from modcal_core.effects.family import Family, ReportEntry
+from modcal_core.effects.registry import moving_joints
 from modcal_core.effects.shapes import Shape
 
 NAME = "axis_wobble"

@@ -8,12 +8,11 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import Family, complexity_of_joint
-from modcal_core.effects.observable import both_signs, loads
+from modcal_core.effects.family import Family, ReportEntry, complexity_of_joint
+from modcal_core.effects.registry import both_signs, loads
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, unit_of, value
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots import Mechanism
 
 NAME = "backlash"
 _UNDECIDED = 0.05  # of the usual load, below which its sign is not sure

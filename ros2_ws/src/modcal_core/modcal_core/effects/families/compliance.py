@@ -13,12 +13,11 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, AXIS, Effect
-from modcal_core.effects.entry import ReportEntry, in_words
-from modcal_core.effects.family import Family, complexity_of_joint
-from modcal_core.effects.observable import carried_signals, loads, varies
+from modcal_core.effects.family import Family, ReportEntry, complexity_of_joint, in_words
+from modcal_core.effects.registry import carried_signals, loads, varies
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, unit_of, value
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots import Mechanism
 
 NAME = "compliance"
 _NO_SPRING = (

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.entry import over_time
-from modcal_core.effects.family import Family
-from modcal_core.effects.observable import base_and_tool, growing, span, warm_ups
+from modcal_core.effects.family import Family, over_time
+from modcal_core.effects.registry import base_and_tool, growing, span, warm_ups
 from modcal_core.effects.shapes import Shape
 
 NAME = "drift"

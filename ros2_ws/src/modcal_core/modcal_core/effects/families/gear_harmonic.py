@@ -13,11 +13,10 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry, in_words
-from modcal_core.effects.family import USUAL, Family, complexity_of_joint
-from modcal_core.effects.observable import moving_joints
+from modcal_core.effects.family import USUAL, Family, ReportEntry, complexity_of_joint, in_words
+from modcal_core.effects.registry import moving_joints
 from modcal_core.effects.shapes import WHOLE_CYCLES, Shape
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 
 NAME = "gear_harmonic"
 MAX_CYCLES = 400.0  # a turn: twice a ratio of 200

@@ -10,12 +10,11 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import Family, complexity_of_joint
-from modcal_core.effects.observable import followed, in_motion, moving_joints
+from modcal_core.effects.family import Family, ReportEntry, complexity_of_joint
+from modcal_core.effects.registry import followed, in_motion, moving_joints
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, value
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots import Mechanism
 
 NAME = "joint_lag"
 _BY_COMMAND = "following:"

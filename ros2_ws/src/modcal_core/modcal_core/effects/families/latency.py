@@ -6,12 +6,11 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import JOINTS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import Family
-from modcal_core.effects.observable import in_motion
+from modcal_core.effects.family import Family, ReportEntry
+from modcal_core.effects.registry import in_motion
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, value
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots import Mechanism
 
 NAME = "latency"
 

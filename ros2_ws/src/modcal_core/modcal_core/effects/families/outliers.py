@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import Family, no_candidates
+from modcal_core.effects.family import Family, ReportEntry, no_candidates
 
 NAME = "outliers"
 

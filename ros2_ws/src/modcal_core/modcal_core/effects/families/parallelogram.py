@@ -8,13 +8,11 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import PAIRS, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import PLAIN, Family
+from modcal_core.effects.family import PLAIN, Family, ReportEntry
 from modcal_core.effects.shapes import Setting, Settings, Shape, ShapeKind
 from modcal_core.effects.sizes import Sizes, settings_of, value
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.delta import ARMS
-from modcal_core.robots.mechanism import Mechanism, is_delta
+from modcal_core.geometry import Array
+from modcal_core.robots import ARMS, Mechanism, is_delta
 
 NAME = "parallelogram"
 _RADIUS = 0.05  # m; by how much a platform's radius may be other than stated, or than nothing

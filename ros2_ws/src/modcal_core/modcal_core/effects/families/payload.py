@@ -12,14 +12,13 @@ import numpy as np
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry
 from modcal_core.effects.families import compliance
-from modcal_core.effects.family import Family
-from modcal_core.effects.observable import breaks, loads, varies
+from modcal_core.effects.family import Family, ReportEntry
+from modcal_core.effects.registry import breaks, loads, varies
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, settings_of, value
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.geometry import Array
+from modcal_core.robots import Mechanism
 
 NAME = "payload"
 BREAKS_NEARBY = 12  # times between stations that are tried, where it is known about when the mass came

@@ -13,7 +13,7 @@ import numpy as np
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
 from modcal_core.effects.family import FREE, Family, no_candidates
-from modcal_core.effects.observable import both_signs, moving_joints
+from modcal_core.effects.registry import both_signs, moving_joints
 from modcal_core.effects.shapes import Shape
 
 NAME = "residual"

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import RADIAL, Effect
-from modcal_core.effects.entry import ReportEntry
-from modcal_core.effects.family import Family
+from modcal_core.effects.family import Family, ReportEntry
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, value
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.robots import Mechanism
 
 NAME = "scale"
 

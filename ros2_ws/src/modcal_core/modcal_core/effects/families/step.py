@@ -9,12 +9,10 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.entry import ReportEntry, over_time
-from modcal_core.effects.family import Family
-from modcal_core.effects.observable import base_and_tool, breaks
+from modcal_core.effects.family import Family, ReportEntry, over_time
+from modcal_core.effects.registry import base_and_tool, breaks
 from modcal_core.effects.shapes import Shape
-from modcal_core.measurements.posture_order import joints_instead
-from modcal_core.measurements.samples import Samples
+from modcal_core.measurements import Samples, joints_instead
 
 NAME = "step"
 _BY_POSITION = " by position:"

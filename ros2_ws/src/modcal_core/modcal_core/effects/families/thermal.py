@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import Effect
-from modcal_core.effects.entry import over_time
-from modcal_core.effects.family import PLAIN, Family, complexity_of_shape
-from modcal_core.effects.observable import growing, signals, warm_ups
+from modcal_core.effects.family import PLAIN, Family, complexity_of_shape, over_time
+from modcal_core.effects.registry import growing, signals, warm_ups
 from modcal_core.effects.shapes import Shape
 
 NAME = "thermal"

@@ -12,7 +12,7 @@ import numpy as np
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
 from modcal_core.effects.family import FREE, Family
-from modcal_core.effects.observable import base_and_tool, followed, moving_joints, signals
+from modcal_core.effects.registry import base_and_tool, followed, moving_joints, signals
 from modcal_core.effects.shapes import Shape
 
 NAME = "unknown"

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.geometry import se3, so3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements.kinds.kind import Kind, Scene, Sight
 from modcal_core.measurements.recording import BEARING, POINT, ReadingTrack
 

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 from modcal_core.measurements.kinds.kind import ORIGIN, Constant, Kind, Scene, Sight, farthest, millimetres
 from modcal_core.measurements.recording import RANGE, ReadingTrack
 

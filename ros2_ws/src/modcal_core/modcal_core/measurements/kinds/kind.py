@@ -17,8 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 from modcal_core.measurements.recording import ReadingTrack
 
 MESSAGES = (  # types of messages whose numbers can be readings

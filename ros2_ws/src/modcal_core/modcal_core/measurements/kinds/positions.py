@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.kind import Kind, farthest
 from modcal_core.measurements.recording import POINT, POSE, ReadingTrack
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.kind import (
     PLANE,
     Constant,

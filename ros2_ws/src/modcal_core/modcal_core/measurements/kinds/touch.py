@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.measurements.kinds.kind import PLANE, Kind, Scene, Sight, frame_on_plane, millimetres, plane_of
 from modcal_core.measurements.recording import TOUCH, ReadingTrack
 

@@ -1,0 +1,294 @@
+"""How well a calibrated model is known: one covariance of its geometry and its effects together.
+
+Amplitudes of effects and constants of the arm share what the data says (a sag that grows with load is half a joint
+zero), so their variances alone would say too much or too little of a predicted pose. The values are small deviations
+about the calibrated model *as it is written*, after its gauge has been chosen, so that no second model is needed to
+read them.
+
+A direction counts as observed when the data alone fixes it better than the prior does, that is better than 10 mm or
+20 mrad. With every parameter measured in units of its prior deviation, the eigenvalues of the data's information are
+(prior deviation / data deviation)², so the line is drawn at one.
+
+With θ the values taken away and C the covariance of all, the rest moves by C_re C_ee⁻¹ θ: there the quadratic about the
+minimum is least among the models without them.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from modcal_core.calibration.distances import AnyDistance, distance_rows
+from modcal_core.calibration.equations import blocks_at, normal_equations
+from modcal_core.calibration.fit import Fit, inverse_of_triangle
+from modcal_core.calibration.linearisation import RowView, apply_deviations, deviations, effect_rows, linearise
+from modcal_core.calibration.model import Model
+from modcal_core.calibration.noise import has_shared_noise, row_weights, shared_noise
+from modcal_core.calibration.parameters import ModelParameter
+from modcal_core.calibration.prediction import outside_drivers
+from modcal_core.effects import Drivers, Effect, all_columns, is_large_move, motion, prior_stds
+from modcal_core.geometry import Array, so3
+from modcal_core.measurements import POINT, Samples
+from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.robots import is_serial_arm, tool_frames
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of deviations from a model.
+
+    parameters: P of the geometry, each one direction at one place (see :mod:`modcal_core.calibration.parameters`), zero
+    at the model itself. covariance: (K, K), of the parameters [m, rad], then of the values of the model's effects in
+    their order.
+    """
+
+    parameters: tuple[ModelParameter, ...]
+    covariance: Array
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, (K,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def uncertainty(
+    model: Model,
+    samples: Samples,
+    parameters: Sequence[ModelParameter],
+    fit: Fit,
+    distances: Sequence[AnyDistance] = (),
+) -> Uncertainty:
+    """The uncertainty of these parameters about a model, and of its effects, as these samples leave it.
+
+    fit: of the same samples, whose weights and noise count. It is the inverse of JᵀWJ with the priors added.
+    """
+    P = len(parameters)
+    values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
+    around = model.drivers(samples)
+    prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, around) for e in model.effects)])
+    weight = row_weights(fit.weights, fit.noise, samples)
+    H, _ = normal_equations(model, parameters, values, samples, weight, blocks_at(samples, around))
+    if has_shared_noise(samples):
+        left = linearise(model, parameters, values, samples, jacobian=False, drivers=around)
+        H /= shared_noise(samples, left, weight)
+    if distances:
+        rows = distance_rows(model, parameters, values, distances)
+        H += (rows.J / rows.std**2) @ rows.J.T
+    H += np.diag(prior**-2.0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    H = H * np.outer(scale, scale)
+    lower, singular = scipy.linalg.lapack.dpotrf(H.T, lower=1, clean=0)
+    if singular:  # to rounding
+        inverse = np.asarray(np.linalg.pinv(H, rcond=1e-12, hermitian=True), dtype=float)
+        covariance = inverse * np.outer(scale, scale)
+        return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
+    half = inverse_of_triangle(lower) * scale
+    return Uncertainty(tuple(parameters), half.T @ half)
+
+
+# --- What the data can tell: rank, condition, and by name the combinations that it leaves open
+
+_NAMED = 0.3  # share of a direction (of unit length) above which a parameter is named as part of it
+_FEW_NAMED = 3  # parameters that are named where none is that large
+_WEAK = 0.2  # of the prior's deviation, above which a combination that is seen counts as hardly seen
+_MAX_WEAK = 5  # named in one report
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """parameters: how many were fitted. rank: how many combinations the data shows. condition: ratio of the largest to
+    the smallest singular value of the observed part, columns scaled to unit length. unobservable: the rest, by name.
+    deviations: of every combination its deviation by the data alone, in deviations of the prior, the best known first.
+    weak: those that are observed, but hardly: their names and spreads, the weakest first.
+    """
+
+    parameters: int
+    rank: int
+    condition: float
+    unobservable: tuple[str, ...]
+    deviations: tuple[float, ...] = ()
+    weak: tuple[tuple[str, float], ...] = ()
+
+
+def identifiability(fit: Fit) -> Identifiability:
+    """Rank, condition and unobservable combinations of a fit."""
+    prior = np.array([p.expected if np.isfinite(p.expected) else 1.0 for p in fit.parameters])
+    value, vector = np.linalg.eigh(fit.information * np.outer(prior, prior))
+    seen = value >= 1.0
+    rank = int(seen.sum())
+    names = [_name(v, fit) for v in vector[:, ~seen].T]
+    deviations = 1.0 / np.sqrt(np.maximum(value, 1e-300))
+    hardly = [k for k in np.flatnonzero(seen) if deviations[k] > _WEAK][:_MAX_WEAK]
+    weak = tuple((_name(vector[:, k], fit), float(deviations[k])) for k in hardly)
+    size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
+    scaled = np.linalg.eigvalsh(fit.information / np.outer(size, size))[len(prior) - rank :]
+    condition = float(np.sqrt(scaled[-1] / max(scaled[0], 1e-300))) if rank else float("inf")
+    known = tuple(float(x) for x in deviations[::-1])
+    return Identifiability(len(prior), rank, condition, tuple(dict.fromkeys(names)), known, weak)
+
+
+def _name(direction: Array, fit: Fit) -> str:
+    """The parameters that a direction (P,) mostly consists of."""
+    parts = sorted(((abs(x), p.name) for x, p in zip(direction, fit.parameters, strict=True)), reverse=True)
+    # where many parameters share a direction, none of them is a large part of it
+    large = [name for size, name in parts if size >= _NAMED] or [name for _, name in parts[:_FEW_NAMED]]
+    return " with ".join(large)
+
+
+# --- A model without some of its effects, everything else fitted again: by one step in closed form
+
+
+def without(model: Model, known: Uncertainty, gone: Sequence[int]) -> Model:
+    """The model without the effects of these numbers. known: covariance of its parameters and effects' values."""
+    if not len(gone):
+        return model
+    values, kept = values_without(model, known, gone)
+    return apply_deviations(model, deviations(model, known.parameters, values)).with_effects(kept)
+
+
+def values_without(model: Model, known: Uncertainty, gone: Sequence[int]) -> tuple[Array, tuple[Effect, ...]]:
+    """By how much the parameters move, (P,) [m, rad], and the effects that are left, where those go."""
+    P, effects = len(known.parameters), model.effects
+    if any(is_large_move(effects[i]) for i in gone):  # no small step of the others stands in for it
+        return np.zeros(P), tuple(e for i, e in enumerate(effects) if i not in set(gone))
+    ends = P + np.cumsum([0, *(len(e.values) for e in effects)])
+    values = np.concatenate([np.zeros(P), *(e.values for e in effects)])
+    # their settings mean nothing without their amplitudes
+    own = np.concatenate([np.arange(ends[i], ends[i] + len(effects[i].amplitudes)) for i in gone])
+    C = known.covariance
+    step = -C[:, own] @ np.linalg.lstsq(C[np.ix_(own, own)], values[own], rcond=1e-12)[0]
+    values = values + step
+    kept = [e.with_values(values[ends[i] : ends[i + 1]], e.std) for i, e in enumerate(effects) if i not in set(gone)]
+    return values[:P], tuple(kept)
+
+
+# --- How well a full model knows itself at a posture, beside what geometry alone leaves
+
+# Of the squares that geometry alone leaves: what a covariance says of a model is too little by several times where
+# the model is not quite right, so that at a fifth in RMS the better of the two is no longer known.
+# A judgement, made on parts of one real UR10's series. On 180 parts of other arms and recordings, it is worse than
+# geometry alone in three (bench/outside.py).
+UNSURE = 0.05
+_CHUNK = 500  # samples, for memory
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """model: calibrated, in its own frames. known: its uncertainty. alone: squared error [m²] of geometry alone."""
+
+    model: Model
+    known: Uncertainty
+    alone: float
+
+    def share(self, samples: Samples, drivers: Drivers | None = None) -> Array:
+        """How much geometry alone should count for that reason at these samples, in [0, 1], (N,).
+
+        drivers: of the samples and of this model's arm, where they are known already.
+        """
+        of = np.array([self.model.frames.index(f) if f in self.model.frames else 0 for f in samples.frames])
+        N = len(samples)
+        if drivers is not None and self._told.places is not None and N <= _CHUNK:
+            return self._doubted(self._variance(self._moved(samples, of[samples.frame], drivers)))
+        seen = replace(
+            samples, frames=self.model.frames, frame=of[samples.frame], sockets=(),
+            kind=np.full(N, POINT, dtype=KIND_NAMES), reading=np.zeros((N, 3)),
+        )  # fmt: skip
+        rows = [slice(k, min(k + _CHUNK, N)) for k in range(0, N, _CHUNK)]
+        parts = [self._variance(self._rows(seen if len(rows) == 1 else seen.select(chunk))) for chunk in rows]
+        return self._doubted(np.concatenate([np.zeros(0), *parts]))
+
+    def _doubted(self, variance: Array) -> Array:
+        """What share of geometry alone a variance of predicted positions (N,) [m²] calls for."""
+        u = np.clip(variance / (UNSURE * self.alone), 0.0, 1.0)
+        return np.asarray(u * u * (3.0 - 2.0 * u))
+
+    def _variance(self, J: Array) -> Array:
+        """Variance (N,) [m²] of predicted positions, from their derivatives J and what postures alone determine.
+
+        The uncertainty of a free curve outside its samples does not count: geometry alone lacks the curve as well.
+        """
+        of = self._told
+        return np.minimum(_spread(J, of.covariance), _spread(J[of.stated], of.covariance_stated))
+
+    def _rows(self, samples: Samples) -> Array:
+        """d(position)/d(value), (K, 3 N): those of ``linearise`` at the model's own values."""
+        of, N = self._told, len(samples)
+        if of.places is None:
+            return linearise(of.model, of.parameters, of.values, samples).J[:, : 3 * N]
+        return self._moved(samples, samples.frame, of.model.drivers(samples))
+
+    def _moved(self, samples: Samples, frame: np.ndarray, at: Drivers) -> Array:
+        """The same of samples whose readings and orientations do not count. frame: each one's in the model, (N,)."""
+        # one posture a hundred times a second: all directions at once, of a model that need not be made anew
+        of, N = self._told, len(samples)
+        assert of.places is not None
+        twists, _ = motion(of.model.effects, at)
+        f = tool_frames(of.model.chain, of.model.T_tip_tool, samples.q, twists)
+        view = RowView(samples, np.empty(0, int), f, np.zeros((3, N)), np.zeros((3, 0)), np.zeros((3, N)))
+        axis = view.f.axes[of.places, of.directions % 3].transpose(1, 0, 2)  # (3, parameters, N)
+        arm = (view.f.p[-1] - view.f.p[of.places]).transpose(1, 0, 2)
+        moved = np.where(of.directions[:, None] < 3, axis, so3.cross(axis, arm)) * of.frames[:, frame]
+        J, P = np.empty((len(of.values), 3 * N)), len(of.places)
+        J[:P] = moved.transpose(1, 0, 2).reshape(P, 3 * N)
+        if len(J) > P:
+            effect_rows(view, all_columns(of.model.effects, at), out=J[P:])
+        return J
+
+    @functools.cached_property
+    def _told(self) -> _Told:
+        """The part of model and uncertainty that postures alone tell: the same for every posture."""
+        parameters, effects = self.known.parameters, self.model.effects
+        kept = [k for k, p in enumerate(parameters) if p.instrument < 0]
+        rows = list(kept)
+        first, told = len(parameters), []
+        for effect in effects:
+            if not outside_drivers(effect):
+                told.append(effect)
+                rows += range(first, first + len(effect.values))
+            first += len(effect.values)
+        C = self.known.covariance[np.ix_(rows, rows)]
+        F, led = len(self.model.frames), self.model.frames_led_by
+        free = np.concatenate([np.zeros(len(kept), bool), *(np.full(len(e.values), e.shape.is_free) for e in told)])
+        stated = np.flatnonzero(~free)
+        own = [parameters[k] for k in kept]
+        simple = is_serial_arm(self.model.chain) and all(p.place >= 0 and p.direction < 6 for p in own)
+        return _Told(
+            model=replace(self.model.with_effects(tuple(told)), instruments=()),
+            parameters=own,
+            places=np.array([p.place for p in own], int) if simple else None,
+            directions=np.array([p.direction for p in own], int),
+            frames=np.array([[p.place > 0 or f in led(p.frame) for f in range(F)] for p in own]).reshape(-1, F),
+            values=np.concatenate([np.zeros(len(kept)), *(e.values for e in told)]),
+            covariance=C,
+            stated=stated,
+            covariance_stated=C[np.ix_(stated, stated)],
+        )
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A model whose parameters and effects postures alone drive, and their covariance.
+
+    values: of parameters and effects, (K,). places, directions: of the parameters; None: some move the tool otherwise
+    than as a twist at a place. frames: whether each matters in each of the model's frames. covariance: (K, K). stated:
+    which of them belong to no free curve, and covariance_stated: theirs.
+    """
+
+    model: Model
+    parameters: list[ModelParameter]
+    values: Array
+    places: np.ndarray | None
+    directions: np.ndarray
+    frames: np.ndarray
+    covariance: Array
+    stated: np.ndarray
+    covariance_stated: Array
+
+
+def _spread(J: Array, C: Array) -> Array:
+    """Trace of J C Jᵀ of each sample, (N,), with J (K, 3 N)."""
+    return np.asarray(np.einsum("kr,kr->r", J, C @ J).reshape(3, -1).sum(axis=0))

@@ -1,0 +1,229 @@
+"""What is shipped: the model fitted once more, to every accepted sample, and what is known of it.
+
+Both models are fitted to the inner postures, as far as curves depend on their joints, and judged on the outer fifth.
+They are linear in small deviations, so leaving out is a step in closed form: with A the curvature of the whole fit,
+prior included, and J, r the weighted derivatives and residuals of what is left out, it moves the values by
+−(A − JJᵀ)⁻¹Jr. Where the full model then hardly knows itself, it is doubted for that (:mod:`doubt`), and not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.covariance import UNSURE, uncertainty
+from modcal_core.calibration.distances import AnyDistance, distance_rows
+from modcal_core.calibration.fit import FITTED, Fit, identify, identify_moved
+from modcal_core.calibration.linearisation import linearise
+from modcal_core.calibration.model import Model, curved_joints
+from modcal_core.calibration.noise import row_weights
+from modcal_core.calibration.parameters import ModelParameter, least_change
+from modcal_core.calibration.prediction import driver_ranges, typical_sizes
+from modcal_core.calibration.score import errors, typical_scatter
+from modcal_core.calibration.store import Calibration, parameter_table
+from modcal_core.calibration.structure import ParameterChoice
+from modcal_core.effects import Effect, is_move, prior_stds
+from modcal_core.errors import BadRecording
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, marks_of, spread_rows
+from modcal_core.robots import Inertias, Mechanism
+
+# --- When exactly something happened: the moment of a step, sharpened by samples that the search for it did not use
+
+_AROUND = 12  # stations on either side of a step that are tried
+
+
+def sharpened(model: Model, samples: Samples) -> Model:
+    """The model with the moment of every step, and of every load that came, put between the stations that fit best."""
+    effects = model.effects
+    for i, effect in enumerate(effects):
+        if effect.shape.kind in ("step", "until", "since"):
+            effects = (*effects[:i], _sharpened(model, effects, i, samples), *effects[i + 1 :])
+    return model if effects is model.effects else model.with_effects(effects)
+
+
+def _sharpened(model: Model, effects: tuple[Effect, ...], i: int, samples: Samples) -> Effect:
+    stamps = np.unique(samples.stamps)
+    here = int(np.searchsorted(stamps, effects[i].shape.settings["at"]))
+    gaps = [k for k in range(here - _AROUND, here + _AROUND + 1) if 0 < k < len(stamps)]
+    near = samples.select(
+        (samples.stamps >= stamps[max(gaps[0] - 1, 0)]) & (samples.stamps <= stamps[min(gaps[-1], len(stamps) - 1)])
+    )
+    lever = model.chain.reach()  # what a turn is worth, where it moves nothing
+    best, least = effects[i], np.inf
+    for k in sorted(gaps, key=lambda k: abs(k - here)):
+        shape = effects[i].shape.with_settings({"at": float(0.5 * (stamps[k - 1] + stamps[k]))})
+        moved = replace(effects[i], shape=shape)
+        e = errors(model.with_effects((*effects[:i], moved, *effects[i + 1 :])), near)
+        cost = float(np.sum(e.position_norm**2)) + lever**2 * float(np.sum(e.rotation_norm**2))
+        if cost < least * (1.0 - 1e-9):
+            best, least = moved, cost
+    return best
+
+
+# --- Whether geometry alone is the better model outside what was seen
+
+_OUTER = 0.2  # share of the postures, as much as is held out of a usual recording
+_MIN_JUDGED = 12  # samples; fewer say nothing
+_MAX = 1500  # samples, for time
+_DRAWN_IN = 25.0  # of the median square, so that no wrong reading decides
+
+
+def geometry_is_better(
+    full: Model,
+    alone: Model,
+    samples: Samples,
+    parameters: Sequence[ModelParameter],
+    fit: Fit,
+    distances: Sequence[AnyDistance] = (),
+) -> bool:
+    """Whether, of two models fitted to the inner postures, geometry alone misses the outer ones by less.
+
+    full, alone: fitted to all samples. fit: of the full one. False where no curves are, or readings do not say.
+    """
+    curved = curved_joints(full.effects, full.chain.names)
+    if not curved.any():
+        return False
+    rows = spread_rows(len(samples), _MAX)
+    few = samples.select(rows)
+    q = few.q[:, curved]
+    away = np.abs(q - 0.5 * (q.max(axis=0) + q.min(axis=0))) / np.maximum(np.ptp(q, axis=0), 1e-12)
+    outer = away.max(axis=1)
+    outside = outer > np.quantile(outer, 1.0 - _OUTER)
+    weight = row_weights(fit.weights[rows], fit.noise, few)
+    (geometry, _, left), (curves, variance, _) = (
+        _left_out(model, few, parameters, weight, distances, outside) for model in (alone, full)
+    )
+    sure = variance < UNSURE * left
+    if sure.sum() < _MIN_JUDGED:
+        return False
+    limit = _DRAWN_IN * float(np.median(curves[sure]))
+    return bool(np.minimum(geometry[sure], limit).mean() < np.minimum(curves[sure], limit).mean())
+
+
+def _left_out(
+    model: Model,
+    samples: Samples,
+    parameters: Sequence[ModelParameter],
+    weight: Array,
+    distances: Sequence[AnyDistance],
+    out: np.ndarray,
+) -> tuple[Array, Array, float]:
+    """Squared residuals of the positions of some samples (N,) once these are left out of the fit, the variances that
+    the values' uncertainty then gives their predictions, and the mean square of all residuals as they were.
+    """
+    drivers, P, N = model.drivers(samples), len(parameters), len(samples)
+    values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
+    prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, drivers) for e in model.effects)])
+    at = linearise(model, parameters, values, samples, drivers=drivers)
+    J, residual = at.J * np.sqrt(weight), at.residual * np.sqrt(weight)
+    A = J @ J.T + np.diag(prior**-2.0)
+    if distances:
+        rows = distance_rows(model, parameters, values, distances)
+        A += (rows.J / rows.std**2) @ rows.J.T
+    which = np.concatenate([np.tile(out, 3), np.tile(out[samples.is_pose], 3)])
+    B = A - J[:, which] @ J[:, which].T
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(B), 1e-300))
+    C = np.linalg.pinv(B * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+    step = -C @ (J[:, which] @ residual[which])
+    at_out = np.flatnonzero(np.tile(out, 3))
+    missed = (residual[at_out] - step @ J[:, at_out]).reshape(3, -1)
+    variance = np.einsum("kr,kr->r", J[:, at_out], C @ J[:, at_out]).reshape(3, -1)
+    usual = float(np.mean(np.sum(residual[: 3 * N].reshape(3, -1) ** 2, axis=0)))
+    return np.sum(missed**2, axis=0), variance.sum(axis=0), usual
+
+
+_OFTEN, _PLACED = 12, 3  # readings of a frame: enough to judge it by, and the fewest that place it
+_MAX_KEPT = 200  # postures that a calibration remembers
+
+
+def finalise(
+    samples: Samples,
+    chain: Mechanism,
+    choice: ParameterChoice,
+    cell: Cell,
+    inertias: Inertias | None = None,
+    scored: Fit | None = None,
+    wrong: np.ndarray | None = None,
+    regimes: Model | None = None,
+    geometry: Fit | None = None,
+    whole: Fit | None = None,
+) -> Calibration:
+    """The calibration fitted to every accepted sample, written with the least change to the nominal arm.
+
+    scored: the fit whose effects it has, and which it begins from. wrong: True for samples to be left out, (N,), and no
+    others are; by default the fit decides. regimes: a model to begin from where base or tool moved. geometry: the fit
+    of geometry alone, from whose start all fits here begin; None: from the nominal arm's. whole: the fit to just these
+    samples from scored, where there is one already.
+    """
+    decided = wrong is not None
+    watched = float(samples.stamps.min()), float(samples.stamps.max())
+    if wrong is not None and wrong.any():
+        _require_each_frame(samples, ~wrong)
+        samples = samples.select(~wrong)
+    nominal = fit_cell(chain, samples, cell, inertias, regimes)
+    begun = nominal.model if geometry is None else geometry.start
+    fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
+    fits = [nominal, fit]
+    geometric = least_change(fit.model, chain)
+    if scored is None or not scored.model.effects:
+        tidy = geometric
+    else:
+        start = begun.with_effects(sharpened(scored.model, samples).effects)
+        fitted = partial(identify, samples=samples, parameters=choice.parameters, distances=cell.distances)
+        if whole is not None and whole.start.chain is start.chain:
+            fit = whole  # of these samples, from there
+        else:
+            fit = fitted(start, tolerance=FITTED, begin=scored.values, reject=not decided)
+        # places moved by what was passed through the joints: effects settle where they are now
+        tidy = least_change(fit.model, chain)
+        settled = fitted(tidy, tolerance=10.0 * FITTED, reject=not decided)
+        tidy, last = least_change(settled.model, chain), settled
+        fits.append(settled)  # which goes on from where the fit before it ended
+    seen = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)])
+    kind = str(samples.kind[0])
+    few = samples.q[spread_rows(len(samples), _MAX_KEPT)]
+    covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
+    return Calibration(
+        *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),
+        scatter=typical_scatter(samples),
+        converged=all(each.converged for each in fits),
+        clock=samples.clock,
+        left_alone=_left(geometric, samples),
+        geometry_outside=geometry_is_better(tidy, geometric, samples, choice.parameters, last, cell.distances),
+        ranges=driver_ranges(tidy, samples),
+        typical=typical_sizes(tidy, samples),
+        marks=marks_of(samples),
+    )
+
+
+def _require_each_frame(samples: Samples, kept: np.ndarray) -> None:
+    """Raises BadRecording where hardly a reading of an instrument that read often agrees with the arm."""
+    for f, name in enumerate(samples.frames):
+        rows = samples.frame == f
+        left, of = int(np.sum(rows & kept)), int(rows.sum())
+        if of >= _OFTEN and left < _PLACED:
+            raise BadRecording(
+                f"frame '{name}'",
+                f"{of - left} of its {of} readings agree with no place of the instrument and no target on the arm that "
+                "the others show",
+                "see whether its axes are left-handed, its units and its quaternions, and what it looks at; or leave "
+                "its topic out with --ignore",
+            )
+
+
+def _left(model: Model, samples: Samples) -> float:
+    """RMS [m] that a model leaves of positions; 0 where readings show none, or everything is met."""
+    square = errors(model, samples).position_norm ** 2
+    return float(np.sqrt(np.mean(square))) if np.isfinite(square).all() else 0.0
+
+
+def _geometry(start: Model, samples: Samples, choice: ParameterChoice, cell: Cell, at: Fit | None, reject: bool) -> Fit:
+    """The fit of geometry alone, from where another fit of it ended."""
+    if at is None or any(is_move(effect) for effect in start.effects):
+        return identify_moved(start, samples, choice.parameters, cell.distances, reject=reject)
+    return identify(start, samples, choice.parameters, cell.distances, begin=at.values, reject=reject)

@@ -1,0 +1,327 @@
+"""The certificate: one page that says what was measured, on which arm, with which result, and what it may not say.
+
+The result is that of the tolerance (``verdict/tolerance.py``), never another. A PASS is stated without reservations
+only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out of the score.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from modcal_core.calibration import Calibration, Stated
+from modcal_core.errors import BadTable
+from modcal_core.measurements import Samples
+from modcal_core.report.particulars import Particulars
+from modcal_core.report.report import Report
+from modcal_core.report.sentence import counted
+from modcal_core.verdict import PoseTest, pose_test
+
+Tone = Literal["good", "warn", "bad"]
+MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
+MAX_REASONS = 3  # that the page has room for; report.json has all of them
+_NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
+_STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
+OWN_RECORDING = (
+    "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
+    "it on another one."
+)
+
+
+@dataclass(frozen=True)
+class Hashes:
+    """Which files the certificate is about: names and SHA-256 [hexadecimal] of recording, description, calibration."""
+
+    recording: str | None = None
+    description: str | None = None
+    calibration: str | None = None
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The drawing of the result [mm]: the error before and after, the interval, the tolerance; all from 0 to end."""
+
+    asked: float
+    before: float | None
+    value: float | None
+    low: float | None
+    high: float | None
+    end: float
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """A row of before and after: mean, RMS, 95th percentile and largest, in mm, and in degrees or None."""
+
+    name: str
+    mm: tuple[float, float, float, float]
+    deg: tuple[float, float, float, float] | None
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What the page says, in the order of the page, however it is laid out.
+
+    result: of the tolerance. heading: the same as it is shown. because: how it came about. reservations: what keeps a
+    PASS from being one without. facts: names and what is known, None where a line is left to be filled in by hand.
+    iso: figures of ISO 9283, or what the recording lacks for them. silent_on: what the result does not say.
+    hashes: names and SHA-256. signatures: roles and names, empty where they are to be written.
+    """
+
+    title: str
+    result: str
+    heading: str
+    tone: Tone
+    because: str
+    reservations: tuple[str, ...]
+    scale: Scale
+    facts: tuple[tuple[str, str | None], ...]
+    errors: tuple[ErrorRow, ...]
+    floor: str
+    iso: tuple[str, ...]
+    silent_on: tuple[str, ...]
+    hashes: tuple[tuple[str, str], ...]
+    signatures: tuple[tuple[str, str], ...]
+
+
+def certificate(
+    report: Report,
+    stated: Stated | None = None,
+    particulars: Particulars | None = None,
+    hashes: Hashes | None = None,
+    made_from: bool = False,
+) -> Certificate:
+    """The certificate of a report. Raises BadTable where no tolerance was asked for.
+
+    stated: of arm and instrument. made_from: whether the frozen calibration was made from this very recording.
+    """
+    met, stated, said = report.tolerance, stated or Stated(), particulars or Particulars()
+    if met is None:
+        raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
+    doubts = _reservations(report, stated) if met.result == "PASS" else _reasons(report)
+    doubts = (OWN_RECORDING, *doubts) if made_from else doubts
+    heading = f"{met.result}, with reservations" if met.result == "PASS" and doubts else met.result
+    tones: dict[str, Tone] = {"PASS": "warn" if doubts else "good", "FAIL": "bad"}
+    tests = pose_test(report.scored, {k: report.errors[k] for k in ("nominal", "final")})
+    return Certificate(
+        title="Accuracy certificate: " + ("frozen calibration" if report.searched is None else "calibration"),
+        result=met.result,
+        heading=heading,
+        tone=tones.get(met.result, "warn"),
+        because=met.because,
+        reservations=doubts,
+        scale=_scale(report),
+        facts=_facts(report, stated, said, made_from),
+        errors=_errors(report),
+        floor=_floor(report),
+        iso=_iso(tests),
+        silent_on=_silent_on(report, stated, tests),
+        hashes=_hashes(report, hashes or Hashes()),
+        signatures=(("Measured by", said.measured_by), ("Approved by", said.approved_by)),
+    )
+
+
+def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
+    """Why a PASS is not one without reservations; empty where it is."""
+    out = []
+    if report.status == "open":
+        out.append(f"The verdict is open: {report.open_because[0]}")
+    if report.status == "cannot_tell":
+        out.append(
+            "The floor is not known: neither how well the arm repeats, nor whether the error could be smaller. "
+            "The result is an upper limit for postures like these."
+        )
+    asked = report.tolerance.asked.mm if report.tolerance else np.inf
+    if stated.instrument_mm is None:
+        out.append("The instrument's accuracy is not stated: its own error may be part of the result or hidden in it.")
+    elif stated.instrument_mm > MAX_OF_TOLERANCE * asked:
+        out.append(
+            f"The instrument is accurate to {stated.instrument_mm:g} mm, more than a third of the tolerance: "
+            "a tolerance this small cannot be verified with it."
+        )
+    if out_of := report.rejected_stations():
+        out.append(_rejected(report, out_of))
+    if report.grounds.convention:
+        out.append(f"The readings are in another convention than usual ({report.grounds.convention}): it was undone.")
+    return tuple(out)
+
+
+def _reasons(report: Report) -> tuple[str, ...]:
+    """What stands behind another result than PASS: the reasons of an open verdict, and what was left out."""
+    out = []
+    floor = None if report.judged is None else report.judged.floor_mm
+    if floor is not None and report.tolerance is not None and floor > report.tolerance.asked.mm:
+        out.append(
+            f"Arm and instrument alone scatter by {floor:.3g} mm RMS, more than the tolerance: no calibration meets it."
+        )
+    shown = MAX_REASONS - len(out)
+    out += report.open_because[:shown]
+    if (more := len(report.open_because) - shown) > 0:
+        out.append(f"And {counted(more, 'more reason')}, in report.json.")
+    if report.status == "cannot_tell" and report.judged is not None and report.judged.remedy:
+        known = "" if report.judged.floor_known else "The floor is not known. "
+        out.append(f"{known}{report.judged.remedy}")
+    said = report.judged is not None and any(reason.kind == "rejected" for reason in report.judged.reasons)
+    if (count := report.rejected_stations()) and not said:
+        out.append(_rejected(report, count))
+    return tuple(out)
+
+
+def _rejected(report: Report, count: int) -> str:
+    rejection = report.rejection
+    sizes = ""
+    if rejection is not None and rejection.with_mm is not None and rejection.without_mm is not None:
+        sizes = f": {rejection.with_mm:.3f} mm RMS with them, {rejection.without_mm:.3f} mm without"
+    counts = "are" if report.counts_rejected else "are not"
+    return f"{count} of {report.samples.stations} stations were rejected and {counts} in the figures{sizes}."
+
+
+def _scale(report: Report) -> Scale:
+    met = report.tolerance
+    assert met is not None
+    before = report.size_mm("nominal")
+    start = None if before is None else float(getattr(before, met.asked.statistic))
+    low, high = met.ci95
+    # what is judged stays readable where the nominal model is far worse: that mark then stands at the edge
+    largest = max(met.asked.mm, met.value_mm or 0.0, high or 0.0)
+    return Scale(met.asked.mm, start, met.value_mm, low, high, 1.25 * largest)
+
+
+def _facts(report: Report, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
+    trace = report.trace
+    sizes, counts = report.set_sizes(), report.samples.stations
+    held = f"{sizes['held_out']} of them scored that no fit has seen"
+    if report.searched is None:
+        held = "all of them fitted before" if made_from else f"{sizes['held_out']} of them scored"
+    arm = said.robot or trace.robot
+    return (
+        ("Robot", arm or None),
+        ("Serial number", said.serial or None),
+        ("Date of the recording", _date(trace.date) if report.samples.clock else None),
+        ("Stations", f"{counts} ({report.measurement.replace('_', ' ')}), {held}"),
+        ("Instrument", said.instrument or trace.instrument),
+        ("Its accuracy", _accuracy(stated)),
+        ("Volume", _volume(report)),
+        ("Conditions", "; ".join(filter(None, (said.conditions, _temperatures(report)))) or None),
+        ("Program", f"modcal {trace.version}"),
+    )
+
+
+def is_made_from(calibration: Calibration, samples: Samples) -> bool:
+    """Whether a calibration was made from this recording: most postures kept in it stand in the samples, digit by
+    digit, and, where both have a clock, within the time that it was made from.
+    """
+    kept, q = calibration.postures, samples.q
+    if not len(kept) or not len(q) or kept.shape[1] != q.shape[1]:
+        return False
+    if calibration.watched is not None and calibration.clock and samples.clock:
+        first, last = calibration.watched
+        if not (samples.stamps.min() <= last and samples.stamps.max() >= first):
+            return False
+    seen = {row.tobytes() for row in np.round(q, 9) + 0.0}
+    return sum(row.tobytes() in seen for row in np.round(kept, 9) + 0.0) > 0.5 * len(kept)
+
+
+def _date(stamp: str | None) -> str | None:
+    return None if stamp is None else f"{stamp[:10]} {stamp[11:16]} UTC"
+
+
+def _accuracy(stated: Stated) -> str | None:
+    parts = [] if stated.instrument_mm is None else [f"{stated.instrument_mm:g} mm RMS in space"]
+    parts += [] if stated.instrument_deg is None else [f"{stated.instrument_deg:g}° RMS"]
+    return f"{', '.join(parts)}, as stated" if parts else "not stated"
+
+
+def _volume(report: Report) -> str | None:
+    """The box that the tool was in, in the arm's base [m]."""
+    if report.model is None or not len(report.scored):
+        return None
+    T = report.model.T_frame_base[report.scored.frame]
+    p = report.model.predict_samples(report.scored)[:, :3, 3] - T[:, :3, 3]
+    inside = np.einsum("nji,nj->ni", T[:, :3, :3], p)
+    ends = zip("xyz", inside.min(axis=0), inside.max(axis=0), strict=True)
+    box = "; ".join(f"{axis} {low:.2f} … {high:.2f} m" for axis, low, high in ends)
+    return f"{box.replace('-', '−')} from the base"
+
+
+def _temperatures(report: Report) -> str:
+    """The recorded temperatures, all together."""
+    values = [np.asarray(s.values).ravel() for s in report.samples.signals if s.name.startswith("temperature:")]
+    finite = np.concatenate(values)[np.isfinite(np.concatenate(values))] if values else np.empty(0)
+    return f"{finite.min():.1f} … {finite.max():.1f} °C recorded" if len(finite) else ""
+
+
+def _errors(report: Report) -> tuple[ErrorRow, ...]:
+    rows = []
+    for stage, name in _STAGES:
+        size, angle = report.size_mm(stage), report.size_deg(stage)
+        if size is not None:
+            turned = None if angle is None else (angle.mean, angle.rms, angle.p95, angle.max)
+            rows.append(ErrorRow(name, (size.mean, size.rms, size.p95, size.max), turned))
+    return tuple(rows)
+
+
+def _floor(report: Report) -> str:
+    judged = report.judged
+    if judged is None or judged.floor_mm is None:
+        return "not known"
+    how = {"revisits": "from postures visited again", "stated": "as stated"}.get(
+        judged.repeatability_mm.source or "", ""
+    )
+    angle = "" if judged.floor_deg is None else f" and {judged.floor_deg:.3g}°"
+    return f"{judged.floor_mm:.3g} mm{angle} RMS, {how}"
+
+
+def _iso(tests: PoseTest) -> tuple[str, ...]:
+    """A sentence for the position, one for the orientation; or what is missing."""
+    if tests.missing:
+        return (f"AP and RP are not given. {tests.missing}",)
+    before, after = tests.worst_mm("nominal"), tests.worst_mm("final")
+    assert before is not None
+    assert after is not None
+    fewest = min(p.visits for p in tests.poses)
+    out = [
+        f"{len(tests.poses)} poses, at least {fewest} visits each from one side. Largest AP {before[0]:.3f} mm before, "
+        f"{after[0]:.3f} mm after; largest RP {after[1]:.3f} mm. Commanded is what the model computes from the "
+        "joint positions; load and speed are those under conditions."
+    ]
+    turned = [p for p in tests.poses if p.ap_deg is not None and p.rp_deg is not None]
+    if len(turned) == len(tests.poses):
+        ap = np.abs([p.ap_deg["final"] for p in turned if p.ap_deg is not None]).max(axis=0)
+        rp = np.max([p.rp_deg for p in turned if p.rp_deg is not None], axis=0)
+        a, r = (" / ".join(f"{value:.4f}" for value in three) for three in (ap, rp))
+        out.append(f"About x / y / z of the instrument's frame: AP {a}°, RP ±{r}°.")
+    return tuple(out)
+
+
+def _silent_on(report: Report, stated: Stated, tests: PoseTest) -> tuple[str, ...]:
+    met = report.tolerance
+    assert met is not None
+    standing = "in motion" if report.samples.moving.all() else "at rest" if not report.samples.moving.any() else "these"
+    of = _NAMES[met.asked.statistic]
+    constant = "Errors that are constant in the instrument, such as its scale"
+    constant += "." if stated.instrument_mm is not None else "; it is not traced to a standard."
+    out = [
+        f"Other postures, loads, temperatures and tools than those recorded ({standing}), and paths between them.",
+        f"Single postures: the {of} is judged, and one of them may be off by more.",
+        constant,
+    ]
+    if report.searched is not None:
+        out.append(
+            "What lasts: stations of the same session were scored. modcal evaluate judges a later recording. "
+            "calibrated.urdf and kinematics.yaml hold the geometry alone."
+        )
+    if tests.missing:
+        out.append("Results of a test by ISO 9283.")
+    return tuple(out)
+
+
+def _hashes(report: Report, hashes: Hashes) -> tuple[tuple[str, str], ...]:
+    all_of_them = (
+        ("recording", hashes.recording or report.trace.bag_sha256),
+        ("robot description", hashes.description),
+        ("calibration.yaml", hashes.calibration),
+    )
+    return tuple((name, digest) for name, digest in all_of_them if digest)

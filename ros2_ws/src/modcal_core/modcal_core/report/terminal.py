@@ -1,0 +1,135 @@
+"""What a report says on one screen: tables and sentences, laid out by whoever shows them, or as plain text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from modcal_core.report.account import Account, accounts
+from modcal_core.report.contents import STAGES, ReportContents
+from modcal_core.report.sentence import MAX_REASONS, sentence
+from modcal_core.verdict import Status
+
+Tone = Literal["plain", "legend", "doubt", "good", "bad", "undecided", "reason"]
+TONES: dict[Status, Tone] = {"at_floor": "good", "open": "bad", "cannot_tell": "undecided"}
+# What stands in the tables, below them
+_STAGES = {
+    "nominal": "the robot description, base and tool fitted",
+    "geometric": "lengths, angles and joint zeros corrected",
+    "final": "the effects below as well",
+}
+_EFFECTS = {
+    "place": "where the error arises",
+    "direction": "the way it moves the arm there",
+    "driver": "what its size depends on",
+    "p": "probability of as much by chance, after everything that was tried",
+    "RMS": "held-out error without the effect and with it",
+}
+_SHARES = {"share": "of the squared error of the nominal model"}
+_SMALL, _MANY = 0.01, 3  # effects with less than this share stand in one row where there are so many; all are in files
+_TOGETHER = f"{{}} effects of less than {_SMALL:.0%} each, in report.json"
+_RESULTS: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
+
+
+@dataclass(frozen=True)
+class SummaryLine:
+    """A sentence. tone: what it means to the reader."""
+
+    text: str
+    tone: Tone = "plain"
+
+
+@dataclass(frozen=True)
+class SummaryTable:
+    """A table. words: how many columns, from the left, hold words; the others hold numbers."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int = 1
+
+
+def summary(report: ReportContents) -> tuple[SummaryTable | SummaryLine, ...]:
+    """Before and after, what the data could not tell, the effects, the account, and the verdict."""
+    return tuple(_blocks(report))
+
+
+def text(blocks: Sequence[SummaryTable | SummaryLine]) -> str:
+    """The same as plain text, a line for each row and sentence."""
+    return "\n".join(
+        line for block in blocks for line in ([block.text] if isinstance(block, SummaryLine) else _laid_out(block))
+    )
+
+
+def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
+    rows = []
+    for stage in STAGES:
+        size, angle = report.size_mm(stage), report.size_deg(stage)
+        if size is not None:
+            numbers = [f"{x:.3f}" for x in (size.mean, size.rms, size.p95, size.max)]
+            rows.append((stage, *numbers, "" if angle is None else f"{angle.rms:.4f}"))
+    names = ("mean mm", "RMS mm", "95 % mm", "max mm", "RMS deg")
+    yield SummaryTable((f"held-out error ({report.sets.unit}s)", *names), tuple(rows))
+    yield legend({stage: said for stage, said in _STAGES.items() if any(row[0] == stage for row in rows)})
+    seen = report.identifiability
+    if seen is not None:
+        said = f"{seen.parameters} parameters, rank {seen.rank} (directions that the stations determine), "
+        yield SummaryLine(said + f"condition {seen.condition:.0f} (largest over smallest singular value)")
+        for name in seen.unobservable:
+            yield SummaryLine(f"not determined by these stations: {name}", "doubt")
+    if report.effects:
+        yield _effects(report)
+        yield legend(_EFFECTS)
+        yield from map(SummaryLine, report.story)
+    for note in report.notes:
+        yield SummaryLine(note, "doubt")
+    if judged := accounts(report.judged):
+        yield from map(_account, judged)
+        yield legend(_SHARES)
+    yield SummaryLine(sentence(report), TONES[report.status])
+    for reason in report.open_because[MAX_REASONS:]:
+        yield SummaryLine(f"Open: {reason}", "reason")
+    if report.tolerance is not None:
+        met = report.tolerance
+        yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))
+
+
+def legend(meanings: Mapping[str, str]) -> SummaryLine:
+    """What the columns of the table above mean."""
+    return SummaryLine("  " + "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items()), "legend")
+
+
+def _account(one: Account) -> SummaryTable:
+    """Contributions to the squared error of the nominal model, many small ones of effects as one row."""
+    small = [line for line in one.lines if line.effect and abs(line.share) < _SMALL]
+    together = small if len(small) >= _MANY else []
+    rows = []
+    for line in one.lines:
+        ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"
+        numbers = (f"{line.value:.4g}", ends, f"{100.0 * line.share:.2f} %") if line.known else ("not known", "", "")
+        if line not in together:
+            rows.append((line.words, *numbers))
+        elif line is together[-1]:
+            value, share = sum(each.value for each in together), sum(each.share for each in together)
+            rows.append((_TOGETHER.format(len(together)), f"{value:.4g}", "", f"{100.0 * share:.2f} %"))
+    rows.append(("nominal model", f"{one.total:.4g}", "", ""))
+    return SummaryTable(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
+
+
+def _effects(report: ReportContents) -> SummaryTable:
+    rows = tuple(
+        (f.family, f.place, f.direction, f.driver, f"{f.p_value:.1g}", f"{1e3 * f.before:.3f}", f"{1e3 * f.after:.3f}")
+        for f in report.effects
+    )
+    return SummaryTable(("effect", "place", "direction", "driver", "p", "RMS mm before", "after"), rows, words=4)
+
+
+def _laid_out(grid: SummaryTable) -> list[str]:
+    wide = [max(map(len, column)) for column in zip(grid.header, *grid.rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if i < grid.words else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, wide, strict=True))
+        ).rstrip()
+        for row in (grid.header, *grid.rows)
+    ]

@@ -1,0 +1,410 @@
+"""Corners of a printed target in an image, by OpenCV, each with a covariance from the image itself.
+
+A corner q is refined as the point whose directions to its neighbours p lie across their gradients: Σ g gᵀ (q − p) = 0.
+Grey noise σ puts noise of σ / √2 into a gradient by central differences, which moves q by H⁻¹ Σ g (n · (p − q)) with
+H = Σ g gᵀ; so its covariance is ½ σ² H⁻¹ (Σ |p − q|² g gᵀ) H⁻¹, in the weights that the refinement uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from modcal_core.camera import (
+    APRIL_GRID,
+    CHARUCO,
+    CHESSBOARD,
+    MIN_CORNERS,
+    POSE,
+    SHAPE,
+    TAG,
+    BoardView,
+    CornerTable,
+    Lens,
+    PrintedTarget,
+    board_poses,
+    corner_rows,
+    enough_corners,
+    grams,
+    homography,
+)
+from modcal_core.errors import BadTable
+from modcal_core.geometry import Array, se3, so3
+from modcal_nodes.vision.saddle import fit_board
+
+# --- How well an image says where a corner is
+
+_MIN_PX, _MAX_PX = 0.02, 2.0  # standard deviation of a corner: what interpolation alone leaves, and a useless one
+_PRINT_PX = 0.02  # standard deviation of what printer, paper and the lens's finer form leave beside the noise
+_TO_SIGMA = 1.4826  # of a median absolute deviation
+_QUANTISED = 0.3  # grey levels, of rounding to whole ones
+
+
+def grey_noise(grey: np.ndarray) -> float:
+    """Standard deviation of the grey values' noise, from second differences across flat parts of the image."""
+    f = grey.astype(np.float32)
+    d = f[1:-1, 1:-1] * 4.0 - 2.0 * (f[:-2, 1:-1] + f[2:, 1:-1] + f[1:-1, :-2] + f[1:-1, 2:])
+    d += f[:-2, :-2] + f[:-2, 2:] + f[2:, :-2] + f[2:, 2:]  # Immerkær's mask, whose weights have norm 6
+    return max(float(_TO_SIGMA * np.median(np.abs(d)) / 6.0), _QUANTISED)
+
+
+def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) -> Array:
+    """Covariance of corners at pixels (m, 2) refined in windows of this half side, (m, 2, 2) [px²]."""
+    offsets = np.arange(-half, half + 1, dtype=float)
+    dx, dy = np.meshgrid(offsets, offsets)
+    weight = np.exp(-(dx**2 + dy**2) / half**2).ravel()  # as OpenCV's cornerSubPix weighs
+    square = (dx**2 + dy**2).ravel()
+    out = np.empty((len(pixels), 2, 2))
+    for i, (x, y) in enumerate(pixels):
+        patch = cv2.getRectSubPix(grey, (2 * half + 3, 2 * half + 3), (float(x), float(y))).astype(float)
+        gx = 0.5 * (patch[1:-1, 2:] - patch[1:-1, :-2]).ravel()
+        gy = 0.5 * (patch[2:, 1:-1] - patch[:-2, 1:-1]).ravel()
+        g = np.stack([gx, gy])
+        H = (weight * g) @ g.T
+        M = (weight**2 * square * g) @ g.T
+        values, vectors = np.linalg.eigh(H)
+        inverse = (vectors / np.maximum(values, 1e-6)) @ vectors.T
+        out[i] = 0.5 * sigma**2 * inverse @ M @ inverse
+    values, vectors = np.linalg.eigh(out)
+    values = np.clip(values, _MIN_PX**2, _MAX_PX**2)
+    return np.asarray((vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+
+
+def no_better_than_print(cov: Array) -> Array:
+    """These covariances (m, 2, 2) with what no picture of one corner shows, [px²]."""
+    return np.asarray(cov + _PRINT_PX**2 * np.eye(2))
+
+
+def edge_width(grey: np.ndarray, pixels: Array, half: int) -> float:
+    """Median width of the edges at these corners [px]: contrast over the steepest gradient."""
+    widths = []
+    reach = max(half, 4)
+    for x, y in pixels[:: max(1, len(pixels) // 20)]:
+        patch = cv2.getRectSubPix(grey, (2 * reach + 3, 2 * reach + 3), (float(x), float(y))).astype(float)
+        gx = 0.5 * (patch[1:-1, 2:] - patch[1:-1, :-2])
+        gy = 0.5 * (patch[2:, 1:-1] - patch[:-2, 1:-1])
+        steepest = float(np.percentile(np.hypot(gx, gy), 98))
+        contrast = float(np.percentile(patch, 95) - np.percentile(patch, 5))
+        widths.append(contrast / max(steepest, 1e-6))
+    return float(np.median(widths))
+
+
+BLURRED_PX = 6.0  # of an edge from black to white; beyond it a corner's place depends on the light
+_MIN_SHARE = 0.3  # of the windows' half side a square may be: a corner needs its own four squares and no others
+_MAX_WINDOW, _MIN_WINDOW = 11, 2  # px, half side of the windows in which corners are refined
+_ROUGH_PX = 0.1  # by how much a corner is off that looks like no crossing of two edges: half covered, or too small
+_SMALLEST_GREY = 12.0  # grey levels between black and white
+_FITS_PX, _FITS_SHARE = 4.0, 0.02  # how far corners of one flat sheet are from a homography: lenses bend, by its size
+_MIN_QUADS = 4  # markers that the image shows, none of them of the target, before another board is suspected
+_ALTERNATES = 0.4  # of the contrast, of the image and of the board, that squares and those beyond its edge differ by
+_GAP = 6.0  # square sides between corners of one board and those of another
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What an image shows. view: its corners; None where it cannot be used, and reason and remedy say why."""
+
+    view: BoardView | None
+    reason: str = ""
+    remedy: str = ""
+
+
+def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
+    """The corners of the target in a grey image (h, w) of 8 bits."""
+    if float(np.percentile(grey, 99) - np.percentile(grey, 1)) < _SMALLEST_GREY:
+        return Detection(None, "is of one grey, or nearly", "light the target, and check the exposure")
+    ids, pixels, half = _found(grey, target)
+    if len(ids) == 0:
+        return _why_not(grey, target)
+    if not enough_corners(target.points[ids]):
+        said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
+        return Detection(None, said, "bring more of the target into view")
+    if target.kind == CHESSBOARD and (strange := _no_such_board(grey, target, ids, pixels)) is not None:
+        return strange
+    if (bent := off_flat(target, ids, pixels)) is not None:
+        return bent
+    width = edge_width(grey, pixels, half)
+    if width > BLURRED_PX:
+        return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
+    pixels, cov = _fitted(grey, target, ids, pixels, half)
+    return Detection(BoardView(name, ids, pixels, cov, width))
+
+
+def _fitted(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array, half: int) -> tuple[Array, Array]:
+    """(pixels (m, 2), covariance (m, 2, 2)) of corners: those of squares fitted to the grey values about them."""
+    if target.kind not in (CHARUCO, CHESSBOARD):
+        return pixels, corner_covariance(grey, pixels, half, grey_noise(grey))
+    fit = fit_board(grey, target, ids, pixels)
+    pixels, cov = np.where(fit.good[:, None], fit.pixels, pixels), no_better_than_print(fit.cov)
+    if not fit.good.all():
+        rough = corner_covariance(grey, pixels[~fit.good], half, grey_noise(grey))
+        cov[~fit.good] = rough + _ROUGH_PX**2 * np.eye(2)
+    return pixels, cov
+
+
+def off_flat(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
+    """Why corners (m,) at pixels (m, 2) are not those of a flat target of this form, None where they may be."""
+    miss = _misfit(target, ids, pixels)
+    extent = float(np.ptp(pixels, axis=0).max())
+    if miss <= max(_FITS_PX, _FITS_SHARE * extent):
+        return None
+    said = f"shows corners that lie {miss:.0f} px off a flat {target.label}"
+    return Detection(None, said, "check the target file, show one board only, and keep it flat")
+
+
+def _found(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int]:
+    """(ids (m,), pixels (m, 2), half side of the windows of refinement [px])."""
+    none = np.empty(0, int), np.empty((0, 2)), _MIN_WINDOW
+    if target.kind == CHARUCO:
+        for legacy in (False, True):
+            corners, ids, _, _ = _charuco(target, legacy).detectBoard(grey)
+            if ids is not None and len(ids) >= MIN_CORNERS:
+                break
+        if ids is None or len(ids) == 0:
+            return none
+        order = np.argsort(np.asarray(ids).ravel())
+        ids, pixels = np.asarray(ids).ravel()[order], np.asarray(corners, dtype=float).reshape(-1, 2)[order]
+        return _refined(grey, target, ids, pixels)
+    if target.kind == CHESSBOARD:
+        shape = (target.columns - 1, target.rows - 1)
+        ok, corners = cv2.findChessboardCornersSB(grey, shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if not ok:
+            return none
+        pixels = _turned_right(grey, np.asarray(corners, dtype=float).reshape(-1, 2), shape)
+        return _refined(grey, target, np.arange(len(pixels)), pixels)
+    return _markers(grey, target) or none
+
+
+def _markers(grey: np.ndarray, target: PrintedTarget) -> tuple[np.ndarray, Array, int] | None:
+    """Corners of the markers of a grid, or of one tag."""
+    corners, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
+    if ids is None:
+        return None
+    number = np.asarray(ids).ravel() - target.first_id
+    good = np.flatnonzero((number >= 0) & (number < target.columns * target.rows))
+    if len(good) == 0 or len(np.unique(number[good])) < len(good):
+        return None  # a number that stands twice is of two boards
+    order = good[np.argsort(number[good])]
+    quads = np.stack([np.asarray(corners[i], dtype=float).reshape(4, 2) for i in order])
+    every, pixels = in_order(target, number[order], quads[:, ::-1] if target.kind == APRIL_GRID else quads)
+    side = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=2)))
+    return every, pixels, window_of_side(side)
+
+
+def window_of_side(side: float) -> int:
+    """Half side of the window [px] in which a corner of a marker of this side [px] is looked at."""
+    return int(np.clip(0.1 * side, _MIN_WINDOW, _MAX_WINDOW))
+
+
+def in_order(
+    target: PrintedTarget, numbers: np.ndarray, quads: Array, either_way: bool = False
+) -> tuple[np.ndarray, Array]:
+    """(ids (4 m,), pixels (4 m, 2)) of the corners of markers with these numbers (m,), as their finder has them
+    (m, 4, 2): counter-clockwise of an AprilGrid, clockwise of others, from whichever corner.
+
+    A marker's own first corner is a convention of its maker: a grid shows which it is. either_way: also the way round.
+    """
+    ids = (4 * numbers[:, None] + np.arange(4)).ravel()
+    if target.kind == TAG or len(quads) == 1:
+        return ids, quads.reshape(-1, 2)
+    turns = [np.roll(q, k, axis=1) for q in ((quads, quads[:, ::-1]) if either_way else (quads,)) for k in range(4)]
+    best = min(turns, key=lambda q: _misfit(target, ids, q.reshape(-1, 2)))
+    return ids, best.reshape(-1, 2)
+
+
+def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> tuple[np.ndarray, Array, int]:
+    """The saddles of a board's corners to a fraction of a pixel, those at the image's edge left out."""
+    half = _MIN_WINDOW
+    if enough_corners(target.points[ids]):
+        H = homography(target.points[ids, :2], pixels)
+        h, w = grey.shape
+        middle = np.r_[target.points[ids, :2].mean(axis=0), 1.0]
+        steps = [middle + np.r_[target.square, 0.0, 0.0], middle + np.r_[0.0, target.square, 0.0]]
+        at = [(H @ p)[:2] / (H @ p)[2] for p in (middle, *steps)]
+        square = min(float(np.linalg.norm(a - at[0])) for a in at[1:])
+        margin = 0.5 * (target.square - target.marker) / target.square if target.kind == CHARUCO else 0.5
+        if np.isfinite(square):  # else the board is seen edge on
+            half = int(np.clip(min(_MIN_SHARE, margin) * square, _MIN_WINDOW, _MAX_WINDOW))
+    h, w = grey.shape
+    inside = ((pixels >= half + 1) & (pixels <= np.array([w, h]) - half - 2)).all(axis=1)
+    ids, pixels = ids[inside], pixels[inside]
+    if len(ids) == 0:
+        return ids, pixels, half
+    end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
+    start = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
+    fine = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), end).reshape(-1, 2).astype(float)
+    near = np.linalg.norm(fine - pixels, axis=1) < half
+    return ids[near], fine[near], half
+
+
+def _turned_right(grey: np.ndarray, pixels: Array, shape: tuple[int, int]) -> Array:
+    """Corners of a chessboard in the order of its numbers: the square before the first corner is black."""
+    grid = pixels.reshape(shape[1], shape[0], 2)
+
+    def first_square(g: Array) -> float:
+        at = np.clip(np.rint(g[0, 0] - 0.5 * (g[1, 1] - g[0, 0])), 0, np.array(grey.shape)[::-1] - 1).astype(int)
+        beside = np.clip(np.rint(0.5 * (g[0, 0] + g[1, 1]) + (g[0, 0] - g[1, 0])), 0, np.array(grey.shape)[::-1] - 1)
+        x, y = beside.astype(int)
+        return float(grey[at[1], at[0]]) - float(grey[y, x])
+
+    turned = grid[::-1, ::-1]
+    return np.ascontiguousarray(min((grid, turned), key=first_square)).reshape(-1, 2)
+
+
+def _no_such_board(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
+    """Why a grid of corners is no chessboard of so many squares: its own do not alternate, or those beyond it do."""
+    H = homography(target.points[ids, :2], pixels)
+    c, r = target.columns, target.rows
+    own = [(i, j) for i in range(c) for j in range(r)]
+    inside, black = _greys(grey, H, target, own), np.array([(i + j) % 2 == 0 for i, j in own])
+    seen = [values[np.isfinite(values)] for values in (inside[black], inside[~black])]
+    contrast = float(np.median(seen[1]) - np.median(seen[0])) if min(map(len, seen)) else 0.0
+    if abs(contrast) < _ALTERNATES * float(np.percentile(grey, 99) - np.percentile(grey, 1)):
+        return _why_not(grey, target)
+    for squares in (*([(i, j) for j in range(r)] for i in (-1, c)), *([(i, j) for i in range(c)] for j in (-1, r))):
+        beyond, dark = _greys(grey, H, target, squares), np.array([(i + j) % 2 == 0 for i, j in squares])
+        if not (np.isfinite(beyond[dark]).any() and np.isfinite(beyond[~dark]).any()):
+            continue
+        if float(np.nanmin(beyond[~dark]) - np.nanmax(beyond[dark])) > _ALTERNATES * abs(contrast):
+            return Detection(None, f"shows more squares than a {target.label}", "count the squares of the board")
+    return None
+
+
+def _greys(grey: np.ndarray, H: Array, target: PrintedTarget, squares: Sequence[tuple[int, int]]) -> Array:
+    """Grey values in the middle of squares (column, row), NaN outside the image."""
+    first = target.points[0, :2] - target.square
+    at = np.c_[first + (np.array(squares) + 0.5) * target.square, np.ones(len(squares))] @ H.T
+    xy = np.rint(at[:, :2] / at[:, 2:]).astype(int)
+    ok = ((xy >= 0) & (xy < np.array(grey.shape)[::-1])).all(axis=1)
+    out = np.full(len(squares), np.nan)
+    out[ok] = grey[xy[ok, 1], xy[ok, 0]]
+    return out
+
+
+def _misfit(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> float:
+    """Largest distance of corners from the homography of all of them [px]."""
+    if len(ids) < 5:
+        return 0.0
+    points = target.points[ids, :2]
+    H = homography(points, pixels)
+    q = np.c_[points, np.ones(len(points))] @ H.T
+    return float(np.linalg.norm(q[:, :2] / q[:, 2:] - pixels, axis=1).max())
+
+
+def _why_not(grey: np.ndarray, target: PrintedTarget) -> Detection:
+    """Why no corner of the target was found."""
+    if target.kind == CHESSBOARD:
+        said = f"shows no whole {target.label}"
+        return Detection(None, said, "count the squares, show the whole board, or use a ChArUco board")
+    mirrored = np.ascontiguousarray(grey[:, ::-1])
+    if len(_found(mirrored, target)[0]):
+        return Detection(None, "is mirrored", "turn off mirroring in the camera's driver")
+    _, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
+    if ids is not None and len(ids):
+        most = _marker_count(target)
+        seen = np.asarray(ids).ravel()
+        if len(np.unique(seen)) < len(seen):
+            return Detection(None, "shows two boards with the same markers", "show one board only")
+        said = f"shows {len(seen)} markers of {target.dictionary}, numbers {seen.min()} to {seen.max()}"
+        remedy = f"check the number of squares and the dictionary: a {target.label} has {most} markers"
+        return Detection(None, said, remedy)
+    for other in _families():
+        found = marker_detector(other).detectMarkers(grey)[1]
+        if found is not None and len(found) >= _MIN_QUADS and other != target.dictionary:
+            said = f"shows {len(found)} markers of {other}, the target has {target.dictionary}"
+            return Detection(None, said, "give the target file of this board")
+    return Detection(None, "shows no target", "bring the target into view, sharp and lit")
+
+
+def _families() -> Sequence[str]:
+    """One dictionary of each size of marker, and AprilTags: the largest, whose words include those of the smaller."""
+    return tuple(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)) + ("DICT_APRILTAG_36h11",)
+
+
+def _marker_count(target: PrintedTarget) -> int:
+    return target.columns * target.rows // 2 if target.kind == CHARUCO else target.columns * target.rows
+
+
+def dictionary(name: str) -> cv2.aruco.Dictionary:
+    """The markers' dictionary of this name. Raises BadTable."""
+    number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
+    if number is None:
+        raise BadTable(f"dictionary {name[:40]}", "is not known to OpenCV", "use one such as DICT_5X5_100")
+    return cv2.aruco.getPredefinedDictionary(number)
+
+
+@lru_cache(maxsize=16)
+def marker_detector(name: str) -> cv2.aruco.ArucoDetector:
+    """What finds the markers of a dictionary of this name. Raises BadTable."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(dictionary(name), parameters)
+
+
+@lru_cache(maxsize=16)
+def _charuco(target: PrintedTarget, legacy: bool) -> cv2.aruco.CharucoDetector:
+    return cv2.aruco.CharucoDetector(charuco_board(target, legacy))
+
+
+def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.CharucoBoard:
+    """OpenCV's board of this target. legacy: in the pattern of OpenCV before 4.6. Raises BadTable."""
+    words = dictionary(target.dictionary)
+    count, available = _marker_count(target), len(words.bytesList)
+    if target.first_id + count > available:
+        said = f"holds {available} markers, {target.first_id + count} are needed"
+        raise BadTable(f"dictionary {target.dictionary}", said, "use a larger one")
+    ids = target.first_id + np.arange(count)
+    board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.square, target.marker, words, ids)
+    board.setLegacyPattern(legacy)
+    return board
+
+
+# --- Where the target is in one image, with a covariance that knows the corners' noise, and its twin
+
+_TWIN = 9.0  # of the sum of squares: within three standard deviations the pose tilted the other way fits as well
+
+
+def board_pose(view: BoardView, target: PrintedTarget, lens: Lens) -> tuple[Array, Array]:
+    """(T_camera_target (4, 4) [m], covariance (6, 6) of position and turn about the camera's axes [m², rad²]).
+
+    Where the pose that is tilted the other way fits as well, the covariance holds both.
+    """
+    table = CornerTable.of([view], target)
+    found = board_poses(table, lens, np.zeros(SHAPE))
+    T = found.T[0, 0]
+    G = grams(table, corner_rows(table, lens, np.zeros(SHAPE), T[None]))[0][:POSE, :POSE]
+    at_camera = np.linalg.pinv(G, hermitian=True)
+    # a twist about the camera, as a shift of the target's origin and a turn
+    J = np.eye(POSE)
+    J[:3, 3:] = -so3.hat(T[:3, 3])
+    cov = J @ at_camera @ J.T
+    if found.cost[0, 1] - found.cost[0, 0] < _TWIN:
+        off = se3.error(T, found.T[0, 1])
+        cov = cov + np.outer(off, off)
+    return T, 0.5 * (cov + cov.T)
+
+
+# --- The image with what was found in it, for a person to look at
+
+_GOOD, _BAD, _PAPER = (60, 180, 60), (60, 60, 220), (255, 255, 255)
+
+
+def annotated(grey: np.ndarray, view: BoardView | None, said: str) -> np.ndarray:
+    """A colour image (h, w, 3), blue first: corners with their numbers, and a line of text below."""
+    out = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    h, w = grey.shape
+    scale = max(w / 1280.0, 0.4)
+    if view is not None:
+        for number, (x, y) in zip(view.ids.tolist(), view.pixels, strict=True):
+            at = (round(float(x)), round(float(y)))
+            cv2.circle(out, at, max(2, round(5 * scale)), _GOOD, max(1, round(2 * scale)))
+            cv2.putText(out, str(number), (at[0] + 5, at[1] - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.4 * scale, _GOOD, 1)
+    bar = round(40 * scale)
+    cv2.rectangle(out, (0, h - bar), (w, h), _GOOD if view is not None else _BAD, -1)
+    plain = said.encode("ascii", "replace").decode()  # what OpenCV's letters can write
+    cv2.putText(out, plain, (8, h - bar // 3), cv2.FONT_HERSHEY_SIMPLEX, 0.75 * scale, _PAPER, max(1, round(2 * scale)))
+    return np.asarray(out)
