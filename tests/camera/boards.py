@@ -5,9 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from modcal_core.camera.bundle import BoardView
+from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.target import CHARUCO, PrintedTarget
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 

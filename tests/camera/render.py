@@ -10,8 +10,8 @@ from functools import cache
 import cv2
 import numpy as np
 
+from modcal_core.camera.bundle import CHARUCO, PrintedTarget
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.target import CHARUCO, PrintedTarget
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from camera.boards import BOARD, LENS, facing, views
 
-from modcal_core.camera.bundle import BoardView
+from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.target import PrintedTarget
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain

@@ -12,16 +12,14 @@ from camera.boards import seen
 from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icosahedron, looking, measured
 from finite_differences import assert_jacobian
 
-from modcal_core.camera.body_start import body_poses, images_with_pose, require_order
+from modcal_core.camera.body_start import body_poses, images_with_pose, require_order, resection
 from modcal_core.camera.bundle import APRILTAG_ORDER, ARUCO_ORDER, BoardView, MarkerBundle
 from modcal_core.camera.corners import COMMON, SHAPE, CornerTable, corner_rows
-from modcal_core.camera.few_points import resection
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import IN_WORLD
 from modcal_core.camera.plan import plan_images
-from modcal_core.camera.several import only_seen
-from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.solve import CameraSolution, only_seen, solve_camera
 from modcal_core.camera.target_file import any_target_from_data, bundle_to_data, read_target
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3, so3

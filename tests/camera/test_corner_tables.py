@@ -14,8 +14,8 @@ from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icos
 from camera.by_tracker import missed_by_tracker
 from camera.scenes import PANDA
 
+from modcal_core.camera.bundle import ARUCO_GRID, PrintedTarget
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.target import ARUCO_GRID, PrintedTarget
 from modcal_core.camera.target_file import bundle_to_data
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.report.camera import camera_info

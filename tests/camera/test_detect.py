@@ -13,8 +13,8 @@ import pytest
 from camera.boards import BOARD, facing, seen
 from camera.render import render
 
+from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHESSBOARD, PrintedTarget
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHESSBOARD, PrintedTarget
 from modcal_core.errors import ModcalError
 from modcal_core.files import to_yaml
 from modcal_core.geometry import se3

@@ -11,7 +11,7 @@ from camera.fits import solved
 from camera.rolling import rolling_views
 from camera.scenes import CameraScene, scene
 
-from modcal_core.camera.findings import CLOCK, TARGET
+from modcal_core.camera.contradicted import CLOCK, TARGET
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 

@@ -13,7 +13,7 @@ from camera.scenes import scene
 
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.prepared import CameraImages
-from modcal_core.camera.several import only_seen, prepare_images
+from modcal_core.camera.solve import only_seen, prepare_images
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 

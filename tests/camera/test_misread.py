@@ -12,7 +12,7 @@ from modcal_core.camera.body_start import far_markers
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import SHAPE, CornerTable, left_out_points
 from modcal_core.camera.fit import fit_camera
-from modcal_core.camera.several import only_seen, prepare_images
+from modcal_core.camera.solve import only_seen, prepare_images
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 

@@ -14,15 +14,13 @@ import pytest
 from camera.flange import flange_arm, flange_joints
 
 from modcal_core.camera.arm_poses import arm_poses
-from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.corners import CornerTable
+from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
+from modcal_core.camera.corners import FIXED, CornerTable, common_prior
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import find_mounting
 from modcal_core.camera.prepared import corner_weights
-from modcal_core.camera.state import FIXED, common_prior
-from modcal_core.camera.target import CHARUCO, PrintedTarget
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

@@ -11,13 +11,12 @@ from camera.fits import MEASURED, true_error
 from camera.scenes import BOARD_ON_TIP, CAMERA_IN_WORLD, CameraScene, scene
 from finite_differences import assert_jacobian
 
+from modcal_core.camera.bundle import PrintedTarget
 from modcal_core.camera.fit import equations_at
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.prepared import CameraImages, prepare
 from modcal_core.camera.problems import APPLY
-from modcal_core.camera.several import further_of
-from modcal_core.camera.solve import CameraSolution, solve_camera
-from modcal_core.camera.target import PrintedTarget
+from modcal_core.camera.solve import CameraSolution, further_of, solve_camera
 from modcal_core.camera.tool_error import postures_in_view
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.camera.equations import Equations, OtherBlock, Sizes
-from modcal_core.camera.stops import ALONE, numbered
+from modcal_core.camera.equations import ALONE, Equations, OtherBlock, Sizes, numbered
 from modcal_core.geometry.so3 import Array
 
 SIZES = Sizes(noise=1.3, joint=0.2, shift=0.3, arm=0.1)

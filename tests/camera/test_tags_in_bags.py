@@ -15,8 +15,7 @@ from camera.test_image_bags import camera_info, header
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.target import APRIL_GRID, TAG, PrintedTarget
+from modcal_core.camera.bundle import APRIL_GRID, TAG, BoardView, PrintedTarget
 from modcal_core.camera.target_file import target_to_data
 from modcal_core.errors import ModcalError
 from modcal_core.files import to_yaml

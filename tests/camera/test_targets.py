@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
+from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget
 from modcal_core.camera.target_file import read_target, scale_of_rulers, target_from_data, target_to_data
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml

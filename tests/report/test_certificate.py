@@ -16,9 +16,15 @@ from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
-from modcal_core.report.certificate_page import certificate_html
-from modcal_core.report.certificates import OWN_RECORDING, Certificate, Hashes, certificate, is_made_from
-from modcal_core.report.particulars import Particulars
+from modcal_core.report.certificates import (
+    OWN_RECORDING,
+    Certificate,
+    Hashes,
+    Particulars,
+    certificate,
+    certificate_html,
+    is_made_from,
+)
 from modcal_core.report.report import Report
 from modcal_core.verdict.iso9283 import CYCLES, POSES, pose_test
 from modcal_core.verdict.tolerance import Asked

@@ -18,7 +18,8 @@ from report.test_certificate import full, report
 from report.test_page import Elements, page
 
 from modcal_core.calibration.model import place_model
-from modcal_core.report import camera_page, certificate_page
+from modcal_core.report import camera_page
+from modcal_core.report import certificates as certificate_page
 from modcal_core.report.certificates import certificate
 from modcal_core.report.html import to_html
 from modcal_nodes.cli.main import run

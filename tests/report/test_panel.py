@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.ticker import MaxNLocator
 
-from modcal_core.report.effect_shapes import _few_waves
+from modcal_core.report.figures import _few_waves
 from modcal_core.report.panel import Panel, round_numbers
 from modcal_core.report.plots import in_numbers
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments
-    from modcal_core.camera.bundle import BoardView, BundleMarker, MarkerBundle
+    from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG, BoardView
+    from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
     from modcal_core.camera.causes import CameraCause
     from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
@@ -17,14 +18,10 @@ if TYPE_CHECKING:
     from modcal_core.camera.plan import plan_images
     from modcal_core.camera.prepared import MIN_CORNERS, CameraImages, distances_of_views, enough_corners
     from modcal_core.camera.problems import APPLY, CANNOT_TELL
-    from modcal_core.camera.several import FurtherSeen
-    from modcal_core.camera.solve import CameraSolution, solve_camera
-    from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG
-    from modcal_core.camera.target import PrintedTarget
+    from modcal_core.camera.solve import CameraSolution, FurtherSeen, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
-    from modcal_core.camera.tool_error import ToolError
+    from modcal_core.camera.tool_error import ALL_BUT_IMAGES, ToolError, covered, tilt_and_distance
     from modcal_core.camera.watching import CameraWatch, Moved
-    from modcal_core.camera.weakness import ALL_BUT_IMAGES, covered, tilt_and_distance
 else:
     from modcal_core.lazy import lazy_face
 

@@ -29,8 +29,6 @@ from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, NumberBank, Scanner
 from modcal_core.effects import AXIS, Drivers, Effect, candidates
 from modcal_core.geometry import Array, se3, so3
 
-# --- How much each candidate effect would explain of what a camera fit leaves over
-
 _ONLY_ROUNDING = 1e-9  # of an image's information, which a direction it does not see gets
 
 
@@ -244,9 +242,6 @@ def _of_images(there: CameraFit, fit: CameraFit, held: np.ndarray) -> Array:
     return np.asarray(total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0))
 
 
-# --- Where the flange is by a camera fit, and how everything that was fitted moves it
-
-
 def flange_in_tool(fit: CameraFit) -> Array:
     """The flange in the frame of whatever the arm carries, (3,) [m]."""
     return np.asarray(se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3])
@@ -270,8 +265,6 @@ def flange_motions(fit: CameraFit, q: Array) -> Array:
     T, motions = fit.poses.at_postures(q).tool_motions(fit.state.values)
     return at_flange(T, flange_in_tool(fit), motions)
 
-
-# --- How soft a joint may be before images show it: what a calibration by camera cannot tell of springs
 
 # Standard deviations at which one of some hundred candidates stands out: noise takes one so far once in 16 000.
 _SEEN = 4.0

@@ -20,17 +20,22 @@ import numpy as np
 from scipy.optimize import minimize
 
 from modcal_core.calibration import Model, Uncertainty, View, general_samples, linearise
-from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.corners import READOUT, SHAPE_NAMES, CornerTable, corner_rows, grams, residuals
+from modcal_core.camera.arm_poses import ArmPoses, FurtherCamera, further_cameras, places_of
+from modcal_core.camera.corners import (
+    CLOCK_S,
+    READOUT,
+    SHAPE_NAMES,
+    CameraState,
+    CommonPrior,
+    CornerTable,
+    corner_rows,
+    grams,
+    residuals,
+)
 from modcal_core.camera.equations import Equations, OtherBlock, Sizes, SolvedEquations
-from modcal_core.camera.further import FurtherCamera, further_cameras, places_of
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.state import CLOCK_S, CommonPrior
-from modcal_core.camera.state import CameraState as CameraState
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE
-
-# --- The minimum of a smooth function of a few values within bounds, from few calls
 
 _APART = 0.02  # of calls that measure the curvature: far above rounding, far below one
 _NEXT = 1e-4  # of calls that measure a slope where the curvature is known
@@ -90,8 +95,6 @@ def _learnt(inverse: Array, moved: Array, by: Array) -> Array:
     across = np.eye(len(moved)) - np.outer(moved, by) / along
     return np.asarray(across @ inverse @ across.T + np.outer(moved, moved) / along)
 
-
-# --- How large noise, what an image has of its own, and the arm's faults are
 
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
@@ -343,9 +346,6 @@ def _descend(
             if damping > _DAMPED:
                 return state, equations, True
     return state, equations, False
-
-
-# --- What a calibration by camera knows of itself, for other verbs: the covariance about the model as it is written
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:

@@ -20,8 +20,6 @@ from modcal_core.camera.lens import COUNT, FISHEYE, PINHOLE, Lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3, so3
 
-# --- Homographies of a flat target, and the lens that they are the images of
-
 _MIN_TILT = 1e-3  # of the equations; below, all images show the sheet square on
 
 
@@ -73,8 +71,6 @@ def _scaled(points: Array) -> tuple[Array, Array]:
     s = np.sqrt(2.0) / max(float(np.linalg.norm(points - centre, axis=1).mean()), 1e-300)
     return np.array([[s, 0.0, -s * centre[0]], [0.0, s, -s * centre[1]], [0.0, 0.0, 1.0]]), s * (points - centre)
 
-
-# --- Where the target is in one image
 
 _STEPS = 12  # of Gauss and Newton's method: it has met in four to six from a homography
 _MET = 1e-9  # m, rad; a step below changes nothing

@@ -169,8 +169,6 @@ def _require_motion(T_base_tip: Array, seen: Array, turns: Array) -> None:
         raise NotEnoughData("images", said, "turn the wrist by 30° or more about two axes")
 
 
-# --- Images that a fit has not seen: how many pixels it misses them by, which is no accuracy
-
 _HELD_OUT = 4  # every fourth image
 
 
@@ -193,8 +191,6 @@ def _predicted_px(fit: CameraFit, table: CornerTable, poses: ArmPoses) -> float:
     gap = missed_pixels(table, poses, fit.state)
     return float(np.sqrt((table.weight @ (gap**2).sum(1)) / max(table.weight.sum(), 1.0)))
 
-
-# --- What of images and joints belongs together otherwise, where as they stand they miss each other by more than any
 
 _NEAR = 0.03  # misfit as a share of the reach: no arm is built worse than that
 _MISMATCHED_CLEAR = 3.0  # times that of any other way

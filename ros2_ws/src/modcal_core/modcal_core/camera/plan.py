@@ -14,13 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.bundle import BoardView, MarkerBundle
+from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import flange_in_tool, flange_motions, frame_basis
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.target import CalibrationTarget
-from modcal_core.camera.tool_error import in_view
-from modcal_core.camera.weakness import tilt_and_distance
+from modcal_core.camera.tool_error import in_view, tilt_and_distance
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 

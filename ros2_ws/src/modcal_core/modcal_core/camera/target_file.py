@@ -12,22 +12,26 @@ from typing import Any
 import numpy as np
 
 from modcal_core.camera.bundle import (
+    APRIL_GRID,
     APRILTAG_ORDER,
+    ARUCO_GRID,
     ARUCO_ORDER,
     BUNDLE,
+    CHARUCO,
+    CHESSBOARD,
     PLACE_M,
     PRINT,
+    TAG,
     TURN_RAD,
     BundleMarker,
     MarkerBundle,
+    PrintedTarget,
+    PrintScale,
     body_scale,
 )
-from modcal_core.camera.target import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, TAG, PrintedTarget, PrintScale
 from modcal_core.errors import BadTable, refusing
 from modcal_core.files import read_yaml
 from modcal_core.geometry import so3
-
-# --- Bodies with markers as data: our own form, and the tag bundles that apriltag_ros reads
 
 TAG_BUNDLES = "tag_bundles"  # of apriltag_ros, beside standalone_tags
 _FAMILY = "DICT_APRILTAG_36h11"  # apriltag_ros's own, unless its other settings say otherwise

@@ -17,13 +17,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
+from modcal_core.camera.arm_poses import ArmPoses, further_cameras, places_of
+from modcal_core.camera.bundle import BoardView, PrintedTarget
+from modcal_core.camera.corners import POSE, CameraState, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.further import further_cameras, places_of
-from modcal_core.camera.state import CameraState
-from modcal_core.camera.target import PrintedTarget
 from modcal_core.geometry import Array, so3
 
 WORLD, TIP = "world", "tip"

@@ -10,16 +10,13 @@ import numpy as np
 from modcal_core.articulation import Choice, JointFit, PlacedJoint, Track, gross
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
-from modcal_core.report.effect_tables import number
 from modcal_core.report.figures import MAX_POINTS
-from modcal_core.report.page import AFTER, BEFORE, LIGHT, OF_AXES, Chart, PageTable, as_script_data, render
+from modcal_core.report.page import AFTER, BEFORE, LIGHT, OF_AXES, Chart, PageTable, as_script_data, number, render
 from modcal_core.report.plots import CIRCLE, SQUARE, TRIANGLE, chart, columns, limits_to_scale, line_size, plot
 
 if TYPE_CHECKING:
     from lets_plot.plot.core import PlotSpec
 
-
-# --- A handle's path, axis and lever in three dimensions, for the page of an articulated object
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it

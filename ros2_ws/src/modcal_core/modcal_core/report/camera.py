@@ -40,8 +40,6 @@ from modcal_core.robot import Robot
 from modcal_core.robots import NO_HASH, calibrated_urdf, joint_origins, kinematics_yaml_data, lacks_hash
 from modcal_core.verdict import Tolerance
 
-# --- Parts of a calibration by camera's data: a move among the images, other cameras, what the stated size is worth
-
 
 def moved_data(solution: CameraSolution) -> dict[str, Any]:
     """What was moved among the images, where something was."""
@@ -87,8 +85,6 @@ def rests_on_data(solution: CameraSolution) -> dict[str, float] | None:
         "if_wrong_high95_mm": 1e3 * rests.if_wrong_m,
     }
 
-
-# --- What a calibration by camera found of a body: how large it is, and where its markers are on it
 
 _NAMED = 3  # markers that are named in a sentence, those that are farthest off
 _TIMES = 3.0  # the stated tolerance, beyond which a marker is named: one of a thousand is off by so much
@@ -206,7 +202,8 @@ def camera_files(
     met: Tolerance | None = None,
 ) -> dict[str, str]:
     """Names and texts of everything a calibration by camera leaves behind. page: report.html too. met: a tolerance."""
-    from modcal_core.report import camera_charts, camera_page  # templates, which a page alone needs
+    from modcal_core.report import camera_page
+    from modcal_core.report import camera_page as camera_charts  # templates, which a page alone needs
 
     assert robot.description is not None
     calibration = camera_calibration(solution)

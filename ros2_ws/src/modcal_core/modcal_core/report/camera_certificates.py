@@ -11,9 +11,8 @@ import numpy as np
 
 from modcal_core.camera import CameraSolution, ToolError
 from modcal_core.errors import BadTable
-from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, Scale, Tone
+from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, Particulars, Scale, Tone
 from modcal_core.report.contents import Trace
-from modcal_core.report.particulars import Particulars
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
 

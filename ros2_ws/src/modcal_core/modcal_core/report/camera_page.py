@@ -9,13 +9,23 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration import Model
+from modcal_core.camera import CameraFit, distances_of_views
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
-from modcal_core.report.effect_tables import number, size_tables
-from modcal_core.report.page import MAX_POSTURES, Chart, PageTable, RobotScene, arm_paths, joints_in_words, plain_page
+from modcal_core.report.page import (
+    AFTER,
+    MAX_POSTURES,
+    Chart,
+    PageTable,
+    RobotScene,
+    arm_paths,
+    joints_in_words,
+    number,
+    plain_page,
+    size_tables,
+)
+from modcal_core.report.panel import Panel
 from modcal_core.report.sentence import counted
-
-# --- The parameters of a report as a technician reads them: one unit a table
 
 Parameter = tuple[str, float, float, str]  # name, value, standard deviation, unit
 _PARTS = (("m", "mm", 1e3, "Lengths"), ("rad", "mrad", 1e3, "Angles"), ("1", "‰", 1e3, "Ratios"))
@@ -58,7 +68,7 @@ def to_html(
 ) -> str:
     """The page. data: of ``report.json``. model: the calibrated one. q: the postures of the images (N, n) [rad, m].
 
-    charts: of :func:`modcal_core.report.camera_charts.camera_charts`.
+    charts: of :func:`modcal_core.report.camera_page.camera_charts`.
     """
     camera = data["camera"]
     files_held = [(name, _HOLDS[name]) for name in files if name in _HOLDS]
@@ -165,3 +175,29 @@ def _robot(model: Model, q: Array) -> RobotScene | None:
     said = [f"Image {row + 1} of {len(q)}: {joints_in_words(chain, q[row])}." for row in rows]
     alt = f"The arm in the postures of {counted(len(q), 'image')}."
     return RobotScene(tuple(paths), tuple(said), paths[:, -1], np.arange(len(rows)), chain.base, alt)
+
+
+_DRAWN = 4000  # corners in a picture; more only make the page heavy
+
+
+def camera_charts(fit: CameraFit) -> list[Chart]:
+    """Coverage of the image by corners, and the distance of each image's target from where the arm has it."""
+    used = np.flatnonzero(fit.table.weight > 0.0)
+    rows = used[spread_rows(len(used), _DRAWN)]
+    w, h = fit.state.lens.size
+    covered = Panel((0.0, float(w)), (-float(h), 0.0))
+    covered.hollow(fit.table.pixels[rows, 0], -fit.table.pixels[rows, 1], AFTER, "circle")
+    off = np.sqrt(distances_of_views(fit) / 6.0)
+    number = np.arange(1, len(off) + 1, dtype=float)
+    apart = Panel((0.0, float(len(off) + 1)), (0.0, 1.1 * max(float(off.max()), 2.0)))
+    apart.hollow(number, off, AFTER, "circle")
+    return [
+        covered.chart(
+            "covered", "u, px", "−v, px", "Where corners were in the images.",
+            "where corners were in the images: the lens is known where they are",
+        ),
+        apart.chart(
+            "apart", "image", "distance, σ", "How far each image is from where the arm has its target.",
+            "how far each image's target is from where the arm has it; one is usual",
+        ),
+    ]  # fmt: skip

@@ -28,8 +28,6 @@ from modcal_core.report.joint_offsets import JointOffsets
 from modcal_core.verdict import Asked, Grounds, Rejected, Status, Tolerance, Verdict, assess, interval
 from modcal_core.version import __version__
 
-# --- What a report can be traced back to: the program, the recording, the arm and the instrument
-
 
 @dataclass(frozen=True)
 class Trace:
@@ -49,8 +47,6 @@ def iso_date(stamp: float) -> str:
     """A stamp [s] as date and time, UTC."""
     return datetime.fromtimestamp(stamp, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
-
-# --- Which held-out samples are independent of each other
 
 _MIN_BLOCK = 5  # stations; the shortest that the split makes of a dense recording
 

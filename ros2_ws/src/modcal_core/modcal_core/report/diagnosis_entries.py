@@ -23,6 +23,7 @@ from modcal_core.effects import (
     ReportEntry,
     Sizes,
     claimed,
+    companionless,
     curve_sizes,
     family_named,
     is_large_move,
@@ -35,8 +36,6 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.robots import Mechanism
 from modcal_core.verdict import resampled
-
-# --- How large the effects of one entry are together
 
 
 def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence[Effect] = ()) -> Sizes:
@@ -209,7 +208,30 @@ def _rms(residuals: Errors) -> float:
     return float(np.sqrt(np.mean(residuals.position_norm**2))) if len(residuals.position) else float("nan")
 
 
-# --- What a report says of what pulls on the arm, where the data showed it
+def residual_notes(model: Model, known: Uncertainty, scored: Samples) -> tuple[str, ...]:
+    """A sentence on the effects of the scored model that no entry contains, largest joint first; none without them.
+
+    known: how well the model's values are known. scored: held-out samples.
+    """
+    numbers = companionless(model.effects)
+    if not numbers or not len(scored):
+        return ()
+    few = scored.select(spread_rows(len(scored), _MAX_SEEN))
+    of_joint: dict[str, list[int]] = {}
+    for i in numbers:
+        of_joint.setdefault(model.effects[i].place, []).append(i)
+    size = {joint: 1e3 * at_tool(model, own, few) for joint, own in of_joint.items()}
+    shares = ", ".join(f"{joint} {size[joint]:.3f} mm" for joint in sorted(size, key=lambda j: -size[j]))
+    with_them, alone = (
+        1e3 * float(np.sqrt(np.mean(errors(m, scored).position_norm ** 2)))
+        for m in (model, without(model, known, numbers))
+    )
+    return (
+        f"Beside what is named, small curves of joints, each held as small as these stations make likely, were learned "
+        f"together (RMS at the tool: {shares}); without them the error would be {alone:.3f} instead of {with_them:.3f} "
+        "mm. None of them is claimed as a cause.",
+    )
+
 
 _NORMAL = 1.96  # deviations of a 95 % interval
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration import Errors
+from modcal_core.effects import AXIS, JOINTS, LENGTH, RADIAL, Effect, component_names, curve
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.report.contents import ReportContents
@@ -144,8 +145,6 @@ def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
     return chart(drawn, "timeline", alt, words)
 
 
-# --- What is left, against every joint, time and temperature: before and after each thing that was added
-
 _MAX_STEPS = 5  # that are drawn; more effects are drawn together
 _MAX_TEMPERATURES = 4
 _MAX_DRAWN = 14_000  # dots of a page before and after its steps, which are folded
@@ -255,3 +254,96 @@ def _panel(x: Array, y: Array) -> Panel:
     low, high = float(x.min()), float(x.max())
     margin = 0.04 * max(high - low, 1e-6)
     return Panel((low - margin, high + margin), (-reach, reach))
+
+
+_POINTS = 1600
+_MAX_SHAPES = 24  # charts; more are looked at by nobody
+_MAX_WAVES, _DRAWN_WAVES = 20, 6  # more than the first make a grey block of a small chart
+_MAX_TICKS = 250  # of samples, below the curve
+_UNITS = {"load": "N m", "effort": "N m", "payload": "N m per kg", "direction": "−1 or 1"}
+_SHIFTS = ("x", "y", "z", LENGTH)
+
+
+def effect_shapes(report: ReportContents, share: float = 1.0) -> tuple[Chart, ...]:
+    """A chart for each direction of each effect that follows one number; none of what is a single number.
+
+    share: of the charts that there are at most.
+    """
+    out: list[Chart] = []
+    for finding in report.effects:
+        drawn = tuple(e for e in finding.effects if _is_curve(e) and e.driver == finding.effects[0].driver)
+        if drawn and report.model is not None:
+            driver = report.model.drivers(report.samples).values(drawn[0].driver, drawn[0].lag)
+            for component in range(len(component_names(drawn[0]))):
+                if len(out) < share * _MAX_SHAPES:
+                    out.append(_shape(report, drawn, driver, component, f"shape{len(out)}"))
+    return tuple(out)
+
+
+def _is_curve(effect: Effect) -> bool:
+    kind = effect.driver.partition(":")[0]
+    many = effect.direction in (JOINTS, RADIAL) or "," in effect.driver
+    return not many and kind not in ("velocity", "reading", "constant", "moment")
+
+
+def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, component: int, name: str) -> Chart:
+    effect, direction = effects[0], component_names(effects[0])[component]
+    x, size, std = curve(effects, float(driver.min()), float(driver.max()), _POINTS, component)
+    at, words = driver, _words(report, effect.driver)
+    if effect.driver == "time":
+        begin = float(report.samples.stamps.min())
+        x, at, words = (x - begin) / 60.0, (driver - begin) / 60.0, "time, min"
+    slides = direction == AXIS and not _turns(report, effect.place)
+    unit = "mm" if direction in _SHIFTS or slides else "mrad"
+    shown = _few_waves(size)
+    x, size, std = x[shown], size[shown], std[shown]
+    at = at[(at >= x[0]) & (at <= x[-1])]
+    low, high = (1e3 * (size + k * std) for k in (-2.0, 2.0))
+    panel = Panel(_limits(float(x.min()), float(x.max())), _limits(float(low.min()), float(high.max())))
+    panel.band(x, low, high, BEFORE)
+    panel.line(x, 1e3 * size, AFTER, 1.1)
+    panel.rug(np.sort(at)[spread_rows(len(at), _MAX_TICKS)], SOFT)
+    title = f"{effect.place}, {direction}: {effect.family.replace('_', ' ')}"
+    if shown != slice(None):
+        title += ", a part of its range"
+    alt = (
+        f"{title} over {words}: {1e3 * float(size.min()):.3g} to {1e3 * float(size.max()):.3g} {unit}, with a standard "
+        f"deviation of up to {1e3 * float(std.max()):.2g} {unit}."
+    )
+    return panel.chart(name, words, f"{direction}, {unit}", alt, title)
+
+
+def _few_waves(size: Array) -> slice:
+    """The points (N,) of a curve that are drawn: of many waves a few in the middle, of which each can be seen."""
+    over = size > size.mean()
+    turns = np.flatnonzero(over[1:] != over[:-1])
+    if len(turns) <= 2 * _MAX_WAVES:
+        return slice(None)
+    middle = len(turns) // 2
+    return slice(int(turns[middle - _DRAWN_WAVES]), int(turns[middle + _DRAWN_WAVES]) + 2)
+
+
+def _limits(low: float, high: float) -> tuple[float, float]:
+    """Limits of a chart axis with a small margin."""
+    margin = 0.05 * max(high - low, 1e-9)
+    return low - margin, high + margin
+
+
+def _turns(report: ReportContents, place: str) -> bool:
+    chain = report.model.chain if report.model is not None else None
+    return chain is None or place not in chain.names or bool(chain.revolute[chain.names.index(place)])
+
+
+def _words(report: ReportContents, driver: str) -> str:
+    """A driver for people, with its unit."""
+    kind, _, of = driver.partition(":")
+    if kind in ("position", "following"):
+        return f"{kind} of {of}, {'rad' if _turns(report, of) else 'm'}"
+    if kind == "temperature":
+        return f"temperature of {of}, °C"
+    if kind == "signal":
+        return of
+    if kind in _UNITS:
+        unit = _UNITS[kind] if _turns(report, of) else _UNITS[kind].replace("N m", "N")
+        return f"{'load' if kind in ('effort', 'payload') else kind} of {of}, {unit}"
+    return driver.replace(":", " of ")

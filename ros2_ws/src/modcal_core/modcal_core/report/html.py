@@ -10,16 +10,14 @@ import numpy as np
 
 from modcal_core.diagnosis import EvidenceMap
 from modcal_core.effects import remembered
-from modcal_core.report.account import accounts
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.camera_page import parameter_tables
 from modcal_core.report.contents import STAGES, ReportContents
-from modcal_core.report.effect_shapes import effect_shapes
-from modcal_core.report.effect_tables import Sizes, size_tables
-from modcal_core.report.figures import comparisons, error_histogram, spread_chart, timeline
-from modcal_core.report.page import as_script_data, render
+from modcal_core.report.figures import comparisons, effect_shapes, error_histogram, spread_chart, timeline
+from modcal_core.report.page import Sizes, as_script_data, render, size_tables
 from modcal_core.report.scene import scene, still
 from modcal_core.report.sentence import STATUS_WORDS, sentence
+from modcal_core.report.terminal import accounts
 from modcal_core.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}

@@ -24,8 +24,6 @@ from modcal_core.measurements import POSE, Samples, spread_rows
 from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.robots import is_serial_arm
 
-# --- What base and tool take up of a difference between two arms, so that what is left is the arms' own
-
 _SAME = 1e-9  # of the largest singular value; smaller ones are rounding
 
 

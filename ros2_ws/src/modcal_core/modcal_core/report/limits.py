@@ -117,8 +117,6 @@ def joint_limits(found: LimitsFound) -> dict[str, Any]:
     return {"joint_limits": out}
 
 
-# --- Bounds of acceleration as a page: the answer, a table for each unit, and the robot
-
 _FILES = [
     ("limits.json", "all numbers, for programs"),
     ("joint_limits.yaml", "constant bounds in the form of MoveIt's file"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -17,8 +17,6 @@ from modcal_core.robots import ARMS, Mechanism, is_delta, tool_frames
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-
-# --- The colours of pages and pictures: each by name, on light paper and on dark
 
 INK, SOFT, LINE, PAPER, PANEL = "ink", "soft", "line", "paper", "panel"
 AFTER, BEFORE, GOOD, WARN, BAD = "after", "before", "good", "warn", "bad"
@@ -41,8 +39,6 @@ DARK = {name: dark for name, (_, dark) in COLOURS.items()}
 OF_AXES = (BAD, GOOD, AFTER)  # x, y, z
 TINT = 50  # per cent of `after` in the fullest cell of a map; ink can be read on it
 
-
-# --- An arm in three dimensions, for pages that are not about errors: a plan, a study, limits
 
 MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
 
@@ -210,3 +206,57 @@ def framed(body: str, width: float, height: float, alt: str, px: float = _PX) ->
         f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(alt, quote=True)}" '
         f'style="max-width:{natural:.0f}px;min-width:{least:.0f}px">{body}'
     )
+
+
+_FIRST = ("mrad", "mm")  # then the others by name, numbers without a unit last
+_GROUPED = (1e4, 1e7)  # numbers between are written in full, their thousands apart
+_STAMP = 1e8  # s; larger ones are moments, of which every second counts
+
+Sizes = Mapping[str, Mapping[str, Any]]  # name of a quantity: value, std and unit, as in report.json
+
+
+def scaled(unit: str) -> tuple[str, float]:
+    """The unit that a person reads for one of SI, and what values are multiplied by."""
+    for si, shown in (("rad", "mrad"), ("m", "mm")):
+        if unit == si or unit.startswith(f"{si}/"):
+            return shown + unit.removeprefix(si), 1e3
+    return unit, 1.0
+
+
+def number(value: float, digits: int = 4) -> str:
+    """A number with a few digits; large ones in full."""
+    if 1.0 <= abs(value) < _GROUPED[0]:
+        rounded = float(f"{value:.{digits}g}")
+        behind = max(digits - 1 - int(np.floor(np.log10(abs(rounded)))), 0)
+        return f"{rounded:.{behind}f}".replace("-", "−")
+    if _GROUPED[0] <= abs(value) < _GROUPED[1]:
+        return f"{float(f'{value:.{digits}g}'):,.0f}".replace(",", "\u202f").replace("-", "−")
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def with_deviation(quantity: Mapping[str, Any]) -> str:
+    """Value and standard deviation in the unit that ``scaled`` gives, without it."""
+    factor = scaled(quantity["unit"])[1]
+    std = quantity["std"]
+    if quantity["unit"] == "s" and abs(quantity["value"]) > _STAMP:
+        return f"{quantity['value']:.1f}" + (f" ± {number(std, 1)}" if std else "")
+    return number(factor * quantity["value"]) + (f" ± {number(factor * std, 1)}" if std else "")
+
+
+def size_tables(rows: Iterable[tuple[str, Sizes]]) -> list[PageTable]:
+    """A table for each unit of what effects are made of. rows: the name of an effect, and its sizes."""
+    found: dict[str, list[tuple[str, ...]]] = {}
+    for name, sizes in rows:
+        for quantity, size in sizes.items():
+            cells = (name, quantity.replace("_", " "), with_deviation(size))
+            found.setdefault(scaled(str(size["unit"]))[0], []).append(cells)
+    ranked = sorted(found, key=lambda unit: (_FIRST.index(unit) if unit in _FIRST else len(_FIRST), unit == "1", unit))
+    return [
+        PageTable(
+            "Sizes without a unit" if unit == "1" else f"Sizes in {unit}",
+            ("effect", "quantity", "value" if unit == "1" else f"value, {unit}"),
+            tuple(found[unit]),
+            words=2,
+        )
+        for unit in ranked
+    ]

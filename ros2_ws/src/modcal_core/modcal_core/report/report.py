@@ -27,8 +27,6 @@ from modcal_core.robots import (
     lacks_hash,
 )
 
-# --- The files that a calibration leaves behind, as library, command and calibrator node all write them
-
 
 def calibration_files(
     calibration: Calibration,

@@ -12,8 +12,6 @@ from modcal_core.report.contents import ReportContents
 from modcal_core.robots import Mechanism
 from modcal_core.verdict import Status, Verdict
 
-# --- Numbers of things as people write them
-
 
 def counted(count: int, thing: str) -> str:
     """A number and what it counts, in the plural where it is one: ``1 station``, ``2 stations``."""
@@ -160,8 +158,6 @@ def _unsettled(verdict: Verdict) -> str:
 
 _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
 
-
-# --- Sentences beside a report: what readings do not see, and where a calibration is used that it was not made for
 
 _OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
 

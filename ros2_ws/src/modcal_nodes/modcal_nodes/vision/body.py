@@ -88,8 +88,6 @@ def require_body_markers(body: MarkerBundle) -> None:
         raise BadTable(body.label, "has points only, which are not found in images", "give a CSV of corners")
 
 
-# --- Corners of AprilTags that a detector beside the camera found, from its messages in a bag
-
 _SIGMA_PX = 0.2  # of a corner at which two lines meet that were fitted to a tag's edges
 _MAX_TAGS = 10_000  # of one image
 _MENDED = 1  # bits of a tag that were read wrong: more, and it may be another

@@ -122,8 +122,6 @@ def _motion(one: BoardView, two: BoardView) -> float:
     return float(np.median(np.linalg.norm(one.pixels[a] - two.pixels[b], axis=1))) if len(a) else np.inf
 
 
-# --- What the images of a bag are good for: how many show the target, how sharp, from where, and what is missing
-
 _LOOKED_AT = 40  # images, which tell coverage and tilt as well as all of them
 _ENOUGH = 15  # images that a calibration wants
 _SOFT = 3.0  # px; edges of images in focus and at rest are narrower

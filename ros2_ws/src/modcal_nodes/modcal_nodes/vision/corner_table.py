@@ -20,8 +20,6 @@ from modcal_core.camera import APRIL_GRID, ARUCO_GRID, MARKER_CORNERS, TAG, Boar
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_nodes.vision.images import ImageFolder, JointTable, csv_rows, joints_of_text, text_of
 
-# --- Tables of corners whose columns are of cameras, markers or corners, such as left_marker3_corner0_u: row by row
-
 _COORDINATES = (("u", "v"), ("x", "y"))  # in the order in which they are looked for
 _THIRD = {"x": "z", "y": "z"}  # with which they are a place in space
 _MARKERS, _CORNERS = ("marker", "tag", "aruco", "m", "id"), ("corner", "point", "pt", "p", "c")

@@ -36,8 +36,6 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3
 from modcal_nodes.vision.saddle import fit_board
 
-# --- How well an image says where a corner is
-
 _MIN_PX, _MAX_PX = 0.02, 2.0  # standard deviation of a corner: what interpolation alone leaves, and a useless one
 _PRINT_PX = 0.02  # standard deviation of what printer, paper and the lens's finer form leave beside the noise
 _TO_SIGMA = 1.4826  # of a median absolute deviation
@@ -363,8 +361,6 @@ def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.Char
     return board
 
 
-# --- Where the target is in one image, with a covariance that knows the corners' noise, and its twin
-
 _TWIN = 9.0  # of the sum of squares: within three standard deviations the pose tilted the other way fits as well
 
 
@@ -387,8 +383,6 @@ def board_pose(view: BoardView, target: PrintedTarget, lens: Lens) -> tuple[Arra
         cov = cov + np.outer(off, off)
     return T, 0.5 * (cov + cov.T)
 
-
-# --- The image with what was found in it, for a person to look at
 
 _GOOD, _BAD, _PAPER = (60, 180, 60), (60, 60, 220), (255, 255, 255)
 
