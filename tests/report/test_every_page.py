@@ -19,8 +19,7 @@ from report.test_page import Elements, page
 
 from modcal_core.calibration.model import place_model
 from modcal_core.report import camera_page
-from modcal_core.report import certificates as certificate_page
-from modcal_core.report.certificates import certificate
+from modcal_core.report.certificates import certificate, certificate_html
 from modcal_core.report.html import to_html
 from modcal_nodes.cli.main import run
 
@@ -72,8 +71,8 @@ VERBS: dict[str, list[str]] = {
 MADE: dict[str, Callable[[], str]] = {
     "calibrate": lambda: page("warm"),
     "evaluate": lambda: to_html(replace(points(), searched=None), calibration="cell_3"),
-    "certificate": lambda: certificate_page.to_html(certificate(report(FLOOR))),
-    "certificate_full": lambda: certificate_page.to_html(full()),
+    "certificate": lambda: certificate_html(certificate(report(FLOOR))),
+    "certificate_full": lambda: certificate_html(full()),
     "camera": lambda: camera_page.to_html(
         PHOTOGRAPHED, place_model(ur10(), ("camera",)), np.zeros((3, 6)), ["report.json"]
     ),

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments
     from modcal_core.camera.bundle import APRIL_GRID, ARUCO_GRID, CHARUCO, CHESSBOARD, MARKER_CORNERS, TAG, BoardView
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
-    from modcal_core.camera.causes import CameraCause
+    from modcal_core.camera.causes import CameraCause, at_flange, flange_in_tool
     from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
@@ -31,7 +31,7 @@ __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL",
 __all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE"]
 __all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
 __all__ += ["CameraImages", "CameraSolution", "CameraWatch", "CornerTable", "FurtherSeen", "ImageMoments", "Lens"]
-__all__ += ["MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses"]
-__all__ += ["corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens", "grams"]
-__all__ += ["homography", "plan_images", "read_any_target", "read_target", "solve_camera", "target_from_data"]
-__all__ += ["target_to_data", "tilt_and_distance", "uncertainty_about"]
+__all__ += ["MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside", "ToolError", "at_flange", "beside"]
+__all__ += ["board_poses", "corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens"]
+__all__ += ["flange_in_tool", "grams", "homography", "plan_images", "read_any_target", "read_target", "solve_camera"]
+__all__ += ["target_from_data", "target_to_data", "tilt_and_distance", "uncertainty_about"]

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, cast
 
 import numpy as np
 
@@ -77,10 +76,6 @@ def arm_faults(
     return ArmFaults(M[:, ~turns] @ M[:, ~turns].T, M[:, turns] @ M[:, turns].T)
 
 
-def _nothing() -> Array:
-    return np.empty((0, 0))
-
-
 @dataclass(frozen=True)
 class ImageMoments:
     """stamps: of the images [s], (N,); empty where only their order is known. approach: the direction each joint last
@@ -90,8 +85,8 @@ class ImageMoments:
     """
 
     stamps: Array = field(default_factory=lambda: np.empty(0))
-    approach: Array = field(default_factory=_nothing)
-    effort: Array = field(default_factory=_nothing)
+    approach: Array = field(default_factory=lambda: np.empty((0, 0)))
+    effort: Array = field(default_factory=lambda: np.empty((0, 0)))
     signals: tuple[SignalTrack, ...] = ()
     stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
 
@@ -100,10 +95,6 @@ class ImageMoments:
         each = (self.stamps, self.approach, self.effort, self.stop)
         stamps, approach, effort, stop = (a[rows] if len(a) else a for a in each)
         return ImageMoments(stamps, approach, effort, self.signals, stop)
-
-    def elsewhere(self) -> ImageMoments:
-        """What is known of postures that nobody has measured: nothing."""
-        return NOTHING_KNOWN
 
     def samples(self, q: Array, velocity: Array, names: tuple[str, ...], frames: tuple[str, ...]) -> Samples:
         """Pose samples (N) at these moments, whose readings say nothing: for drivers and derivatives."""
@@ -123,8 +114,8 @@ class ImageMoments:
             sigma_rotation=np.full(N, np.nan),
             velocity=velocity,
             moving=np.zeros(N, bool),
-            approach=self.approach if len(self.approach) == N else _nothing(),
-            effort=self.effort if len(self.effort) == N else _nothing(),
+            approach=self.approach if len(self.approach) == N else np.empty((0, 0)),
+            effort=self.effort if len(self.effort) == N else np.empty((0, 0)),
             signals=self.signals,
             clock=timed,
         )
@@ -134,35 +125,6 @@ NOTHING_KNOWN = ImageMoments()
 
 
 FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
-
-
-class OwnValues(Protocol):
-    """What a further camera has of its own among the values: see further.FurtherCamera."""
-
-    @property
-    def own(self) -> np.ndarray:
-        """Indices among what a fit of its own has."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of these."""
-        ...
-
-    @property
-    def start(self) -> Array:
-        """Their values to begin with."""
-        ...
-
-    @property
-    def expected(self) -> Array:
-        """What they are expected to be."""
-        ...
-
-    @property
-    def information(self) -> Array:
-        """Information of their prior."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -184,7 +146,7 @@ class ArmPoses:
     camera_on_tip: bool
     moments: ImageMoments = NOTHING_KNOWN
     beside: ReadingsBeside | None = None
-    further: tuple[OwnValues, ...] = ()
+    further: tuple[FurtherCamera, ...] = ()
     faults: ArmFaults | None = None
 
     def select(self, rows: np.ndarray) -> ArmPoses:
@@ -193,7 +155,7 @@ class ArmPoses:
 
     def at_postures(self, q: Array) -> ArmPoses:
         """The same arm, standing, at other postures (M, n)."""
-        return replace(self, q=q, velocity=np.zeros_like(q), moments=self.moments.elsewhere())
+        return replace(self, q=q, velocity=np.zeros_like(q), moments=NOTHING_KNOWN)
 
     def with_effects(self, effects: Sequence[Effect]) -> ArmPoses:
         """The same arm with these effects in place of those it has."""
@@ -257,6 +219,12 @@ class ArmPoses:
         q = self.q + offset_s * self.velocity
         samples = self.moments.samples(q, self.velocity, self.model.chain.names, self.model.frames)
         return Drivers(samples, self.model.arm or NominalArm(self.model.chain))
+
+    def further_at(self, state: CameraState) -> list[tuple[FurtherCamera, int, CameraState]]:
+        """(further camera, where its own values begin, its state) of each, at a state of all."""
+        counts = [len(one.own) for one in self.further]
+        first = [self.count - sum(counts[i:]) for i in range(len(counts))]
+        return [(one, i, one.state(self, state, i)) for one, i in zip(self.further, first, strict=True)]
 
     def model_at(self, values: Array) -> Model:
         """The model with these values put in."""
@@ -385,10 +353,6 @@ class FurtherCamera:
     shared: np.ndarray
     moving: bool
 
-    def select(self, rows: np.ndarray) -> FurtherCamera:
-        """With some of its images only."""
-        return replace(self, table=self.table.select(rows), poses=self.poses.select(rows))
-
     @property
     def own(self) -> np.ndarray:
         """Which of its parameters, clock, lens, shape, readout and places are its own, indices (P' + 16 + Z)."""
@@ -429,16 +393,18 @@ class FurtherCamera:
         whole[P + 1 :, P + 1 :] = self.prior.information
         return np.asarray(whole[np.ix_(self.own, self.own)])
 
-    def state(self, first: ArmPoses, state: CameraState, own: Array) -> CameraState:
-        """The state of its own fit at one of all. first: the first camera's poses. own: the values of its own."""
+    def state(self, first: ArmPoses, state: CameraState, place: int) -> CameraState:
+        """The state of its own fit at one of all. first: the first camera's poses. place: of its first own value."""
         P = len(self.poses.parameters)
         x = _vector(self.begin)
         at = {p.name: i for i, p in enumerate(first.parameters)}
         for i, p in enumerate(self.poses.parameters):
             if p.of_arm:
                 x[i] = state.values[at[p.name]]
-        x[P + 1 :][self.shared] = _of_first(state.common, len(self.shared))[self.shared]
-        x[self.own] = own
+        shared = np.flatnonzero(self.shared)  # no more than the first camera has, whose target may be another
+        x[P + 1 + shared] = state.common[shared]
+        own = self.own
+        x[own] = state.values[place : place + len(own)]
         effects = state.values[len(first.parameters) : first.of_model]
         there = replace(self.begin, values=np.r_[x[:P], effects], offset_s=float(x[P]))
         return there.with_common(x[P + 1 :])
@@ -459,22 +425,6 @@ class FurtherCamera:
         own = self.own
         out[np.where(own < P, own, own + effects)] = place + np.arange(len(own))
         return out
-
-
-def _of_first(common: Array, count: int) -> Array:
-    """What all images of the first camera share, as much of it as another camera has: its target may be another."""
-    return np.asarray(np.r_[common, np.zeros(max(count - len(common), 0))][:count])
-
-
-def further_cameras(poses: ArmPoses) -> tuple[FurtherCamera, ...]:
-    """Further cameras of a fit."""
-    return cast(tuple[FurtherCamera, ...], poses.further)
-
-
-def places_of(further: Sequence[FurtherCamera], end: int) -> list[int]:
-    """Where the own values of each begin, the last ending at ``end``."""
-    counts = [len(one.own) for one in further]
-    return [end - sum(counts[i:]) for i in range(len(counts))]
 
 
 def _vector(state: CameraState) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from modcal_core.calibration import Model, Uncertainty, View, general_samples, linearise
-from modcal_core.camera.arm_poses import ArmPoses, FurtherCamera, further_cameras, places_of
+from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import (
     CLOCK_S,
     READOUT,
@@ -269,9 +269,8 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
     information = np.zeros((P + 1 + len(prior.mean), P + 1 + len(prior.mean)))
     information[:P, :P] = np.diag(poses.prior_std**-2)
-    further = further_cameras(poses)
-    places = places_of(further, P)
-    for camera, first in zip(further, places, strict=True):
+    further = poses.further_at(state)
+    for camera, first, _ in further:
         own = slice(first, first + len(camera.own))
         information[own, own] = camera.information
     information[P, P] = CLOCK_S**-2
@@ -289,18 +288,17 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
         np.r_[np.ones(P, bool), clocked, common_free],
         int((table.weight > 0.0).sum()),
         poses.rows_beside(state.values, P + 1),
-        tuple(_block(camera, poses, state, first) for camera, first in zip(further, places, strict=True)),
+        tuple(
+            OtherBlock(
+                equations_at(one.table, one.poses.with_effects(poses.model.effects), one.prior, there),
+                one.columns(poses, first),
+            )
+            for one, first, there in further
+        ),
         poses.faults,
         prior.places,
         poses.moments.stop,
     )
-
-
-def _block(camera: FurtherCamera, poses: ArmPoses, state: CameraState, first: int) -> OtherBlock:
-    """The images of a further camera, whose own values begin at ``first``."""
-    there = camera.state(poses, state, state.values[first : first + len(camera.own)])
-    own = camera.poses.with_effects(poses.model.effects)
-    return OtherBlock(equations_at(camera.table, own, camera.prior, there), camera.columns(poses, first))
 
 
 def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
@@ -315,10 +313,7 @@ def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Ar
 
 def _possible(poses: ArmPoses, state: CameraState) -> bool:
     """Whether all lenses have a focal length."""
-    every = [state]
-    further = further_cameras(poses)
-    for camera, first in zip(further, places_of(further, len(state.values)), strict=True):
-        every.append(camera.state(poses, state, state.values[first : first + len(camera.own)]))
+    every = [state, *(there for *_, there in poses.further_at(state))]
     return all(bool((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all()) for s in every)
 
 

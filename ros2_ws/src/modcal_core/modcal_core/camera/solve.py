@@ -12,15 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Model, least_change
-from modcal_core.camera.arm_poses import (
-    NOTHING_KNOWN,
-    ArmPoses,
-    FurtherCamera,
-    ImageMoments,
-    arm_size,
-    further_cameras,
-    places_of,
-)
+from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, FurtherCamera, ImageMoments, arm_size
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
 from modcal_core.camera.contradicted import SIZE, CameraFinding, contradictions, doubts, findings, in_doubt, is_stated
@@ -141,10 +133,7 @@ class _Further:
 
     def seen_by(self, fit: CameraFit) -> FurtherSeen:
         """What the fit of all makes of it."""
-        further = further_cameras(fit.poses)
-        places = dict(zip((one.name for one in further), places_of(further, fit.poses.count), strict=True))
-        camera, first = self.camera, places[self.camera.name]
-        state = camera.state(fit.poses, fit.state, fit.state.values[first : first + len(camera.own)])
+        camera, first, state = next(one for one in fit.poses.further_at(fit.state) if one[0].name == self.camera.name)
         columns = camera.columns(fit.poses, first)[len(state.values) + 1 :]
         std = np.where(columns >= 0, np.sqrt(np.diag(fit.covariance))[columns], 0.0)
         gap = missed_pixels(camera.table, camera.poses.with_effects(fit.poses.model.effects), state)

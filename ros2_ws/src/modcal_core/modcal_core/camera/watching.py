@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from modcal_core.camera.arm_poses import ArmPoses, further_cameras, places_of
+from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.corners import POSE, CameraState, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
@@ -103,9 +103,7 @@ class CameraWatch:
         """fit: the calibration, of one camera or several. target: as it was calibrated with, by all of them."""
         self._fit, self._target = fit, target
         self._cameras = {"": _Watched(fit.poses, fit.state, np.arange(len(fit.covariance)))}
-        further = further_cameras(fit.poses)
-        for one, first in zip(further, places_of(further, fit.poses.count), strict=True):
-            state = one.state(fit.poses, fit.state, fit.state.values[first : first + len(one.own)])
+        for one, first, state in fit.poses.further_at(fit.state):
             poses = one.poses.with_effects(fit.poses.model.effects)
             self._cameras[one.name] = _Watched(poses, state, one.columns(fit.poses, first))
         self._seen: deque[_ImageResidual] = deque(maxlen=_WINDOW * len(self._cameras))

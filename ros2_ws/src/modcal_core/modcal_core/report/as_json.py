@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration import ErrorSize, KnownDistance
+from modcal_core.calibration import ErrorSize
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.report.contents import STAGES, ReportContents
-from modcal_core.report.diagnosis_entries import Finding, loads_to_json
+from modcal_core.report.diagnosis_entries import Finding, loads_to_json, sizes_to_json
 from modcal_core.report.sentence import sentence
 from modcal_core.verdict import Row, Share, Tolerance, Verdict, reading_scatter_mm
 
@@ -21,8 +21,7 @@ _STRONGEST = 10  # candidates of a scan that report.json names
 
 def to_json_data(report: ReportContents) -> dict[str, Any]:
     """The report as the data of ``report.json``: plain dictionaries, None where something does not apply."""
-    seen = report.identifiability
-    rest = report.unexplained_mm
+    seen, out, rest = report.identifiability, report.rejection, report.unexplained_mm
     return {
         "modcal_report": FORMAT,
         "title": report.title,
@@ -41,7 +40,9 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
         **_judged(report),
         "reading_scatter_mm": reading_scatter_mm(report.samples),
         "converged": report.grounds.converged,
-        "rejected_rms_mm": _rejection(report),
+        "rejected_rms_mm": None
+        if out is None
+        else {"with": out.with_mm, "without": out.without_mm, "stations": out.stations, "of": out.of},
         "not_applied": [asdict(missing) for missing in report.grounds.not_applied],
         "regimes": [asdict(regime) for regime in report.grounds.regimes],
         "convention": report.grounds.convention,
@@ -49,19 +50,30 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
         "trace": asdict(report.trace),
         "steps": [{"added": step.added, "rms_mm": step.rms_mm} for step in report.steps],
         "effects": [_effect(finding) for finding in report.effects],
-        "unexplained": None if rest is None else _unexplained(rest, report.left),
+        "unexplained": None if rest is None else unexplained(rest, report.left),
         "identifiability": None
         if seen is None
         else {
             "parameters": seen.parameters,
             "rank": seen.rank,
-            "condition": seen.condition if np.isfinite(seen.condition) else None,
+            "condition": finite(seen.condition),
             "unobservable": list(seen.unobservable),
             "left_out": list(report.left_out),
             "weak": [{"direction": name, "std_over_prior": share} for name, share in seen.weak],
         },
         "loads": loads_to_json(report.loads),
-        "known_distances": [_known_distance(known) for known in report.distances],
+        "known_distances": [
+            {
+                "name": known.name,
+                "stated_mm": 1e3 * known.stated,
+                "stated_std_mm": 1e3 * known.stated_std,
+                "misfit_mm": 1e3 * known.residual,
+                "found_mm": 1e3 * known.found,
+                "found_std_mm": 1e3 * known.std,
+                "contradicted": known.contradicted,
+            }
+            for known in report.distances
+        ],
         "evidence": [
             {
                 "p_value": seen_then.p_value,
@@ -95,27 +107,13 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
     }
 
 
-def _known_distance(known: KnownDistance) -> dict[str, Any]:
-    return {
-        "name": known.name,
-        "stated_mm": 1e3 * known.stated,
-        "stated_std_mm": 1e3 * known.stated_std,
-        "misfit_mm": 1e3 * known.residual,
-        "found_mm": 1e3 * known.found,
-        "found_std_mm": 1e3 * known.std,
-        "contradicted": known.contradicted,
-    }
-
-
 def _effect(finding: Finding) -> dict[str, Any]:
     return {
         "family": finding.family,
         "place": finding.place,
         "direction": finding.direction,
         "driver": finding.driver,
-        "parameters": {
-            name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in finding.parameters.items()
-        },
+        "parameters": sizes_to_json(finding.parameters),
         "p_value": finding.p_value,
         "rms_mm_before": 1e3 * finding.before,
         "rms_mm_after": 1e3 * finding.after,
@@ -127,7 +125,8 @@ def _effect(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _unexplained(size: float, left: EffectChoice | None) -> dict[str, Any]:
+def unexplained(size: float, left: EffectChoice | None) -> dict[str, Any]:
+    """What is left of this size [mm], and what it correlates with."""
     if left is None:
         return {"place": None, "driver": None, "size_mm": size}
     return {
@@ -168,22 +167,16 @@ def _judged(report: ReportContents) -> Mapping[str, Any]:
 def _account(rows: tuple[Row, ...] | None) -> list[dict[str, Any]] | None:
     if rows is None:
         return None
-    return [
-        {"what": row.what, "value": row.value, "ci95": None if row.ci95 is None else list(row.ci95)} for row in rows
-    ]
+    return [{**asdict(row), "ci95": None if row.ci95 is None else list(row.ci95)} for row in rows]
 
 
 def _share(share: Share | None) -> dict[str, Any] | None:
     return None if share is None else {"share": share.share, "ci95": list(share.ci95)}
 
 
-def _rejection(report: ReportContents) -> dict[str, Any] | None:
-    out = report.rejection
-    return (
-        None
-        if out is None
-        else {"with": out.with_mm, "without": out.without_mm, "stations": out.stations, "of": out.of}
-    )
+def finite(x: float) -> float | None:
+    """The number, None where it is not finite."""
+    return float(x) if np.isfinite(x) else None
 
 
 def tolerance_data(met: Tolerance | None) -> dict[str, Any] | None:

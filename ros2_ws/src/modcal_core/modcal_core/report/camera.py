@@ -28,23 +28,25 @@ from modcal_core.camera import (
     Lens,
     MarkerBundle,
     ToolError,
+    at_flange,
+    flange_in_tool,
     uncertainty_about,
 )
 from modcal_core.effects import ReportEntry, family_named
 from modcal_core.files import to_json, to_yaml
-from modcal_core.geometry import se3
-from modcal_core.report.as_json import FORMAT, tolerance_data
+from modcal_core.report.as_json import FORMAT, finite, tolerance_data, unexplained
 from modcal_core.report.contents import STAGES, Trace
-from modcal_core.report.diagnosis_entries import at_tool, parameters
+from modcal_core.report.diagnosis_entries import at_tool, parameters, sizes_to_json
 from modcal_core.robot import Robot
 from modcal_core.robots import NO_HASH, calibrated_urdf, joint_origins, kinematics_yaml_data, lacks_hash
 from modcal_core.verdict import Tolerance
 
 
-def moved_data(solution: CameraSolution) -> dict[str, Any]:
-    """What was moved among the images, where something was."""
+def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
+    """What was moved among the images, None where nothing was."""
     moved = solution.moved
-    assert moved is not None
+    if moved is None:
+        return None
     what = "target" if moved.in_world == solution.fit.poses.camera_on_tip else "camera"
     return {
         "what": what,
@@ -270,7 +272,7 @@ def camera_report(
         "error_deg": dict.fromkeys(STAGES),
         "noise_floor_mm": None,
         "effects": effect_entries(solution),
-        "unexplained": None if solution.left is None else _left(solution),
+        "unexplained": _left(solution),
         "identifiability": None,
         "status": "open" if problems or solution.open_points else "cannot_tell",
         "open_because": [*problems, *solution.open_points],
@@ -296,10 +298,7 @@ def camera_report(
                 "anywhere": _errors(solution.anywhere),
                 "arm_alone": None if solution.alone is None else _errors(solution.alone),
             },
-            "held_out_px": {
-                "nominal": _finite(solution.held_out_px[0]),
-                "calibrated": _finite(solution.held_out_px[1]),
-            },
+            "held_out_px": dict(zip(("nominal", "calibrated"), map(finite, solution.held_out_px), strict=True)),
             "rms_px": fit.rms_px,
             "sizes": asdict(fit.sizes),
             "lens": {
@@ -315,7 +314,7 @@ def camera_report(
             "body": body_data(solution),
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
             "readout_s": {"value": fit.state.readout_s, "std": float(std[R])} if std[R] > 0.0 else None,
-            "moved": None if solution.moved is None else moved_data(solution),
+            "moved": moved_data(solution),
             "account_mm2": [
                 {"what": name, "value": 1e6 * (whole - known)}
                 for name, (whole, known) in solution.shares.items()
@@ -339,7 +338,8 @@ def camera_report(
 
 def notes(solution: CameraSolution) -> tuple[str, ...]:
     """What else a person should know, in sentences."""
-    out = [f"{sentence}." for _, sentence in _named(solution)] + [found.sentence for found in solution.findings]
+    out = [f"{_sentence(cause.effect.family, entry)}." for cause, entry in _named(solution)]
+    out += [found.sentence for found in solution.findings]
     out += (*body_notes(solution), *solution.open_points, *solution.notes)
     if solution.left is not None:
         said = solution.left.effect.label
@@ -378,6 +378,7 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
 def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) -> list[str]:
     """The result for a terminal."""
     fit = solution.fit
+    what = "target" if fit.poses.camera_on_tip else "camera"
     out = [
         f"Mounting: {solution.mounting.label}. {solution.target.label}, {fit.table.views} of {images} images, "
         f"{int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS.",
@@ -387,7 +388,11 @@ def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) ->
             for one in solution.further
         ),
         _line("Where the target is in view", solution.in_view),
-        *(() if solution.alone is None else (_line(_alone(solution), solution.alone),)),
+        *(
+            ()
+            if solution.alone is None
+            else (_line(f"There, the arm by itself, wherever the {what} stands", solution.alone),)
+        ),
         _line("Anywhere within the joint limits", solution.anywhere),
         f"Held-out images: {solution.held_out_px[0]:.2f} px nominal, {solution.held_out_px[1]:.2f} px calibrated "
         "(pixels are no accuracy).",
@@ -401,85 +406,61 @@ def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
     """The effects as ``report.json`` has them. RMS before and after are what images have of their own, at the tool."""
     model, throw = solution.model, _throw(solution)
     out = []
-    for (cause, sentence), i in zip(_named(solution), range(len(solution.causes)), strict=True):
-        effect = cause.effect
-        out.append(
-            {
-                "family": effect.family,
-                "place": effect.place,
-                "direction": effect.direction,
-                "driver": effect.public_driver,
-                "parameters": {
-                    name: {"value": value, "std": std, "unit": unit}
-                    for name, (value, std, unit) in parameters((effect,), model.chain).items()
-                },
-                "p_value": cause.p_value,
-                "rms_mm_before": 1e3 * throw * cause.before,
-                "rms_mm_after": 1e3 * throw * cause.after,
-                "rms_mm_at_tool": 1e3 * at_tool(model, [i], solution.fit.poses.drivers().samples),
-                "same_as": list(cause.same_as),
-                "sentence": sentence,
-            }
-        )
+    for i, (cause, entry) in enumerate(_named(solution)):
+        moved = at_tool(model, [i], solution.fit.poses.drivers().samples)
+        rms = (throw * cause.before, throw * cause.after, moved)
+        out.append(_entry(cause.effect.family, entry, cause.p_value, rms, _sentence(cause.effect.family, entry)))
     scatter = throw * solution.fit.sizes.joint
     for found in solution.findings:
-        out.append(
-            {
-                "family": found.family,
-                "place": found.place,
-                "direction": found.direction,
-                "driver": found.driver,
-                "parameters": {
-                    name: {"value": value, "std": std, "unit": unit}
-                    for name, (value, std, unit) in found.values.items()
-                },
-                "p_value": found.p_value,
-                "rms_mm_before": 1e3 * float(np.hypot(scatter, found.at_tool_m)),
-                "rms_mm_after": 1e3 * scatter,
-                "rms_mm_at_tool": 1e3 * found.at_tool_m,
-                "same_as": list(found.same_as),
-                "sentence": found.sentence,
-            }
-        )
+        entry = ReportEntry(found.place, found.direction, found.driver, found.values, found.same_as)
+        rms = (float(np.hypot(scatter, found.at_tool_m)), scatter, found.at_tool_m)
+        out.append(_entry(found.family, entry, found.p_value, rms, found.sentence))
     return out
 
 
-def _named(solution: CameraSolution) -> list[tuple[CameraCause, str]]:
-    out = []
-    for cause in solution.causes:
-        e = cause.effect
-        sizes = parameters((e,), solution.fit.poses.model.chain)
-        entry = ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)
-        out.append((cause, family_named(e.family).sentence(entry)))
-    return out
+def _entry(
+    family: str, entry: ReportEntry, p_value: float, rms_m: tuple[float, float, float], sentence: str
+) -> dict[str, Any]:
+    """An effect. rms_m: before, after, and of the effect by itself, at the tool [m]."""
+    return {
+        "family": family,
+        "place": entry.place,
+        "direction": entry.direction,
+        "driver": entry.driver,
+        "parameters": sizes_to_json(entry.sizes),
+        "p_value": p_value,
+        **{f"rms_mm_{name}": 1e3 * x for name, x in zip(("before", "after", "at_tool"), rms_m, strict=True)},
+        "same_as": list(entry.same_as),
+        "sentence": sentence,
+    }
+
+
+def _named(solution: CameraSolution) -> list[tuple[CameraCause, ReportEntry]]:
+    chain = solution.fit.poses.model.chain
+    effects = [cause.effect for cause in solution.causes]
+    return [
+        (cause, ReportEntry(e.place, e.direction, e.public_driver, parameters((e,), chain), cause.same_as))
+        for cause, e in zip(solution.causes, effects, strict=True)
+    ]
+
+
+def _sentence(family: str, entry: ReportEntry) -> str:
+    return family_named(family).sentence(entry)
 
 
 def _throw(solution: CameraSolution) -> float:
     """RMS distance at the flange per radian (or metre) that each joint is off by itself [m]."""
     poses, values = solution.fit.poses, solution.fit.state.values
     T = poses.tool_at(values)
-    joints = poses.joint_motions(values, T)
-    away = T[:, :3, :3] @ se3.inverse(poses.model_at(values).T_tip_tool)[:3, 3]
-    moved = joints[:, :3] - np.cross(away[:, :, None], joints[:, 3:], axisa=1, axisb=1, axisc=1)
+    moved = at_flange(T, flange_in_tool(solution.fit), poses.joint_motions(values, T))
     return float(np.sqrt((moved**2).sum() / len(T)))
 
 
-def _left(solution: CameraSolution) -> dict[str, Any]:
+def _left(solution: CameraSolution) -> dict[str, Any] | None:
     choice = solution.left
-    assert choice is not None
-    return {
-        "place": choice.effect.place,
-        "direction": choice.effect.direction,
-        "driver": choice.effect.public_driver,
-        "size_mm": 1e3 * _throw(solution) * solution.fit.sizes.joint,
-        "p_value": choice.p_value,
-        "same_as": list(choice.same_as),
-    }
-
-
-def _alone(solution: CameraSolution) -> str:
-    what = "target" if solution.fit.poses.camera_on_tip else "camera"
-    return f"There, the arm by itself, wherever the {what} stands"
+    if choice is None:
+        return None
+    return unexplained(1e3 * _throw(solution) * solution.fit.sizes.joint, choice) | {"p_value": choice.p_value}
 
 
 def _line(where: str, error: ToolError) -> str:
@@ -496,7 +477,3 @@ def _errors(error: ToolError) -> dict[str, Any]:
         "calibrated": dict(zip(names, (1e3 * x for x in error.interval), strict=True)),
         "nominal": dict(zip(names, (1e3 * x for x in error.nominal_interval), strict=True)),
     }
-
-
-def _finite(x: float) -> float | None:
-    return x if np.isfinite(x) else None

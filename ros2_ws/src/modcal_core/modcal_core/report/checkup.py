@@ -10,11 +10,11 @@ import numpy as np
 
 from modcal_core.checking import NamedChange, Series, SizeFound
 from modcal_core.checkup import Checked
+from modcal_core.report.as_json import finite, tolerance_data
 from modcal_core.report.page import AFTER, BEFORE, Chart, PageTable, plain_page
 from modcal_core.report.panel import Panel
 from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
 
-FORMAT = 1  # of check.json
 _HEADINGS = {
     "unchanged": ("Nothing has changed", "good"),
     "changed": ("Something has changed", "warn"),
@@ -22,6 +22,7 @@ _HEADINGS = {
     "unexplained": ("Something has changed that is not explained", "bad"),
 }
 _TONES: dict[str, Tone] = {"unchanged": "good", "changed": "undecided", "ambiguous": "undecided", "unexplained": "bad"}
+_SIZES = ("change", "size", "value", "95 % interval", "unit")
 _FILES = {
     "check.json": "all numbers, for programs",
     "stations.csv": "the stations to measure next",
@@ -38,7 +39,7 @@ _FILES = {
 def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
     """The data of check.json. calibration: the name of what was checked."""
     return {
-        "modcal_check": FORMAT,
+        "modcal_check": 1,
         "calibration": calibration,
         "robot": found.report.trace.robot,
         "date": found.report.trace.date,
@@ -50,7 +51,7 @@ def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
         "changes": [_change(c) for c in found.changes],
         "error_mm": {"frozen": found.before[0], "expected": found.expected[0], "with_changes": found.after[0]},
         "error_deg": {"frozen": found.before[1], "expected": found.expected[1], "with_changes": found.after[1]},
-        "would_have_been_noticed_mm": {n.label: _finite(n.mm) for n in found.noticed},
+        "would_have_been_noticed_mm": {n.label: finite(n.mm) for n in found.noticed},
         "not_noticed": [label for n in found.noticed for label in n.unseen],
         "action": found.advice.action,
         "advice": found.advice.sentence,
@@ -66,16 +67,7 @@ def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
             "stations_to_be_alike": found.accuracy.more,
         },
         "convention": found.convention,
-        "tolerance": None
-        if found.report.tolerance is None
-        else {
-            "asked_mm": found.report.tolerance.asked.mm,
-            "statistic": found.report.tolerance.asked.statistic,
-            "value_mm": found.report.tolerance.value_mm,
-            "ci95": list(found.report.tolerance.ci95),
-            "result": found.report.tolerance.result,
-            "because": found.report.tolerance.because,
-        },
+        "tolerance": tolerance_data(found.report.tolerance),
         "notes": list(found.notes),
     }
 
@@ -96,10 +88,6 @@ def _change(c: NamedChange) -> dict[str, Any]:
     }
 
 
-def _finite(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
-
-
 def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
     """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
     out: list[SummaryTable | SummaryLine] = []
@@ -114,12 +102,10 @@ def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
     out.append(SummaryTable((f"error at {found.stations} stations", "RMS mm", "RMS deg"), tuple(rows)))
     for change in found.changes:
         if lines := tuple(_row(change, s) for s in change.sizes):
-            out.append(SummaryTable(("change", "size", "value", "95 % interval", "unit"), lines, words=2))
+            out.append(SummaryTable(_SIZES, lines, words=2))
     if found.noticed:
-        said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm))
-        unseen = ", ".join(label for n in found.noticed for label in n.unseen)
-        but = f" These stations do not show: {unseen}." if unseen else ""
-        out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said or 'nothing'}.{but}", "legend"))
+        said = ", ".join(f"{n.label} {n.mm:.3f} mm" for n in found.noticed if np.isfinite(n.mm)) or "nothing"
+        out.append(SummaryLine(f"Noticed in 95 of 100 cases, RMS at the tool: {said}.{_not_shown(found)}", "legend"))
     out += [SummaryLine(note, "doubt") for note in found.notes]
     out.append(SummaryLine(found.sentence, _TONES[found.status]))
     out.append(SummaryLine(found.advice.sentence))
@@ -130,6 +116,11 @@ def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
         tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
         out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tones.get(met.result, "undecided")))
     return tuple(out)
+
+
+def _not_shown(found: Checked) -> str:
+    unseen = ", ".join(label for n in found.noticed for label in n.unseen)
+    return f" These stations do not show: {unseen}." if unseen else ""
 
 
 def _judged(found: Checked) -> str:
@@ -188,28 +179,21 @@ def _pair(pair: tuple[float | None, float | None]) -> str:
 def _tables(found: Checked) -> tuple[PageTable, ...]:
     out = []
     if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
-        header = ("change", "size", "value", "95 % interval", "unit")
-        out.append(
-            PageTable(
-                "What changed", header, rows, 2, "Of a base: in the frame of the first joint. Of a tool: in its own."
-            )
+        below = "Of a base: in the frame of the first joint. Of a tool: in its own."
+        out.append(PageTable("What changed", _SIZES, rows, 2, below))
+    if found.changes:
+        rivals = tuple(
+            (c.label, ", ".join(c.same_as) or "none", "yes" if c.everywhere else "", f"{100.0 * c.probability:.1f} %")
+            for c in found.changes
         )
-    rivals = tuple(
-        (c.label, ", ".join(c.same_as) or "none", "yes" if c.everywhere else "", f"{100.0 * c.probability:.1f} %")
-        for c in found.changes
-    )
-    if rivals:
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
         out.append(PageTable("What it may as well be", columns, rivals, 3))
     if len(found.advice.stations):
-        turned = [tuple(f"{x:.4f}" for x in q) for q in found.advice.stations]
-        numbered = tuple((str(i + 1), *row) for i, row in enumerate(turned))
+        numbered = tuple((str(i), *(f"{x:.4f}" for x in q)) for i, q in enumerate(found.advice.stations, 1))
         out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered))
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
-        unseen = ", ".join(label for n in found.noticed for label in n.unseen)
-        but = f" These stations do not show: {unseen}." if unseen else ""
-        below = f"RMS at the tool over these stations, of the direction that shows least.{but}"
+        below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"
         out.append(PageTable("Noticed in 95 of 100 such checks", ("change", "mm"), noticed, 1, below))
     return tuple(out)
 

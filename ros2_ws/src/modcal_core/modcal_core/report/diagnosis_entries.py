@@ -222,10 +222,7 @@ def residual_notes(model: Model, known: Uncertainty, scored: Samples) -> tuple[s
         of_joint.setdefault(model.effects[i].place, []).append(i)
     size = {joint: 1e3 * at_tool(model, own, few) for joint, own in of_joint.items()}
     shares = ", ".join(f"{joint} {size[joint]:.3f} mm" for joint in sorted(size, key=lambda j: -size[j]))
-    with_them, alone = (
-        1e3 * float(np.sqrt(np.mean(errors(m, scored).position_norm ** 2)))
-        for m in (model, without(model, known, numbers))
-    )
+    with_them, alone = (1e3 * _rms(errors(m, scored)) for m in (model, without(model, known, numbers)))
     return (
         f"Beside what is named, small curves of joints, each held as small as these stations make likely, were learned "
         f"together (RMS at the tool: {shares}); without them the error would be {alone:.3f} instead of {with_them:.3f} "
@@ -310,6 +307,11 @@ def _unloaded(loads: Loads) -> NominalArm:
     if loads.down is None or loads.before.inertias is None:
         return loads.before
     return replace(loads.before, inertias=loads.before.inertias.pulled(loads.down))
+
+
+def sizes_to_json(sizes: Sizes) -> dict[str, Any]:
+    """Named sizes for ``report.json``."""
+    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
 
 
 def loads_to_json(loads: Loads | None) -> dict[str, Any] | None:
