@@ -267,6 +267,16 @@ class ArmPoses:
         """T_frame_tool, (N, 4, 4), the clock as stated."""
         return self.model_at(values).predict_samples(self.drivers().samples)
 
+    def half_motions(self, T: Array) -> tuple[Array, Array]:
+        """Twists of the target (N, 6, 6) per motion of the half in the world, and of that on the arm. T: T_frame_tool.
+
+        A motion is a shift and a turn, about the frame's origin along its axes, or about the tool's along its own.
+        """
+        R, p = T[:, :3, :3], T[:, :3, 3]
+        eye, zero = np.broadcast_to(np.eye(3), R.shape), np.zeros(R.shape)
+        by_world = np.block([[eye, -so3.hat(p)], [zero, eye]])
+        return self.as_twists(T, by_world), self.as_twists(T, np.block([[R, zero], [zero, R]]))
+
     def joint_motions(self, values: Array, T: Array) -> Array:
         """Motion of the tool per unit of each joint, (N, 6, n), as in :meth:`tool_motions`. T: T_frame_tool."""
         now = self.model_at(values)

@@ -30,7 +30,7 @@ from modcal_core.calibration import exceeded_chi2, median_chi2, procrustes
 from modcal_core.camera.bundle import MARKER_CORNERS, MarkerBundle
 from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, residuals
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.intrinsics import BoardPose, homography, pose_of_plane, refined_poses, twin_pose
+from modcal_core.camera.intrinsics import BoardPose, both_poses, homography, pose_of_plane, twin_pose
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import MIN_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
@@ -190,17 +190,7 @@ def body_poses(table: CornerTable, lens: Lens) -> BoardPose:
         first = pose_of_plane(homography(at_plane[:, :2], rays)) if flat else _by_affine(at_plane, rays)
         start[0, i] = first @ se3.inverse(T_body_plane)
         start[1, i] = twin_pose(first, np.zeros(3)) @ se3.inverse(T_body_plane)
-    T, cost, rms = (np.stack(part, axis=1) for part in zip(*(_refined(table, lens, s) for s in start), strict=True))
-    order = np.argsort(cost, axis=1)
-    return BoardPose(
-        np.take_along_axis(T, order[:, :, None, None], axis=1),
-        np.take_along_axis(cost, order, axis=1),
-        np.take_along_axis(rms, order, axis=1)[:, 0],
-    )
-
-
-def _refined(table: CornerTable, lens: Lens, start: Array) -> tuple[Array, Array, Array]:
-    return refined_poses(table, lens, table.unshaped, start)
+    return both_poses(table, lens, table.unshaped, start)
 
 
 def _of_view(table: CornerTable, view: int) -> Array:

@@ -1,6 +1,6 @@
-"""Printed targets: where their corners are, each with a number that never changes.
+"""Targets: printed sheets and bodies with markers, where their points are, each with a number that never changes.
 
-A target's frame has x to the right of the sheet, y down it and z into it, as OpenCV's boards have; its origin is the
+A sheet's frame has x to the right of the sheet, y down it and z into it, as OpenCV's boards have; its origin is the
 sheet's upper left corner of the pattern. AprilGrids are written in Kalibr's frame: x right, y up, z out of the sheet.
 
 The drawing says where each marker is on the body; the body was glued together by hand. So each marker has a place of
@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -59,43 +59,6 @@ class PrintScale:
         return np.array([[shared + apart + self.leaning, other], [other, shared + apart - self.leaning]])
 
 
-class CalibrationTarget(Protocol):
-    """What a fit asks of a target: points with numbers, and by how much each may be elsewhere than stated."""
-
-    @property
-    def scale(self) -> PrintScale:
-        """How large it came out: the first two values of its shape."""
-        ...
-
-    @property
-    def points(self) -> Array:
-        """Where its points are as stated, (C, 3) [m]."""
-        ...
-
-    @property
-    def label(self) -> str:
-        """The target as text."""
-        ...
-
-    @property
-    def values_of_place(self) -> int:
-        """How many values the place of each of its markers has: 0 where they are as stated, 3 or 6."""
-        ...
-
-    @property
-    def marker_count(self) -> int:
-        """How many markers have a place of their own."""
-        ...
-
-    def shape_modes(self) -> Array:
-        """How each point moves per unit of the five values of the shape, (C, 3, 5)."""
-        ...
-
-    def on_markers(self) -> tuple[np.ndarray, Array]:
-        """(number of the marker of each point, (C,), where the point is from the middle of that, (C, 3) [m])."""
-        ...
-
-
 @dataclass(frozen=True)
 class PrintedTarget:
     """A flat sheet with corners.
@@ -114,6 +77,8 @@ class PrintedTarget:
     dictionary: str = ""
     first_id: int = 0
     scale: PrintScale = PrintScale()
+    values_of_place: ClassVar[int] = 0  # of a marker: a sheet is printed in one piece
+    marker_count: ClassVar[int] = 0  # with a place of their own
 
     def __post_init__(self) -> None:
         """Raises BadTable for a target that cannot be printed."""
@@ -169,16 +134,6 @@ class PrintedTarget:
         what = "squares" if self.kind in (CHARUCO, CHESSBOARD) else "markers"
         return f"{names[self.kind]} of {self.columns} × {self.rows} {what} of {1e3 * self.square:g} mm"
 
-    @property
-    def values_of_place(self) -> int:
-        """Number of values of a marker's place: 0, because a sheet is printed in one piece."""
-        return 0
-
-    @property
-    def marker_count(self) -> int:
-        """Number of markers with their own place: none."""
-        return 0
-
     def shape_modes(self) -> Array:
         """How each corner moves per unit of its size along x, along y, and of three modes of bow, (C, 3, 5)."""
         points = self.points
@@ -210,25 +165,6 @@ class PlacePrior:
     def information(self, size: float) -> Array:
         """Information matrix of the marker places, (Z, Z). size: scale of the offsets in units of the tolerances."""
         return np.asarray(self.apart / size**2 + self.held)
-
-
-def place_prior(middles: Array, white: Array) -> PlacePrior:
-    """The prior of K markers at these middles (K, 3) [m].
-
-    white: takes the offsets of each, v = 3 or 6 values of its place, to units of its tolerances, (K, v, v), symmetric.
-    """
-    K, values = len(middles), white.shape[1]
-    body = np.zeros((K, values, 6))
-    body[:, :3, :3] = np.eye(3)
-    body[:, :3, 3:] = -so3.hat(middles - middles.mean(axis=0))
-    if values > 3:
-        body[:, 3:, 3:] = np.eye(3)
-    U, singular, _ = np.linalg.svd((white @ body).reshape(-1, 6), full_matrices=False)
-    U = (white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
-    together = U @ U.T
-    every = np.zeros((K, values, K, values))
-    every[np.arange(K), :, np.arange(K)] = white @ white
-    return PlacePrior(every.reshape(len(U), len(U)) - together, _HELD * together)
 
 
 @dataclass(frozen=True)
@@ -412,14 +348,25 @@ class MarkerBundle:
         return replace(self, corners=corners)
 
     def place_prior(self) -> PlacePrior:
-        """What is expected of the places of its markers."""
-        white = np.zeros((len(self.markers), self.values_of_place, self.values_of_place))
+        """What is expected of the places of its K markers."""
+        K, values = len(self.markers), self.values_of_place
+        white = np.zeros((K, values, values))  # offsets of each to units of its tolerances, symmetric
         for k, one in enumerate(self.markers):
             R = one.T_body_marker[:3, :3]
             off_face = self.place_m if self.normal_m is None or not one.size else self.normal_m
             white[k, :3, :3] = R / np.array([self.place_m, self.place_m, off_face]) @ R.T
-            white[k, 3:, 3:] = np.eye(self.values_of_place - 3) / self.turn_rad
-        return place_prior(self.middles, white)
+            white[k, 3:, 3:] = np.eye(values - 3) / self.turn_rad
+        body = np.zeros((K, values, 6))
+        body[:, :3, :3] = np.eye(3)
+        body[:, :3, 3:] = -so3.hat(self.middles - self.middles.mean(axis=0))
+        if values > 3:
+            body[:, 3:, 3:] = np.eye(3)
+        U, singular, _ = np.linalg.svd((white @ body).reshape(-1, 6), full_matrices=False)
+        U = (white @ U[:, singular > _RANK * singular[0]].reshape(K, values, -1)).reshape(K * values, -1)
+        together = U @ U.T
+        every = np.zeros((K, values, K, values))
+        every[np.arange(K), :, np.arange(K)] = white @ white
+        return PlacePrior(every.reshape(len(U), len(U)) - together, _HELD * together)
 
     def of_points(self, ids: np.ndarray) -> MarkerBundle:
         """The body with those of its markers only that have some of these points, turning where corners are among them.
@@ -446,13 +393,15 @@ class MarkerBundle:
         return [replace(v, ids=new[v.ids]) for v in views]
 
 
-def body_scale(size: float | None, size_x: float = 1.0, printed: float = PRINT) -> PrintScale:
+CalibrationTarget = PrintedTarget | MarkerBundle
+
+
+def body_scale(size: float | None, printed: float = PRINT) -> PrintScale:
     """How well the size of a body is known, and that of its markers, each by itself.
 
-    size: relative standard deviation, None where nobody states it. size_x: the body's size over the drawing's.
-    printed: relative standard deviation of the markers' sides.
+    size: relative standard deviation, None where nobody states it. printed: of the markers' sides.
     """
     body = SIZE if size is None else size
     quarter = 0.25 * (body**2 + printed**2)  # of independent values, shared and half the difference vary alike
     half = quarter**0.5
-    return PrintScale(size_x, 1.0, half, 2.0 * half, size is not None, 0.5 * (body**2 - printed**2))
+    return PrintScale(1.0, 1.0, half, 2.0 * half, size is not None, 0.5 * (body**2 - printed**2))

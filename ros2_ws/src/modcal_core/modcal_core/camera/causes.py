@@ -102,7 +102,7 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     which = solved.use[place:] - K
     held[place:, place:] += common[np.ix_(which, which)]
     if eq.beside is not None or eq.others:  # what others say stands beside the prior too
-        held += eq.of_others(fit.sizes)[0][np.ix_(solved.use, solved.use)]
+        held += eq.of_others(fit.sizes)[np.ix_(solved.use, solved.use)]
     rows = J.transpose(1, 0, 2).reshape(POSE * N, -1)
     Q = _orthonormal(rows, held).reshape(POSE, N, -1)
     residual = np.asarray(beside[:, :, -1].T)
@@ -180,7 +180,8 @@ def find_causes(
         else:
             refused.add(choice.effect.key)
             left = left or choice
-    return fit, _final(fit, causes), left
+    found = (replace(cause, effect=effect) for effect, cause in zip(_valued(fit), causes, strict=True))
+    return fit, tuple(found), left
 
 
 def _valued(fit: CameraFit) -> tuple[Effect, ...]:
@@ -194,20 +195,11 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
     return tuple(out)
 
 
-def _final(fit: CameraFit, causes: list[CameraCause]) -> tuple[CameraCause, ...]:
-    return tuple(
-        CameraCause(effect, c.p_value, c.same_as, c.before, c.after, c.gain)
-        for effect, c in zip(_valued(fit), causes, strict=True)
-    )
-
-
 def _with(fit: CameraFit, effect: Effect, arm: float | None) -> CameraFit:
     """Everything fitted again, with one more effect."""
     poses = fit.poses.with_effects((*_valued(fit), effect))
-    state = fit.state
-    values = np.insert(state.values, fit.poses.of_model, effect.values)
-    begin = state.with_values(values)
-    return fit_camera(fit.table, poses, state.lens, fit.prior, fit.sizes, arm, begin=begin)
+    begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, effect.values))
+    return fit_camera(fit.table, poses, begin.lens, fit.prior, fit.sizes, arm, begin=begin)
 
 
 def predicted(fit: CameraFit, arm: float | None = None) -> float:
@@ -221,25 +213,15 @@ def predicted(fit: CameraFit, arm: float | None = None) -> float:
     square = np.empty(N)
     for part in range(_PARTS):
         held = np.arange(N) % _PARTS == part
+        table, poses = fit.table.select(~held), fit.poses.select(~held)
         there = fit_camera(
-            fit.table.select(~held),
-            fit.poses.select(~held),
-            fit.state.lens,
-            fit.prior,
-            fit.sizes,
-            arm,
-            fixed_sizes=True,
-            begin=fit.state,
+            *(table, poses, fit.state.lens, fit.prior, fit.sizes, arm), fixed_sizes=True, begin=fit.state
         )
-        square[held] = _of_images(there, fit, held)
+        table = fit.table.select(held)
+        gap = missed_pixels(table, fit.poses.select(held), there.state)
+        total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
+        square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
     return float(np.minimum(square, 25.0 * np.median(square)).mean())
-
-
-def _of_images(there: CameraFit, fit: CameraFit, held: np.ndarray) -> Array:
-    table, poses = fit.table.select(held), fit.poses.select(held)
-    gap = missed_pixels(table, poses, there.state)
-    total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
-    return np.asarray(total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0))
 
 
 def flange_in_tool(fit: CameraFit) -> Array:

@@ -41,26 +41,6 @@ _NEAR_S = 2.0  # s, between two images of one stop: each camera's is taken from 
 
 
 @dataclass(frozen=True)
-class SeenStops:
-    """Images of one camera at stops that others saw as well. grams (R, 22 + Z, 22 + Z), moved (R, 6, K): as in the
-    equations. own: (R, 6, m), twists by what joints and tool are off by, per unit. columns: where each of its
-    parameters stands among those of all, −1 for one that is not fitted. stop: number of each, (R,).
-    """
-
-    grams: Array
-    moved: Array
-    own: Array
-    columns: np.ndarray
-    stop: np.ndarray
-
-    def rows(self) -> tuple[Array, Array]:
-        """(Bᵀ G_pp B (R, m, m), Bᵀ G_p by its own columns and the residual (R, m, K + 15 + Z + 1)), at noise 1."""
-        to_pose = np.swapaxes(self.own, 1, 2) @ self.grams[:, :POSE]
-        by_pose = to_pose[:, :, :POSE]
-        return by_pose @ self.own, np.concatenate([by_pose @ self.moved, to_pose[:, :, POSE:]], axis=2)
-
-
-@dataclass(frozen=True)
 class TiedStops:
     """S stops that several cameras saw. inner: Σ Bᵀ G_pp B, (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual,
     (S, m, size + 1). Both per unit of what is off, at noise 1.
@@ -70,17 +50,25 @@ class TiedStops:
     rows: Array
 
     @classmethod
-    def of(cls, seen: Sequence[SeenStops], size: int) -> TiedStops:
-        """The stops of these cameras. size: number of all columns."""
-        stops = np.unique(np.concatenate([one.stop for one in seen]))
-        m = seen[0].own.shape[2]
+    def of(cls, cameras: Sequence[tuple[Equations, np.ndarray, np.ndarray]], size: int) -> TiedStops | None:
+        """The stops of these cameras, None where there are none: equations, its columns among all, −1 for one that is
+        not fitted, which of its images others share. size: number of all columns.
+        """
+        cameras = [one for one in cameras if one[2].any()]
+        if not cameras:
+            return None
+        stops = np.unique(np.concatenate([eq.stop[shared] for eq, _, shared in cameras]))
+        m = cameras[0][0].joints.shape[2] + 3
         inner, rows = np.zeros((len(stops), m, m)), np.zeros((len(stops), m, size + 1))
-        for one in seen:
-            at = np.searchsorted(stops, one.stop)
-            own_inner, own_rows = one.rows()
-            keep = np.flatnonzero(one.columns >= 0)
-            inner[at] += own_inner
-            rows[at[:, None], :, np.r_[one.columns[keep], size]] += own_rows[:, :, np.r_[keep, -1]].transpose(0, 2, 1)
+        for eq, columns, shared in cameras:
+            at = np.searchsorted(stops, eq.stop[shared])
+            own = np.concatenate([eq.joints[shared], eq.shifts[shared]], axis=2)  # twists per unit of what is off
+            to_pose = np.swapaxes(own, 1, 2) @ eq.grams[shared, :POSE]
+            by_pose = to_pose[:, :, :POSE]
+            inner[at] += by_pose @ own
+            own_rows = np.concatenate([by_pose @ eq.moved[shared], to_pose[:, :, POSE:]], axis=2)
+            keep = np.flatnonzero(columns >= 0)
+            rows[at[:, None], :, np.r_[columns[keep], size]] += own_rows[:, :, np.r_[keep, -1]].transpose(0, 2, 1)
         return cls(inner, rows)
 
     def taken(self, off: Array, noise: float) -> tuple[Array, Array, float, float]:
@@ -218,14 +206,7 @@ class Equations:
     @cached_property
     def _tied(self) -> TiedStops | None:
         """The stops that several cameras saw, None where there are none."""
-        seen = [
-            SeenStops(
-                eq.grams[s], eq.moved[s], np.concatenate([eq.joints[s], eq.shifts[s]], axis=2), columns, eq.stop[s]
-            )
-            for eq, columns, s in self._shared
-            if s.any()
-        ]
-        return TiedStops.of(seen, len(self.offset)) if seen else None
+        return TiedStops.of(self._shared, len(self.offset))
 
     @cached_property
     def _total(self) -> Array:
@@ -277,12 +258,9 @@ class Equations:
         spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(log_det[alone].sum())
         return _Reduced(H, b, float(E[-1, -1]), spread, S)
 
-    def of_others(self, sizes: Sizes) -> tuple[Array, Array, float, float]:
-        """(H (K + 15 + Z, K + 15 + Z), b (K + 15 + Z,), cost, spread) of further cameras and other instruments, beside
-        what the images of this camera say by themselves.
-        """
-        every, own = self._of_all(sizes), self._reduced(sizes)
-        return every.H - own.H, every.b - own.b, every.cost - own.cost, every.spread - own.spread
+    def of_others(self, sizes: Sizes) -> Array:
+        """What further cameras and other instruments say beside this camera's images, (K + 15 + Z, K + 15 + Z)."""
+        return np.asarray(self._of_all(sizes).H - self._reduced(sizes).H)
 
     def _of_all(self, sizes: Sizes) -> _Reduced:
         """What all images and instruments say. S: of the first camera's, each by itself."""

@@ -99,8 +99,7 @@ def _learnt(inverse: Array, moved: Array, by: Array) -> Array:
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
 # size that the data say nothing of where arms and cameras have it.
-_USUAL = Sizes(1.0, 1e-4, 1e-4, 0.1)
-_USUAL_LOGS = _USUAL.logs  # asked for with every step of the search
+_USUAL_LOGS = START.logs  # asked for with every step of the search
 # Lengths and angles of an arm are as faulty as each other, in units of 10 mm and 20 mrad, to a factor of two: from
 # industrial arms (0.3 mm, 0.5 mrad) to printed ones (1 mm, 5 mrad).
 # Markers on a body are off by a tolerance that is mostly a guess, as the arm's is.

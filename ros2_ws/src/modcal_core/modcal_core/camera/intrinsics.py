@@ -97,11 +97,19 @@ def board_poses(table: CornerTable, lens: Lens, shape: Array) -> BoardPose:
         first = pose_of_plane(homography(table.points[rows, :2], lens.rays(table.pixels[rows])))
         start[0, i] = first
         start[1, i] = twin_pose(first, table.points[rows].mean(axis=0))
-    T, cost, rms = zip(*(refined_poses(table, lens, shape, s) for s in start), strict=True)
-    order = np.argsort(np.stack(cost, axis=1), axis=1)
-    T_both = np.take_along_axis(np.stack(T, axis=1), order[:, :, None, None], axis=1)
-    both_rms = np.take_along_axis(np.stack(rms, axis=1), order, axis=1)
-    return BoardPose(T_both, np.take_along_axis(np.stack(cost, axis=1), order, axis=1), both_rms[:, 0])
+    return both_poses(table, lens, shape, start)
+
+
+def both_poses(table: CornerTable, lens: Lens, shape: Array, start: Array) -> BoardPose:
+    """Both poses of the target in every image from these, (2, N, 4, 4), refined, the better one first."""
+    every = zip(*(refined_poses(table, lens, shape, s) for s in start), strict=True)
+    T, cost, rms = (np.stack(part, axis=1) for part in every)
+    order = np.argsort(cost, axis=1)
+    return BoardPose(
+        np.take_along_axis(T, order[:, :, None, None], axis=1),
+        np.take_along_axis(cost, order, axis=1),
+        np.take_along_axis(rms, order, axis=1)[:, 0],
+    )
 
 
 def pose_of_plane(H: Array) -> Array:
@@ -212,8 +220,8 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
     G = grams(table, corner_rows(table, lens, _FLAT, T))
     off = np.zeros(len(use))
     cost = float(G[:, -1, -1].sum())
+    p, c = slice(0, POSE), POSE + use
     for _ in range(_INTRINSICS_STEPS):
-        p, c = slice(0, POSE), POSE + use
         Hpp = G[:, p, p] * (1.0 + damping * np.eye(POSE))
         Hpp = Hpp + (np.einsum("nii->n", Hpp) == 0.0)[:, None, None] * np.eye(POSE)  # all corners left out: any pose
         Hcp = G[:, c, p]
@@ -241,16 +249,11 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
                 converged = True  # no step of any size is better
                 break
     cov = np.zeros((COUNT, COUNT))
-    cov[np.ix_(use, use)] = np.linalg.pinv(_of_lens(G, use) + P0, hermitian=True)
+    across = G[:, c, :POSE]  # undamped, the poses taken out
+    taken = across @ np.linalg.pinv(G[:, :POSE, :POSE], hermitian=True) @ np.swapaxes(across, 1, 2)
+    information = (G[:, c[:, None], c] - taken).sum(0)
+    cov[np.ix_(use, use)] = np.linalg.pinv(information + P0, hermitian=True)
     rows = corner_rows(table, lens, _FLAT, T)
     w = table.weight
     rms = float(np.sqrt((w @ (rows.pixels**2).sum(1)) / max(w.sum(), 1.0)))
     return LensFit(lens, T, cost, rms, cov, converged)
-
-
-def _of_lens(G: Array, use: np.ndarray) -> Array:
-    """Information of these values of the lens, the poses taken out of the products of all images, undamped."""
-    poses, c = G[:, :POSE, :POSE], POSE + use
-    across = G[:, c, :POSE]
-    taken = across @ np.linalg.pinv(poses, hermitian=True) @ np.swapaxes(across, 1, 2)
-    return np.asarray((G[:, c[:, None], c] - taken).sum(0))

@@ -36,7 +36,7 @@ from modcal_core.camera.fit import CameraFit, likeliest, usual
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.other_readings import ReadingsBeside
 from modcal_core.camera.tool_error import ToolError
-from modcal_core.geometry import Array, so3
+from modcal_core.geometry import Array
 
 _GAIN = 20.0  # of −2 log likelihood: odds of 1 : 20 000, for some hundred places in two halves
 _USUAL_M, _USUAL_RAD = 0.01, 0.02  # how far something is moved that is kicked
@@ -67,13 +67,8 @@ def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
     N = len(T)
     if N < 2 * _EDGE:
         return None
-    R, p = T[:, :3, :3], T[:, :3, 3]
-    eye, zero = np.broadcast_to(np.eye(3), (N, 3, 3)), np.zeros((N, 3, 3))
-    by_world = np.concatenate([np.concatenate([eye, -so3.hat(p)], 2), np.concatenate([zero, eye], 2)], 1)
-    by_tool = np.concatenate([np.concatenate([R, zero], 2), np.concatenate([zero, R], 2)], 1)
     scanned = []
-    for in_world, motions in ((True, by_world), (False, by_tool)):
-        twists = fit.poses.as_twists(T, motions)
+    for in_world, twists in zip((True, False), fit.poses.half_motions(T), strict=True):
         at, gain, _ = _scan(fit.equations, fit.sizes, _beside_nothing(fit.equations, twists))
         scanned.append((gain, at, in_world, twists))
     gain, at, in_world, twists = max(scanned, key=lambda s: s[0])
@@ -94,7 +89,7 @@ def moved_half(fit: CameraFit, arm: float | None = None) -> MovedHalf | None:
         return MovedHalf(begin, camera_in_world, 0.0, 0.0, better, float(focal[0]))
     K = fit.equations.moved.shape[2]
     step = solved.step()[K : K + 6]
-    shift = step[:3] + np.cross(step[3:], p.mean(0)) if in_world else step[:3]
+    shift = step[:3] + np.cross(step[3:], T[:, :3, 3].mean(0)) if in_world else step[:3]
     return MovedHalf(at, in_world, float(np.linalg.norm(shift)), float(np.linalg.norm(step[3:])), better)
 
 

@@ -21,7 +21,7 @@ from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
 from modcal_core.camera.corners import POSE, CameraState, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
-from modcal_core.geometry import Array, so3
+from modcal_core.geometry import Array
 
 WORLD, TIP = "world", "tip"
 _WINDOW = 8  # images that are looked back on
@@ -139,22 +139,16 @@ class CameraWatch:
         by_model = np.zeros((POSE, len(fit.covariance)))
         fitted = watched.columns >= 0
         by_model[:, watched.columns[fitted]] = by_own[:, fitted]
-        R, p = T[:, :3, :3], T[:, :3, 3]
-        eye, zero = np.eye(3)[None], np.zeros((1, 3, 3))
-        by_world = np.concatenate([np.concatenate([eye, -so3.hat(p)], 2), np.concatenate([zero, eye], 2)], 1)
-        by_tool = np.concatenate([np.concatenate([R, zero], 2), np.concatenate([zero, R], 2)], 1)
+        halves = [watched.half(half, camera) for half in (WORLD, TIP)]
         return _ImageResidual(
             view.stamp if np.isfinite(view.stamp) else float(self._count),
-            p[0],
+            T[0, :3, 3],
             own @ G[:POSE, -1],
             own,
             np.concatenate([fit.sizes.joint * by_joints, fit.sizes.shift * at.as_twists(T, along)[0]], axis=1),
             q,
             by_model,
-            {
-                watched.half(WORLD, camera): at.as_twists(T, by_world)[0],
-                watched.half(TIP, camera): at.as_twists(T, by_tool)[0],
-            },
+            {half: twists[0] for half, twists in zip(halves, at.half_motions(T), strict=True)},
             by_joints,
         )
 

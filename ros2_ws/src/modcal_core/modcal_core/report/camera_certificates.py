@@ -7,11 +7,18 @@ but by its own interval.
 
 from __future__ import annotations
 
-import numpy as np
-
 from modcal_core.camera import CameraSolution, ToolError
 from modcal_core.errors import BadTable
-from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, Particulars, Scale, Tone
+from modcal_core.report.certificates import (
+    MAX_REASONS,
+    Certificate,
+    Hashes,
+    Particulars,
+    Scale,
+    Tone,
+    box_in_words,
+    listed,
+)
 from modcal_core.report.contents import Trace
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
@@ -55,7 +62,9 @@ def camera_certificate(
     """The certificate. met: of :func:`camera_tolerance`. images: how many there were. Raises BadTable without met."""
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 2")
-    doubts = _reservations(solution, images) if met.result == "PASS" else _reasons(solution, met)
+    doubts = tuple(said for said in solution.decision.because if said != met.because)[:MAX_REASONS]
+    if met.result == "PASS":
+        doubts = _reservations(solution, images)
     tones: dict[str, Tone] = {"PASS": "warn", "FAIL": "bad"}
     fit = solution.fit
     low, high = met.ci95
@@ -90,7 +99,7 @@ def camera_certificate(
         floor="not known",
         iso=(),
         silent_on=_SILENT_ON,
-        hashes=_hashes(hashes),
+        hashes=listed(hashes, "images and joints"),
         signatures=(("Measured by", said.measured_by), ("Approved by", said.approved_by)),
     )
 
@@ -107,10 +116,6 @@ def _reservations(solution: CameraSolution, images: int) -> tuple[str, ...]:
     return tuple(out[:MAX_REASONS])
 
 
-def _reasons(solution: CameraSolution, met: Tolerance) -> tuple[str, ...]:
-    return tuple(said for said in solution.decision.because if said != met.because)[:MAX_REASONS]
-
-
 def _size(error: ToolError, calibrated: bool = True) -> str:
     middle, low, high = error.interval if calibrated else error.nominal_interval
     return f"{1e3 * middle:.2f} mm RMS (95 %: {1e3 * low:.2f} … {1e3 * high:.2f})"
@@ -119,16 +124,4 @@ def _size(error: ToolError, calibrated: bool = True) -> str:
 def _volume(solution: CameraSolution) -> str:
     """The box that the flange was in, in the arm's base [m]."""
     fit = solution.fit
-    p = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)[:, :3, 3]
-    ends = zip("xyz", np.min(p, axis=0), np.max(p, axis=0), strict=True)
-    box = "; ".join(f"{axis} {low:.2f} … {high:.2f} m" for axis, low, high in ends)
-    return f"{box.replace('-', '−')} from the base"
-
-
-def _hashes(hashes: Hashes) -> tuple[tuple[str, str], ...]:
-    named = (
-        ("images and joints", hashes.recording),
-        ("robot description", hashes.description),
-        ("calibration.yaml", hashes.calibration),
-    )
-    return tuple((name, digest) for name, digest in named if digest)
+    return box_in_words(chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)[:, :3, 3])

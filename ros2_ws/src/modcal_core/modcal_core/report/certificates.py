@@ -6,20 +6,33 @@ only where the verdict leaves no doubt: at the floor, the instrument's accuracy 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from modcal_core.calibration import Calibration, Stated
 from modcal_core.errors import BadTable
+from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.report.page import Chart, framed, render
 from modcal_core.report.report import Report
 from modcal_core.report.sentence import counted
 from modcal_core.verdict import PoseTest, pose_test
 
+Tone = Literal["good", "warn", "bad"]
 MAX_TEXT = 90  # characters of a text that a person gives, so that the page stays one
+MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
+MAX_REASONS = 3  # that the page has room for; report.json has all of them
+_NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
+_STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
+_WIDTH, _LEFT, _RIGHT = 370.0, 8.0, 362.0  # points of the scale; a phone shows all of it
+_LABEL = 36.0  # points, half of what the tolerance's label takes
+_HEIGHT, _BAR, _AXIS = 54.0, 22.0, 36.0
+OWN_RECORDING = (
+    "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
+    "it on another one."
+)
 
 
 @dataclass(frozen=True)
@@ -43,17 +56,6 @@ class Particulars:
             if len(text) > MAX_TEXT:
                 said = f"has {len(text)} characters, {MAX_TEXT} is the limit"
                 raise BadTable(f"certificate: {name}", said, "shorten it")
-
-
-Tone = Literal["good", "warn", "bad"]
-MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
-MAX_REASONS = 3  # that the page has room for; report.json has all of them
-_NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
-_STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
-OWN_RECORDING = (
-    "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
-    "it on another one."
-)
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,7 @@ def certificate(
     stated: of arm and instrument. made_from: whether the frozen calibration was made from this very recording.
     """
     met, stated, said = report.tolerance, stated or Stated(), particulars or Particulars()
+    hashes = hashes or Hashes()
     if met is None:
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
     doubts = _reservations(report, stated) if met.result == "PASS" else _reasons(report)
@@ -144,7 +147,7 @@ def certificate(
         floor=_floor(report),
         iso=_iso(tests),
         silent_on=_silent_on(report, stated, tests),
-        hashes=_hashes(report, hashes or Hashes()),
+        hashes=listed(replace(hashes, recording=hashes.recording or report.trace.bag_sha256), "recording"),
         signatures=(("Measured by", said.measured_by), ("Approved by", said.approved_by)),
     )
 
@@ -221,11 +224,11 @@ def _facts(report: Report, stated: Stated, said: Particulars, made_from: bool) -
     held = f"{sizes['held_out']} of them scored that no fit has seen"
     if report.searched is None:
         held = "all of them fitted before" if made_from else f"{sizes['held_out']} of them scored"
-    arm = said.robot or trace.robot
+    date = trace.date if report.samples.clock else None
     return (
-        ("Robot", arm or None),
+        ("Robot", said.robot or trace.robot or None),
         ("Serial number", said.serial or None),
-        ("Date of the recording", _date(trace.date) if report.samples.clock else None),
+        ("Date of the recording", None if date is None else f"{date[:10]} {date[11:16]} UTC"),
         ("Stations", f"{counts} ({report.measurement.replace('_', ' ')}), {held}"),
         ("Instrument", said.instrument or trace.instrument),
         ("Its accuracy", _accuracy(stated)),
@@ -250,10 +253,6 @@ def is_made_from(calibration: Calibration, samples: Samples) -> bool:
     return sum(row.tobytes() in seen for row in np.round(kept, 9) + 0.0) > 0.5 * len(kept)
 
 
-def _date(stamp: str | None) -> str | None:
-    return None if stamp is None else f"{stamp[:10]} {stamp[11:16]} UTC"
-
-
 def _accuracy(stated: Stated) -> str | None:
     parts = [] if stated.instrument_mm is None else [f"{stated.instrument_mm:g} mm RMS in space"]
     parts += [] if stated.instrument_deg is None else [f"{stated.instrument_deg:g}° RMS"]
@@ -267,7 +266,12 @@ def _volume(report: Report) -> str | None:
     T = report.model.T_frame_base[report.scored.frame]
     p = report.model.predict_samples(report.scored)[:, :3, 3] - T[:, :3, 3]
     inside = np.einsum("nji,nj->ni", T[:, :3, :3], p)
-    ends = zip("xyz", inside.min(axis=0), inside.max(axis=0), strict=True)
+    return box_in_words(inside)
+
+
+def box_in_words(p: Array) -> str:
+    """The box of points (N, 3) [m] in the arm's base."""
+    ends = zip("xyz", p.min(axis=0), p.max(axis=0), strict=True)
     box = "; ".join(f"{axis} {low:.2f} … {high:.2f} m" for axis, low, high in ends)
     return f"{box.replace('-', '−')} from the base"
 
@@ -344,18 +348,14 @@ def _silent_on(report: Report, stated: Stated, tests: PoseTest) -> tuple[str, ..
     return tuple(out)
 
 
-def _hashes(report: Report, hashes: Hashes) -> tuple[tuple[str, str], ...]:
-    all_of_them = (
-        ("recording", hashes.recording or report.trace.bag_sha256),
+def listed(hashes: Hashes, recording: str) -> tuple[tuple[str, str], ...]:
+    """Names of the files and their hashes, as far as they are known. recording: what that is called."""
+    named = (
+        (recording, hashes.recording),
         ("robot description", hashes.description),
         ("calibration.yaml", hashes.calibration),
     )
-    return tuple((name, digest) for name, digest in all_of_them if digest)
-
-
-_WIDTH, _LEFT, _RIGHT = 370.0, 8.0, 362.0  # points; a phone shows all of it
-_LABEL = 36.0  # points, half of what the tolerance's label takes
-_HEIGHT, _BAR, _AXIS = 54.0, 22.0, 36.0
+    return tuple((name, digest) for name, digest in named if digest)
 
 
 def certificate_html(one: Certificate) -> str:

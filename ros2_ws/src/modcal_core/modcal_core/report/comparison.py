@@ -15,10 +15,11 @@ import numpy as np
 from scipy.special import ndtri
 
 from modcal_core.calibration import Calibration, ErrorSize, Model, outside_drivers
-from modcal_core.effects import claimed
+from modcal_core.effects import Sizes, claimed
 from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
+from modcal_core.report.diagnosis_entries import sizes_to_json
 from modcal_core.report.joint_offsets import base_and_tool_motions as taken_by
 from modcal_core.report.joint_offsets import parameter_motions, poses_at, twists, without
 from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone, legend
@@ -207,8 +208,8 @@ class EffectDifference:
     """An effect with its sizes in either, {name: (value, standard deviation, unit)}; None where it is not there."""
 
     name: str
-    first: Mapping[str, tuple[float, float | None, str]] | None
-    second: Mapping[str, tuple[float, float | None, str]] | None
+    first: Sizes | None
+    second: Sizes | None
 
 
 @dataclass(frozen=True)
@@ -243,13 +244,14 @@ def compare(first: Side, second: Side, tolerance_mm: float | None = None) -> Com
         where = " and ".join(s.name for s, e in zip((first, second), errors, strict=True) if e is None)
         raise NotEnoughData(where, "holds no error to compare", "give folders of modcal calibrate or modcal evaluate")
     result, sentence = _judged_tool(tool, tolerance_mm) if tool is not None else _judged_errors(first, second)
+    in_one, in_two = (_effects_of(side) for side in (first, second))
     return Comparison(
         sides=(first, second),
         result=result,
         sentence=sentence,
         tolerance_mm=tolerance_mm,
         parameters=_parameters(first, second, frozenset() if tool is None else tool.of_base_or_tool),
-        effects=_effects(first, second),
+        effects=tuple(EffectDifference(name, in_one.get(name), in_two.get(name)) for name in {**in_one, **in_two}),
         tool=tool,
         notes=_notes(first, second, tool),
     )
@@ -275,27 +277,21 @@ def _parameters(first: Side, second: Side, of_base_or_tool: frozenset[str]) -> t
     return tuple(out)
 
 
-def _effects(first: Side, second: Side) -> tuple[EffectDifference, ...]:
-    tables = [_effects_of(side) for side in (first, second)]
-    names = dict.fromkeys([*tables[0], *tables[1]])
-    return tuple(EffectDifference(name, tables[0].get(name), tables[1].get(name)) for name in names)
-
-
-def _effects_of(side: Side) -> dict[str, dict[str, tuple[float, float | None, str]]]:
+def _effects_of(side: Side) -> dict[str, Sizes]:
     """Sizes of the effects by name, as its report has them; of a calibration alone the names."""
     if side.report is not None and (rows := side.report.get("effects")):
         return {
-            f"{e['family'].replace('_', ' ')}: {e['place']} {e['direction']} by {e['driver'].replace(':', ' of ')}": {
+            _named(e["family"], e["place"], e["direction"], e["driver"]): {
                 name: (q["value"], q["std"], q["unit"]) for name, q in e["parameters"].items()
             }
             for e in rows
         }
     effects = () if side.calibration is None else side.calibration.calibrated.effects
-    return {
-        f"{e.family.replace('_', ' ')}: {e.place} {e.direction} by {e.public_driver.replace(':', ' of ')}": {}
-        for e in effects
-        if claimed(e)
-    }
+    return {_named(e.family, e.place, e.direction, e.public_driver): {} for e in effects if claimed(e)}
+
+
+def _named(family: str, place: str, direction: str, driver: str) -> str:
+    return f"{family.replace('_', ' ')}: {place} {direction} by {driver.replace(':', ' of ')}"
 
 
 def _final(side: Side) -> Mapping[str, Any] | None:
@@ -426,10 +422,8 @@ def _side(side: Side) -> dict[str, Any]:
     }
 
 
-def _sizes(sizes: Mapping[str, tuple[float, float | None, str]] | None) -> dict[str, Any] | None:
-    if sizes is None:
-        return None
-    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
+def _sizes(sizes: Sizes | None) -> dict[str, Any] | None:
+    return None if sizes is None else sizes_to_json(sizes)
 
 
 def comparison_summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, ...]:
@@ -445,11 +439,10 @@ def comparison_summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, .
     header = ("error on scored stations", "mean mm", "RMS mm", "95 % mm", "max mm", "status", "tolerance")
     out.append(SummaryTable(header, tuple(rows)))
     for title, unit, factor, part in _parts(found):
-        ranked = sorted(part, key=_by_weight)[:_LARGEST]
-        lines = tuple(_cells(p, factor) for p in ranked)
-        if lines:
-            head = (f"{title.lower()}, {unit}", *names, "difference", "95 % interval", "shown")
-            out.append(SummaryTable(head, lines))
+        # the largest for its uncertainty before the others
+        ranked = sorted(part, key=lambda p: (p.shown is None, -abs(p.difference or 0.0) / (p.std or np.inf)))[:_LARGEST]
+        head = (f"{title.lower()}, {unit}", *names, "difference", "95 % interval", "shown")
+        out.append(SummaryTable(head, tuple(_cells(p, factor) for p in ranked)))
         if len(part) > len(ranked):
             out.append(SummaryLine(f"{len(part) - len(ranked)} more are in comparison.json."))
     if any(part for *_, part in _parts(found)):
@@ -460,11 +453,6 @@ def comparison_summary(found: Comparison) -> tuple[SummaryTable | SummaryLine, .
     out += [SummaryLine(note, "doubt") for note in found.notes]
     out.append(SummaryLine(found.sentence, _TONES.get(found.result, "undecided")))
     return tuple(out)
-
-
-def _by_weight(p: ParameterDifference) -> tuple[bool, float]:
-    """What is shown first, the largest for its uncertainty before the others."""
-    return p.shown is None, -abs(p.difference or 0.0) / (p.std or np.inf)
 
 
 def _parts(found: Comparison) -> list[tuple[str, str, float, list[ParameterDifference]]]:

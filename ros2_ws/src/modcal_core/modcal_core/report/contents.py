@@ -162,12 +162,9 @@ class ReportContents:
         """Sizes of the held-out orientation errors of a stage [deg]."""
         return self.errors[stage].size_deg() if stage in self.errors else None
 
+    @cached_property
     def units(self) -> np.ndarray:
         """Unit numbers of the scored samples, (N,): equal where errors may be correlated."""
-        return self._units
-
-    @cached_property
-    def _units(self) -> np.ndarray:
         rows = self.sets.held_out
         unit = independent_units(self.samples, rows, self.sets.unit == "block")
         return unit if self.counts_rejected else unit[~self.wrong[rows]]
@@ -182,7 +179,7 @@ class ReportContents:
         if stage not in self.errors or not len(self.scored):
             return None
         if stage not in self._intervals:  # page, data and command ask for the same
-            low, high = interval(1e3 * self.errors[stage].position_norm, self.units(), "rms")
+            low, high = interval(1e3 * self.errors[stage].position_norm, self.units, "rms")
             self._intervals[stage] = None if low is None or high is None else (low, high)
         return self._intervals[stage]
 
@@ -195,7 +192,7 @@ class ReportContents:
         if asked is None:
             return self
         norms = 1e3 * self.errors["final"].position_norm
-        return replace(self, tolerance=assess(norms, self.units(), asked, self.judged))
+        return replace(self, tolerance=assess(norms, self.units, asked, self.judged))
 
     def rejected_rows(self) -> np.ndarray:
         """Rows of the samples that were left out, the farthest first."""
@@ -232,11 +229,12 @@ class ReportContents:
         if final is None:
             return None
         squares = [] if self.left is None else [final.rms**2 * self.left.share]
-        kinds = set() if self.judged is None else {reason.kind for reason in self.judged.reasons}
-        if self.judged is not None and self.judged.floor_mm is not None and "above_floor" in kinds:
-            squares.append(final.rms**2 - self.judged.floor_mm**2)
-        if self.judged is not None and "predictable" in kinds:
-            squares += [row.value for row in self.judged.account_mm2 or () if row.what == "predictable"]
+        judged = self.judged or Verdict("cannot_tell")
+        kinds = {reason.kind for reason in judged.reasons}
+        if judged.floor_mm is not None and "above_floor" in kinds:
+            squares.append(final.rms**2 - judged.floor_mm**2)
+        if "predictable" in kinds:
+            squares += [row.value for row in judged.account_mm2 or () if row.what == "predictable"]
         most = max(squares, default=0.0)
         return float(np.sqrt(most)) if most > 0.0 else None
 

@@ -200,10 +200,10 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
 def axes_of(report: ReportContents) -> list[Against]:
     """Each joint, time since the first sample, and the recorded temperatures."""
     scored = report.scored
-    joints = [Against(name, f"{name}, rad or m", scored.q[:, j]) for j, name in enumerate(scored.names)]
+    units = ["rad or m"] * len(scored.names)
     if report.model is not None:
-        turning = report.model.chain.revolute
-        joints = [Against(a.name, f"{a.name}, {'rad' if turning[j] else 'm'}", a.values) for j, a in enumerate(joints)]
+        units = ["rad" if turning else "m" for turning in report.model.chain.revolute]
+    joints = [Against(n, f"{n}, {u}", q) for n, u, q in zip(scored.names, units, scored.q.T, strict=True)]
     time = Against("time", "time, min", (scored.stamps - report.samples.stamps.min()) / 60.0)
     heat = []
     if report.model is not None:

@@ -87,19 +87,8 @@ def arm_paths(chain: Mechanism, q: Array, T_tip_tool: Array | None = None) -> Ar
         shoulders = [p[:, i] for i in range(1, 1 + ARMS)]
         elbows = [s + frames.loops[i].lever.T for i, s in enumerate(shoulders, 1)]
         tip = p[:, -2] if chain.has_shaft else p[:, -1]
-        around = [
-            p[:, 0],
-            shoulders[0],
-            elbows[0],
-            tip,
-            elbows[1],
-            shoulders[1],
-            shoulders[2],
-            elbows[2],
-            tip,
-            p[:, -1],
-        ]
-        return np.stack(around, axis=1)
+        (a, b, c), (e, f, g) = shoulders, elbows
+        return np.stack([p[:, 0], a, e, tip, f, b, c, g, tip, p[:, -1]], axis=1)
     T = chain.T_base_root
     return np.concatenate([np.zeros((len(q), 1, 3)), p @ T[:3, :3].T + T[:3, 3]], axis=1)
 

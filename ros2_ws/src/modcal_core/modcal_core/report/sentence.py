@@ -73,14 +73,19 @@ def _counts(report: ReportContents) -> str:
 
 def _error(report: ReportContents) -> str:
     """The error of the scored stations, with and without those that were rejected."""
+    where = f"On the {report.set_sizes()['held_out']} held out from fitting"
+    if not len(report.sets.train):
+        where = "With the calibration frozen"
     angle = report.size_deg("final")
     sizes = [_size_mm(report)] if report.size_mm("final") is not None else []
     rejected = report.held_out_rejected() > 0
     if angle is not None:
         sizes.append(f"{'orientation ' if rejected else ''}{angle.rms:.3g}°")
-    before = [said for stage, name in _before(report) if (said := _stage(report, stage, name))]
+    named = report.searched is None or any(finding.effects for finding in report.effects)
+    stages = [("nominal", "nominal model"), *([("geometric", "geometry alone")] if named else [])]
+    before = [said for stage, name in stages if (said := _stage(report, stage, name))]
     compared = f" ({', '.join(before)})" if before else ""
-    return f"{_where(report)} the error is {('; ' if rejected else ' and ').join(sizes)}{compared}."
+    return f"{where} the error is {('; ' if rejected else ' and ').join(sizes)}{compared}."
 
 
 def _size_mm(report: ReportContents) -> str:
@@ -94,19 +99,6 @@ def _size_mm(report: ReportContents) -> str:
         return f"{after.rms:.3f} mm RMS without the {rejected} among these, {out.with_mm:.3f} mm with {them}"
     without = "" if out.without_mm is None else f", {out.without_mm:.3f} mm without"
     return f"{out.with_mm:.3f} mm RMS with the {rejected}, which are too many to leave out{without}"
-
-
-def _where(report: ReportContents) -> str:
-    held_out = report.set_sizes()["held_out"]
-    if not len(report.sets.train):
-        return "With the calibration frozen"
-    return f"On the {held_out} held out from fitting"
-
-
-def _before(report: ReportContents) -> list[tuple[str, str]]:
-    """Stages to compare with, and their names."""
-    named = report.searched is None or any(finding.effects for finding in report.effects)
-    return [("nominal", "nominal model"), *([("geometric", "geometry alone")] if named else [])]
 
 
 def _stage(report: ReportContents, stage: str, name: str) -> str:
