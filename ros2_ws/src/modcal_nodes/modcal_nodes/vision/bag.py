@@ -6,7 +6,6 @@ matter; where it never does, images are spread over the recording, and their clo
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.camera import MIN_CORNERS, BoardView, ImageMoments, Lens, MarkerBundle, PrintedTarget, enough_corners
+from modcal_core.camera import BoardView, ImageMoments, Lens, MarkerBundle, PrintedTarget
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.geometry import Array
 from modcal_core.measurements import Approach, Listed, Recording, spread_rows
@@ -36,9 +35,9 @@ from modcal_msgs_py import (
     tag_topics,
 )
 from modcal_nodes.vision.body import require_tags, tag_view
-from modcal_nodes.vision.detection import Detection
+from modcal_nodes.vision.detection import Detection, too_few
 from modcal_nodes.vision.grey import grey_of
-from modcal_nodes.vision.images import ImageFolder, lens_from_data, look_for
+from modcal_nodes.vision.images import ImageFolder, lens_from_data, look_for, of_one_size
 
 _MAX = 200  # images that are looked at
 _STANDING = 0.01  # rad/s or m/s, below which a joint stands; a millimetre in a tenth of a second at a metre
@@ -110,11 +109,8 @@ def read_bag_images(
         name, why = next(iter(left_out.items()))
         reason, _, remedy = why.partition(": ")
         raise NotEnoughData(source, f"none of {len(wanted)} images can be used; the one at {name} s {reason}", remedy)
-    size = Counter(sizes).most_common(1)[0][0]
-    for view, own in zip(views, sizes, strict=True):
-        if own != size:
-            left_out[view.name] = f"is {own[0]} × {own[1]}, most are {size[0]} × {size[1]}: give images of one size"
-    views = [view for view, own in zip(views, sizes, strict=True) if own == size]
+    size, same = of_one_size(views, sizes, left_out)
+    views = [view for view, keep in zip(views, same, strict=True) if keep]
     at = np.array([view.stamp for view in views])
     q, velocity = log.at(at)
     moments = ImageMoments(at, log.approach(at), log.effort(at), recording.signals)
@@ -171,9 +167,8 @@ class JointLog:
 
     def approach(self, at: Array) -> Array:
         """The direction each joint last moved in at these stamps, (k, n)."""
-        memory, out = Approach(), np.zeros((len(at), self.q.shape[1]))
-        order, i = np.argsort(at), 0
-        for k in order:
+        memory, out, i = Approach(), np.zeros((len(at), self.q.shape[1])), 0
+        for k in np.argsort(at):
             while i < len(self.stamps) and self.stamps[i] <= at[k]:
                 memory.update(self.q[i])
                 i += 1
@@ -191,13 +186,9 @@ def chosen_stamps(stamps: Array, log: JointLog) -> tuple[Array, bool]:
     standing = (np.abs(velocity).max(axis=1) < _STANDING) & (np.abs(just_before).max(axis=1) < _STANDING)
     stops = np.split(np.arange(len(stamps)), np.flatnonzero(np.diff(standing.astype(int))) + 1)
     middle = [part[len(part) // 2] for part in stops if standing[part[0]]]
-    if len(middle) >= _MIN_STOPS:
-        return stamps[_evenly(np.array(middle))], False
-    return stamps[_evenly(np.arange(len(stamps)))], True
-
-
-def _evenly(rows: np.ndarray) -> np.ndarray:
-    return rows[spread_rows(len(rows), _MAX)]
+    moving = len(middle) < _MIN_STOPS
+    stamps = stamps if moving else stamps[middle]
+    return stamps[spread_rows(len(stamps), _MAX)], moving
 
 
 def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
@@ -229,9 +220,8 @@ def _corners(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> 
         if view.ids.max() >= len(target.points):
             said = f"has corner {int(view.ids.max())}, the target has {len(target.points)}"
             return Detection(None, said, "give the target.yaml that board_detector had"), (0, 0), ""
-        if not enough_corners(target.points[view.ids]):
-            said = f"shows {len(view)} corners of the target, {MIN_CORNERS} not on one line are needed"
-            return Detection(None, said, "bring more of the target into view"), (0, 0), ""
+        if (few := too_few(target, view.ids)) is not None:
+            return few, (0, 0), ""
         return Detection(replace(view, name=name)), size, ""
 
     for received, message in read_messages(bag, topic.topic):

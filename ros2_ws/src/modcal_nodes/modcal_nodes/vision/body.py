@@ -20,12 +20,10 @@ from modcal_core.camera import (
     CHARUCO,
     CHESSBOARD,
     MARKER_CORNERS,
-    MIN_CORNERS,
     TAG,
     BoardView,
     MarkerBundle,
     PrintedTarget,
-    enough_corners,
 )
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
@@ -38,6 +36,7 @@ from modcal_nodes.vision.detection import (
     in_order,
     marker_detector,
     off_flat,
+    too_few,
     window_of_side,
 )
 
@@ -82,12 +81,6 @@ def body_corners(
     return np.array(points), np.concatenate(pixels)
 
 
-def require_body_markers(body: MarkerBundle) -> None:
-    """Raises BadTable for a body of bare points, which finders of markers do not see."""
-    if not any(one.size for one in body.markers):
-        raise BadTable(body.label, "has points only, which are not found in images", "give a CSV of corners")
-
-
 _SIGMA_PX = 0.2  # of a corner at which two lines meet that were fitted to a tag's edges
 _MAX_TAGS = 10_000  # of one image
 _MENDED = 1  # bits of a tag that were read wrong: more, and it may be another
@@ -96,7 +89,8 @@ _MENDED = 1  # bits of a tag that were read wrong: more, and it may be another
 def require_tags(target: PrintedTarget | MarkerBundle) -> None:
     """Raises BadTable for a target that has no tags, or whose tags are inside something else's corners."""
     if isinstance(target, MarkerBundle):
-        require_body_markers(target)
+        if not any(one.size for one in target.markers):
+            raise BadTable(target.label, "has points only, which are not found in images", "give a CSV of corners")
     elif target.kind in (CHARUCO, CHESSBOARD):
         remedy = "give the target.yaml of a tag or an AprilGrid, or record the images"
         raise BadTable(f"target {target.kind}", "is not what detections of tags show", remedy)
@@ -118,12 +112,11 @@ def _body_view(message: Any, body: MarkerBundle, name: str) -> Detection:
     found = body_corners(body, [int(one.id) for one in seen], quads)
     if isinstance(found, Detection):
         return found
-    ids, pixels = found
-    return Detection(BoardView(name, ids, pixels, _covariance(len(ids))))
+    return _of_tags(name, *found)
 
 
-def _covariance(count: int) -> Array:
-    return np.tile(_SIGMA_PX**2 * np.eye(2), (count, 1, 1))
+def _of_tags(name: str, ids: np.ndarray, pixels: Array) -> Detection:
+    return Detection(BoardView(name, ids, pixels, np.tile(_SIGMA_PX**2 * np.eye(2), (len(ids), 1, 1))))
 
 
 def _tag_view(message: Any, target: PrintedTarget, name: str) -> Detection:
@@ -151,9 +144,8 @@ def _tag_view(message: Any, target: PrintedTarget, name: str) -> Detection:
         return Detection(None, "shows one tag of the grid", "show two or more: they tell which corner is which")
     # from a tag's lower left corner counter-clockwise, as its detector has it; all but an AprilGrid go the other way
     ids, pixels = in_order(target, numbers, quads if target.kind == APRIL_GRID else quads[:, ::-1], either_way=True)
-    if not enough_corners(target.points[ids]):
-        said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
-        return Detection(None, said, "bring more of the target into view")
+    if (few := too_few(target, ids)) is not None:
+        return few
     if (bent := off_flat(target, ids, pixels)) is not None:
         return bent
-    return Detection(BoardView(name, ids, pixels, _covariance(len(ids))))
+    return _of_tags(name, ids, pixels)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -124,7 +125,6 @@ def _motion(one: BoardView, two: BoardView) -> float:
 
 _LOOKED_AT = 40  # images, which tell coverage and tilt as well as all of them
 _ENOUGH = 15  # images that a calibration wants
-_SOFT = 3.0  # px; edges of images in focus and at rest are narrower
 _TILT, _WORTH_FARTHER, _COVERED = 20.0, 1.3, 0.4  # degrees, ratio, share; as a calibration asks for
 
 
@@ -161,13 +161,10 @@ def images_worth(
     Raises BadRecording for a bag without images.
     """
     topic = chosen_topic(recording.listed, asked, recording.source)
-    stamps = stamps_of(bag, topic.topic)
-    wanted = stamps
+    stamps = wanted = stamps_of(bag, topic.topic)
     if names:
-        try:
+        with suppress(ModcalError):
             wanted, _ = chosen_stamps(stamps, JointLog.of(recording, names))
-        except ModcalError:
-            wanted = stamps
     wanted = wanted[spread_rows(len(wanted), _LOOKED_AT)]
     keep, views, reasons = set(wanted.tolist()), [], Counter[str]()
     size: tuple[int, int] | None = None
@@ -186,28 +183,16 @@ def images_worth(
             reasons[f"{found.reason}: {found.remedy}"] += 1
         else:
             views.append(found.view)
-    return _worth(topic.topic, len(stamps), len(wanted), size, views, dict(reasons), target, bool(len(stamps)))
-
-
-def _worth(
-    topic: str,
-    count: int,
-    looked_at: int,
-    size: tuple[int, int] | None,
-    views: list[BoardView],
-    reasons: dict[str, int],
-    target: PrintedTarget,
-    any_images: bool,
-) -> ImagesWorth:
+    looked_at = len(wanted)
     findings = [f"{n} of {looked_at} images: {why}." for why, n in sorted(reasons.items(), key=lambda r: -r[1])]
-    if any_images and not looked_at:
+    if len(stamps) and not looked_at:
         findings.append("No image has joint states around it: record both on one clock.")
     if len(views) < _ENOUGH:
         findings.append(f"{len(views)} images at different postures show the target: take 25 to 30.")
     edges = share = tilts = distances = None
     if views:
         edges = float(np.median([v.sharpness for v in views]))
-        if edges > _SOFT:
+        if edges > _SOFT_PX:
             findings.append(f"Edges are {edges:.1f} px wide: focus, stand still, or add light.")
     if len(views) >= MIN_VIEWS and size is not None:
         table = CornerTable.of(views, target)
@@ -230,7 +215,8 @@ def _worth(
                     f"All images are from {distances[0]:.2f} to {distances[1]:.2f} m: take some from twice as far."
                 )
     return ImagesWorth(
-        topic, count, looked_at, len(views), size, edges, share, tilts, distances, reasons, tuple(findings)
+        *(topic.topic, len(stamps), looked_at, len(views), size, edges, share, tilts, distances, dict(reasons)),
+        findings=tuple(findings),
     )
 
 

@@ -72,11 +72,6 @@ def corner_covariance(grey: np.ndarray, pixels: Array, half: int, sigma: float) 
     return np.asarray((vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
-def no_better_than_print(cov: Array) -> Array:
-    """These covariances (m, 2, 2) with what no picture of one corner shows, [px²]."""
-    return np.asarray(cov + _PRINT_PX**2 * np.eye(2))
-
-
 def edge_width(grey: np.ndarray, pixels: Array, half: int) -> float:
     """Median width of the edges at these corners [px]: contrast over the steepest gradient."""
     widths = []
@@ -118,9 +113,8 @@ def detect(grey: np.ndarray, target: PrintedTarget, name: str) -> Detection:
     ids, pixels, half = _found(grey, target)
     if len(ids) == 0:
         return _why_not(grey, target)
-    if not enough_corners(target.points[ids]):
-        said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
-        return Detection(None, said, "bring more of the target into view")
+    if (few := too_few(target, ids)) is not None:
+        return few
     if target.kind == CHESSBOARD and (strange := _no_such_board(grey, target, ids, pixels)) is not None:
         return strange
     if (bent := off_flat(target, ids, pixels)) is not None:
@@ -137,11 +131,19 @@ def _fitted(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: Ar
     if target.kind not in (CHARUCO, CHESSBOARD):
         return pixels, corner_covariance(grey, pixels, half, grey_noise(grey))
     fit = fit_board(grey, target, ids, pixels)
-    pixels, cov = np.where(fit.good[:, None], fit.pixels, pixels), no_better_than_print(fit.cov)
+    pixels, cov = np.where(fit.good[:, None], fit.pixels, pixels), fit.cov + _PRINT_PX**2 * np.eye(2)
     if not fit.good.all():
         rough = corner_covariance(grey, pixels[~fit.good], half, grey_noise(grey))
         cov[~fit.good] = rough + _ROUGH_PX**2 * np.eye(2)
     return pixels, cov
+
+
+def too_few(target: PrintedTarget, ids: np.ndarray) -> Detection | None:
+    """Why these corners (m,) do not fix the target's pose, None where they do."""
+    if enough_corners(target.points[ids]):
+        return None
+    said = f"shows {len(ids)} corners of the target, {MIN_CORNERS} not on one line are needed"
+    return Detection(None, said, "bring more of the target into view")
 
 
 def off_flat(target: PrintedTarget, ids: np.ndarray, pixels: Array) -> Detection | None:
@@ -219,7 +221,6 @@ def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: A
     half = _MIN_WINDOW
     if enough_corners(target.points[ids]):
         H = homography(target.points[ids, :2], pixels)
-        h, w = grey.shape
         middle = np.r_[target.points[ids, :2].mean(axis=0), 1.0]
         steps = [middle + np.r_[target.square, 0.0, 0.0], middle + np.r_[0.0, target.square, 0.0]]
         at = [(H @ p)[:2] / (H @ p)[2] for p in (middle, *steps)]
@@ -227,8 +228,7 @@ def _refined(grey: np.ndarray, target: PrintedTarget, ids: np.ndarray, pixels: A
         margin = 0.5 * (target.square - target.marker) / target.square if target.kind == CHARUCO else 0.5
         if np.isfinite(square):  # else the board is seen edge on
             half = int(np.clip(min(_MIN_SHARE, margin) * square, _MIN_WINDOW, _MAX_WINDOW))
-    h, w = grey.shape
-    inside = ((pixels >= half + 1) & (pixels <= np.array([w, h]) - half - 2)).all(axis=1)
+    inside = ((pixels >= half + 1) & (pixels <= np.array(grey.shape)[::-1] - half - 2)).all(axis=1)
     ids, pixels = ids[inside], pixels[inside]
     if len(ids) == 0:
         return ids, pixels, half
@@ -303,24 +303,19 @@ def _why_not(grey: np.ndarray, target: PrintedTarget) -> Detection:
         return Detection(None, "is mirrored", "turn off mirroring in the camera's driver")
     _, ids, _ = marker_detector(target.dictionary).detectMarkers(grey)
     if ids is not None and len(ids):
-        most = _marker_count(target)
         seen = np.asarray(ids).ravel()
         if len(np.unique(seen)) < len(seen):
             return Detection(None, "shows two boards with the same markers", "show one board only")
         said = f"shows {len(seen)} markers of {target.dictionary}, numbers {seen.min()} to {seen.max()}"
-        remedy = f"check the number of squares and the dictionary: a {target.label} has {most} markers"
+        remedy = f"check the number of squares and the dictionary: a {target.label} has {_marker_count(target)} markers"
         return Detection(None, said, remedy)
-    for other in _families():
+    # one dictionary of each size of marker, the largest, whose words include those of the smaller, and AprilTags
+    for other in (*(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)), "DICT_APRILTAG_36h11"):
         found = marker_detector(other).detectMarkers(grey)[1]
         if found is not None and len(found) >= _MIN_QUADS and other != target.dictionary:
             said = f"shows {len(found)} markers of {other}, the target has {target.dictionary}"
             return Detection(None, said, "give the target file of this board")
     return Detection(None, "shows no target", "bring the target into view, sharp and lit")
-
-
-def _families() -> Sequence[str]:
-    """One dictionary of each size of marker, and AprilTags: the largest, whose words include those of the smaller."""
-    return tuple(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)) + ("DICT_APRILTAG_36h11",)
 
 
 def _marker_count(target: PrintedTarget) -> int:

@@ -30,6 +30,12 @@ _YUV = {
 }
 _GREY = ("mono8", "8UC1")
 _DEEP = ("mono16", "16UC1")  # grey of 16 bits; a depth image is one too, and shows no target
+_CODES = {**_COLOURS, **_BAYER, **_YUV}
+_CHANNELS = {  # bytes a pixel
+    **dict.fromkeys((*_GREY, *_BAYER), 1),
+    **dict.fromkeys((*_YUV, *_DEEP), 2),
+    **{name: 4 if "a8" in name or name == "8UC4" else 3 for name in _COLOURS},
+}
 
 
 def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
@@ -39,37 +45,21 @@ def grey_of(image: RawImage) -> tuple[np.ndarray | None, str]:
     encoding = image.encoding
     if encoding not in _DEEP and ("16" in encoding or "32" in encoding):
         return None, f"is of encoding {encoding}, of which none but mono16 is read: publish mono8 or rgb8"
-    channels = _channels(encoding)
-    if not channels:
+    if encoding not in _CHANNELS:
         return None, f"is of encoding {encoding[:30]}, which is not read: publish mono8 or rgb8"
+    channels = _CHANNELS[encoding]
     if image.step < image.width * channels or len(image.data) < image.step * image.height:
         return None, "has fewer bytes than its size says: record it again"
     rows = image.data[: image.step * image.height].reshape(image.height, image.step)
     pixels = np.ascontiguousarray(rows[:, : image.width * channels])
-    if encoding in _DEEP:
-        deep = pixels.view(">u2" if image.bigendian else "<u2")
-        if is_mosaic(deep):
-            return None, "is a raw Bayer mosaic sent as grey: debayer it, or publish its encoding"
-        return in_eight_bits(deep.astype(np.uint16))
-    if channels > 1:
-        pixels = pixels.reshape(image.height, image.width, channels)
-    if encoding in _GREY:
-        if is_mosaic(pixels):
-            return None, "is a raw Bayer mosaic sent as grey: debayer it, or publish its encoding"
-        return pixels, ""
-    code = {**_COLOURS, **_BAYER, **_YUV}[encoding]
-    return np.asarray(cv2.cvtColor(pixels, code)), ""
-
-
-def _channels(encoding: str) -> int:
-    """Bytes a pixel, 0 for an encoding that is not read."""
-    if encoding in _GREY or encoding in _BAYER:
-        return 1
-    if encoding in _YUV or encoding in _DEEP:
-        return 2
-    if encoding in _COLOURS:
-        return 4 if "a8" in encoding or encoding == "8UC4" else 3
-    return 0
+    if encoding in _CODES:
+        if channels > 1:
+            pixels = pixels.reshape(image.height, image.width, channels)
+        return np.asarray(cv2.cvtColor(pixels, _CODES[encoding])), ""
+    grey = pixels.view(">u2" if image.bigendian else "<u2").astype(np.uint16) if encoding in _DEEP else pixels
+    if is_mosaic(grey):
+        return None, "is a raw Bayer mosaic sent as grey: debayer it, or publish its encoding"
+    return in_eight_bits(grey)
 
 
 def _unpacked(image: RawImage) -> tuple[np.ndarray | None, str]:

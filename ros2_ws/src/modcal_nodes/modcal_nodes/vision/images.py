@@ -110,19 +110,21 @@ def read_images(
         name, why = next(iter(left_out.items()))
         reason, _, remedy = why.partition(": ")
         raise NotEnoughData(str(folder), f"none of {len(files)} images can be used; {name} {reason}", remedy)
+    size, same = of_one_size(views, sizes, left_out)
+    q, velocity = (np.stack(part)[same] for part in zip(*at, strict=True))
+    views = [view for view, keep in zip(views, same, strict=True) if keep]
+    return ImageFolder(tuple(views), q, velocity, size, left_out, notes=tuple(notes))
+
+
+def of_one_size(
+    views: Sequence[BoardView], sizes: Sequence[tuple[int, int]], left_out: dict[str, str]
+) -> tuple[tuple[int, int], np.ndarray]:
+    """(the size that most views have, which have it (N,)); the others are added to those left out."""
     size = Counter(sizes).most_common(1)[0][0]
-    keep = [i for i, s in enumerate(sizes) if s == size]
     for view, own in zip(views, sizes, strict=True):
         if own != size:
             left_out[view.name] = f"is {own[0]} × {own[1]}, most are {size[0]} × {size[1]}: give images of one size"
-    return ImageFolder(
-        tuple(views[i] for i in keep),
-        np.stack([at[i][0] for i in keep]),
-        np.stack([at[i][1] for i in keep]),
-        size,
-        left_out,
-        notes=tuple(notes),
-    )
+    return size, np.array([own == size for own in sizes])
 
 
 def look_for(grey: np.ndarray, target: PrintedTarget | MarkerBundle, name: str) -> Detection:
