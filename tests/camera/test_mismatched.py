@@ -12,8 +12,8 @@ from camera.fits import MEASURED
 from camera.scenes import scene
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.prepared import CameraImages
-from modcal_core.camera.solve import only_seen, prepare_images
+from modcal_core.camera.prepared import CameraImages, prepare_images
+from modcal_core.camera.solve import only_seen
 from modcal_core.errors import BadRecording
 from modcal_core.geometry.so3 import Array
 

@@ -12,7 +12,8 @@ from modcal_core.camera.body_start import far_markers
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.corners import SHAPE, CornerTable, left_out_points
 from modcal_core.camera.fit import fit_camera
-from modcal_core.camera.solve import only_seen, prepare_images
+from modcal_core.camera.prepared import prepare_images
+from modcal_core.camera.solve import only_seen
 from modcal_core.geometry import so3
 from modcal_core.geometry.so3 import Array
 

@@ -14,7 +14,7 @@ from finite_differences import assert_jacobian
 from modcal_core.camera.bundle import PrintedTarget
 from modcal_core.camera.fit import equations_at
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.prepared import CameraImages, prepare
+from modcal_core.camera.prepared import CameraImages, prepare_images
 from modcal_core.camera.problems import APPLY
 from modcal_core.camera.solve import CameraSolution, further_of, solve_camera
 from modcal_core.camera.tool_error import postures_in_view
@@ -119,7 +119,7 @@ def test_derivatives_and_shared_sheet(three: CameraSolution) -> None:
 @pytest.mark.slow
 def test_a_kicked_second_tripod_is_named(cell: CameraScene) -> None:
     first = CameraImages(cell.q, cell.views, cell.board, cell.lens.size)
-    ready = prepare(cell.chain, first)
+    ready = prepare_images(cell.chain, first)
     for kicked_at, count in ((None, 0), (6, 1)):
         found = further_of(cell.chain, on_tripod(cell, kicked_at), first, ready, (), None, None)
         assert len(found.problems) == count

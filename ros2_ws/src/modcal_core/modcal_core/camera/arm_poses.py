@@ -9,10 +9,10 @@ upper arm is off by what the shoulder's side of it is off and by what the elbow'
 that of all faults, brought to it by the derivatives of a general arm's readings; taken from its own parameters alone it
 would have such lengths known to seven tenths of what they are.
 
-What both share is the arm and its effects, and, where it is the same target file, the size of the print: two sheets of
-one printer, or one sheet, are wrong by the same. Seen from the same side it is one sheet, whose bow is shared as well.
-What it has of its own stands behind the values of the first camera's fit, and its images come into the equations as
-theirs do (equations.OtherBlock).
+A further camera that watches the same arm shares the arm and its effects, and, where it is the same target file, the
+size of the print: two sheets of one printer, or one sheet, are wrong by the same. Seen from the same side it is one
+sheet, whose bow is shared as well. Lens, clock and places of its own stand behind the values of the first camera's fit,
+and its images come into the equations as theirs do (equations.OtherBlock).
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ about the line of sight, for shallow points have one as sheets do, and refined.
 An image of a body may show three points, which fit any pose, so it is the arm that points are held against: those that
 are off by far more than the others, each image's own error counted, are out, and where most of an image is, the image.
 
-A point that stands at y on the tip is seen, up to a factor, at P A ỹ, with A the flange pose and P the camera's matrix
+Where single images have too few points for a pose, the points are seen from many postures. One that stands at y on the
+tip is seen, up to a factor, at P A ỹ, with A the flange pose and P the camera's matrix
 in the base. That is linear in the products of P's and y's elements, 39 of them, which the sightings of one point show
 to a factor; their 9 × 4 part has rank one, which parts y from P. Then P by all points, and each point by P, in turn,
 and the body is laid into its points (Kabsch). With the flange's inverse it is the same for a camera on the tip and a

@@ -3,7 +3,7 @@
 A sheet's frame has x to the right of the sheet, y down it and z into it, as OpenCV's boards have; its origin is the
 sheet's upper left corner of the pattern. AprilGrids are written in Kalibr's frame: x right, y up, z out of the sheet.
 
-The drawing says where each marker is on the body; the body was glued together by hand. So each marker has a place of
+Of a body a drawing says where each marker is; the body itself was glued together by hand. So each marker has a place of
 its own in a fit (places), and the body as a whole a size. A marker's frame has x to its right, y up and z out of it,
 towards who looks at it, as ArUco's have and those of apriltag_ros; its origin is the middle.
 

@@ -9,8 +9,8 @@ to another scale, which is said too.
 Where the data say neither, because the arm is as faulty as a wrong statement would make it look, the statement is in
 doubt: what it may do to the arm, weighed by its chance, belongs into the interval of the error at the tool.
 
-All of it is fitted in any case, with an expectation about what is stated. It is named where the images are likelier by
-far with it than with the stated value, everything else integrated out and the sizes of all errors found again for
+What target and camera are not as stated, late images, a rolling shutter, the print's size and a bent sheet, is fitted in
+any case, with an expectation about what is stated. It is named where the images are likelier by far with it than with the stated value, everything else integrated out and the sizes of all errors found again for
 both. At given sizes the ratio of the two is that of the density at the stated value after and before the images
 (Dickey 1971), which needs no second fit.
 """
@@ -89,7 +89,9 @@ def doubts(
     if fit.prior.places is not None:
         wider.pop(BOW)  # which a body has none of
     weighed = [(what, prior, *_without(fit, prior, arm)) for what, prior in wider.items()]
-    of_size = _size_wrong(scale)
+    of_size = _READ_WRONG if scale.measured else _WRONG
+    if scale.measured and scale.unsaid:
+        of_size = _NOMINAL_WRONG if scale.nominal else _WRONG
     before = np.array([of_size if what == SIZE else _WRONG for what in wider])
     odds = before * np.array([np.exp(0.5 * min(fit.misfit - misfit, 100.0)) for *_, misfit in weighed])
     chances = odds / (1.0 + odds.sum())
@@ -142,15 +144,6 @@ def in_doubt(fit: CameraFit, doubted: Sequence[DoubtedStatement], scale: PrintSc
                 "as a few tracker points."
             )
     return tuple(out)
-
-
-def _size_wrong(scale: PrintScale) -> float:
-    """Prior chance that a size is grossly different from what is stated."""
-    if not scale.measured:
-        return _WRONG
-    if scale.unsaid:
-        return _NOMINAL_WRONG if scale.nominal else _WRONG
-    return _READ_WRONG
 
 
 def _wider(prior: CommonPrior, lens: Lens, stated: str | None, scale: PrintScale) -> dict[str, CommonPrior]:

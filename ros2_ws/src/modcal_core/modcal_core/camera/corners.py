@@ -8,12 +8,11 @@ whitened by the corners' covariance. What a fit needs of an image is the product
 however many corners there are, which is why many images stay quick. On a body each marker's place moves its own points
 as well, and the product is larger by the places of all markers.
 
-Misreadings are spread over markers and images, and what is left of the points says as much as if they had not been
-read. A marker most of whose points are out has another number, or another place, than the target's file states, or came
+Misreadings of a body are spread over markers and images, and what is left of its points says as much as if they had not
+been read. A marker most of whose points are out has another number, or another place, than the target's file states, or came
 loose. Either is said; it speaks against the fit only where it is more than the others outvote.
 
-The sheet's size, its flatness and the lens's higher terms are fitted with these expectations and not left out, so that
-what they may do to the arm is in its uncertainty: the sheet is suspected before the arm.
+The sheet's size, its flatness and the lens's higher terms are fitted with expectations and not left out, so that what they may do to the arm is in its uncertainty: the sheet is suspected before the arm.
 """
 
 from __future__ import annotations
@@ -97,6 +96,10 @@ class CornerTable:
     def unshaped(self) -> Array:
         """The shape as stated, with all markers in their places: zeros, (5 + Z,)."""
         return np.zeros(SHAPE + self.places * self.markers)
+
+    def rms(self, gap: Array) -> float:
+        """RMS of residuals (M, 2) of the corners in use."""
+        return float(np.sqrt((self.weight @ (gap**2).sum(1)) / max(self.weight.sum(), 1.0)))
 
     def with_weight(self, weight: Array) -> CornerTable:
         """The same corners, those with weight 0 left out."""
@@ -250,7 +253,11 @@ def left_out_points(cameras: Sequence[tuple[str, CornerTable]], target: MarkerBu
     problems, open_ = [], []
     for name, table in cameras:
         out = table.weight == 0.0
-        strange = [k for k in range(table.markers) if _mostly_out(table, table.marker == k)]
+        strange = []  # markers most of whose points are out, in images enough to say so
+        for k in range(table.markers):
+            own = table.marker == k
+            if len(np.unique(table.view[own])) >= _SIGHTINGS and float(out[own].mean()) > _MOSTLY:
+                strange.append(k)
         if strange:
             named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
             more = f" and {len(strange) - _NAMED} more" if len(strange) > _NAMED else ""
@@ -267,12 +274,6 @@ def left_out_points(cameras: Sequence[tuple[str, CornerTable]], target: MarkerBu
                 f"{100.0 * share:.0f} % of the points{name} are misread, spread over markers and images, and left out."
             )
     return LeftOutPoints(tuple(problems), tuple(open_))
-
-
-def _mostly_out(table: CornerTable, rows: np.ndarray) -> bool:
-    """Whether most of these points are out, in images enough to say so."""
-    images = len(np.unique(table.view[rows]))
-    return images >= _SIGHTINGS and float((table.weight[rows] == 0.0).mean()) > _MOSTLY
 
 
 @dataclass(frozen=True)

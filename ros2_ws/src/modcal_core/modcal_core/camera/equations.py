@@ -8,16 +8,14 @@ columns, corners' noise counted,
     G_eff = G − G_p S G_pᵀ,   S = Q (1 + G_pp Q)⁻¹
 
 so images never tie parameters together, and the equations are a sum of small ones (Woodbury). Images that several
-cameras took at one stop have one such twist between them (stops). The sizes of noise, ξ and
-the arm's expected faults are those that make the data likeliest, the parameters integrated out (evidence, type II).
-
-Two images of one stop are no two repeats of the arm. Each has noise of its own, but the twist ξ by which an image's
-target is not where the model has it (equations) comes from one set of joints: with z what joints and tool are off by at
-a stop, in standard deviations, camera k sees ξ_k = B_k z. So z is integrated out stop by stop, over all cameras,
+cameras took at one stop are no two repeats of the arm. Each has noise of its own, but their twists ξ come from one set
+of joints: with z what joints and tool are off by at a stop, in standard deviations, camera k sees ξ_k = B_k z. So z is
+integrated out stop by stop, over all cameras,
 
     H = Σ_k H_k − Uᵀ M⁻¹ U,   U = Σ_k B_kᵀ G_p,k,   M = 1 + Σ_k B_kᵀ G_pp,k B_k
 
-which for a stop that one camera saw is what integrating out ξ gives.
+which for a stop that one camera saw is what integrating out ξ gives. The sizes of noise, ξ and the arm's expected faults
+are those that make the data likeliest, the parameters integrated out (evidence, type II).
 """
 
 from __future__ import annotations

@@ -195,8 +195,7 @@ class CameraFit:
     @property
     def rms_px(self) -> float:
         """RMS distance of corners from the model [px]."""
-        w = self.table.weight
-        return float(np.sqrt((w @ (self.pixels**2).sum(1)) / max(w.sum(), 1.0)))
+        return self.table.rms(self.pixels)
 
     @property
     def misfit(self) -> float:

@@ -253,7 +253,5 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
     taken = across @ np.linalg.pinv(G[:, :POSE, :POSE], hermitian=True) @ np.swapaxes(across, 1, 2)
     information = (G[:, c[:, None], c] - taken).sum(0)
     cov[np.ix_(use, use)] = np.linalg.pinv(information + P0, hermitian=True)
-    rows = corner_rows(table, lens, _FLAT, T)
-    w = table.weight
-    rms = float(np.sqrt((w @ (rows.pixels**2).sum(1)) / max(w.sum(), 1.0)))
+    rms = table.rms(corner_rows(table, lens, _FLAT, T).pixels)
     return LensFit(lens, T, cost, rms, cov, converged)

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import hand_eye
-from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.intrinsics import BoardPose
@@ -180,16 +179,11 @@ def held_out(fit: CameraFit, nominal: CameraFit, arm: float | None) -> tuple[flo
         return float("nan"), float("nan")
     out = []
     for one, size in ((nominal, None), (fit, arm)):
-        poses = one.poses.select(~held)
-        table = one.table.select(~held)
-        there = fit_camera(table, poses, one.state.lens, one.prior, one.sizes, size, fixed_sizes=True)
-        out.append(_predicted_px(there, one.table.select(held), one.poses.select(held)))
+        seen = one.table.select(~held), one.poses.select(~held)
+        there = fit_camera(*seen, one.state.lens, one.prior, one.sizes, size, fixed_sizes=True)
+        unseen = one.table.select(held)
+        out.append(unseen.rms(missed_pixels(unseen, one.poses.select(held), there.state)))
     return out[0], out[1]
-
-
-def _predicted_px(fit: CameraFit, table: CornerTable, poses: ArmPoses) -> float:
-    gap = missed_pixels(table, poses, fit.state)
-    return float(np.sqrt((table.weight @ (gap**2).sum(1)) / max(table.weight.sum(), 1.0)))
 
 
 _NEAR = 0.03  # misfit as a share of the reach: no arm is built worse than that
@@ -208,7 +202,7 @@ def explained(
     try:
         seen = posed(table, lens)
         found = [(_misfit(chain, at, seen, rows, on_tip), said, remedy) for said, remedy, at, rows in _joints(chain, q)]
-        mirrored = posed(_mirrored(table, lens), _mirrored_lens(lens))
+        mirrored = posed(*_mirrored(table, lens))
     except ModcalError:
         return error
     every = np.arange(len(q))
@@ -242,16 +236,11 @@ def _misfit(chain: Chain, q: Array, poses: BoardPose, rows: np.ndarray, on_tip: 
     return mounting_misfit(chain_forward(chain, q), replace(poses, T=poses.T[rows], cost=poses.cost[rows]), on_tip)
 
 
-def _mirrored(table: CornerTable, lens: Lens) -> CornerTable:
-    pixels = table.pixels.copy()
+def _mirrored(table: CornerTable, lens: Lens) -> tuple[CornerTable, Lens]:
+    """The corners of mirrored images, and the lens by which those are seen as the others are by this."""
+    pixels, values = table.pixels.copy(), lens.values.copy()
     pixels[:, 1] = lens.size[1] - 1.0 - pixels[:, 1]
-    return replace(table, pixels=pixels)
-
-
-def _mirrored_lens(lens: Lens) -> Lens:
-    """The lens by which a mirrored image is seen as the other one is by this."""
-    values = lens.values.copy()
     values[3] = lens.size[1] - 1.0 - values[3]
     if lens.model == PINHOLE:
         values[_P1] = -values[_P1]
-    return Lens(values, lens.size, lens.model)
+    return replace(table, pixels=pixels), Lens(values, lens.size, lens.model)

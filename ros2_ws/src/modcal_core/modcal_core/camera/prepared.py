@@ -97,7 +97,7 @@ def strangers(fit: CameraFit) -> np.ndarray:
 
 
 _NOWHERE, _NOWHERE_TIMES = 0.1, 10.0  # of the reach, and of the others' misfit: an image of elsewhere, or turned round
-_STRANGE = "far from where the arm has it"
+_ELSEWHERE = "far from where the arm has it"
 _APART_OF_REACH = 0.03  # misfit of images and arm, as a share of the reach: no arm is built that badly
 
 
@@ -122,6 +122,20 @@ class CameraImages:
     fisheye: bool = False
     name: str = "images"
 
+    def select(self, rows: np.ndarray) -> CameraImages:
+        """With these images only (mask (N,))."""
+        return replace(
+            self,
+            q=self.q[rows],
+            views=[view for view, keep in zip(self.views, rows, strict=True) if keep],
+            velocity=None if self.velocity is None else self.velocity[rows],
+            moments=self.moments.select(rows),
+        )
+
+
+# what is looked at, its corners, the lens, expectations, the mounting, and images that are left out, by reason
+_Seen = tuple[CameraImages, CornerTable, LensFit, CommonPrior, Mounting, dict[str, str]]
+
 
 @dataclass(frozen=True)
 class PreparedImages:
@@ -143,7 +157,7 @@ class PreparedImages:
         return replace(self, table=self.table.select(rows), poses=self.poses.select(rows), left_out=self.left_out | out)
 
 
-def prepare(
+def prepare_images(
     chain: Chain,
     images: CameraImages,
     fixed: Sequence[str] = (),
@@ -154,15 +168,25 @@ def prepare(
 
     fixed: parameters that stay as they are. Raises ModcalError for images that cannot carry a fit.
     """
-    q, views, target, lens = images.q, images.views, images.target, images.lens
-    velocity = np.zeros_like(q) if images.velocity is None else images.velocity
-    keep = np.array([enough_corners(target.points[v.ids]) for v in views], dtype=bool)
-    left_out = {v.name: "too few corners of the target" for v, k in zip(views, keep, strict=True) if not k}
-    for i, name in repeated(views).items():
-        keep[i], left_out[views[i].name] = False, f"the same picture as {name}: the camera hung, or it was copied"
-    require_views(int(keep.sum()), images.name)
-    table = CornerTable.of([v for v, k in zip(views, keep, strict=True) if k], target)
-    q, velocity, moments = q[keep], velocity[keep], images.moments.select(keep)
+    look = _of_body if isinstance(images.target, MarkerBundle) else _of_sheet
+    images, table, lens_fit, prior, mounting, left_out = look(chain, images, progress)
+    velocity = np.zeros_like(images.q) if images.velocity is None else images.velocity
+    at = (chain, images.q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
+    poses = arm_poses(*at, moments=images.moments, inertias=inertias)
+    placed = arm_poses(*at, hand_eye_only=True).parameters
+    return PreparedImages(table, poses, placed, lens_fit, prior, mounting, left_out)
+
+
+def _of_sheet(chain: Chain, images: CameraImages, progress: Callable[[str], None]) -> _Seen:
+    target, lens = images.target, images.lens
+    keep = np.array([enough_corners(target.points[v.ids]) for v in images.views], dtype=bool)
+    left_out = {v.name: "too few corners of the target" for v, k in zip(images.views, keep, strict=True) if not k}
+    for i, name in repeated(images.views).items():
+        keep[i] = False
+        left_out[images.views[i].name] = f"the same picture as {name}: the camera hung, or it was copied"
+    images = images.select(keep)
+    require_views(len(images.views), images.name)
+    table = CornerTable.of(images.views, target)
 
     progress("lens")
     model = FISHEYE if images.fisheye else PINHOLE
@@ -172,38 +196,33 @@ def prepare(
     poses = board_poses(table, lens_fit.lens, prior.shape)
     if (bad := bad_images(table, poses.rms)).any():
         left_out |= {n: "the target fits this image badly" for n, b in zip(table.names, bad, strict=True) if b}
-        table, q, velocity, moments = table.select(~bad), q[~bad], velocity[~bad], moments.select(~bad)
+        table, images = table.select(~bad), images.select(~bad)
         require_views(table.views, images.name)
         lens_fit, table = _lens(table, lens, prior, images.size, model)
         poses = board_poses(table, lens_fit.lens, prior.shape)
 
     progress("mounting")
     try:
-        mounting = find_mounting(chain_forward(chain, q), poses, images.camera_on_tip)
+        mounting = find_mounting(chain_forward(chain, images.q), poses, images.camera_on_tip)
         require_near_arm(mounting, chain, images.name)
     except BadRecording as error:
         posed = partial(board_poses, shape=prior.shape)
-        raise explained(error, chain, q, table, lens_fit.lens, posed, images.camera_on_tip) from error
-    at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
-    ready = PreparedImages(
-        table,
-        arm_poses(*at, moments=moments, inertias=inertias),
-        arm_poses(*at, hand_eye_only=True).parameters,
-        lens_fit,
-        prior,
-        mounting,
-        left_out,
-    )
+        raise explained(error, chain, images.q, table, lens_fit.lens, posed, images.camera_on_tip) from error
     far = mounting.off_m > max(_NOWHERE * chain.reach(), _NOWHERE_TIMES * float(np.median(mounting.off_m)))
-    return ready.select(~far, _STRANGE) if far.any() and (~far).sum() >= MIN_VIEWS else ready
+    if far.any() and (~far).sum() >= MIN_VIEWS:
+        left_out |= {n: _ELSEWHERE for n, f in zip(table.names, far, strict=True) if f}
+        table, images = table.select(~far), images.select(~far)
+    return images, table, lens_fit, prior, mounting, left_out
 
 
 def first_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
-    """(a fit, what it was made from): images that are nowhere near the arm are left out. arm: as of a fit."""
+    """(a fit, what it was made from): what is nowhere near the arm is left out. arm: as of a fit."""
+    if ready.table.places:
+        return _first_fit_of_body(ready, arm)
     fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, arm=arm)
     strange = strangers(fit)
     if strange.any() and (~strange).sum() >= MIN_VIEWS:
-        ready = ready.select(~strange, _STRANGE)
+        ready = ready.select(~strange, _ELSEWHERE)
         fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fit.sizes, arm=arm)
     return fit, ready
 
@@ -248,34 +267,24 @@ def _lens(
 
 _GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
 _CLEANED = 5  # times that points and images are looked through
-_ELSEWHERE = "far from where the arm has it"
 
 
-def prepare_body(
-    chain: Chain,
-    images: CameraImages,
-    target: MarkerBundle,
-    fixed: tuple[str, ...] = (),
-    inertias: Inertias | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> PreparedImages:
-    """The images of a body, ready for a fit; every image counts, whether or not it shows a pose by itself.
-
-    fixed: parameters that stay as they are. Raises ModcalError for images that cannot carry a fit.
-    """
-    q, views, lens = images.q, images.views, images.lens
-    velocity = np.zeros_like(q) if images.velocity is None else images.velocity
-    keep = np.array([len(v) > 0 for v in views], dtype=bool)
-    left_out = {v.name: "no point of the target" for v, k in zip(views, keep, strict=True) if not k}
-    require_views(int(keep.sum()), images.name)
-    table = CornerTable.of([v for v, k in zip(views, keep, strict=True) if k], target)
-    q, velocity, moments = q[keep], velocity[keep], images.moments.select(keep)
+def _of_body(chain: Chain, images: CameraImages, progress: Callable[[str], None]) -> _Seen:
+    """Every image counts, whether or not it shows a pose by itself."""
+    target, lens = images.target, images.lens
+    assert isinstance(target, MarkerBundle)
+    keep = np.array([len(v) > 0 for v in images.views], dtype=bool)
+    left_out = {v.name: "no point of the target" for v, k in zip(images.views, keep, strict=True) if not k}
+    images = images.select(keep)
+    require_views(len(images.views), images.name)
+    table = CornerTable.of(images.views, target)
 
     progress("mounting")
     model = FISHEYE if images.fisheye else PINHOLE
     require_order(table, lens or default_lens(images.size, model), target)
     try:
-        begin = start_of_body(table, chain_forward(chain, q), lens, images.size, model, images.camera_on_tip)
+        A = chain_forward(chain, images.q)
+        begin = start_of_body(table, A, lens, images.size, model, images.camera_on_tip)
         mounting = begin.mounting
         require_near_arm(mounting, chain, images.name)
     except BadRecording as error:
@@ -283,33 +292,23 @@ def prepare_body(
         if whole.sum() < MIN_VIEWS:
             raise
         some, used = table.select(whole), lens or default_lens(images.size, model)
-        raise explained(error, chain, q[whole], some, used, body_poses, images.camera_on_tip) from error
+        raise explained(error, chain, images.q[whole], some, used, body_poses, images.camera_on_tip) from error
     prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
     prior = prior.with_places(target.place_prior())
     far = _gross(residuals(table, begin.lens, table.unshaped, mounting.T_camera_target))
     strange = mostly_out(table, far)
     if strange.any():
         left_out |= {n: _ELSEWHERE for n, s in zip(table.names, strange, strict=True) if s}
-        rows = ~strange[table.view]
-        table, far = table.select(~strange), far[rows]
-        q, velocity, moments = q[~strange], velocity[~strange], moments.select(~strange)
+        far = far[~strange[table.view]]
+        table, images = table.select(~strange), images.select(~strange)
         mounting = mounting.with_poses(mounting.T_camera_target[~strange])
         require_views(table.views, images.name)
     table = table.with_weight(np.where(far, 0.0, 1.0))
-    at = (chain, q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
     unfitted = LensFit(begin.lens, mounting.T_camera_target, np.nan, np.nan, np.zeros((LENS, LENS)), True)
-    return PreparedImages(
-        table,
-        arm_poses(*at, moments=moments, inertias=inertias),
-        arm_poses(*at, hand_eye_only=True).parameters,
-        unfitted,
-        prior,
-        mounting,
-        left_out,
-    )
+    return images, table, unfitted, prior, mounting, left_out
 
 
-def first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
+def _first_fit_of_body(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
     """(a fit, what it was made from): points that are misread and images taken elsewhere are left out. arm: as of a
     fit.
     """

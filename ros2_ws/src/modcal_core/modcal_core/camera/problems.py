@@ -4,7 +4,7 @@ The calibrated and the nominal arm are compared draw by draw, not interval by in
 the camera's place moves both alike, so that one may be the better beyond doubt where their intervals overlap. What the
 user states of the nominal arm is no draw, and there the interval has to be below it.
 
-For each place in their order, six more parameters move one half from there on; a scan of small sums finds the place
+Something may have been moved among the images. For each place in their order, six more parameters move one half from there on; a scan of small sums finds the place
 that gains most. Then the sizes of all errors are found again with the move and without: a move makes the images' own
 errors look large, so that only both together say whether it is there. What counts is the likelihood with everything
 integrated out, which has the price of six more parameters in it.

@@ -16,21 +16,24 @@ from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, FurtherCamera,
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
 from modcal_core.camera.contradicted import SIZE, CameraFinding, contradictions, doubts, findings, in_doubt, is_stated
-from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE, CommonPrior, LeftOutPoints, left_out_points
+from modcal_core.camera.corners import (
+    BOW,
+    COMMON,
+    FREE,
+    READOUT,
+    SCALE,
+    CameraState,
+    CommonPrior,
+    LeftOutPoints,
+    left_out_points,
+)
 from modcal_core.camera.equations import numbered
-from modcal_core.camera.fit import CameraFit, CameraState, fit_camera, missed_pixels
+from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting, held_out
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
-from modcal_core.camera.prepared import (
-    CameraImages,
-    PreparedImages,
-    first_fit,
-    first_fit_of_body,
-    prepare,
-    prepare_body,
-)
+from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare_images
 from modcal_core.camera.problems import (
     CANNOT_TELL,
     MANY_OUT,
@@ -87,24 +90,6 @@ def with_stops(cameras: Sequence[CameraImages]) -> list[CameraImages]:
     return [replace(one, moments=replace(one.moments, stop=stop)) for one, stop in zip(cameras, stops, strict=True)]
 
 
-def prepare_images(
-    chain: Chain,
-    images: CameraImages,
-    fixed: Sequence[str] = (),
-    inertias: Inertias | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> PreparedImages:
-    """The images of one camera, ready for a fit. Raises ModcalError for images that cannot carry a fit."""
-    if isinstance(images.target, MarkerBundle):
-        return prepare_body(chain, images, images.target, tuple(fixed), inertias, progress)
-    return prepare(chain, images, fixed, inertias, progress)
-
-
-def begin_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
-    """(a fit, what it was made from): what is nowhere near the arm is left out. arm: as of a fit."""
-    return first_fit_of_body(ready, arm) if ready.table.places else first_fit(ready, arm)
-
-
 @dataclass(frozen=True)
 class FurtherSeen:
     """A further camera after the fit of all. std: of lens, shape, readout and places, those of the first camera as in
@@ -137,12 +122,10 @@ class _Further:
         columns = camera.columns(fit.poses, first)[len(state.values) + 1 :]
         std = np.where(columns >= 0, np.sqrt(np.diag(fit.covariance))[columns], 0.0)
         gap = missed_pixels(camera.table, camera.poses.with_effects(fit.poses.model.effects), state)
-        weight = camera.table.weight
-        rms = float(np.sqrt((weight @ (gap**2).sum(1)) / max(weight.sum(), 1.0)))
-        ready = self.ready
+        images, ready = self.images, self.ready
         return FurtherSeen(
-            *(self.images.name, ready.mounting, self.images.target, state, std, len(self.images.views)),
-            *(camera.table.views, ready.left_out, rms),
+            *(images.name, ready.mounting, images.target, state, std, len(images.views)),
+            *(camera.table.views, ready.left_out, camera.table.rms(gap)),
         )
 
 
@@ -162,7 +145,7 @@ def further_of(
     if images.name == first.name:
         raise BadRecording(images.name, "is given twice", "give each camera once")
     ready = prepare_images(chain, images, fixed, inertias)
-    fit, ready = begin_fit(ready, arm)
+    fit, ready = first_fit(ready, arm)
     same_side = ready.mounting.camera_on_tip == of_first.mounting.camera_on_tip
     out = []
     if not fit.converged:
@@ -295,13 +278,11 @@ def solve_camera(
     size_of_arm = None if arm_m is None else arm_size(ready.poses, arm_m, ready.poses.q)
     others = [further_of(chain, one, images, ready, fixed, inertias, size_of_arm) for one in further]
     poses = replace(ready.poses, beside=beside, further=tuple(one.camera for one in others))
-    fit, ready = begin_fit(replace(ready, poses=poses), size_of_arm)
-    table, lens_fit, prior, mounting, left_out = (
-        *(ready.table, ready.lens_fit, ready.prior, ready.mounting, ready.left_out),
-    )
-    fit, arm = _without_far(fit, ready.poses, lens_fit.lens, prior, size_of_arm)
+    fit, ready = first_fit(replace(ready, poses=poses), size_of_arm)
+    table, lens_fit, mounting, left_out = ready.table, ready.lens_fit, ready.mounting, ready.left_out
+    fit, arm = _without_far(fit, ready.poses, lens_fit.lens, ready.prior, size_of_arm)
     still = replace(arm, parameters=ready.placed, further=(), faults=None)
-    nominal = fit_camera(table, still, lens_fit.lens, prior)
+    nominal = fit_camera(table, still, lens_fit.lens, ready.prior)
 
     geometric = fit
     causes: tuple[CameraCause, ...] = ()
@@ -338,26 +319,13 @@ def solve_camera(
     judged = alone if body else in_view
     open_size = size_open(target, doubted, judged, shared, arm_m)
     decision = decide(judged, bool(metric), against, arm_m, doubtful, open_size, body)
-    if (
-        metric and decision.word == CANNOT_TELL and target.scale.measured
-    ):  # the size decides: what is said holds either way
+    # the size decides: what is said holds either way
+    if metric and decision.word == CANNOT_TELL and target.scale.measured:
         in_view, anywhere, alone = (error.either_way(SIZE) for error in (in_view, anywhere, alone))
         decision = decide(alone if body else in_view, True, against, arm_m, doubtful, open_size, body)
     return CameraSolution(
-        *(
-            fit,
-            geometric,
-            nominal,
-            mounting,
-            lens_fit,
-            target,
-            left_out,
-            corners_out,
-            in_view,
-            anywhere,
-            decision,
-            moved,
-        ),
+        *(fit, geometric, nominal, mounting, lens_fit, target, left_out, corners_out),
+        *(in_view, anywhere, decision, moved),
         weak_directions(fit, mounting),
         shared,
         held_out(fit, nominal, size_of_arm),

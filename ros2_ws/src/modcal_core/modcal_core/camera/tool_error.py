@@ -264,7 +264,7 @@ def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     """Whether the camera sees the front of the target at these postures (M, n), (M,) bool."""
     at = fit.poses.at_postures(q)
     T = at.seen(at.tool_at(fit.state.values))
-    points = _sheet(fit.table)
+    points = fit.table.points[np.unique(fit.table.ids, return_index=True)[1]]  # that any image shows
     X = np.einsum("mij,cj->mci", T[:, :3, :3], points) + T[:, None, :3, 3]
     ahead = X[:, :, 2] > 1e-3
     pixels = fit.state.lens.project(np.where(ahead[:, :, None], X, [0.0, 0.0, 1.0]))
@@ -287,12 +287,6 @@ def _seen_from_there(fit: CameraFit, T: Array, middle: Array) -> np.ndarray:
 
     seen = sides(fit.poses.seen(fit.poses.tool_at(fit.state.values)))
     return np.asarray((sides(T) @ seen.T).max(axis=1) > np.cos(_SAME_SIDE))
-
-
-def _sheet(table: CornerTable) -> Array:
-    """The corners of the target that any image shows, (C, 3)."""
-    first = np.unique(table.ids, return_index=True)[1]
-    return table.points[first]
 
 
 def _root(C: Array) -> Array:

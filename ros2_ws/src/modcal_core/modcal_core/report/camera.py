@@ -437,11 +437,12 @@ def _entry(
 
 def _named(solution: CameraSolution) -> list[tuple[CameraCause, ReportEntry]]:
     chain = solution.fit.poses.model.chain
-    effects = [cause.effect for cause in solution.causes]
-    return [
-        (cause, ReportEntry(e.place, e.direction, e.public_driver, parameters((e,), chain), cause.same_as))
-        for cause, e in zip(solution.causes, effects, strict=True)
-    ]
+    out = []
+    for cause in solution.causes:
+        e = cause.effect
+        sizes = parameters((e,), chain)
+        out.append((cause, ReportEntry(e.place, e.direction, e.public_driver, sizes, cause.same_as)))
+    return out
 
 
 def _sentence(family: str, entry: ReportEntry) -> str:

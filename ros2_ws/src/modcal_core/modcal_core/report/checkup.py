@@ -1,4 +1,4 @@
-"""A check for programs and for people: the data of check.json, what a terminal shows, and a page."""
+"""A check, and the history of an arm, for programs and for people: data, what a terminal shows, and a page."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ everything else fitted again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -309,7 +309,7 @@ def _unloaded(loads: Loads) -> NominalArm:
     return replace(loads.before, inertias=loads.before.inertias.pulled(loads.down))
 
 
-def sizes_to_json(sizes: Sizes) -> dict[str, Any]:
+def sizes_to_json(sizes: Mapping[str, Quantity]) -> dict[str, Any]:
     """Named sizes for ``report.json``."""
     return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
 

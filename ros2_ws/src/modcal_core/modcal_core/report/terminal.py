@@ -1,4 +1,4 @@
-"""What a report says on one screen: tables and sentences, laid out by whoever shows them, or as plain text."""
+"""What a report says on one screen: tables, the account of the squared error among them, and sentences."""
 
 from __future__ import annotations
 
