@@ -18,7 +18,7 @@ from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.robot import Robot
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_nodes.vision.bag import read_bag_images
-from modcal_nodes.vision.body import detect_body
+from modcal_nodes.vision.detection import detect_body
 
 WORDS = "DICT_4X4_50"
 BODY = replace(icosahedron(), dictionary=WORDS)

@@ -10,8 +10,7 @@ import pytest
 from matplotlib.ticker import MaxNLocator
 
 from modcal_core.report.figures import _few_waves
-from modcal_core.report.panel import Panel, round_numbers
-from modcal_core.report.plots import in_numbers
+from modcal_core.report.plots import Panel, in_numbers, round_numbers
 
 
 def test_ticks_stand_where_those_of_other_charts_do() -> None:

@@ -2,8 +2,8 @@
 
 A body is small beside its distance, and its markers are not where they are drawn, so single images hardly tell the
 focal length; the arm's motion does. The sightings of single points from all postures show camera, lens and body
-together; where they are too few, the focal length is taken at which the body's poses by single images meet the
-flange's best. Of what is found either way, the one counts that corners are nearer to.
+together; where they are too few, the focal length is taken at which the body's poses by single images meet the flange's
+best. Of what is found either way, the one counts that corners are nearer to.
 
 Points in depth begin with the affine camera that meets their rays (scaled orthographic projection, DeMenthon and Davis
 1995), points of one face with the homography of their plane; both are tried with the twin that is tilted the other way
@@ -13,16 +13,14 @@ An image of a body may show three points, which fit any pose, so it is the arm t
 are off by far more than the others, each image's own error counted, are out, and where most of an image is, the image.
 
 Where single images have too few points for a pose, the points are seen from many postures. One that stands at y on the
-tip is seen, up to a factor, at P A ỹ, with A the flange pose and P the camera's matrix
-in the base. That is linear in the products of P's and y's elements, 39 of them, which the sightings of one point show
-to a factor; their 9 × 4 part has rank one, which parts y from P. Then P by all points, and each point by P, in turn,
-and the body is laid into its points (Kabsch). With the flange's inverse it is the same for a camera on the tip and a
-body in the world.
+tip is seen, up to a factor, at P A ỹ, with A the flange pose and P the camera's matrix in the base. That is linear in
+the products of P's and y's elements, 39 of them, which the sightings of one point show to a factor; their 9 × 4 part
+has rank one, which parts y from P. Then P by all points, and each point by P, in turn, and the body is laid into its
+points (Kabsch). With the flange's inverse it is the same for a camera on the tip and a body in the world.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -269,11 +267,6 @@ def start_of_body(
     return min(starts, key=lambda start: start.miss_px(table))
 
 
-def default_lens(size: tuple[int, int], model: str) -> Lens:
-    """A lens of a usual angle of view, for what hardly depends on it. size: of the images [px]."""
-    return Lens(np.r_[[float(max(size))] * 2, 0.5 * (np.array(size) - 1.0), np.zeros(5)], size, model)
-
-
 def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
     """Raises BadTable where the corners of markers are numbered in another order than the target's file says."""
     whole = images_with_pose(table)
@@ -305,21 +298,13 @@ def _lens_by_arm(table: CornerTable, A: Array, size: tuple[int, int], model: str
     rows = np.zeros(table.views, bool)
     rows[np.unique(np.linspace(0, table.views - 1, _LOOKED_AT).astype(int))] = True
     table, A = table.select(rows), A[rows]
-    middle = 0.5 * (np.array(size) - 1.0)
-
-    def of(focal: float) -> Lens:
-        return Lens(np.r_[focal, focal, middle, np.zeros(5)], size, model)
 
     def miss(focal: float) -> float:
-        return mounting_misfit(A, body_poses(table, of(focal)), on_tip)
+        return mounting_misfit(A, body_poses(table, Lens.plain(focal, size, model)), on_tip)
 
     tried = 0.5 * max(size) / _HALF_ANGLES if model == FISHEYE else _FOCALS * max(size)
-    best = _least(miss, tried)
-    return of(_least(miss, best * _FINER))
-
-
-def _least(miss: Callable[[float], float], tried: Array) -> float:
-    return float(min(tried, key=lambda focal: miss(float(focal))))
+    best = min(tried.tolist(), key=miss)
+    return Lens.plain(min((best * _FINER).tolist(), key=miss), size, model)
 
 
 def _by_points(

@@ -1,18 +1,19 @@
 """Which of the values that somebody stated the images contradict: the sheet's size, its flatness, the lens, the arm.
 
-A stated value that is wrong does not show in the residuals where the arm can take it up: a sheet 2 % larger than
-stated looks like an arm whose links are all 2 % shorter. What gives it away is that no arm is faulty like that. So each
+A stated value that is wrong does not show in the residuals where the arm can take it up: a sheet 2 % larger than stated
+looks like an arm whose links are all 2 % shorter. What gives it away is that no arm is faulty like that. So each
 statement in turn is widened until it says next to nothing, all else stays, and the sizes of all errors are found again:
-where the data are likelier by far, everything integrated out, the statement is what is wrong, or the arm is built
-to another scale, which is said too.
+where the data are likelier by far, everything integrated out, the statement is what is wrong, or the arm is built to
+another scale, which is said too.
 
 Where the data say neither, because the arm is as faulty as a wrong statement would make it look, the statement is in
 doubt: what it may do to the arm, weighed by its chance, belongs into the interval of the error at the tool.
 
-What target and camera are not as stated, late images, a rolling shutter, the print's size and a bent sheet, is fitted in
-any case, with an expectation about what is stated. It is named where the images are likelier by far with it than with the stated value, everything else integrated out and the sizes of all errors found again for
-both. At given sizes the ratio of the two is that of the density at the stated value after and before the images
-(Dickey 1971), which needs no second fit.
+What target and camera are not as stated, late images, a rolling shutter, the print's size and a bent sheet, is fitted
+in any case, with an expectation about what is stated. It is named where the images are likelier by far with it than
+with the stated value, everything else integrated out and the sizes of all errors found again for both. At given sizes
+the ratio of the two is that of the density at the stated value after and before the images (Dickey 1971), which needs
+no second fit.
 """
 
 from __future__ import annotations

@@ -9,10 +9,11 @@ however many corners there are, which is why many images stay quick. On a body e
 as well, and the product is larger by the places of all markers.
 
 Misreadings of a body are spread over markers and images, and what is left of its points says as much as if they had not
-been read. A marker most of whose points are out has another number, or another place, than the target's file states, or came
-loose. Either is said; it speaks against the fit only where it is more than the others outvote.
+been read. A marker most of whose points are out has another number, or another place, than the target's file states, or
+came loose. Either is said; it speaks against the fit only where it is more than the others outvote.
 
-The sheet's size, its flatness and the lens's higher terms are fitted with expectations and not left out, so that what they may do to the arm is in its uncertainty: the sheet is suspected before the arm.
+The sheet's size, its flatness and the lens's higher terms are fitted with expectations and not left out, so that what
+they may do to the arm is in its uncertainty: the sheet is suspected before the arm.
 """
 
 from __future__ import annotations

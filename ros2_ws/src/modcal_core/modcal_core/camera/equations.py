@@ -14,8 +14,8 @@ integrated out stop by stop, over all cameras,
 
     H = Σ_k H_k − Uᵀ M⁻¹ U,   U = Σ_k B_kᵀ G_p,k,   M = 1 + Σ_k B_kᵀ G_pp,k B_k
 
-which for a stop that one camera saw is what integrating out ξ gives. The sizes of noise, ξ and the arm's expected faults
-are those that make the data likeliest, the parameters integrated out (evidence, type II).
+which for a stop that one camera saw is what integrating out ξ gives. The sizes of noise, ξ and the arm's expected
+faults are those that make the data likeliest, the parameters integrated out (evidence, type II).
 """
 
 from __future__ import annotations

@@ -194,10 +194,7 @@ def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) 
     view that meets the images best. Raises NotEnoughData.
     """
     if model == FISHEYE:
-        middle = 0.5 * (np.array(size) - 1.0)
-        tried = [
-            Lens(np.r_[[0.5 * max(size) / angle] * 2, middle, np.zeros(5)], size, FISHEYE) for angle in _HALF_ANGLES
-        ]
+        tried = [Lens.plain(0.5 * max(size) / angle, size, FISHEYE) for angle in _HALF_ANGLES]
         return min(tried, key=lambda lens: float(np.median(board_poses(table, lens, _FLAT).rms)))
     counts = np.bincount(table.view, minlength=table.views)
     many = np.flatnonzero(counts >= _MANY)

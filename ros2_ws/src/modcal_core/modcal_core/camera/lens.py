@@ -47,6 +47,11 @@ class Lens:
         object.__setattr__(self, "values", view(np.asarray(self.values, dtype=float)))
 
     @classmethod
+    def plain(cls, focal: float, size: tuple[int, int], model: str = PINHOLE) -> Lens:
+        """Without distortion, its centre in the middle of the image. focal: [px]."""
+        return cls(np.r_[focal, focal, 0.5 * (np.array(size) - 1.0), np.zeros(5)], size, model)
+
+    @classmethod
     def of(cls, K: ArrayLike, distortion: ArrayLike, size: tuple[int, int], model: str = PINHOLE) -> Lens:
         """From a camera matrix (3, 3) and coefficients: up to five k1 k2 p1 p2 k3, of a fisheye up to four k1 … k4."""
         K = np.asarray(K, dtype=float)
@@ -84,14 +89,11 @@ class Lens:
         """Pixels (N, 2) of points (N, 3) [m], and their derivatives by the points (N, 2, 3) and by values (N, 2, 9)."""
         if self.model == FISHEYE:
             return self._fisheye(X)
-        fx, fy, cx, cy, k1, k2, p1, p2, k3 = self.values
+        fx, fy, cx, cy = self.values[:4]
         z = 1.0 / X[:, 2]
         x, y = X[:, 0] * z, X[:, 1] * z
         xd, yd, r2, D = _distort(x, y, self.values)
-        slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)
-        xx = D + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        yy = D + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        xx, xy, yy = _slopes(x, y, r2, D, self.values)
         zero = np.zeros_like(x)
         by_point = np.stack(
             [
@@ -109,7 +111,7 @@ class Lens:
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Directions x, y at z = 1, (N, 2), that these pixels (N, 2) show, by Newton's method."""
-        fx, fy, cx, cy, k1, k2, p1, p2, k3 = self.values
+        fx, fy, cx, cy = self.values[:4]
         goal = (np.asarray(pixels, dtype=float) - [cx, cy]) / [fx, fy]
         if self.model == FISHEYE:
             return self._fisheye_rays(goal)
@@ -117,10 +119,7 @@ class Lens:
         for _ in range(_STEPS):
             x, y = xy.T
             xd, yd, r2, D = _distort(x, y, self.values)
-            slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)
-            a = D + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-            b = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-            d = D + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+            a, b, d = _slopes(x, y, r2, D, self.values)
             gap = goal - np.stack([xd, yd], axis=1)
             det = a * d - b * b
             det = np.where(np.abs(det) < 1e-6, 1.0, det)
@@ -185,3 +184,14 @@ def _distort(x: Array, y: Array, values: Array) -> tuple[Array, Array, Array, Ar
     xd = x * D + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     yd = y * D + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
     return xd, yd, r2, D
+
+
+def _slopes(x: Array, y: Array, r2: Array, D: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Derivatives of distorted x by x, of either by the other, and of distorted y by y."""
+    k1, k2, p1, p2, k3 = values[4:]
+    slope = k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)
+    return (
+        D + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
+        2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y,
+        D + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
+    )

@@ -84,10 +84,9 @@ class ReadingsBeside:
     @property
     def label(self) -> str:
         """Description of the readings as text."""
-        return ", ".join(f"{kind} in {frame}" for kind, frame in sorted(self._kinds()))
-
-    def _kinds(self) -> set[tuple[str, str]]:
-        return {(str(k), self.samples.frames[f]) for k, f in zip(self.samples.kind, self.samples.frame, strict=True)}
+        pairs = zip(self.samples.kind, self.samples.frame, strict=True)
+        kinds_in = {(str(kind), self.samples.frames[f]) for kind, f in pairs}
+        return ", ".join(f"{kind} in {frame}" for kind, frame in sorted(kinds_in))
 
     def rows(
         self, arm: Sequence[ModelParameter], values: Array, effects: Sequence[Effect], columns: Array, count: int
@@ -103,24 +102,19 @@ class ReadingsBeside:
         J = np.zeros((at.residual.size, count))
         mine = np.r_[columns[len(columns) - own :], columns[: len(columns) - own]]
         J[:, mine] = at.J.T
-        assert len(mine) == len(at.J)
-        N, pose = len(self.samples), self.samples.is_pose
+        pose = self.samples.is_pose
         sigma_p = np.nan_to_num(self.samples.sigma_position)
         sigma_r = np.nan_to_num(self.samples.sigma_rotation[pose])
         seen = np.where(pose, 3.0, dimensions(self.samples))
         turned = np.array([kinds()[str(k)].unit == "rad" for k in self.samples.kind])
         unit = np.where(turned, _LEVER**-2.0, 1.0)
         M = int(pose.sum())
-        return (
-            BesideRows(
-                J,
-                at.residual,
-                np.r_[np.tile(sigma_p**2, 3), np.tile(sigma_r**2, 3)],
-                np.r_[np.tile(unit, 3), np.full(3 * M, _LEVER**-2.0)],
-                np.r_[np.tile(seen / 3.0, 3), np.ones(3 * M)],
-            )
-            if N
-            else BesideRows(J, at.residual, *(np.empty(0) for _ in range(3)))
+        return BesideRows(
+            J,
+            at.residual,
+            np.r_[np.tile(sigma_p**2, 3), np.tile(sigma_r**2, 3)],
+            np.r_[np.tile(unit, 3), np.full(3 * M, _LEVER**-2.0)],
+            np.r_[np.tile(seen / 3.0, 3), np.ones(3 * M)],
         )
 
     def without(self, far: np.ndarray) -> ReadingsBeside:

@@ -12,7 +12,6 @@ from modcal_core.calibration import ModelParameter, exceeded_chi2, median_chi2
 from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, arm_poses
 from modcal_core.camera.body_start import (
     body_poses,
-    default_lens,
     elsewhere,
     far_markers,
     images_with_pose,
@@ -281,7 +280,8 @@ def _of_body(chain: Chain, images: CameraImages, progress: Callable[[str], None]
 
     progress("mounting")
     model = FISHEYE if images.fisheye else PINHOLE
-    require_order(table, lens or default_lens(images.size, model), target)
+    usual = lens or Lens.plain(float(max(images.size)), images.size, model)  # for what hardly depends on it
+    require_order(table, usual, target)
     try:
         A = chain_forward(chain, images.q)
         begin = start_of_body(table, A, lens, images.size, model, images.camera_on_tip)
@@ -291,8 +291,8 @@ def _of_body(chain: Chain, images: CameraImages, progress: Callable[[str], None]
         whole = images_with_pose(table)
         if whole.sum() < MIN_VIEWS:
             raise
-        some, used = table.select(whole), lens or default_lens(images.size, model)
-        raise explained(error, chain, images.q[whole], some, used, body_poses, images.camera_on_tip) from error
+        some = table.select(whole), usual, body_poses, images.camera_on_tip
+        raise explained(error, chain, images.q[whole], *some) from error
     prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
     prior = prior.with_places(target.place_prior())
     far = _gross(residuals(table, begin.lens, table.unshaped, mounting.T_camera_target))

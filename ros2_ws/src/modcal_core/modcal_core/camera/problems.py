@@ -4,10 +4,10 @@ The calibrated and the nominal arm are compared draw by draw, not interval by in
 the camera's place moves both alike, so that one may be the better beyond doubt where their intervals overlap. What the
 user states of the nominal arm is no draw, and there the interval has to be below it.
 
-Something may have been moved among the images. For each place in their order, six more parameters move one half from there on; a scan of small sums finds the place
-that gains most. Then the sizes of all errors are found again with the move and without: a move makes the images' own
-errors look large, so that only both together say whether it is there. What counts is the likelihood with everything
-integrated out, which has the price of six more parameters in it.
+Something may have been moved among the images. For each place in their order, six more parameters move one half from
+there on; a scan of small sums finds the place that gains most. Then the sizes of all errors are found again with the
+move and without: a move makes the images' own errors look large, so that only both together say whether it is there.
+What counts is the likelihood with everything integrated out, which has the price of six more parameters in it.
 
 Another focal length looks much like a camera that was moved along its axis, with one number in place of six: where it
 explains more than the move does, that is what happened.
@@ -404,14 +404,9 @@ def size_open(
             )
         return ""
     whole, known = shared.get("print scale", (0.0, 0.0))
-    if known < _MOSTLY * whole and not isinstance(target, PrintedTarget):
-        return (
-            f"Most of that is the body's size, which nobody has stated: measure across it with a calliper and state "
-            f"size_tolerance; with it, {1e3 * known**0.5:.2f} mm are left."
-        )
-    if known < _MOSTLY * whole:
-        return (
-            f"Most of that is the sheet's size, which nobody has measured: measure its rulers (modcal target "
-            f"--measured); with it, {1e3 * known**0.5:.2f} mm are left."
-        )
-    return ""
+    if known >= _MOSTLY * whole:
+        return ""
+    said = "sheet's size, which nobody has measured: measure its rulers (modcal target --measured)"
+    if not isinstance(target, PrintedTarget):
+        said = "body's size, which nobody has stated: measure across it with a calliper and state size_tolerance"
+    return f"Most of that is the {said}; with it, {1e3 * known**0.5:.2f} mm are left."

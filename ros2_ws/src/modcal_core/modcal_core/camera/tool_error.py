@@ -148,13 +148,13 @@ def parameter_draws(
     parts = [_draws(fit, fit.equations, fit.sizes, P, rng)]
     parts += [_draws(fit, d.equations, d.sizes, P, rng) for d in doubted]
     chance = np.array([1.0 - sum(d.counted for d in doubted), *(d.counted for d in doubted)])
-    counts = [sum(len(one.values) for one in part) for part in parts]
-    every = [one for part in parts for one in part]
+    counts = [sum(len(values) for values, *_ in part) for part in parts]
+    drawn, means, roots = zip(*(one for part in parts for one in part), strict=True)
     return ParameterDraws(
-        np.concatenate([one.values for one in every]),
-        np.stack([one.mean for one in every]),
-        np.stack([one.root for one in every]),
-        np.repeat(np.arange(len(every)), [len(one.values) for one in every]),
+        np.concatenate(drawn),
+        np.stack(means),
+        np.stack(roots),
+        np.repeat(np.arange(len(drawn)), [len(values) for values in drawn]),
         np.repeat(chance / counts, counts),
         np.repeat(np.arange(len(parts)) - 1, counts),
         tuple(d.what for d in doubted),
@@ -201,17 +201,11 @@ def tool_error(
     return ToolError(calibrated, against, draws.weight, draws.of, draws.wrong, draws.in_doubt, both_ends, worse, model)
 
 
-@dataclass(frozen=True)
-class _NormalDraws:
-    """values (D, P): drawn about mean (P,) with the covariance root rootᵀ (P, P)."""
-
-    values: Array
-    mean: Array
-    root: Array
-
-
-def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator) -> list[_NormalDraws]:
-    """Draws of what the arm's P parameters are off by, by these equations of the fit and about these sizes.
+def _draws(
+    fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.random.Generator
+) -> list[tuple[Array, Array, Array]]:
+    """Draws of what the arm's P parameters are off by, by these equations of the fit and about these sizes: (values
+    (D, P), the mean (P,) and root (P, P) of the normal distribution that they are from) of each.
 
     How faulty this arm is, is known from these images only where it is not stated; so the draws are from a mixture over
     the sizes that its faults may have, each as likely as the data make it.
@@ -231,7 +225,7 @@ def _draws(fit: CameraFit, equations: Equations, best: Sizes, P: int, rng: np.ra
     for s, count in zip(solved, counts, strict=True):
         if count:
             mean, root = s.step()[:P], _root(s.covariance()[:P, :P])
-            out.append(_NormalDraws(mean + rng.standard_normal((count, P)) @ root.T, mean, root))
+            out.append((mean + rng.standard_normal((count, P)) @ root.T, mean, root))
     return out
 
 

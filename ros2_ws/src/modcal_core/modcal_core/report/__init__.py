@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.report.articulation import Articulation, articulation_data, articulation_html
     from modcal_core.report.as_json import to_json_data
     from modcal_core.report.camera import camera_files, camera_report, lines
-    from modcal_core.report.camera_certificates import camera_certificate, camera_tolerance
+    from modcal_core.report.camera_page import camera_certificate, camera_tolerance
     from modcal_core.report.certificates import Hashes, Particulars, certificate, certificate_html, is_made_from
     from modcal_core.report.checkup import History, HistoryEntry, checkup_data, checkup_html, checkup_summary
     from modcal_core.report.checkup import history_data, history_summary

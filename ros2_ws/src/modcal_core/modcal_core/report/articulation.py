@@ -182,7 +182,10 @@ def _joint_data(fit: JointFit) -> dict[str, Any]:
 def articulation_html(found: Articulation) -> str:
     """The page as HTML text."""
     data = articulation_data(found)
-    drawn = _scene(found, data)
+    fit = found.choice.fit
+    good, scale = _trusted(fit), _UNITS[fit.model.unit][1]
+    seen = found.track.positions[good]
+    drawn = object_scene(fit.model, fit.configurations[good], seen, data["joint"], scale, found.frame)
     return render(
         "articulation.html.j2",
         title=f"{found.source}: articulation",
@@ -197,15 +200,6 @@ def articulation_html(found: Articulation) -> str:
         scene_alt=drawn.alt,
         places=len(drawn.path),
     )
-
-
-def _scene(found: Articulation, data: dict[str, Any]) -> ObjectScene:
-    """The object in three dimensions, over what was seen of its motion."""
-    fit = found.choice.fit
-    good = _trusted(fit)
-    scale = _UNITS[fit.model.unit][1]
-    seen = found.track.positions[good]
-    return object_scene(fit.model, fit.configurations[good], seen, data["joint"], scale, found.frame)
 
 
 def _trusted(fit: JointFit) -> np.ndarray:

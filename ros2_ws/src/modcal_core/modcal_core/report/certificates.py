@@ -410,7 +410,7 @@ def drawn(scale: Scale, tone: str) -> Chart:
 
 def ticks(end: float) -> list[float]:
     """Round numbers [mm] from 0 to end, about five."""
-    from modcal_core.report.panel import round_numbers
+    from modcal_core.report.plots import round_numbers
 
     return [abs(round(float(value), 9)) for value in round_numbers(0.0, 0.92 * end)[0]]
 

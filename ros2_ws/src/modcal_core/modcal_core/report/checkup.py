@@ -12,7 +12,7 @@ from modcal_core.checking import NamedChange, Series, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.report.as_json import finite, tolerance_data
 from modcal_core.report.page import AFTER, BEFORE, Chart, PageTable, plain_page
-from modcal_core.report.panel import Panel
+from modcal_core.report.plots import Panel
 from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
 
 _HEADINGS = {
@@ -265,8 +265,7 @@ def history_data(found: Sequence[History]) -> dict[str, Any]:
 
 def _series(s: Series) -> dict[str, Any]:
     trend = None
-    if s.trend is not None:
-        t = s.trend
+    if (t := s.trend) is not None:
         trend = {"change": t.change, "ci95": [t.low, t.high], "share": t.share, "days": t.days, "sentence": s.sentence}
     points = [{"entry": p.entry, "value": p.value, "std": p.std} for p in s.points]
     return {"name": s.name, "unit": s.unit, "points": points, "trend": trend}

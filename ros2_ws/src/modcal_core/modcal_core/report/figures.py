@@ -16,13 +16,13 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.report.contents import ReportContents
 from modcal_core.report.page import AFTER, BAD, BEFORE, GOOD, LIGHT, OF_AXES, SOFT, WARN, Chart
-from modcal_core.report.panel import Panel
 from modcal_core.report.plots import (
     CIRCLE,
     CROSS,
     DOT,
     SQUARE,
     TRIANGLE,
+    Panel,
     chart,
     columns,
     in_decades,

@@ -11,10 +11,9 @@ import numpy as np
 from modcal_core.diagnosis import EvidenceMap
 from modcal_core.effects import remembered
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.camera_page import parameter_tables
 from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.figures import comparisons, effect_shapes, error_histogram, spread_chart, timeline
-from modcal_core.report.page import Sizes, as_script_data, render, size_tables
+from modcal_core.report.page import Sizes, as_script_data, parameter_tables, render, size_tables
 from modcal_core.report.scene import scene, still
 from modcal_core.report.sentence import STATUS_WORDS, sentence
 from modcal_core.report.terminal import accounts

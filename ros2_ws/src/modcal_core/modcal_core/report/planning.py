@@ -12,7 +12,7 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import Accuracy, Plan
 from modcal_core.report.page import MAX_POINTS, MAX_POSTURES, Chart, RobotScene, arm_paths, joints_in_words, plain_page
-from modcal_core.report.panel import Panel, side_by_side
+from modcal_core.report.plots import Panel, side_by_side
 from modcal_core.report.sentence import percent
 from modcal_core.robots import plain
 

@@ -53,9 +53,7 @@ class Coach:
 
     def __init__(self, target: PrintedTarget, size: tuple[int, int], lens: Lens | None = None) -> None:
         """target: that is shown."""
-        focal = _USUAL_FOCAL * size[0]
-        middle = [0.5 * (size[0] - 1), 0.5 * (size[1] - 1)]
-        self._lens = lens or Lens(np.r_[focal, focal, middle, np.zeros(5)], size)
+        self._lens = lens or Lens.plain(_USUAL_FOCAL * size[0], size)
         self._target, self._size = target, size
         self._last: BoardView | None = None
         self.views: list[Array] = []  # x, y of the middle [px], tilts about x and y [rad], distance [m]

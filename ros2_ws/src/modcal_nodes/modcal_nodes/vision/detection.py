@@ -1,12 +1,16 @@
-"""Corners of a printed target in an image, by OpenCV, each with a covariance from the image itself.
+"""Corners of a printed target, or of a body's markers, in an image, by OpenCV, each with a covariance from the image.
 
 A corner q is refined as the point whose directions to its neighbours p lie across their gradients: Σ g gᵀ (q − p) = 0.
 Grey noise σ puts noise of σ / √2 into a gradient by central differences, which moves q by H⁻¹ Σ g (n · (p − q)) with
 H = Σ g gᵀ; so its covariance is ½ σ² H⁻¹ (Σ |p − q|² g gᵀ) H⁻¹, in the weights that the refinement uses.
+
+Markers on the faces of a body show one by one in whatever way it is turned, and one is enough. A marker's corners are
+numbered as its finder has them; whether the target file states that order is found against the arm (body_start).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,6 +22,7 @@ from modcal_core.camera import (
     APRIL_GRID,
     CHARUCO,
     CHESSBOARD,
+    MARKER_CORNERS,
     MIN_CORNERS,
     POSE,
     SHAPE,
@@ -25,6 +30,7 @@ from modcal_core.camera import (
     BoardView,
     CornerTable,
     Lens,
+    MarkerBundle,
     PrintedTarget,
     board_poses,
     corner_rows,
@@ -354,6 +360,46 @@ def charuco_board(target: PrintedTarget, legacy: bool = False) -> cv2.aruco.Char
     board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.square, target.marker, words, ids)
     board.setLegacyPattern(legacy)
     return board
+
+
+def detect_body(grey: np.ndarray, body: MarkerBundle, name: str) -> Detection:
+    """The corners of the body's markers in a grey image (h, w) of 8 bits. Raises BadTable where no one says which
+    dictionary they are of.
+    """
+    if not body.dictionary:
+        remedy = "add dictionary: DICT_4X4_50, or whichever they are of, or give a CSV of corners"
+        raise BadTable(body.label, "has no dictionary of markers to look for in images", remedy)
+    corners, ids, _ = marker_detector(body.dictionary).detectMarkers(grey)
+    numbers = [] if ids is None else [int(i) for i in np.asarray(ids).ravel()]
+    found = body_corners(body, numbers, [np.asarray(c, dtype=float).reshape(4, 2) for c in corners])
+    if isinstance(found, Detection):
+        return found
+    points, pixels = found
+    half = window_of_side(float(np.median(np.linalg.norm(np.diff(pixels.reshape(-1, 4, 2), axis=1), axis=2))))
+    width = edge_width(grey, pixels, half)
+    if width > BLURRED_PX:
+        return Detection(None, f"is blurred: edges are {width:.0f} px wide", "hold still, focus, or add light")
+    cov = corner_covariance(grey, pixels, half, grey_noise(grey))
+    return Detection(BoardView(name, points, pixels, cov, width))
+
+
+def body_corners(
+    body: MarkerBundle, numbers: Sequence[int], quads: Sequence[Array]
+) -> tuple[np.ndarray, Array] | Detection:
+    """(points of the body (4 m,), pixels (4 m, 2)) of markers with these numbers and corners (4, 2) each; why there are
+    none, where there are none. A number that stands twice is another's once, and nobody knows which.
+    """
+    count = Counter(numbers)
+    points: list[int] = []
+    pixels: list[Array] = []
+    for number, quad in zip(numbers, quads, strict=True):
+        own = [body.point(number, corner) for corner in range(MARKER_CORNERS)]
+        if count[number] == 1 and None not in own and np.isfinite(quad).all():
+            points += [p for p in own if p is not None]
+            pixels.append(quad)
+    if not points:
+        return Detection(None, "shows no marker of the body", "check the target's numbers, and bring it into view")
+    return np.array(points), np.concatenate(pixels)
 
 
 _TWIN = 9.0  # of the sum of squares: within three standard deviations the pose tilted the other way fits as well

@@ -27,8 +27,7 @@ from modcal_core.camera import (
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData
 from modcal_core.files import parse_yaml
 from modcal_core.geometry import Array
-from modcal_nodes.vision.body import detect_body
-from modcal_nodes.vision.detection import Detection, detect
+from modcal_nodes.vision.detection import Detection, detect, detect_body
 
 SCALED = "Images of 16 bits a channel were scaled to 8, each from its own black to its own white."
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
