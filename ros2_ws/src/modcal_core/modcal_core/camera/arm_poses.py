@@ -123,7 +123,6 @@ class ImageMoments:
 
 NOTHING_KNOWN = ImageMoments()
 
-
 FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
 
 

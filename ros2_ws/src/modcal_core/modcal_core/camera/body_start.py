@@ -331,14 +331,12 @@ def _by_points(
         return []
     best = found[carried]
     if lens is None:
-        f = best.focal * max(size)
-        lens = Lens(np.r_[f, f, middle, np.zeros(5)], size)
+        lens = Lens.plain(best.focal * max(size), size)
     base, tool = best.T_camera_base, best.T_tip_body
     if carried:  # it is the camera that is on the tip: T_camera_tip and T_base_body
         base, tool = se3.inverse(tool), se3.inverse(base)
     away = float(np.median(np.linalg.norm((best.T_camera_base @ (se3.inverse(A) if carried else A))[:, :3, 3], axis=1)))
-    misfit = best.miss * away, best.miss
-    mounting = Mounting(carried, base, tool, A, *misfit, float(rival), relative_turns(A), np.empty(0))
+    mounting = Mounting(carried, base, tool, A, best.miss * away, float(rival), relative_turns(A), np.empty(0))
     return [BodyStart(lens, _by_arm(mounting, A))]
 
 

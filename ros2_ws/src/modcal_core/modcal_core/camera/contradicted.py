@@ -27,7 +27,7 @@ from modcal_core.calibration import beyond_chi2
 from modcal_core.camera.bundle import PrintScale
 from modcal_core.camera.causes import flange_motions
 from modcal_core.camera.corners import BOW as BENT
-from modcal_core.camera.corners import FIXED, READOUT, SCALE, SHAPE, CommonPrior, common_prior
+from modcal_core.camera.corners import READOUT, SCALE, SHAPE, CommonPrior, common_prior
 from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
 from modcal_core.camera.fit import CameraFit, fit_camera, likeliest, usual
 from modcal_core.camera.lens import COUNT as LENS
@@ -217,11 +217,6 @@ def _percent(fit: CameraFit, common: Array, scale: PrintScale) -> str:
     return along_x if fit.table.places else f"{along_x} (x) and {100.0 * (y / scale.y - 1.0):+.1f} % (y)"
 
 
-def is_stated(lens: Lens | None, stated: str) -> str | None:
-    """What became of stated intrinsics, None where they were a start only."""
-    return stated if lens is not None and stated in ("tolerance", FIXED) else None
-
-
 TARGET, CLOCK = "target", "clock"  # families of the report
 
 
@@ -311,38 +306,38 @@ def _square(mean: Array, cov: Array) -> float:
 def _finding(
     what: str, fit: CameraFit, value: Array, std: Array, p_value: float, gain: float, at_tool: float, other_length: bool
 ) -> CameraFinding:
-    rest = (p_value, gain, at_tool)
     cost = f"left out, it would put the tool {1e3 * at_tool:.2f} mm off"
+    same: tuple[str, ...] = ()
     if what == "clock":
+        where = (CLOCK, "camera:camera", "all", "velocity")
         late = "later" if value[0] < 0.0 else "earlier"
         size = f"{1e3 * abs(value[0]):.1f} ± {1e3 * std[0]:.1f} ms"
         said = f"Images are stamped {size} {late} than the joints of their moment"
         values = {"delay_s": (float(-value[0]), float(std[0]), "s")}
-        return CameraFinding(CLOCK, "camera:camera", "all", "velocity", values, *rest, (), f"{said}; {cost}.")
-    if what == "readout":
-        height = fit.state.lens.size[1]
-        line, spread = value[0] / height, std[0] / height
+    elif what == "readout":
+        where = (CLOCK, "camera:camera", "all", "line")
+        line, spread = value[0] / fit.state.lens.size[1], std[0] / fit.state.lens.size[1]
         said = (
             f"The camera reads an image line by line, {1e6 * line:.1f} ± {1e6 * spread:.1f} µs a line "
             f"({1e3 * value[0]:.1f} ms from top to bottom)"
         )
         values = {"line_s": (float(line), float(spread), "s")}
-        return CameraFinding(CLOCK, "camera:camera", "all", "line", values, *rest, (), f"{said}; {cost}.")
-    if what == "scale":
+    elif what == "scale":
+        where = (TARGET, "target:target", "size", "constant")
         x, y = 100.0 * value
         said = f"The sheet is {x:+.2f} % (x) and {y:+.2f} % (y) off its stated size, ± {100.0 * std[0]:.2f} %"
         if fit.table.places:
             said = f"The body is {x:+.2f} % and its markers {y:+.2f} % off their stated size, ± {100.0 * std[0]:.2f} %"
-        values = {"size_x": (float(value[0]), float(std[0]), "1"), "size_y": (float(value[1]), float(std[1]), "1")}
-        same: Sequence[str] = () if other_length else ("the arm, all lengths by one factor",)
-        also = "" if other_length else ", or the arm is built to another scale than its URDF: nothing here tells which"
-        said = f"{said}{also}; {cost}."
-        return CameraFinding(TARGET, "target:target", "size", "constant", values, *rest, tuple(same), said)
-    off = np.abs(fit.table.bow @ value)
-    mode = fit.table.bow[int(off.argmax())]
-    spread = float(np.sqrt((mode * std) @ (mode * std)))
-    values = {
-        f"bow_{name}": (float(v), float(s), "m") for name, v, s in zip(("xx", "xy", "yy"), value, std, strict=True)
-    }
-    said = f"The sheet is bent by {1e3 * float(off.max()):.2f} ± {1e3 * spread:.2f} mm towards its edge"
-    return CameraFinding(TARGET, "target:target", "normal", "constant", values, *rest, (), f"{said}; {cost}.")
+        values = {f"size_{axis}": (float(v), float(s), "1") for axis, v, s in zip("xy", value, std, strict=True)}
+        if not other_length:
+            same = ("the arm, all lengths by one factor",)
+            said += ", or the arm is built to another scale than its URDF: nothing here tells which"
+    else:
+        where = (TARGET, "target:target", "normal", "constant")
+        off = np.abs(fit.table.bow @ value)
+        mode = fit.table.bow[int(off.argmax())]
+        spread = float(np.sqrt((mode * std) @ (mode * std)))
+        modes = zip(("xx", "xy", "yy"), value, std, strict=True)
+        values = {f"bow_{name}": (float(v), float(s), "m") for name, v, s in modes}
+        said = f"The sheet is bent by {1e3 * float(off.max()):.2f} ± {1e3 * spread:.2f} mm towards its edge"
+    return CameraFinding(*where, values, p_value, gain, at_tool, same, f"{said}; {cost}.")

@@ -1,9 +1,9 @@
 """The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one.
 
-A call costs a solution of all equations of a fit, and far more than what is decided here. The curvature along each axis
-is measured once, so that the first step is about as long as it has to be; what the axes have to do with each other
-comes from the steps (Nocedal & Wright 2006, §6.1). Next to the minimum, as from one fit to the next, that is
-2 n + 1 calls.
+The sizes of its errors are those that make the data likeliest, looked for with few calls: each costs a solution of all
+equations, and far more than what is decided between. The curvature along each axis is measured once, so that the first
+step is about as long as it has to be; what the axes have to do with each other comes from the steps (Nocedal & Wright
+2006, §6.1). Next to the minimum, as from one fit to the next, that is 2 n + 1 calls.
 
 The fit has its covariance about where its values ended, from the drawing on, with the lens, the target and the sheet's
 size beside them; a calibration is written with the least change to its drawing. Both are the same small motions of the

@@ -39,7 +39,7 @@ _ROUNDS = 5  # of choosing between the two poses of each image
 @dataclass(frozen=True)
 class Mounting:
     """camera_on_tip: else the target is. T_frame_base, T_tip_tool: of hand_eye, (4, 4) [m]. T_camera_target: the pose
-    chosen in each image, (N, 4, 4). misfit_m, misfit_rad: median distance of images from the solution. rival: misfit
+    chosen in each image, (N, 4, 4). misfit_m: median distance of images from the solution. rival: misfit
     of the other mounting over this one's. turns: RMS of the arm's relative turns along their three main axes [rad].
     off_m: distance of each image from the solution, turns at the arm's range counted, (N,); empty where the solution is
     by single points, of which no image has a pose.
@@ -50,7 +50,6 @@ class Mounting:
     T_tip_tool: Array
     T_camera_target: Array
     misfit_m: float
-    misfit_rad: float
     rival: float
     turns: Array
     off_m: Array
@@ -90,9 +89,9 @@ def find_mounting(T_base_tip: Array, poses: BoardPose, stated: bool | None = Non
         remedy = "check that images and joints belong together, turn the wrist more, or state --mounting"
         raise BadRecording("images", said, remedy)
     Y, X, chosen, gap = found[best]
-    shift, turn = _median(gap)
+    shift, _ = _median(gap)
     parts = np.linalg.norm(gap.reshape(N, 2, 3), axis=2)
-    return Mounting(best == 0, Y, X, chosen, shift, turn, rival, turns, parts @ [1.0, _range(T_base_tip)])
+    return Mounting(best == 0, Y, X, chosen, shift, rival, turns, parts @ [1.0, _range(T_base_tip)])
 
 
 def mounting_misfit(T_base_tip: Array, poses: BoardPose, stated: bool | None = None) -> float:

@@ -132,20 +132,18 @@ class ReadingsBeside:
         return np.asarray(worst > _FAR**2 * float(np.median(worst)) / _MEDIAN)
 
 
-def beside(
-    chain: Chain, samples: Samples, inertias: Inertias | None = None, cell: Cell | None = None
-) -> ReadingsBeside:
+def beside(chain: Chain, samples: Samples, inertias: Inertias | None = None) -> ReadingsBeside:
     """Readings of other instruments, their frames and tool placed about the nominal arm.
 
     Raises NotEnoughData for fewer than three of them in a frame, or of a kind that needs more.
     """
-    samples, _ = proved(with_sockets(samples, cell or Cell(), chain), chain)
+    samples, _ = proved(with_sockets(samples, Cell(), chain), chain)
     for f, frame in enumerate(samples.frames):
         rows = samples.frame == f
         least = max([MIN, *(kinds()[str(k)].least for k in np.unique(samples.kind[rows]))])
         if rows.sum() < least:
             said = f"{int(rows.sum())} readings in it, at least {least} are needed"
             raise NotEnoughData(f"frame {frame}", said, "take more, or leave the topic out (--ignore)")
-    model = fit_cell(chain, samples, cell or Cell(), inertias).model
+    model = fit_cell(chain, samples, Cell(), inertias).model
     own = choose_parameters(model, views_of(samples), (), (), among=lambda p: not p.of_arm).parameters
     return ReadingsBeside(model, own, samples)

@@ -47,14 +47,9 @@ class ImagePlan:
     markers: np.ndarray | None = None
 
 
-def plan_images(
-    fit: CameraFit, target: CalibrationTarget, count: int, rng: np.random.Generator, steepest: float = STEEPEST
-) -> ImagePlan:
-    """The next images after those of a fit. steepest: tilt of the target [rad].
-
-    Raises NotEnoughData where hardly any posture shows the target.
-    """
-    pool = _pool(fit, target, rng, steepest)
+def plan_images(fit: CameraFit, target: CalibrationTarget, count: int, rng: np.random.Generator) -> ImagePlan:
+    """The next images after those of a fit. Raises NotEnoughData where hardly any posture shows the target."""
+    pool = _pool(fit, target, rng)
     if len(pool) < count:
         said = f"{len(pool)} of {_TRIED} postures near those of the images show the target, {count} are asked for"
         raise NotEnoughData("the next images", said, "ask for fewer, or take images over a wider range first")
@@ -108,7 +103,7 @@ def _markers(target: MarkerBundle, shown: np.ndarray) -> np.ndarray:
     return np.stack([shown[:, own == k].any(axis=1) for k in range(target.marker_count)]).sum(axis=0)
 
 
-def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator, steepest: float) -> Array:
+def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator) -> Array:
     """Postures (m, n) that show the whole target as it is wanted."""
     chain, q = fit.poses.model.serial, fit.poses.q
     low, high = q.min(axis=0), q.max(axis=0)
@@ -129,7 +124,7 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator, s
     front = np.sign(np.median(np.einsum("ni,ni->n", before[:, :3, 2], before[:, :3, 3])))
     middle = np.einsum("mij,j->mi", seen[:, :3, :3], centre) + seen[:, :3, 3]
     side = np.einsum("mi,mi->m", seen[:, :3, 2], middle) * front > 0.0
-    return np.asarray(tried[shown.all(axis=1) & side & wanted & (tilt <= steepest)][:_POOL])
+    return np.asarray(tried[shown.all(axis=1) & side & wanted & (tilt <= STEEPEST)][:_POOL])
 
 
 def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> tuple[list[Array], Array]:

@@ -15,7 +15,7 @@ from modcal_core.calibration import Model, least_change
 from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, FurtherCamera, ImageMoments, arm_size
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
-from modcal_core.camera.contradicted import SIZE, CameraFinding, contradictions, doubts, findings, in_doubt, is_stated
+from modcal_core.camera.contradicted import SIZE, CameraFinding, contradictions, doubts, findings, in_doubt
 from modcal_core.camera.corners import (
     BOW,
     COMMON,
@@ -157,19 +157,15 @@ def further_of(
         out.append(f"{images.name}: {focus.sentence}")
     if len(ready.left_out) > MANY_OUT * len(images.views):
         out.append(f"{len(ready.left_out)} of {len(images.views)} images of {images.name} were left out.")
-    camera = _camera(images.name, fit, images.target == first.target, same_side)
-    return _Further(camera, images, ready, tuple(out))
-
-
-def _camera(name: str, fit: CameraFit, same_target: bool, same_side: bool) -> FurtherCamera:
-    """From a fit of its own. same_target: of the first camera's file. same_side: carried, or not, as that one."""
+    same_target = images.target == first.target
     shared = np.zeros(len(fit.prior.mean), bool)
     shared[SCALE] = same_target
     shared[BOW] = same_target and same_side
     shared[COMMON:] = same_target and same_side  # two bodies of one drawing have markers glued each by itself
     moving = bool(fit.equations.free[fit.poses.count])
     prior = replace(fit.prior, free=fit.prior.free & (moving | (np.arange(len(shared)) != READOUT)))
-    return FurtherCamera(name, fit.table, fit.poses, prior, fit.state, shared, moving)
+    camera = FurtherCamera(images.name, fit.table, fit.poses, prior, fit.state, shared, moving)
+    return _Further(camera, images, ready, tuple(out))
 
 
 _CLEANED = 3  # times that other instruments' readings are looked through for those far off
@@ -295,7 +291,7 @@ def solve_camera(
     moved, focus = what_changed(fit, size_of_arm)
     near, _ = postures_in_view(fit, rng)
     used_lens = lens or lens_fit.lens
-    doubted = doubts(fit, used_lens, is_stated(lens, stated), target.scale, size_of_arm)
+    doubted = doubts(fit, used_lens, stated if lens is not None and stated != FREE else None, target.scale, size_of_arm)
     draws = parameter_draws(fit, rng, doubted)
     in_view = tool_error(fit, nominal, near, draws)
     anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), draws, both_ends=True)

@@ -92,12 +92,7 @@ class ToolError:
         return float(self.weight @ (self.calibrated >= self.nominal if self.worse is None else self.worse))
 
     def if_wrong(self, what: str) -> tuple[float, float, float]:
-        """(median, lower, upper end of the 95 % interval) of the calibrated arm's error if this statement is wrong [m].
-
-        It is NaN where nothing was stated of it.
-        """
-        if what not in self.wrong:
-            return float("nan"), float("nan"), float("nan")
+        """(median, lower, upper end of the 95 % interval) [m] of the calibrated arm if this statement is wrong."""
         return _interval(self.calibrated[self.of == self.wrong.index(what)], shortest=False)
 
     def either_way(self, what: str) -> ToolError:
@@ -229,29 +224,29 @@ def _draws(
     return out
 
 
-def postures_in_view(fit: CameraFit, rng: np.random.Generator, count: int = _POSTURES) -> tuple[Array, bool]:
+def postures_in_view(fit: CameraFit, rng: np.random.Generator) -> tuple[Array, bool]:
     """(postures (M, n) within the images' joint ranges that show the target, whether there are enough of them).
 
     Where too few do, those of the images themselves, and what lies between neighbours among them.
     """
     q = fit.poses.q
     low, high = q.min(axis=0), q.max(axis=0)
-    tried = rng.uniform(low, high, (_TRIES * count, q.shape[1]))
-    good = tried[in_view(fit, tried)][:count]
+    tried = rng.uniform(low, high, (_TRIES * _POSTURES, q.shape[1]))
+    good = tried[in_view(fit, tried)][:_POSTURES]
     if len(good) >= _MIN_SEEN:
         return good, True
-    a, b = rng.integers(len(q), size=(2, count))
-    mixed = q[a] + rng.uniform(0.0, 1.0, (count, 1)) * (q[b] - q[a])
+    a, b = rng.integers(len(q), size=(2, _POSTURES))
+    mixed = q[a] + rng.uniform(0.0, 1.0, (_POSTURES, 1)) * (q[b] - q[a])
     mixed = np.concatenate([q, mixed[in_view(fit, mixed)]])
-    return mixed[:count], False
+    return mixed[:_POSTURES], False
 
 
-def postures_anywhere(chain: Chain, rng: np.random.Generator, count: int = _POSTURES) -> Array:
-    """Postures (count, n) anywhere within the joint limits; a full turn, or ±0.5 m, where there are none."""
+def postures_anywhere(chain: Chain, rng: np.random.Generator) -> Array:
+    """Postures (M, n) anywhere within the joint limits; a full turn, or ±0.5 m, where there are none."""
     span = np.where(chain.revolute, np.pi, 0.5)
     low = np.where(np.isfinite(chain.lower), chain.lower, -span)
     high = np.where(np.isfinite(chain.upper), chain.upper, span)
-    return rng.uniform(low, high, (count, chain.n))
+    return rng.uniform(low, high, (_POSTURES, chain.n))
 
 
 def in_view(fit: CameraFit, q: Array) -> np.ndarray:
@@ -366,9 +361,7 @@ def rests_on(fit: CameraFit, doubted: Sequence[DoubtedStatement], q: Array, erro
     """The sheet's stated size, where the images by themselves hardly show it, and what it is worth at the tool over
     postures q (M, n); None where they show it as well. error: over these postures.
     """
-    doubt = next((d for d in doubted if d.what == SIZE), None)
-    if doubt is None:
-        return None
+    doubt = next(d for d in doubted if d.what == SIZE)
     P = fit.poses.count
     x = P + 1 + LENS
     C = doubt.equations.solve(doubt.sizes).covariance()

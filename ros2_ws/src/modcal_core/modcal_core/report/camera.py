@@ -34,6 +34,7 @@ from modcal_core.camera import (
 )
 from modcal_core.effects import ReportEntry, family_named
 from modcal_core.files import to_json, to_yaml
+from modcal_core.geometry import Array
 from modcal_core.report.as_json import FORMAT, finite, tolerance_data, unexplained
 from modcal_core.report.contents import STAGES, Trace
 from modcal_core.report.diagnosis_entries import at_tool, parameters, sizes_to_json
@@ -57,6 +58,12 @@ def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
     }
 
 
+def lens_data(lens: Lens, std: Array) -> dict[str, Any]:
+    """The values that a lens has. std: of its values, and of others behind them."""
+    known = zip(lens.names, lens.values, std, lens.used, strict=False)
+    return {name: {"value": float(value), "std": float(s)} for name, value, s, used in known if used}
+
+
 def further_data(one: FurtherSeen) -> dict[str, Any]:
     """A further camera."""
     lens = one.state.lens
@@ -66,11 +73,7 @@ def further_data(one: FurtherSeen) -> dict[str, Any]:
         "target": one.target.label,
         "images": {"given": one.given, "used": one.used, "left_out": one.left_out},
         "rms_px": one.rms_px,
-        "lens": {
-            name: {"value": float(lens.values[i]), "std": float(one.std[i])}
-            for i, name in enumerate(lens.names)
-            if lens.used[i]
-        },
+        "lens": lens_data(lens, one.std),
         "clock_s": one.state.offset_s,
         "readout_s": one.state.readout_s,
     }
@@ -301,11 +304,7 @@ def camera_report(
             "held_out_px": dict(zip(("nominal", "calibrated"), map(finite, solution.held_out_px), strict=True)),
             "rms_px": fit.rms_px,
             "sizes": asdict(fit.sizes),
-            "lens": {
-                name: {"value": float(values[P + 1 + i]), "std": float(std[P + 1 + i])}
-                for i, name in enumerate(fit.state.lens.names)
-                if fit.state.lens.used[i]
-            },
+            "lens": lens_data(fit.state.lens, std[P + 1 :]),
             "sheet": {
                 name.partition("/")[2]: {"value": float(values[i]), "std": float(std[i])}
                 for i, name in enumerate(fit.names)

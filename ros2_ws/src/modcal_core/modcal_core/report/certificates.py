@@ -16,6 +16,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.report.page import Chart, framed, render
+from modcal_core.report.plots import round_numbers
 from modcal_core.report.report import Report
 from modcal_core.report.sentence import counted
 from modcal_core.verdict import PoseTest, pose_test
@@ -379,7 +380,7 @@ def drawn(scale: Scale, tone: str) -> Chart:
 
     ink = "stroke:var(--ink)"
     parts = [f'<path d="M{_LEFT} {_AXIS}H{_RIGHT}" style="{ink};stroke-width:0.8"/>']
-    for mm in ticks(scale.end):
+    for mm in (abs(round(float(value), 9)) for value in round_numbers(0.0, 0.92 * scale.end)[0]):
         parts.append(f'<path d="M{at(mm):.1f} {_AXIS}v4" style="{ink};stroke-width:0.8"/>')
         parts.append(_text(f"{mm:g}", at(mm), _AXIS + 14.0, "middle" if mm else "start"))
     parts.append(_text("mm", _RIGHT, _AXIS + 14.0, "end"))
@@ -406,13 +407,6 @@ def drawn(scale: Scale, tone: str) -> Chart:
     if scale.before is not None:
         words += f" Before calibration the error was {scale.before:.3f} mm."
     return Chart("scale", framed("".join(parts) + "</svg>", _WIDTH, _HEIGHT, f"Scale in millimetres: {said}."), words)
-
-
-def ticks(end: float) -> list[float]:
-    """Round numbers [mm] from 0 to end, about five."""
-    from modcal_core.report.plots import round_numbers
-
-    return [abs(round(float(value), 9)) for value in round_numbers(0.0, 0.92 * end)[0]]
 
 
 def _text(said: str, x: float, y: float, anchor: str) -> str:

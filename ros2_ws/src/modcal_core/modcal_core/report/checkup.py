@@ -277,8 +277,13 @@ def history_summary(found: Sequence[History]) -> tuple[SummaryTable | SummaryLin
     for h in found:
         rows = tuple((e.name, e.what, (e.date or "")[:10], _short(e.said)) for e in h.entries)
         out.append(SummaryTable((f"robot {h.robot}", "what", "date", "verdict"), rows, words=4))
-        if growing := [s for s in h.series if s.trend is not None]:
-            out.append(SummaryTable(("grows or falls", "first", "last", "95 % of the change", "unit"), _rows(growing)))
+        growing = tuple(
+            (s.name, f"{s.points[0].value:.4g}", f"{s.points[-1].value:.4g}", f"{t.low:+.3g} … {t.high:+.3g}", s.unit)
+            for s in h.series
+            if (t := s.trend) is not None
+        )
+        if growing:
+            out.append(SummaryTable(("grows or falls", "first", "last", "95 % of the change", "unit"), growing))
         out += [SummaryLine(note, "doubt") for note in h.notes]
         out.append(SummaryLine(h.sentence, "undecided" if h.trends else "good"))
     return tuple(out)
@@ -287,11 +292,3 @@ def history_summary(found: Sequence[History]) -> tuple[SummaryTable | SummaryLin
 def _short(said: str) -> str:
     first = said.partition(". ")[0].rstrip(".")
     return first if len(first) <= 90 else first[:89] + "…"
-
-
-def _rows(series: Sequence[Series]) -> tuple[tuple[str, ...], ...]:
-    out = []
-    for s in series:
-        span = "" if s.trend is None else f"{s.trend.low:+.3g} … {s.trend.high:+.3g}"
-        out.append((s.name, f"{s.points[0].value:.4g}", f"{s.points[-1].value:.4g}", span, s.unit))
-    return tuple(out)

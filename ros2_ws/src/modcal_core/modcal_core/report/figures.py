@@ -51,6 +51,7 @@ def error_histogram(report: ReportContents) -> Chart | None:
     said = {stage: f"{stage}: {np.sqrt(np.mean(n**2)):.3f} mm RMS" for stage, n in norms.items()}
     counts = {stage: np.histogram(np.clip(n, bins[0], None), bins)[0] for stage, n in norms.items()}
     highest = max(1, *(int(count.max()) for count in counts.values()))
+    step = next(s for s in (k * 10**p for p in range(9) for k in (1, 2, 5)) if highest / s <= 5.0)
     ends = with_margin(float(bins[0]), float(bins[-1]))
     drawn = plot(490, 245, "position error of held-out samples, mm", "samples", "top")
     for stage, count in counts.items():  # the nominal outlines stand over the final bars
@@ -63,19 +64,15 @@ def error_histogram(report: ReportContents) -> Chart | None:
     drawn += lp.scale_fill_manual(["rgba(0,0,0,0)", LIGHT[AFTER]], breaks=order, limits=order)
     drawn += lp.scale_color_manual([LIGHT[BEFORE], LIGHT[AFTER]], breaks=order, limits=order)
     drawn += lp.scale_x_log10(limits=list(ends), expand=[0, 0], **in_numbers(*ends))
-    drawn += lp.scale_y_continuous(limits=[0.0, 1.05 * highest], expand=[0, 0], **_whole_numbers(highest))
+    drawn += lp.scale_y_continuous(
+        limits=[0.0, 1.05 * highest], expand=[0, 0], breaks=list(range(0, highest + 1, step))
+    )
     alt = f"Histogram of held-out position errors. {'; '.join(order)}."
     words = (
         "Each bar counts held-out samples with an error of this size: outlined with the nominal model, "
         "solid with the final."
     )
     return chart(drawn, "histogram", alt, words)
-
-
-def _whole_numbers(highest: int) -> dict[str, list[int]]:
-    """Ticks of an axis of counts, from zero to this one or below."""
-    step = next(s for s in (k * 10**p for p in range(9) for k in (1, 2, 5)) if highest / s <= 5.0)
-    return {"breaks": list(range(0, highest + 1, step))}
 
 
 def spread_chart(report: ReportContents) -> Chart | None:

@@ -39,7 +39,6 @@ DARK = {name: dark for name, (_, dark) in COLOURS.items()}
 OF_AXES = (BAD, GOOD, AFTER)  # x, y, z
 TINT = 50  # per cent of `after` in the fullest cell of a map; ink can be read on it
 
-
 MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
 
 

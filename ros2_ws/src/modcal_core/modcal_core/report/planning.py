@@ -122,7 +122,9 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
     now = 0.0
 
     def stand(q: Array) -> None:
-        points.append({"positions": plain(q), "velocities": [0.0] * len(q), "time_from_start": _duration(now)})
+        seconds, nanoseconds = divmod(round(now * 1e9), 10**9)
+        at = {"sec": seconds, "nanosec": nanoseconds}
+        points.append({"positions": plain(q), "velocities": [0.0] * len(q), "time_from_start": at})
 
     stand(plan.q[0])
     now += dwell
@@ -136,11 +138,6 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
         now += dwell
         stand(stops[-1])
     return {"joint_names": list(plan.pool.model.chain.names), "points": points}
-
-
-def _duration(seconds: float) -> dict[str, int]:
-    nanoseconds = round(seconds * 1e9)
-    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
 
 
 def figure(plan: Plan) -> str:

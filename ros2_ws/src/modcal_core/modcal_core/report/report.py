@@ -102,8 +102,6 @@ class Report(ReportContents):
 
     def to_data(self) -> dict[str, Any]:
         """The data of ``report.json``: dictionaries, lists, texts, numbers and None."""
-        from modcal_core.report.as_json import to_json_data
-
         return to_json_data(self)
 
     def save(self, folder: str | Path, page: bool = True) -> Path:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.calibration import Errors, Model
+from modcal_core.calibration import Model
 from modcal_core.effects import motion
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
@@ -68,20 +68,18 @@ def scene(report: ReportContents, share: float = 1.0) -> ReportScene | None:
     indirect = indirect_rows(samples)
     named = [("nominal model", report.errors["nominal"]), *((s.added, s.errors) for s in report.steps)]
     named = [*named[: _MAX_STAGES - 1], *named[-1:]] if len(named) > _MAX_STAGES else named
-    stages = tuple((name, _in_base(model, samples, e, rows, indirect)) for name, e in named)
+    # misses as the base sees them; those of readings that are no positions come from the first joint
+    R_frame_base = model.T_frame_base[samples.frame][:, :3, :3]
+    stages = []
+    for name, errors in named:
+        miss = errors.position[rows]
+        of_root = miss @ model.chain.T_base_root[:3, :3].T
+        stages.append((name, np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))))
     places = _arms(model, samples)
     shown = spread_rows(len(samples), max(int(share * _MAX_POSTURES), 8))
     paths = tuple(tuple(path[k] for path in places) for k in shown)
     names = tuple(f"station {int(s)}" for s in samples.station)
-    return ReportScene(places[-1][:, -1], stages, paths, shown, names, bool(indirect.any()), model.chain.base)
-
-
-def _in_base(model: Model, samples: Samples, errors: Errors, rows: np.ndarray, indirect: np.ndarray) -> Array:
-    """Misses (N, 3) as the base sees them; those of readings that are no positions come from the first joint."""
-    R_frame_base = model.T_frame_base[samples.frame][:, :3, :3]
-    miss = errors.position[rows]
-    of_root = miss @ model.chain.T_base_root[:3, :3].T
-    return np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))
+    return ReportScene(places[-1][:, -1], tuple(stages), paths, shown, names, bool(indirect.any()), model.chain.base)
 
 
 def _arms(model: Model, samples: Samples) -> list[Array]:
@@ -151,7 +149,9 @@ def _view(
     view += lp.geom_point(place, data=at, color=LIGHT[SOFT], size=line_size(2.6))
     every = np.concatenate([points, *tips, *arm])
     (left, right), (low, high) = limits_to_scale(every[:, i], every[:, j], _RATIO)
-    mm = _round_error(0.25 * (right - left) / scale * 1e3)
+    room = 0.25 * (right - left) / scale * 1e3
+    decade = 10.0 ** np.floor(np.log10(room))
+    mm = float(max(m * decade for m in (1.0, 2.0, 5.0) if m * decade <= room))
     at_x, at_y, tall = left + 0.04 * (right - left), low + 0.04 * (high - low), 0.01 * (high - low)
     bar = {"color": LIGHT[INK], "size": line_size(2.0)}
     end = at_x + 1e-3 * scale * mm
@@ -163,9 +163,3 @@ def _view(
     )
     view += lp.scale_x_continuous(expand=[0, 0]) + lp.scale_y_continuous(expand=[0, 0])
     return view + lp.coord_fixed(xlim=[left, right], ylim=[low, high])
-
-
-def _round_error(room: float) -> float:
-    """The largest round number [mm] that is no longer than this."""
-    decade = 10.0 ** np.floor(np.log10(room))
-    return float(max(m * decade for m in (1.0, 2.0, 5.0) if m * decade <= room))

@@ -150,7 +150,6 @@ def _unsettled(verdict: Verdict) -> str:
 
 _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
 
-
 _OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
 
 

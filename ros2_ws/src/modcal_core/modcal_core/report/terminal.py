@@ -63,34 +63,28 @@ class Account:
         return _chart(tuple(line for line in self.lines if line.known), self.unit)
 
 
-def account(rows: tuple[Row, ...], unit: str, floor: float | None) -> Account:
-    """The account as text. unit: mm or deg. floor: None where it is not known."""
-    total = sum(row.value for row in rows)
-    lines = tuple(_line(row, total, floor is not None or row.what not in _OF_FLOOR) for row in rows)
-    return Account(unit, total, lines)
-
-
 def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
     """Accounts of position and orientation, where there are any."""
     if verdict is None:
         return ()
     both = (("mm", verdict.account_mm2, verdict.floor_mm), ("deg", verdict.account_deg2, verdict.floor_deg))
-    return tuple(account(rows, unit, floor) for unit, rows, floor in both if rows)
-
-
-def in_words(what: str) -> str:
-    """Name of a row as text."""
-    if what.startswith(EFFECT):
-        return what.removeprefix(EFFECT).replace(":", " of ")
-    return _WORDS.get(what, (what.replace("_", " "), SOFT))[0]
+    out = []
+    for unit, rows, floor in both:
+        if rows:
+            total = sum(row.value for row in rows)
+            lines = (_line(row, total, floor is not None or row.what not in _OF_FLOOR) for row in rows)
+            out.append(Account(unit, total, tuple(lines)))
+    return tuple(out)
 
 
 def _line(row: Row, total: float, known: bool) -> Line:
     value = 0.0 if abs(row.value) < _ROUNDING * total else row.value
     effect = row.what.startswith(EFFECT)
-    colour = AFTER if effect else _WORDS.get(row.what, ("", SOFT))[1]
+    words, colour = _WORDS.get(row.what, (row.what.replace("_", " "), SOFT))
+    if effect:
+        words, colour = row.what.removeprefix(EFFECT).replace(":", " of "), AFTER
     rms = float(np.copysign(np.sqrt(abs(value)), value))
-    return Line(in_words(row.what), colour, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
+    return Line(words, colour, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
 
 
 def _chart(lines: tuple[Line, ...], unit: str) -> Chart:

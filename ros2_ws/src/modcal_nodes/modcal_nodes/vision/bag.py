@@ -58,7 +58,8 @@ _BEFORE = 0.05  # s on either side of an image, over which speeds are taken
 _GAP = 0.2  # s between joint states around an image, beyond which they do not say where the arm was
 _MIN_STOPS = 4  # below, the arm is taken for one that moves
 TAGS_SAID = "Corners are those of a detector of AprilTags; the lens was found from them: its images may be rectified."
-_Look = Callable[[str], tuple[Detection, tuple[int, int], str]]  # by name: (what was found, size of the image, a note)
+_Found = tuple[Detection, tuple[int, int], str]  # what was found, size of the image, a note
+_Look = Callable[[str], _Found]  # by the name of the image
 
 
 def read_bag_images(
@@ -100,9 +101,11 @@ def read_bag_images(
     keep = set(wanted.tolist())
     done = 0
     if of_tags:
-        looked_at = _tags(bag, topic, target, size or (0, 0))
+        looked_at = _messages(bag, topic, partial(_tags, target, size or (0, 0)))
+    elif topic.type_name == CLOUD:
+        looked_at = _messages(bag, topic, partial(_corners, target))
     else:
-        looked_at = (_corners if topic.type_name == CLOUD else _boards)(bag, topic, target)
+        looked_at = _boards(bag, topic, target)
     for stamp, look in looked_at:
         if stamp not in keep:
             continue
@@ -206,7 +209,7 @@ def chosen_stamps(stamps: Array, log: JointLog) -> tuple[Array, bool]:
 def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
     """(stamp, what looks for the target) of each image."""
 
-    def look(image: RawImage, name: str) -> tuple[Detection, tuple[int, int], str]:
+    def look(image: RawImage, name: str) -> _Found:
         grey, said = grey_of(image)
         if grey is None:
             reason, _, remedy = said.partition(": ")
@@ -219,37 +222,29 @@ def _boards(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> I
             yield image.stamp, partial(look, image)
 
 
-def _corners(bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle) -> Iterator[tuple[float, _Look]]:
-    """(stamp, what takes the target's corners) of each message of corners."""
+def _messages(bag: Path, topic: Listed, look: Callable[[Any, str], _Found]) -> Iterator[tuple[float, _Look]]:
+    """(stamp, what takes the target's corners) of each message of corners, or of detections."""
+    for received, message in read_messages(bag, topic.topic):
+        yield stamp_of(message, received), partial(look, message)
+
+
+def _corners(target: PrintedTarget | MarkerBundle, message: Any, name: str) -> _Found:
     if isinstance(target, MarkerBundle):
         raise BadTable(target.label, "is no printed sheet, which these corners are of", "give the images, or tags")
-
-    def look(message: Any, name: str) -> tuple[Detection, tuple[int, int], str]:
-        try:
-            view, size = read_corners(message)
-        except BadRecording as error:
-            return Detection(None, error.limit, error.remedy), (0, 0), ""
-        if view.ids.max() >= len(target.points):
-            said = f"has corner {int(view.ids.max())}, the target has {len(target.points)}"
-            return Detection(None, said, "give the target.yaml that board_detector had"), (0, 0), ""
-        if (few := too_few(target, view.ids)) is not None:
-            return few, (0, 0), ""
-        return Detection(replace(view, name=name)), size, ""
-
-    for received, message in read_messages(bag, topic.topic):
-        yield stamp_of(message, received), partial(look, message)
+    try:
+        view, size = read_corners(message)
+    except BadRecording as error:
+        return Detection(None, error.limit, error.remedy), (0, 0), ""
+    if view.ids.max() >= len(target.points):
+        said = f"has corner {int(view.ids.max())}, the target has {len(target.points)}"
+        return Detection(None, said, "give the target.yaml that board_detector had"), (0, 0), ""
+    if (few := too_few(target, view.ids)) is not None:
+        return few, (0, 0), ""
+    return Detection(replace(view, name=name)), size, ""
 
 
-def _tags(
-    bag: Path, topic: Listed, target: PrintedTarget | MarkerBundle, size: tuple[int, int]
-) -> Iterator[tuple[float, _Look]]:
-    """(stamp, what takes the target's corners) of each message of detections."""
-
-    def look(message: Any, name: str) -> tuple[Detection, tuple[int, int], str]:
-        return tag_view(message, target, name), size, TAGS_SAID
-
-    for received, message in read_messages(bag, topic.topic):
-        yield stamp_of(message, received), partial(look, message)
+def _tags(target: PrintedTarget | MarkerBundle, size: tuple[int, int], message: Any, name: str) -> _Found:
+    return tag_view(message, target, name), size, TAGS_SAID
 
 
 _SIGMA_PX = 0.2  # of a corner at which two lines meet that were fitted to a tag's edges
