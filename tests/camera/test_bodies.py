@@ -105,7 +105,7 @@ def test_a_marker_lies_as_its_pose_says() -> None:
     assert np.allclose(body.points[body.point(4, None)], [0.1, 0.0, 0.02])  # type: ignore[index]
     assert np.allclose(body.points[body.point(9, None)], [0.0, 0.0, 0.3])  # type: ignore[index]
     assert body.point(9, 1) is body.point(5, None) is None
-    assert np.allclose(body.with_order(APRILTAG_ORDER).points[upper_left], [0.1, -0.02, 0.0])
+    assert np.allclose(replace(body, corners=APRILTAG_ORDER).points[upper_left], [0.1, -0.02, 0.0])
 
 
 def test_the_tag_bundle_of_apriltag_ros() -> None:
@@ -252,7 +252,7 @@ def test_corners_in_another_order_are_named() -> None:
     table = CornerTable.of(first.views, first.target)
     assert isinstance(first.target, MarkerBundle)
     require_order(table, s.lenses[0], first.target)
-    other = first.target.with_order(APRILTAG_ORDER)
+    other = replace(first.target, corners=APRILTAG_ORDER)
     wrong = CornerTable.of(first.views, other)
     with pytest.raises(BadTable, match=r"state corner_order: \[ul, ur, lr, ll\]"):
         require_order(wrong, s.lenses[0], other)

@@ -278,7 +278,7 @@ def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
     for k in range(MARKER_CORNERS):
         for names in (np.roll(target.corners, k), np.roll(target.corners[::-1], k)):
             order = tuple(str(name) for name in names)
-            own = target.with_order(order)
+            own = replace(target, corners=order)
             there = replace(some, points=own.points[some.ids])
             miss[order] = float(np.median(body_poses(there, lens).rms))
     best = min(miss, key=lambda order: miss[order])
@@ -290,7 +290,7 @@ def require_order(table: CornerTable, lens: Lens, target: MarkerBundle) -> None:
 def _by_arm(mounting: Mounting, A: Array) -> Mounting:
     """The mounting with the poses that it puts the target at in all images, those without a pose among them."""
     T = mounting.T_frame_base @ A @ mounting.T_tip_tool
-    return mounting.with_poses(se3.inverse(T) if mounting.camera_on_tip else T)
+    return replace(mounting, T_camera_target=se3.inverse(T) if mounting.camera_on_tip else T)
 
 
 def _lens_by_arm(table: CornerTable, A: Array, size: tuple[int, int], model: str, on_tip: bool | None) -> Lens:
@@ -340,10 +340,10 @@ def _by_points(
     return [BodyStart(lens, _by_arm(mounting, A))]
 
 
-_TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
+TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
 _POINT = 6.0  # robust standard deviations, as of corners of a sheet: one good point in a billion
 _MOSTLY = 0.5  # of the points of an image, beyond which it is the image that is elsewhere
-_VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
+VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
 # Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
 # another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
 _FAR = 6.0
@@ -354,9 +354,12 @@ _SEEN = 1e-9  # of an image's information; directions below it are none that it 
 def point_weights(fit: CameraFit) -> Array:
     """1 for points where the fit has them, each image's own error taken out, else 0, (M,)."""
     table = fit.table
-    off = _own_taken_out(fit)
-    size = np.abs(off)
-    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
+    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
+    rows = corner_rows(table, fit.state.lens, fit.state.shape, fit.poses.seen(T), fit.state.readout_s)
+    G = fit.equations.grams / fit.sizes.noise**2
+    own = (fit.equations.solve(fit.sizes).S @ G[:, :POSE, -1:])[:, :, 0]  # its twist, as likely as it is
+    size = np.abs(rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0])
+    sigma = TO_SIGMA * np.median(size[table.weight > 0.0])
     return np.asarray((size <= _POINT * max(float(sigma), 1e-9)).all(axis=1), dtype=float)
 
 
@@ -421,16 +424,6 @@ def elsewhere(fit: CameraFit) -> np.ndarray:
     if not seen.any():
         return np.zeros(len(G), bool)
     usual = np.array([median_chi2(int(r)) if r else 1.0 for r in rank])
-    most = np.array([exceeded_chi2(_VIEW_CHANCE, int(r)) if r else np.inf for r in rank])
+    most = np.array([exceeded_chi2(VIEW_CHANCE, int(r)) if r else np.inf for r in rank])
     scale_of_all = max(float(np.median((square / usual)[seen])), 0.1)
     return np.asarray(seen & (square > scale_of_all * most))
-
-
-def _own_taken_out(fit: CameraFit) -> Array:
-    """Whitened residuals (M, 2) less what each image's own twist, as likely as it is, makes of them."""
-    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
-    rows = corner_rows(fit.table, fit.state.lens, fit.state.shape, fit.poses.seen(T), fit.state.readout_s)
-    G = fit.equations.grams / fit.sizes.noise**2
-    S = fit.equations.solve(fit.sizes).S
-    own = (S @ G[:, :POSE, -1:])[:, :, 0]
-    return np.asarray(rows.residual - (rows.by_pose @ own[fit.table.view][:, :, None])[:, :, 0])

@@ -343,10 +343,6 @@ class MarkerBundle:
                 return first + corner if one.size and 0 <= corner < MARKER_CORNERS else None
         return None
 
-    def with_order(self, corners: tuple[str, ...]) -> MarkerBundle:
-        """The same with markers' corners numbered in another order."""
-        return replace(self, corners=corners)
-
     def place_prior(self) -> PlacePrior:
         """What is expected of the places of its K markers."""
         K, values = len(self.markers), self.values_of_place

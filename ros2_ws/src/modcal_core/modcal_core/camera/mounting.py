@@ -54,10 +54,6 @@ class Mounting:
     turns: Array
     off_m: Array
 
-    def with_poses(self, T_camera_target: Array) -> Mounting:
-        """The same with these poses in the images, (N, 4, 4)."""
-        return replace(self, T_camera_target=T_camera_target)
-
     @property
     def label(self) -> str:
         """The mounting as text."""

@@ -8,7 +8,7 @@ size that the data decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -116,10 +116,6 @@ class ReadingsBeside:
             np.r_[np.tile(unit, 3), np.full(3 * M, _LEVER**-2.0)],
             np.r_[np.tile(seen / 3.0, 3), np.ones(3 * M)],
         )
-
-    def without(self, far: np.ndarray) -> ReadingsBeside:
-        """Without some of the readings (mask (N,))."""
-        return replace(self, samples=self.samples.select(~far))
 
     def far(self, rows: BesideRows, size: float) -> np.ndarray:
         """Which readings are nowhere near the arm, (N,), the others' scatter being the scale: one that is far off makes

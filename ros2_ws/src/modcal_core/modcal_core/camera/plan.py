@@ -18,7 +18,7 @@ from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import flange_in_tool, flange_motions, frame_basis
 from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
 from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.tool_error import in_view, tilt_and_distance
+from modcal_core.camera.tool_error import in_view, mean_square, tilt_and_distance
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
 
@@ -60,7 +60,9 @@ def plan_images(fit: CameraFit, target: CalibrationTarget, count: int, rng: np.r
     for _ in range(count):
         falls = [-np.inf if k in chosen else _fall(C, rows[k], J) for k in range(len(pool))]
         chosen.append(int(np.argmax(falls)))
-        C = _updated(C, rows[chosen[-1]])
+        new = rows[chosen[-1]]  # of unit variance
+        K = C @ new.T
+        C = C - K @ np.linalg.solve(new @ K + np.eye(len(new)), K.T)
         expected.append(_rms(J, C))
     tilt, away = tilt_and_distance(fit.poses.seen(T[chosen]), target.points.mean(axis=0))
     markers = None
@@ -162,13 +164,7 @@ def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> tuple[list[Arr
 
 def _rms(J: Array, C: Array) -> float:
     P = J.shape[2]
-    return float(np.sqrt(np.einsum("mip,pq,miq->", J, C[:P, :P], J) / len(J)))
-
-
-def _updated(C: Array, rows: Array) -> Array:
-    """The covariance after these rows (r, P) of unit variance are known too."""
-    K = C @ rows.T
-    return np.asarray(C - K @ np.linalg.solve(rows @ K + np.eye(len(rows)), K.T))
+    return float(np.sqrt(mean_square(J, C[:P, :P])))
 
 
 def _fall(C: Array, rows: Array, J: Array) -> float:

@@ -11,6 +11,8 @@ import numpy as np
 from modcal_core.calibration import ModelParameter, exceeded_chi2, median_chi2
 from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, ImageMoments, arm_poses
 from modcal_core.camera.body_start import (
+    TO_SIGMA,
+    VIEW_CHANCE,
     body_poses,
     elsewhere,
     far_markers,
@@ -31,13 +33,11 @@ from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_forward
 
-_TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
 _CORNER = 6.0  # robust standard deviations: one good corner in a billion
 _CORNER_PX = 0.1  # where printers put a square's corner: 0.03 mm, in an image of a third of a millimetre a pixel
 _IMAGE_PX, _IMAGE_TIMES = 1.0, 5.0  # RMS of an image that is blurred or misread: more than a pixel, and than the others
 _ONE_LINE = 0.1  # of its length, how wide a group of corners is that is none
 _ALL_BUT_ONE = 0.03  # the same once any one of them is left out; of a board's corners on a line nothing, of others 0.05
-_VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
 MIN_CORNERS = 4  # of an image, not on one line: the fewest that a homography is taken from
 
 
@@ -45,7 +45,7 @@ def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target
     """1 for corners that agree with the pose of the target in their own image, or nearly, else 0, (M,)."""
     rows = corner_rows(table, lens, shape, T_camera_target)
     size = np.abs(rows.residual)
-    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
+    sigma = TO_SIGMA * np.median(size[table.weight > 0.0])
     agrees = (size <= _CORNER * max(float(sigma), 1e-9)) | (np.abs(rows.pixels) <= _CORNER_PX)
     return np.where(agrees.all(axis=1), table.weight, 0.0)
 
@@ -92,7 +92,7 @@ def strangers(fit: CameraFit) -> np.ndarray:
     """Images (N,) whose pose of the target is nowhere near the arm's, the others' scatter being the scale."""
     square = distances_of_views(fit)
     scale = max(float(np.median(square)) / median_chi2(POSE), 0.1)
-    return np.asarray(square > scale * exceeded_chi2(_VIEW_CHANCE, POSE))
+    return np.asarray(square > scale * exceeded_chi2(VIEW_CHANCE, POSE))
 
 
 _NOWHERE, _NOWHERE_TIMES = 0.1, 10.0  # of the reach, and of the others' misfit: an image of elsewhere, or turned round
@@ -301,7 +301,7 @@ def _of_body(chain: Chain, images: CameraImages, progress: Callable[[str], None]
         left_out |= {n: _ELSEWHERE for n, s in zip(table.names, strange, strict=True) if s}
         far = far[~strange[table.view]]
         table, images = table.select(~strange), images.select(~strange)
-        mounting = mounting.with_poses(mounting.T_camera_target[~strange])
+        mounting = replace(mounting, T_camera_target=mounting.T_camera_target[~strange])
         require_views(table.views, images.name)
     table = table.with_weight(np.where(far, 0.0, 1.0))
     unfitted = LensFit(begin.lens, mounting.T_camera_target, np.nan, np.nan, np.zeros((LENS, LENS)), True)

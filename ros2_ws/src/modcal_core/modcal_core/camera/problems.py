@@ -146,8 +146,6 @@ def _scan(eq: Equations, sizes: Sizes, columns: Array) -> tuple[int, float, Arra
     return best
 
 
-_FOCUS_GAIN = 20.0  # of −2 log likelihood, as of a move
-_FOCUS_SCREEN = 6.0  # the same at the sizes of the fit, below which they are not found again
 _SPREADS = np.geomspace(2e-4, 0.1, 28)  # relative, from what no image shows to another lens
 _MIN = 1e-3  # relative; lenses breathe by more than that when they focus again, and a fixed one by less as it warms
 _FOCUS, _SHAPE = np.array([1.0, 1.0]), np.array([1.0, -1.0])  # of focal lengths x and y
@@ -181,15 +179,15 @@ def what_changed(fit: CameraFit, arm: float | None = None) -> tuple[MovedHalf | 
 
 def unsteady_focus(fit: CameraFit, arm: float | None = None) -> UnsteadyFocus | None:
     """The spread of focal lengths among the images of a fit, None where none is beyond doubt. arm: as in the fit."""
-    if _best(fit, fit.equations.solve(fit.sizes), _FOCUS)[0] < _FOCUS_SCREEN:
+    if _best(fit, fit.equations.solve(fit.sizes), _FOCUS)[0] < _SCREEN:
         return None
     without = likeliest(fit.equations, fit.sizes, arm)
     plain = fit.equations.solve(without).misfit() + usual(without)
     misfit, spread = _found_again(fit, without, arm, _FOCUS)
-    if plain - misfit < _FOCUS_GAIN or spread < _MIN:
+    if plain - misfit < _GAIN or spread < _MIN:
         return None
     rival, _ = _found_again(fit, without, arm, _SHAPE)
-    return UnsteadyFocus(spread, plain - misfit) if rival - misfit >= _FOCUS_GAIN else None
+    return UnsteadyFocus(spread, plain - misfit) if rival - misfit >= _GAIN else None
 
 
 def _found_again(fit: CameraFit, sizes: Sizes, arm: float | None, which: Array) -> tuple[float, float]:

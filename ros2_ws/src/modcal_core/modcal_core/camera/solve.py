@@ -353,6 +353,7 @@ def _without_far(
         far = arm.beside.far(rows, fit.sizes.other)
         if not far.any() or (~far).sum() < MIN:
             break
-        arm = replace(arm, beside=arm.beside.without(far))
+        kept = replace(arm.beside, samples=arm.beside.samples.select(~far))
+        arm = replace(arm, beside=kept)
         fit = fit_camera(fit.table, arm, lens, prior, fit.sizes, arm=size)
     return fit, arm

@@ -407,15 +407,16 @@ def shares(fit: CameraFit, q: Array) -> dict[str, tuple[float, float]]:
         "places of markers": places,
         ALL_BUT_IMAGES: np.r_[lens, lens[-1] + 1 + np.arange(5), P, P + 1 + READOUT, places],
     }
-    whole = _mean_square(J, C[:P, :P])
+    whole = mean_square(J, C[:P, :P])
     out = {}
     for name, rows in groups.items():
         rows = rows[np.diag(C)[rows] > 0.0]
         if len(rows):
             known = C[:P, :P] - C[:P][:, rows] @ np.linalg.pinv(C[np.ix_(rows, rows)], hermitian=True) @ C[rows][:, :P]
-            out[name] = (whole, max(_mean_square(J, known), 0.0))
+            out[name] = (whole, max(mean_square(J, known), 0.0))
     return out
 
 
-def _mean_square(J: Array, C: Array) -> float:
+def mean_square(J: Array, C: Array) -> float:
+    """Mean square of motions J (M, 3, P) of parameters with covariance C (P, P)."""
     return float(np.einsum("mip,pq,miq->", J, C, J) / len(J))

@@ -133,13 +133,12 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
         )
         header = ("marker", "from its place on the drawing, mm", "± one standard deviation, mm")
         tables.append(PageTable("Markers on the body, mm", header, off))
-    lens: dict[bool, list[tuple[str, str, str]]] = {True: [], False: []}
-    for name, known in camera["lens"].items():
-        lens[name in ("fx", "fy", "cx", "cy")].append((name, number(known["value"], 5), number(known["std"], 2)))
     for pixels, title, end in ((True, "Lens, px", ", px"), (False, "Distortion of the lens", "")):
-        if lens[pixels]:
+        lens = {name: k for name, k in camera["lens"].items() if (name in ("fx", "fy", "cx", "cy")) == pixels}
+        if lens:
+            cells = tuple((name, number(k["value"], 5), number(k["std"], 2)) for name, k in lens.items())
             header = ("constant", f"value{end}", f"± one standard deviation{end}")
-            tables.append(PageTable(title, header, tuple(lens[pixels])))
+            tables.append(PageTable(title, header, cells))
     return tables
 
 
@@ -241,6 +240,7 @@ def camera_certificate(
         doubts = _reservations(solution, images)
     tones: dict[str, Tone] = {"PASS": "warn", "FAIL": "bad"}
     fit = solution.fit
+    flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
     low, high = met.ci95
     before = 1e3 * solution.judged.nominal_interval[0]
     where = "by itself" if solution.judged is solution.alone else "in view"
@@ -256,7 +256,7 @@ def camera_certificate(
         (f"Calibrated arm, {where}", _size(solution.judged)),
         ("Anywhere", _size(solution.anywhere)),
         ("Advice", solution.decision.word),
-        ("Volume", _volume(solution)),
+        ("Volume", box_in_words(flange[:, :3, 3])),
         ("Conditions", said.conditions or None),
         ("Program", f"modcal {Trace().version}"),
     )
@@ -293,9 +293,3 @@ def _reservations(solution: CameraSolution, images: int) -> tuple[str, ...]:
 def _size(error: ToolError, calibrated: bool = True) -> str:
     middle, low, high = error.interval if calibrated else error.nominal_interval
     return f"{1e3 * middle:.2f} mm RMS (95 %: {1e3 * low:.2f} … {1e3 * high:.2f})"
-
-
-def _volume(solution: CameraSolution) -> str:
-    """The box that the flange was in, in the arm's base [m]."""
-    fit = solution.fit
-    return box_in_words(chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)[:, :3, 3])

@@ -298,9 +298,8 @@ def _floor(report: Report) -> str:
     judged = report.judged
     if judged is None or judged.floor_mm is None:
         return "not known"
-    how = {"revisits": "from postures visited again", "stated": "as stated"}.get(
-        judged.repeatability_mm.source or "", ""
-    )
+    source = judged.repeatability_mm.source or ""
+    how = {"revisits": "from postures visited again", "stated": "as stated"}.get(source, "")
     angle = "" if judged.floor_deg is None else f" and {judged.floor_deg:.3g}°"
     return f"{judged.floor_mm:.3g} mm{angle} RMS, {how}"
 

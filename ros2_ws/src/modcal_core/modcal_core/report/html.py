@@ -184,15 +184,13 @@ def _maps(evidence: tuple[EvidenceMap, ...]) -> list[dict[str, Any]]:
             {"place": place, "direction": direction, "cells": [_cell(seen.share[i, j]) for j in columns]}
             for i, (place, direction) in enumerate(seen.rows)
         ]
-        drivers = [seen.drivers[j].replace(":", " of ") for j in columns]
-        strongest = seen.strongest(1)
         out.append(
             {
                 "title": title,
-                "drivers": drivers,
+                "drivers": [seen.drivers[j].replace(":", " of ") for j in columns],
                 "rows": rows,
                 "p_value": seen.p_value,
-                "best": strongest[0] if strongest else None,
+                "best": next(iter(seen.strongest(1)), None),
                 "dropped": len(seen.drivers) - len(columns),
             }
         )
@@ -211,13 +209,8 @@ def _rejected(report: ReportContents) -> dict[str, Any] | None:
         return None
     usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
     start = float(report.samples.stamps.min())
-    listed = [
-        (
-            int(report.samples.station[row]),
-            float(report.samples.stamps[row]) - start,
-            1e3 * float(report.residuals[row]),
-            1e3 * float(report.residuals[row]) / max(usual, 1e-9),
-        )
-        for row in rows[:_MAX_LISTED]
-    ]
+    listed = []
+    for row in rows[:_MAX_LISTED]:
+        miss, stamp = 1e3 * float(report.residuals[row]), float(report.samples.stamps[row])
+        listed.append((int(report.samples.station[row]), stamp - start, miss, miss / max(usual, 1e-9)))
     return {"usual": usual, "listed": listed, "more": len(rows) - len(listed)}
