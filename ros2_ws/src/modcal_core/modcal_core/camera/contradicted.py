@@ -255,7 +255,7 @@ def findings(
         "scale": common + np.arange(SCALE.start, SCALE.stop),
         "bow": common + np.arange(BENT.start, BENT.stop),
     }
-    if scale.measured:  # somebody's ruler against the images: see contradicted
+    if scale.measured:  # somebody's ruler against the images: see contradictions
         groups.pop("scale")
     J = flange_motions(fit, q)
     out = []

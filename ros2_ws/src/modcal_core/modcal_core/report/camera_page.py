@@ -62,7 +62,7 @@ def to_html(
 ) -> str:
     """The page. data: of ``report.json``. model: the calibrated one. q: the postures of the images (N, n) [rad, m].
 
-    charts: of :func:`modcal_core.report.camera_page.camera_charts`.
+    charts: of :func:`camera_charts`.
     """
     camera = data["camera"]
     files_held = [(name, _HOLDS[name]) for name in files if name in _HOLDS]

@@ -169,7 +169,7 @@ def read_corner_tables(
     file: CSV, its first line the columns: image, u, v [px] and id, or marker and corner (0 to 3, empty for a marker's
     middle), and, where they are known, camera, sigma [px], width and height of the images [px]; rows without u and v
     (empty, nan, both 0 or both -1) are of corners that were not seen. Columns may be of cameras, markers and corners
-    (wide_table). Without a column image, rows of both files belong together by their number. joints, names: as of a
+    (wide_columns). Without a column image, rows of both files belong together by their number. joints, names: as of a
     folder. sizes: of the images by camera_key of the camera, "" for any, where the table has none. Raises ModcalError.
     """
     source = str(file)
