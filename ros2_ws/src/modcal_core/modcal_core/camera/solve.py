@@ -176,7 +176,7 @@ class CameraSolution:
     """fit: of everything. geometric: the same without effects. nominal: the same images, the nominal arm. mounting:
     found first. lens_fit: from the images alone. left_out: images by reason. corners_out: share of corners left out.
     in_view, anywhere: error at the tool over the joint ranges of the images where the target is in view, and over all
-    joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: as of that function.
+    joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: of tool_error.
     held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. findings: what target and
     camera are not as stated. causes: effects beyond geometry.
     left: what is significant and could not be turned into one. notes: what was done to the images, in sentences.
