@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.dropouts import cleaned, dropped, elsewhen, hung, together, unexpected
     from modcal_core.measurements.dwells import LATE_STEPS, NOISE_FACTOR, SECOND_DIFFERENCE, SHORTEST, StationRules
     from modcal_core.measurements.dwells import dwells_of, find_dwells, fitted_rules, inliers, spread_rows
+    from modcal_core.measurements.held_box import measure_box
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged
@@ -37,7 +38,7 @@ __all__ += ["Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Record
 __all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "align", "as_recording", "averaged", "between"]
 __all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "elsewhen", "explained_by_posture", "find_dwells"]
 __all__ += ["fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits", "joint_stamps_and"]
-__all__ += ["joint_stamps_and_positions", "joints_instead", "marks_of", "moving_beside", "other_joints", "others_at"]
-__all__ += ["others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require", "require_new"]
+__all__ += ["joint_stamps_and_positions", "joints_instead", "marks_of", "measure_box", "moving_beside", "other_joints"]
+__all__ += ["others_at", "others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require", "require_new"]
 __all__ += ["require_usable", "returns", "share_of_known", "shown", "spoken_name", "spread_rows", "staircase"]
 __all__ += ["together", "told", "told_at", "unexpected"]
