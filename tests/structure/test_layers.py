@@ -33,6 +33,7 @@ _LAYERS = (
 )
 _ALSO = {"lazy", "errors", "files", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
+LAYERS["claim"] = LAYERS["calibration"] | {"claim"}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
 LAYERS["planning"] = LAYERS["calibration"] | {"planning"}
 LAYERS["camera"] = LAYERS["diagnosis"] | {"camera"}

@@ -23,7 +23,6 @@ from modcal_core.calibration import (
     errors,
     finalise,
     fit_cell,
-    fit_geometry,
     free_cell,
     identifiability,
     outlying,
@@ -38,6 +37,7 @@ from modcal_core.calibration import (
     views_of,
     with_sockets,
 )
+from modcal_core.claim import claim_at_tool, fit_held
 from modcal_core.diagnosis import (
     Diagnosis,
     Loads,
@@ -131,7 +131,7 @@ def calibrate(
     nominal = fit_cell(chain, train, cell, inertias, regimes)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))
-    geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
+    geometric = fit_held(nominal.model, train, choice.parameters, cell)
     choice = replace(choice, parameters=geometric.parameters)
     if geometric.model.arm is not None:
         geometric = with_arm(geometric, stated_arm(geometric.model.arm, cell))
@@ -152,10 +152,10 @@ def calibrate(
         if loads is not None:
             geometric = with_arm(geometric, loads.arm)
     # when something moved is read from all stations: one next to it that was held out belongs to either side
-    held = diagnosis.fit
+    last = diagnosis.fit
     if look_for_effects:
-        held = with_residual_curves(held, train, explain, rng, cell.distances, block)
-    final = replace(held, model=sharpened(held.model, samples))
+        last = with_residual_curves(last, train, explain, rng, cell.distances, block)
+    final = replace(last, model=sharpened(last.model, samples))
     require_plausible(nominal, final, train, samples, cell.distances, bool(cell.known))
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
@@ -167,6 +167,7 @@ def calibrate(
     shipped = finalise(samples, chain, choice, cell, inertias, final, wrong & ~again, regimes, geometric, whole)
     if diagnosis.again is not None:
         again[sets.train] |= diagnosis.again
+    claim = claim_at_tool(shipped, samples.select(~wrong | again), cell)
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
@@ -176,10 +177,10 @@ def calibrate(
         "final": errors(final.model, scored),
     }
     added = [Step(cause.effect.label, errors(cause.fit.model, scored)) for cause in diagnosis.causes]
-    if added and held is diagnosis.fit:
+    if added and last is diagnosis.fit:
         added[-1] = replace(added[-1], errors=left["final"])  # what the final model leaves, its moments sharpened
     steps = (Step("geometry", left["geometric"]), *added)
-    if held is not diagnosis.fit:
+    if last is not diagnosis.fit:
         steps = (*steps, Step(TOGETHER, left["final"]))
 
     # the verdict
@@ -228,5 +229,6 @@ def calibrate(
         grounds=grounds,
         judged=judged,
         loads=loads,
+        claim=claim,
     )
     return Solution(report, shipped, final)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.delta_distances import max_deviations, objective, visibility
     from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance, distance_rows
     from modcal_core.calibration.empirical_bayes import GroupSizes, likely_sizes
-    from modcal_core.calibration.equations import normal_equations
+    from modcal_core.calibration.equations import blocks_at, normal_equations
     from modcal_core.calibration.final_fit import finalise, sharpened
     from modcal_core.calibration.fit import EQUATIONS_PER_PARAMETER, FITTED, WHATS, Curvature, Fit, Move, What
     from modcal_core.calibration.fit import identify, identify_moved, priors, require_enough
@@ -41,9 +41,10 @@ if TYPE_CHECKING:
     from modcal_core.calibration.model import BLEND, Model, between, curved_joints, place_model
     from modcal_core.calibration.nnls import nonnegative
     from modcal_core.calibration.noise import HUBER_Z, REJECT_Z, Groups, NoiseModel, as_normal, beyond_chi2
-    from modcal_core.calibration.noise import beyond_gumbel, beyond_normal, exceeded_chi2, gumbel_of, log10_beyond_f
-    from modcal_core.calibration.noise import median_chi2, quantile_chi2, robust_weights, row_weights, score_of_one
-    from modcal_core.calibration.noise import standard_score
+    from modcal_core.calibration.noise import beyond_gumbel, beyond_normal, exceeded_chi2, gumbel_of, has_shared_noise
+    from modcal_core.calibration.noise import known_sigma, log10_beyond_f, median_chi2, of_rows, quantile_chi2
+    from modcal_core.calibration.noise import robust_weights, row_weights, score_of_one, shared_noise, standard_score
+    from modcal_core.calibration.noise import weigh
     from modcal_core.calibration.parameters import INSTRUMENT, PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, ModelParameter, View
     from modcal_core.calibration.parameters import direction_names, drop_fixed, least_change, ordered_candidates
     from modcal_core.calibration.parameters import passing_directions
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.score import FINEST, ErrorSize, Errors, errors, outlying, squared_residuals
     from modcal_core.calibration.score import usual_miss
     from modcal_core.calibration.starts import fit_geometry
-    from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places
+    from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places, stated_std
     from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
     from modcal_core.calibration.structure import choose_parameters, exact_samples, general_samples, joint_ranges
     from modcal_core.calibration.structure import parameter_count, views_of
@@ -68,17 +69,18 @@ __all__ += ["Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "
 __all__ += ["Readmitted", "RejectedPlace", "RowView", "Schedule", "Split", "Stated", "StatedPayload", "StatedTool"]
 __all__ += ["StationDistance", "Uncertainty", "View", "What", "anneal_distances", "apply_deviations", "as_normal"]
 __all__ += ["averaged", "base_and_tool_turns", "base_by_positions", "between", "beyond_chi2", "beyond_gumbel"]
-__all__ += ["beyond_normal", "block_length", "choose_parameters", "consecutive", "contradicted_places"]
+__all__ += ["beyond_normal", "block_length", "blocks_at", "choose_parameters", "consecutive", "contradicted_places"]
 __all__ += ["contradicted_together", "contradictions", "curved_joints", "deviations", "direction_names"]
 __all__ += ["distance_rows", "distances_of", "distinct", "drop_fixed", "errors", "exact_samples", "exceeded_chi2"]
 __all__ += ["finalise", "fingerprint", "fit_cell", "fit_distances", "fit_geometry", "free_cell", "from_data"]
-__all__ += ["general_samples", "geometry_rows", "gumbel_of", "hand_eye", "hold_out_all", "identifiability", "identify"]
-__all__ += ["identify_moved", "in_order_of_time", "independent_unit", "joint_ranges", "least_change", "likely_sizes"]
-__all__ += ["linearise", "log10_beyond_f", "max_deviations", "median_chi2", "model_at", "new_instruments"]
-__all__ += ["nonnegative", "normal_equations", "objective", "ordered_candidates", "outlying", "outside_drivers"]
-__all__ += ["own_statement", "parameter_count", "passing_directions", "place_instruments", "place_model", "places_of"]
-__all__ += ["priors", "procrustes", "quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all"]
-__all__ += ["robust_weights", "row_weights", "runs_of", "score_of_one", "sharpened", "split", "squared_residuals"]
-__all__ += ["standard_score", "station_numbers", "to_data", "together_stated", "tool_and_place", "turns_left"]
-__all__ += ["uncertainty", "uncontradicted", "units_of_stations", "usual_miss", "values_without", "views_of"]
-__all__ += ["visibility", "with_frames", "with_sockets", "without"]
+__all__ += ["general_samples", "geometry_rows", "gumbel_of", "hand_eye", "has_shared_noise", "hold_out_all"]
+__all__ += ["identifiability", "identify", "identify_moved", "in_order_of_time", "independent_unit", "joint_ranges"]
+__all__ += ["known_sigma", "least_change", "likely_sizes", "linearise", "log10_beyond_f", "max_deviations"]
+__all__ += ["median_chi2", "model_at", "new_instruments", "nonnegative", "normal_equations", "objective", "of_rows"]
+__all__ += ["ordered_candidates", "outlying", "outside_drivers", "own_statement", "parameter_count"]
+__all__ += ["passing_directions", "place_instruments", "place_model", "places_of", "priors", "procrustes"]
+__all__ += ["quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all", "robust_weights"]
+__all__ += ["row_weights", "runs_of", "score_of_one", "shared_noise", "sharpened", "split", "squared_residuals"]
+__all__ += ["standard_score", "stated_std", "station_numbers", "to_data", "together_stated", "tool_and_place"]
+__all__ += ["turns_left", "uncertainty", "uncontradicted", "units_of_stations", "usual_miss", "values_without"]
+__all__ += ["views_of", "visibility", "weigh", "with_frames", "with_sockets", "without"]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration import ErrorSize
+from modcal_core.claim import Claim, Statistic
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.diagnosis_entries import Finding, loads_to_json, sizes_to_json
@@ -46,6 +47,7 @@ def to_json_data(report: ReportContents) -> dict[str, Any]:
         "not_applied": [asdict(missing) for missing in report.grounds.not_applied],
         "regimes": [asdict(regime) for regime in report.grounds.regimes],
         "convention": report.grounds.convention,
+        **claim_data(report.claim),
         "tolerance": tolerance_data(report.tolerance),
         "trace": asdict(report.trace),
         "steps": [{"added": step.added, "rms_mm": step.rms_mm} for step in report.steps],
@@ -177,6 +179,22 @@ def _share(share: Share | None) -> dict[str, Any] | None:
 def finite(x: float) -> float | None:
     """The number, None where it is not finite."""
     return float(x) if np.isfinite(x) else None
+
+
+def claim_data(claim: Claim | None) -> dict[str, Any]:
+    """The claim at the tool as ``report.json`` has it, and whether to use the calibration."""
+    if claim is None:
+        return {"claim_mm": None, "claim_deg": None, "apply": None}
+
+    def sizes(found: Mapping[Any, Statistic]) -> dict[str, Any]:
+        return {str(name): {"value": s.value, "ci95": list(s.ci95)} for name, s in found.items()}
+
+    rest = {"over": claim.over, "shown_mm": claim.shown_mm, "unshown_mm": claim.unshown_mm}
+    return {
+        "claim_mm": {**sizes(claim.mm), **rest, "nominal_p95": claim.nominal_p95},
+        "claim_deg": None if claim.deg is None else {**sizes(claim.deg), "over": claim.over},
+        "apply": claim.apply,
+    }
 
 
 def tolerance_data(met: Tolerance | None) -> dict[str, Any] | None:

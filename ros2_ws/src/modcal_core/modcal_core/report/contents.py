@@ -20,12 +20,24 @@ from modcal_core.calibration import (
     block_length,
     units_of_stations,
 )
+from modcal_core.claim import Claim
 from modcal_core.diagnosis import EffectChoice, EvidenceMap, Loads
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.report.diagnosis_entries import Finding
 from modcal_core.report.joint_offsets import JointOffsets
-from modcal_core.verdict import Asked, Grounds, Rejected, Status, Tolerance, Verdict, assess, interval
+from modcal_core.verdict import (
+    Asked,
+    AtTool,
+    Grounds,
+    Rejected,
+    Status,
+    Tolerance,
+    Verdict,
+    assess,
+    assess_claim,
+    interval,
+)
 from modcal_core.version import __version__
 
 
@@ -107,7 +119,7 @@ class ReportContents:
     - distances: known distances as fitted. loads: gravity and payloads that the data showed.
     - grounds: further input of the verdict. judged: the verdict, None until there is one.
     - offsets: joint offsets of the calibration that is written or judged; None where they do not apply.
-    - notes: sentences on the recording.
+    - notes: sentences on the recording. claim: what may be said of the tool; None where nothing was calibrated.
     """
 
     samples: Samples
@@ -138,6 +150,7 @@ class ReportContents:
     tolerance: Tolerance | None = None
     trace: Trace = field(default_factory=Trace)
     readmitted: Readmitted = field(default_factory=Readmitted)
+    claim: Claim | None = None
 
     @property
     def measurement(self) -> str:
@@ -191,6 +204,10 @@ class ReportContents:
         """The report with the result for a tolerance; the same where none is asked for."""
         if asked is None:
             return self
+        if self.claim is not None:
+            found, open_mm = self.claim.mm[asked.statistic], self.claim.unshown_mm
+            at_tool = AtTool(found.value, found.ci95, self.claim.over, open_mm)
+            return replace(self, tolerance=assess_claim(at_tool, asked, self.judged))
         norms = 1e3 * self.errors["final"].position_norm
         return replace(self, tolerance=assess(norms, self.units, asked, self.judged))
 

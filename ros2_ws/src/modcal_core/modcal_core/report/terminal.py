@@ -198,6 +198,8 @@ def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
     yield SummaryLine(sentence(report), TONES[report.status])
     for reason in report.open_because[MAX_REASONS:]:
         yield SummaryLine(f"Open: {reason}", "reason")
+    if report.claim is not None:
+        yield SummaryLine(report.claim.sentence, "plain" if report.claim.apply else "doubt")
     if report.tolerance is not None:
         met = report.tolerance
         yield SummaryLine(f"{met.result}: {met.because}", _RESULTS.get(met.result, "undecided"))

@@ -58,8 +58,53 @@ class Tolerance:
     because: str
 
 
+@dataclass(frozen=True)
+class AtTool:
+    """What is claimed of the statistic asked for, at the tool [mm]. over: which postures. open_mm: what of it only the
+    usual size of errors holds.
+    """
+
+    value: float
+    ci95: tuple[float, float]
+    over: str
+    open_mm: float
+
+
+def assess_claim(claim: AtTool, asked: Asked, verdict: Verdict | None) -> Tolerance:
+    """The result for a claim at the tool, which has what is predictable in it; all else that is open bars a PASS."""
+    low, high = claim.ci95
+    name, limit = _NAMES[asked.statistic], f"{asked.mm:g} mm"
+    said = f"The tool's error over the {claim.over} ({name}) is {claim.value:.3f} mm"
+    if low > asked.mm:
+        because = f"{said}, and at least {low:.3f} mm with 95 % confidence: more than {limit}."
+        return Tolerance(asked, claim.value, claim.ci95, "FAIL", because)
+    if high > asked.mm:
+        because = f"{said}, its interval {low:.3f} … {high:.3f} mm contains {limit}."
+        if claim.open_mm > asked.mm:
+            because += (
+                f" {claim.open_mm:.3f} mm of it only the usual size of an arm's errors holds, no reading: a known "
+                "distance, or an instrument that reads positions, shows it."
+            )
+        else:
+            because += " More stations make it narrower."
+        return Tolerance(asked, claim.value, claim.ci95, "CANNOT TELL", because)
+    against = _against(verdict)
+    if against:
+        return Tolerance(asked, claim.value, claim.ci95, "CANNOT TELL", f"{said}, at most {high:.3f} mm, but {against}")
+    because = f"{said}, and at most {high:.3f} mm with 95 % confidence: within {limit}."
+    return Tolerance(asked, claim.value, claim.ci95, "PASS", because)
+
+
+def _against(verdict: Verdict | None) -> str:
+    """What bars a PASS; empty where nothing does."""
+    if verdict is None:
+        return "no verdict was made."
+    reasons = [reason.sentence for reason in verdict.reasons if reason.kind != "predictable"]
+    return _lower(reasons[0]) if reasons else _lower(verdict.unproven) if verdict.unproven else ""
+
+
 def assess(norms_mm: Array, unit: np.ndarray, asked: Asked, verdict: Verdict | None) -> Tolerance:
-    """The result for these held-out errors [mm], (N,), that belong to these units, (N,).
+    """The result for these held-out errors [mm], (N,), that belong to these units, (N,): of a frozen calibration.
 
     A predictable share alone does not stand in the way of a PASS: it says that the error could be smaller still. Every
     other reason for an open verdict does, and so does doubt whether the readings were measured.
@@ -76,12 +121,8 @@ def assess(norms_mm: Array, unit: np.ndarray, asked: Asked, verdict: Verdict | N
     because = _cannot(norms_mm, count, asked, value, low, high)
     if not because and verdict is None:
         because = "No verdict was made."
-    if not because and verdict is not None:
-        against = [reason.sentence for reason in verdict.reasons if reason.kind != "predictable"]
-        if against:
-            because = f"The {name} is at most {high:.3f} mm, but {_lower(against[0])}"
-        elif verdict.unproven:
-            because = f"The {name} is at most {high:.3f} mm, but {_lower(verdict.unproven)}"
+    if not because and (against := _against(verdict)):
+        because = f"The {name} is at most {high:.3f} mm, but {against}"
     if because:
         return Tolerance(asked, value, (low, high), "CANNOT TELL", because)
     said = f"The {name} is {value:.3f} mm, and at most {high:.3f} mm with 95 % confidence: within {limit}."

@@ -14,10 +14,12 @@ from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
 from modcal_core.effects.family import FREE, Family
 from modcal_core.effects.registry import base_and_tool, followed, moving_joints, signals
 from modcal_core.effects.shapes import Shape
+from modcal_core.robots import is_serial_arm
 
 NAME = "unknown"
 SMOOTH = 7  # functions in a smooth curve
 DEGREE = 3.0  # of a curve over a signal
+WAVES = 5  # a turn, of what stands for effects that nobody named
 ORDER = 2.0  # turns of two joints together
 STATIONS_PER_FUNCTION = 2.5  # an amplitude of a free shape needs more than two, or it follows single stations
 
@@ -36,6 +38,24 @@ def constants(drivers: Drivers) -> Iterator[Effect]:
         yield Effect(NAME, place, ALL, "constant", Shape("linear"))
     for name in drivers.arm.chain.names:
         yield Effect(NAME, name, AXIS, "constant", Shape("linear"))
+
+
+def functions(drivers: Drivers) -> tuple[Effect, ...]:
+    """For every joint what effects that nobody named may look like, of no size yet: waves, the direction of approach,
+    and torque and moment of weight.
+    """
+    out, chain = [], drivers.arm.chain
+    for j, joint in enumerate(chain.names):
+        along = [(AXIS, f"position:{joint}", Shape("turn", {"cycles": float(k)})) for k in range(1, WAVES + 1)]
+        if (drivers.samples.approach[:, j] != 0.0).any():
+            along.append((AXIS, f"direction:{joint}", Shape("sign")))
+        if is_serial_arm(chain):
+            along.append((AXIS, f"{'load' if drivers.arm.weighed else 'payload'}:{joint}", Shape("linear")))
+            if drivers.arm.weighed:  # bearings bend as well as gears
+                along.append((ACROSS, f"moment:{joint}", Shape("linear")))
+        for direction, driver, shape in along:
+            out.append(Effect(NAME, joint, direction, driver, shape, np.zeros(shape.size), np.zeros(shape.size)))
+    return tuple(out)
 
 
 def complexity(_: Effect) -> int:

@@ -1,0 +1,223 @@
+"""How far the tool may be from where a calibration says: the claim, over the postures asked for.
+
+Draws of the true arm (:mod:`evidence`) are compared with the calibrated one and with the nominal one, posture by
+posture. Where no instrument knows the base, it is put where it suits best. What joints do not repeat comes on top, as
+much as the scatter of the readings allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from modcal_core.calibration import Calibration, Cell, Model, RowView, linearise, procrustes
+from modcal_core.claim.evidence import Drawn, draw
+from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, joint_motion, neighbourhood, shows_base
+from modcal_core.effects import STEPS
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.measurements import POSE, Samples
+from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.robots import takes
+
+StatisticName = Literal["mean", "rms", "p95", "max"]
+NAMES: tuple[StatisticName, ...] = ("mean", "rms", "p95", "max")
+_SEED = 47  # the same readings give the same word
+_DRAWS, _POSTURES = 400, 200
+_TRIES = 50  # for each posture of a robot that cannot take all of them
+_SURE = 0.95
+_MOSTLY = 0.5  # of the claim, from which what no reading shows is told
+_MARGIN = 1.12  # of what draws of a linear model are too narrow by
+_UNKNOWN_M = 5e-3  # of a tool that is known no better, nothing is claimed along that direction
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """value: the most likely one. ci95: its ends, each passed with a chance of 5 %. In mm or deg."""
+
+    value: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """mm, deg: by the statistic's name; deg None where no reading shows an orientation. over: which postures.
+
+    shown_mm, unshown_mm: upper ends of the 95th percentile with what the readings show alone, and with what only the
+    usual size of errors holds. nominal_p95: of the nominal arm [mm]. apply: whether the calibrated arm is surely the
+    better one.
+    """
+
+    mm: Mapping[StatisticName, Statistic]
+    deg: Mapping[StatisticName, Statistic] | None
+    over: str
+    shown_mm: float
+    unshown_mm: float
+    nominal_p95: float
+    apply: bool
+
+    @property
+    def sentence(self) -> str:
+        """What a person should know of the tool."""
+        p95 = self.mm["p95"]
+        said = f"At the tool, over the {self.over}: 95 % of the errors are below {p95.ci95[1]:.3f} mm"
+        if self.unshown_mm > _MOSTLY * p95.ci95[1]:
+            said += (
+                f" ({self.shown_mm:.3f} mm by the readings; {self.unshown_mm:.3f} mm is held only by what arms are "
+                "like, and a known distance, or positions, would show it)"
+            )
+        said += f"; the nominal arm's below {self.nominal_p95:.3f} mm."
+        if not self.apply:
+            said += " It is not sure that the calibrated arm is the better one: do not apply it."
+        return said
+
+
+def claim_at_tool(calibration: Calibration, samples: Samples, cell: Cell, postures: Array | None = None) -> Claim:
+    """The claim of a calibration made from these samples, none of them wrong.
+
+    postures: joint positions asked for (M, n) [rad, m]; None: random ones in the recorded ranges.
+    """
+    rng = np.random.default_rng(_SEED)
+    about = neighbourhood(calibration.calibrated, calibration.nominal.chain, samples, cell)
+    drawn = draw(about, _DRAWS, rng)
+    asked = _asked(about, samples, postures, rng)
+    frame = int(asked.frame[0])
+    placed = shows_base(samples, frame)
+    at = linearise(about.model, about.parameters, about.values, asked)
+    M = len(asked)
+    J = _without_scale(about, at.J, asked)
+    apart = _apart(about.model, calibration.nominal, asked, placed)
+    P = _unknown(about, drawn, J[:, : 3 * M], asked, placed)
+    move, other = _clear(J[:, : 3 * M], P), _clear(apart[None], P)[0]
+    error = drawn.values @ move
+    joints = _joints(about, asked, drawn, cell, rng)
+    calibrated = _norms(error + joints, M)
+    nominal = _norms(error + joints + other, M)
+    shown = _norms((drawn.values - drawn.open) @ move + joints, M)
+    unshown = _norms(drawn.open @ move, M)
+    mm = {name: _statistic(1e3 * calibrated, name) for name in NAMES}
+    deg = None
+    if samples.is_pose.any():
+        deg = {name: _statistic(np.degrees(_norms(drawn.values @ J[:, 3 * M :], M)), name) for name in NAMES}
+    better = np.mean(_of(calibrated, "rms") < _of(nominal, "rms"))
+    return Claim(
+        mm,
+        deg,
+        "recorded ranges" if postures is None else "postures asked for",
+        _statistic(1e3 * shown, "p95").ci95[1],
+        _statistic(1e3 * unshown, "p95").ci95[1],
+        float(np.median(_of(1e3 * nominal, "p95"))),
+        bool(better >= _SURE),
+    )
+
+
+def _asked(about: Neighbourhood, samples: Samples, postures: Array | None, rng: np.random.Generator) -> Samples:
+    """Postures as samples of poses, in a frame that knows the base where there is one; beside each, what came with a
+    recorded sample after the last step.
+    """
+    q = postures
+    if q is None:
+        low, high = samples.q.min(axis=0), samples.q.max(axis=0)
+        chain = about.model.chain
+        q = rng.uniform(low, high, (_TRIES * _POSTURES if chain.closed else _POSTURES, samples.q.shape[1]))
+        q = q[takes(chain, q)][:_POSTURES] if chain.closed else q
+        q = q if len(q) else samples.q
+    moved = [e.shape.settings["at"] for e in about.model.effects if e.shape.kind in STEPS]
+    now = np.flatnonzero(samples.stamps >= min(max(moved, default=-np.inf), samples.stamps.max()))
+    beside = samples.select(rng.choice(now, len(q)))
+    direct = [f for f in range(len(samples.frames)) if shows_base(samples, f)]
+    return replace(
+        beside,
+        q=q,
+        frame=np.full(len(q), direct[0] if direct else 0),
+        kind=np.full(len(q), POSE, dtype=KIND_NAMES),
+        reading=np.zeros((len(q), 3)),
+        R=np.tile(np.eye(3), (len(q), 1, 1)),
+    )
+
+
+def _without_scale(about: Neighbourhood, J: Array, asked: Samples) -> Array:
+    """The derivatives without those of a reading's scale, which moves no tool."""
+    out, j = J, len(about.parameters)
+    for effect in about.model.effects:
+        if effect.place == "tracker":
+            out = out.copy() if out is J else out
+            out[j : j + len(effect.values)] = 0.0
+        j += len(effect.values)
+    return out
+
+
+def _apart(model: Model, nominal: Model, asked: Samples, placed: bool) -> Array:
+    """From the nominal model's tool to the calibrated one's, as seen from the latter's root, (3 M,) [m].
+
+    placed: whether the readings show where the base is; else it is put where it suits best.
+    """
+    p = model.predict_samples(asked)[:, :3, 3]
+    drawn = nominal.with_effects(()).predict(asked.q, asked.frame)[:, :3, 3]
+    drawn = drawn if placed else se3.apply(procrustes(drawn, p), drawn)
+    R = (model.T_frame_base[asked.frame[0]] @ model.chain.T_base_root)[:3, :3]
+    return np.asarray(((p - drawn) @ R).T.ravel())
+
+
+def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, placed: bool) -> Array | None:
+    """An orthonormal basis (3 M, b) of what moves the tool and no reading shows: the base, where no instrument knows
+    it, and directions of the tool. J: (K, 3 M).
+    """
+    out = []
+    if not placed:
+        at = about.model.drivers(asked)
+        p = RowView.of(about.model, asked, at).f.p[-1]
+        p = p - p.mean(axis=1, keepdims=True)
+        for axis in np.eye(3):
+            out += [np.repeat(axis, len(asked)), so3.cross(np.repeat(axis[:, None], len(asked), axis=1), p).ravel()]
+    tool = [j for j, parameter in enumerate(about.parameters) if parameter.name in ("tool/x", "tool/y", "tool/z")]
+    if tool:
+        size, directions = np.linalg.eigh(np.cov(drawn.values[:, tool].T).reshape(len(tool), -1))
+        out += list(directions[:, size > _UNKNOWN_M**2].T @ J[tool])
+    return np.linalg.qr(np.array(out).T)[0] if out else None
+
+
+def _clear(rows: Array, basis: Array | None) -> Array:
+    """Rows (k, 3 M) without what a motion of the base does."""
+    return rows if basis is None else rows - (rows @ basis) @ basis.T
+
+
+def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, cell: Cell, rng: np.random.Generator) -> Array:
+    """What joints do not repeat, at every posture of every draw, (D, 3 M) [m]."""
+    M, D = len(asked), len(drawn.scale)
+    view = RowView.of(about.model, asked, about.model.drivers(asked))
+    n = about.model.chain.n
+    motions = np.stack([joint_motion(view, about.model.chain, j)[: 3 * M] for j in range(n)])
+    likely = about.shares
+    instrument = cell.stated.instrument_mm
+    if instrument is not None and about.noise.position > 0.0:
+        most = 1.0 - (1e-3 * instrument) ** 2 / 3.0 / about.noise.position**2
+        likely = np.where(max(most, SHARES[0]) >= SHARES, likely, 0.0)
+        likely = likely / likely.sum() if likely.sum() > 0.0 else np.eye(len(SHARES))[0]
+    share = rng.choice(SHARES, D, p=likely)
+    rho = drawn.scale * np.sqrt(share / max(about.joints, 1e-300))
+    out = np.zeros((D, 3, M))
+    for j in range(n):
+        out += (rho[:, None] * rng.standard_normal((D, M)))[:, None, :] * motions[j].reshape(3, M)
+    return out.reshape(D, 3 * M)
+
+
+def _norms(error: Array, M: int) -> Array:
+    """Lengths (D, M) of errors (D, 3 M)."""
+    return np.sqrt((error.reshape(len(error), 3, M) ** 2).sum(axis=1))
+
+
+def _of(norms: Array, name: StatisticName) -> Array:
+    if name == "mean":
+        return np.asarray(norms.mean(axis=1))
+    if name == "rms":
+        return np.asarray(np.sqrt((norms**2).mean(axis=1)))
+    return np.asarray(np.percentile(norms, 95, axis=1) if name == "p95" else norms.max(axis=1))
+
+
+def _statistic(norms: Array, name: StatisticName) -> Statistic:
+    every = _of(norms, name)
+    low, middle, high = np.quantile(every, [1.0 - _SURE, 0.5, _SURE])
+    return Statistic(float(middle), (float(low) / _MARGIN, _MARGIN * float(high)))
