@@ -153,10 +153,7 @@ def articulate(track: Track, seed: int = 0) -> Choice:
     track: positions or poses of the handle. seed: of the samples that first guesses are made from. Raises BadRecording
     where rotations would follow the handle in another convention (w x y z, inverse, a left-handed frame).
     """
-    from modcal_core.articulation import (
-        choose,  # not for those who only calibrate
-        require_convention,
-    )
+    from modcal_core.articulation import choose, require_convention  # not for those who only calibrate
 
     rng = np.random.default_rng(seed)
     choice = choose(track, rng)
@@ -180,10 +177,7 @@ def plan(
     site: instrument, obstacles and noise; None: an instrument that sees everything. fixed: as in :func:`calibrate`.
     seed: of candidates and starts. Raises NotPlannable where no set of stations will do.
     """
-    from modcal_core.planning import (
-        PlanRequest,  # not for those who only calibrate
-        Site,
-    )
+    from modcal_core.planning import PlanRequest, Site  # not for those who only calibrate
     from modcal_core.planning import plan as plan_stations
 
     request = PlanRequest(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)

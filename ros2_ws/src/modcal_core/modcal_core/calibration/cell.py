@@ -30,7 +30,7 @@ from modcal_core.measurements import (
     StationRules,
     dwells_of,
     inliers,
-    joint_stamps_and_positions,
+    joints_by_time,
 )
 from modcal_core.robots import Inertias, Mechanism, forward
 
@@ -88,23 +88,15 @@ class Cell:
 
     def require_frames(self, frames: Sequence[str]) -> None:
         """Raises BadTable for something known of a frame that no reading came in."""
-        stated = [(k.frame, k.to) for k in self.known]
-        for name in dict.fromkeys(
-            [*(n for pair in stated for n in pair if n != "base"), *self.own_target, *self.sockets]
-        ):
-            if name not in frames:
-                said = f"no reading has the frame '{name}'"
-                raise BadTable("cell file", said, f"name frames of the recording: {', '.join(frames)}")
+        of_frames = [n for k in self.known for n in (k.frame, k.to) if n != "base"]
+        wanted = [("cell file", name) for name in (*of_frames, *self.own_target, *self.sockets)]
         for distance in self.distances:
-            if isinstance(distance, StationDistance):
-                continue
-            for name in distance.between:
-                if name not in frames:
-                    raise BadTable(
-                        f"known distance {' to '.join(distance.between)}",
-                        f"no reading has the frame '{name}'",
-                        f"name frames of the recording: {', '.join(frames)}",
-                    )
+            if isinstance(distance, Distance):
+                wanted += [(f"known distance {' to '.join(distance.between)}", name) for name in distance.between]
+        for offender, name in wanted:
+            if name not in frames:
+                remedy = f"name frames of the recording: {', '.join(frames)}"
+                raise BadTable(offender, f"no reading has the frame '{name}'", remedy)
 
 
 def fit_cell(
@@ -223,9 +215,7 @@ def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRu
     tracks = [track for track in recording.readings if track.stated is not None and len(track.stamps)]
     if not tracks:
         return OwnStatement(Stated())
-    t, q = joint_stamps_and_positions(recording, names)
-    order = np.argsort(t, kind="stable")
-    dwells = dwells_of(t[order], q[order], recording.readings, rules or StationRules())
+    dwells = dwells_of(*joints_by_time(recording, names), recording.readings, rules or StationRules())
     believed: list[tuple[float | None, float | None]] = []
     notes = []
     for track in tracks:

@@ -3,7 +3,7 @@
 Samples are taken block by block, so memory stays flat however long the recording is. Columns of a curve are one
 direction at one place times a number for each sample, ``u φ``. Products of such columns need the six components of u
 only once: ``(u φ)ᵀ W (v ψ) = φᵀ diag(uᵀWv) ψ``, and of a curve with many knots few numbers at a sample are not zero
-(:mod:`curves`). All other columns, some dozens, are one dense matrix.
+(:class:`~modcal_core.calibration.linearisation.Curve`). All other columns, some dozens, are one dense matrix.
 """
 
 from __future__ import annotations

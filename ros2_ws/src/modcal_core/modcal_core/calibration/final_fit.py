@@ -3,7 +3,7 @@
 Both models are fitted to the inner postures, as far as curves depend on their joints, and judged on the outer fifth.
 They are linear in small deviations, so leaving out is a step in closed form: with A the curvature of the whole fit,
 prior included, and J, r the weighted derivatives and residuals of what is left out, it moves the values by
-−(A − JJᵀ)⁻¹Jr. Where the full model then hardly knows itself, it is doubted for that (:mod:`doubt`), and not judged.
+−(A − JJᵀ)⁻¹Jr. Where the full model then hardly knows itself, it is doubted for that, and not judged.
 """
 
 from __future__ import annotations

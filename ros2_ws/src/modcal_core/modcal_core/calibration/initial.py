@@ -10,8 +10,7 @@ Each kind places itself in closed form once the tool is known. Where no instrume
 numbers are searched for such that the placed instruments meet their readings best, each trial placing them again
 (variable projection).
 
-Y, t: the arm's base in the readings' frame; A: poses of the arm's tip in its base; X, x: the tool. :mod:`conventions`
-compares readings as they are with readings corrected by it, :mod:`consistency` finds the stations that agree.
+Y, t: the arm's base in the readings' frame; A: poses of the arm's tip in its base; X, x: the tool.
 """
 
 from __future__ import annotations
@@ -302,12 +301,7 @@ def _pose_tool(A: Array, B: Array) -> tuple[Array, Array]:
 def hand_eye(A: Array, B: Array) -> tuple[Array, Array]:
     """(Y, X) with ``B ≈ Y A X`` for poses A, B (N, 4, 4)."""
     Ra, Rb = A[:, :3, :3], B[:, :3, :3]
-    # R_b Z = Y R_a with Z = R_xᵀ: rows of (R_b ⊗ I) z − (I ⊗ R_aᵀ) y, row-major
-    K = np.einsum("nji,nlk->ikjl", Rb, Ra).reshape(9, 9)  # sum of b.T ⊗ a.T; z = Kᵀ-aligned with y
-    U, _, Vt = np.linalg.svd(K)
-    z, y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
-    sign = np.sign(np.linalg.det(y))
-    Ry, Rx = so3.nearest_rotation(sign * y), so3.nearest_rotation(sign * z).T
+    Ry, Rx = base_and_tool_turns(Ra, Rb)
     # positions: p_b = Y p_a + Y R_a x + t
     G = np.concatenate([Ry @ Ra, np.broadcast_to(np.eye(3), Ra.shape)], axis=2).reshape(-1, 6)
     h = (B[:, :3, 3] - A[:, :3, 3] @ Ry.T).reshape(-1)

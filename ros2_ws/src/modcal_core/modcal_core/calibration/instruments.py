@@ -114,11 +114,6 @@ class Sights:
     lever: Array
     constants: dict[int, tuple[np.ndarray, Array]]
 
-    def put_into(self, position: Array, reading: Array) -> None:
-        """Write the residuals, and what an error of scale does, among those of positions, (3, N) each."""
-        position[:, self.rows] = self.residual
-        reading[:, self.rows] = self.scale
-
     def look_through(self, motion: Array) -> None:
         """Replace motions (3, N) of the watched points by what the instruments see of them."""
         motion[:, self.rows] = np.einsum("ijm,jm->im", self.through, motion[:, self.rows])

@@ -27,14 +27,6 @@ from modcal_core.robots import Chain, Inertias, Mechanism, forward, is_serial_ar
 BLEND = 0.05  # rad or m beyond what was seen, over which the other model comes in
 
 
-class Predicting(Protocol):
-    """A model that predicts poses (N, 4, 4) of samples."""
-
-    def predict_samples(self, samples: Samples) -> Array:
-        """Poses of the tool as the readings of these samples should show them."""
-        ...
-
-
 class Doubting(Protocol):
     """Says how much a model should be doubted."""
 
@@ -54,7 +46,7 @@ class Fallback:
     much the full model should be doubted there; None: altogether.
     """
 
-    model: Predicting
+    model: Model
     low: Array
     high: Array
     curved: np.ndarray

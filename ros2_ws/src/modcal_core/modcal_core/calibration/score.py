@@ -90,7 +90,8 @@ def usual_miss(model: Model, samples: Samples) -> float:
 
 def outlying(model: Model, noise: NoiseModel, samples: Samples) -> np.ndarray:
     """True for samples so far outside this noise that a fit would have rejected them, (N,)."""
-    return _scores(errors(model, samples), samples, noise, bool(model.instruments)) > REJECT_Z
+    size = squared_residuals(errors(model, samples), samples, noise, FINEST)
+    return standard_score(size, Groups.of(samples, bool(model.instruments)).dimensions) > REJECT_Z
 
 
 def typical_scatter(samples: Samples) -> tuple[float, float]:
@@ -111,7 +112,3 @@ def squared_residuals(e: Errors, samples: Samples, noise: NoiseModel, finest: fl
         known_r = np.nan_to_num(samples.sigma_rotation[pose])
         total[pose] += e.rotation_norm**2 / (max(noise.rotation, finest) ** 2 + known_r**2)
     return total
-
-
-def _scores(e: Errors, samples: Samples, noise: NoiseModel, mixed: bool) -> Array:
-    return standard_score(squared_residuals(e, samples, noise, FINEST), Groups.of(samples, mixed).dimensions)

@@ -1,7 +1,7 @@
 """A calibration as plain data: everything needed to predict, and to refuse a robot it was not made for.
 
-Values are checked where they are read (:mod:`store`). Names that are free (frames, joints, signals), and the
-settings of an effect's shape, which packages may add to, may be any.
+Values are checked where they are read. Names that are free (frames, joints, signals), and the settings of an effect's
+shape, which packages may add to, may be any.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TOUCH, JointTrack, Listed, ReadingTrack, Recording
     from modcal_core.measurements.recording import SignalTrack, Stretch, following, joint_stamps_and
-    from modcal_core.measurements.recording import joint_stamps_and_positions
+    from modcal_core.measurements.recording import joint_stamps_and_positions, joints_by_time
     from modcal_core.measurements.samples import SHARED, Origin, Samples, after, as_recording, between, cut_stations
     from modcal_core.measurements.samples import explained_by_posture, joints_instead, marks_of, moving_beside
     from modcal_core.measurements.samples import other_joints, others_at, others_by_name, require_new, share_of_known
@@ -37,7 +37,7 @@ __all__ += ["Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Record
 __all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "align", "as_recording", "averaged", "between"]
 __all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "elsewhen", "explained_by_posture", "find_dwells"]
 __all__ += ["fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits", "joint_stamps_and"]
-__all__ += ["joint_stamps_and_positions", "joints_instead", "marks_of", "moving_beside", "other_joints", "others_at"]
-__all__ += ["others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require", "require_new"]
-__all__ += ["require_usable", "returns", "share_of_known", "shown", "spoken_name", "spread_rows", "staircase"]
-__all__ += ["together", "told", "told_at", "unexpected"]
+__all__ += ["joint_stamps_and_positions", "joints_by_time", "joints_instead", "marks_of", "moving_beside"]
+__all__ += ["other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require"]
+__all__ += ["require_new", "require_usable", "returns", "share_of_known", "shown", "spoken_name", "spread_rows"]
+__all__ += ["staircase", "together", "told", "told_at", "unexpected"]

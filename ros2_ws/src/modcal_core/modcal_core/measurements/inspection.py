@@ -3,7 +3,7 @@
 A tracker that begins earlier, or goes on after the joint states have ended, loses nothing but what no posture is known
 of. Where as long a part of the joint states has no reading as the readings outside take, these are that part: at an
 hour's distance since summer time ended, or a day's since midnight. By motion only jumps of some seconds are found
-(:mod:`alignment`).
+(:mod:`modcal_core.measurements.alignment`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
 from modcal_core.measurements.dwells import StationRules, find_dwells
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
+from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions, joints_by_time
 from modcal_core.robots import Mechanism
 
 # --- Readings outside the times of the joint states, which meanwhile go on without any
@@ -186,9 +186,7 @@ def _stuck_finding(name: str, values: Array) -> list[str]:
 
 def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
     """Without postures that are visited twice nobody knows how well the arm repeats, so no fit can be called good."""
-    t, q = joint_stamps_and_positions(recording, chain.names)
-    order = np.argsort(t, kind="stable")
-    t, q = t[order], q[order]
+    t, q = joints_by_time(recording, chain.names)
     dwells = find_dwells(t, q, StationRules())
     if len(dwells):
         q = q[np.searchsorted(t, dwells.mean(axis=1)).clip(max=len(t) - 1)]
@@ -206,14 +204,13 @@ def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
 
 def _uses(recording: Recording, chain: Mechanism | None) -> tuple[str, ...]:
     names = chain.names if chain is not None else max((t.names for t in recording.joints), key=len, default=())
-    t, q = joint_stamps_and_positions(recording, names)
+    t, q = joints_by_time(recording, names)
     read = [name for name in kinds() if any(r.kind == name for r in recording.readings)]
     if not read:
         return ("articulated objects, where the end effector's pose is known",) if len(t) else ()
     if not len(t):
         return ()
-    order = np.argsort(t, kind="stable")
-    dwells = find_dwells(t[order], q[order], StationRules())
+    dwells = find_dwells(t, q, StationRules())
     paired = sum(int(np.isin(r.stamps, t).sum()) for r in recording.readings)
     what = " and ".join({POSE: "poses", POINT: "points"}.get(name, f"readings of {name}") for name in read)
     if len(dwells):

@@ -154,6 +154,13 @@ def joint_stamps_and_positions(recording: Recording, names: tuple[str, ...]) -> 
     return joint_stamps_and(recording, names, "position")
 
 
+def joints_by_time(recording: Recording, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """As :func:`joint_stamps_and_positions`, in the order of the stamps."""
+    t, q = joint_stamps_and(recording, names, "position")
+    order = np.argsort(t, kind="stable")
+    return t[order], q[order]
+
+
 def joint_stamps_and(recording: Recording, names: tuple[str, ...], what: str) -> tuple[Array, Array]:
     """Stamps (m,) and position, velocity or effort (m, n) of the named joints.
 

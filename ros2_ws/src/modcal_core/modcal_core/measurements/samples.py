@@ -63,14 +63,7 @@ class Origin:
     doubts: tuple[str, ...] = ()
 
 
-SHARED = (
-    "names",
-    "frames",
-    "signals",
-    "sockets",
-    "clock",
-    "origin",
-)  # fields of Samples that have no row for each sample
+SHARED = ("names", "frames", "signals", "sockets", "clock", "origin")  # fields of Samples without a row for each
 
 
 @dataclass(frozen=True)

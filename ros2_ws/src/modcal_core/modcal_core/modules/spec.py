@@ -26,7 +26,7 @@ def assembly_from_data(data: Any, library: Library, source: str) -> Assembly:
     if unknown:
         keys = "keys are modcal_assembly, name, library, modules, aim"
         raise BadTable(f"{source}: {unknown[0]}", "does not belong there", keys)
-    name = _name(data.get("name", "modular_arm"), source)
+    name = plain_name(data.get("name", "modular_arm"), source)
     if "modules" not in data and "aim" not in data:
         raise BadTable(source, "names no modules", "give modules: or aim:")
     listed = matrix = None
@@ -112,7 +112,8 @@ def _serial(stated: Any, what: str) -> str:
     return str(stated).strip()
 
 
-def _name(stated: Any, source: str) -> str:
+def plain_name(stated: Any, source: str) -> str:
+    """A name that is one plain word. Raises BadTable."""
     name = str(stated)
     if not name or not all(c.isalnum() or c in "_-." for c in name):
         raise BadTable(f"{source}: name '{name}'", "is not a plain word", "use letters, digits, _ and -")

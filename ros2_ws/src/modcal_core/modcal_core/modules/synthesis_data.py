@@ -14,6 +14,7 @@ from modcal_core.geometry import Array, so3
 from modcal_core.modules.evaluation import uses_of
 from modcal_core.modules.genetic import SearchSettings
 from modcal_core.modules.requirements import REQUIREMENTS, Requirement
+from modcal_core.modules.spec import plain_name
 from modcal_core.modules.synthesis import SynthesisTask
 from modcal_core.modules.targets import Target
 
@@ -34,9 +35,7 @@ def task_from_data(data: Any, source: str) -> SynthesisTask:
     top = _mapping(data, source, keys)
     if top.get("modcal_synthesis") != FORMAT:
         raise BadTable(source, f"is not a task of synthesis (modcal_synthesis: {FORMAT})", _SEE)
-    name = str(top.get("name", "task"))
-    if not name or not all(c.isalnum() or c in "_-." for c in name):
-        raise BadTable(f"{source}: name '{name}'", "is not a plain word", "use letters, digits, _ and -")
+    name = plain_name(top.get("name", "task"), source)
     stated = top.get("targets")
     if not isinstance(stated, Sequence) or isinstance(stated, str) or not stated:
         raise BadTable(f"{source}: targets", "is not a list of poses", _SEE)

@@ -15,22 +15,15 @@ along which the rods of arm i stand apart, u_i the way outwards, r the platform'
 
     s_i · (R t_i − t_i) = ε_i = δ_i / d        |p + (R − 1) r u_i − C_i| = L2_i,
 
-exact but for terms of (d / L2) (δ / d)² (:mod:`delta_tilt`). ε is no structural parameter: it is an effect, found where
-the data show it.
+exact but for terms of (d / L2) (δ / d)². ε is no structural parameter: it is an effect, found where the data show it.
+These are three equations for R; the middle p follows from three spheres about the elbows, shifted by ``(R − 1) r u_i``.
+With a_i = R t_i × s_i and w_i the columns of the inverse of the matrix with these rows, the platform turns by
+``Σ w_i ε_i`` to first order. This is what of the closed chain with 54 parameters (Vischer and Clavel 1998) remains once
+each pair's mean is one rod: constant tilts of axes and shifts of joints along the rods are errors of the arms' places.
 
 Structural parameters, 24 as in CN114571465B: six constants of each arm (q_zero, k, α, dB, L1, L2), and six of the tool
 (x, y, z, rx, ry, rz). The zero of the shaft is the tool's rz. k_s belongs to the drawing; where it is wrong, the
 diagnosis names it (a gear ratio at the shaft).
-
-Each pair keeps its own line of the platform parallel to its elbow's but for what its rods differ by,
-
-    s_i · (R t_i − t_i) = ε_i,
-
-three equations for the platform's orientation R; the middle p follows from three spheres about the elbows, shifted by
-``(R − 1) r u_i`` (:mod:`delta` has the symbols). With a_i = R t_i × s_i and w_i the columns of the inverse of the
-matrix with these rows, the platform turns by ``Σ w_i ε_i`` to first order. This is what of the closed chain with 54
-parameters (Vischer and Clavel 1998) remains once each pair's mean is one rod: constant tilts of axes and shifts of
-joints along the rods are errors of the arms' places.
 """
 
 from __future__ import annotations
@@ -44,6 +37,7 @@ from numpy.typing import ArrayLike
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, cross, se3, so3
+from modcal_core.robots.chain import read_only
 from modcal_core.robots.kinematics import LoopShare, Tilt
 
 ARMS = 3
@@ -108,10 +102,10 @@ class Delta:
         far = np.r_[np.full(ARMS, UPPER), np.full(n - ARMS, np.pi)]
         out = cls(
             tuple(names),
-            _read_only(np.stack(rows)),
-            _read_only(wide if lower is None else lower),
-            _read_only(far if upper is None else upper),
-            _read_only(tool),
+            read_only(np.stack(rows)),
+            read_only(wide if lower is None else lower),
+            read_only(far if upper is None else upper),
+            read_only(tool),
             float(shaft_ratio),
             base,
             tip,
@@ -168,12 +162,12 @@ class Delta:
     @cached_property
     def T_tip_tool(self) -> Array:
         """Pose of the drawing's tool in the tip, (4, 4) [m]."""
-        return _read_only(se3.transform(so3.exp(self.tool[3:]), self.tool[:3]))
+        return read_only(se3.transform(so3.exp(self.tool[3:]), self.tool[:3]))
 
     @cached_property
     def vector(self) -> Array:
         """The structural parameters X, (24,): q_zero, k, α, dB, L1, L2 of the three arms, then the tool [rad, 1, m]."""
-        return _read_only(np.r_[self.constants.ravel(), self.tool])
+        return read_only(np.r_[self.constants.ravel(), self.tool])
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -184,15 +178,15 @@ class Delta:
     def with_vector(self, X: ArrayLike) -> Delta:
         """The same robot with other structural parameters (24,)."""
         X = np.asarray(X, dtype=float)
-        return replace(self, constants=_read_only(X[:-6].reshape(len(CONSTANTS), ARMS)), tool=_read_only(X[-6:]))
+        return replace(self, constants=read_only(X[:-6].reshape(len(CONSTANTS), ARMS)), tool=read_only(X[-6:]))
 
     def moved(self, deviation: ArrayLike) -> Delta:
         """The same robot with its arms' constants changed by these amounts, (6, 3)."""
-        return replace(self, constants=_read_only(self.constants + np.asarray(deviation, dtype=float)))
+        return replace(self, constants=read_only(self.constants + np.asarray(deviation, dtype=float)))
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Delta:
         """The same robot with other limits of its joints [rad or m], (n,) each."""
-        return replace(self, lower=_read_only(lower), upper=_read_only(upper))
+        return replace(self, lower=read_only(lower), upper=read_only(upper))
 
     def with_errors(self, E: Array, constants: Array) -> Delta:
         """The same robot with errors (k, 3) of the constants of its arms, which take up small motions of its places."""
@@ -209,12 +203,6 @@ class Delta:
     def reach(self) -> float:
         """An upper bound on the distance from the base to the tip [m], used to recognise wrong units."""
         return float(np.sum(np.abs(self.constants[[OFFSET, PROXIMAL, DISTAL]]), axis=0).max())
-
-
-def _read_only(a: ArrayLike) -> Array:
-    out: Array = np.array(a, dtype=float)
-    out.flags.writeable = False
-    return out
 
 
 def _require_sound(delta: Delta) -> None:

@@ -78,13 +78,13 @@ def delta_to_data(delta: Delta) -> dict[str, Any]:
         "base": delta.base,
         "tip": delta.tip,
         "joints": list(delta.names),
-        "arms": {**{key: _floats(delta.constants[row]) for key, row in _ROWS.items()}, **radius},
+        "arms": {**{key: delta.constants[row].tolist() for key, row in _ROWS.items()}, **radius},
         **shaft,
         "limits_rad": {
             name: [float(low), float(high)]
             for name, low, high in zip(delta.names, delta.lower, delta.upper, strict=True)
         },
-        "tool": {"position_m": _floats(delta.tool[:3]), "rotation_rad": _floats(delta.tool[3:])},
+        "tool": {"position_m": delta.tool[:3].tolist(), "rotation_rad": delta.tool[3:].tolist()},
     }
 
 
@@ -130,7 +130,3 @@ def _tool(given: Any, source: str) -> Array:
     _only(given, {"position_m", "rotation_rad"}, f"{source}: tool")
     parts = [_numbers(given.get(key, [0.0] * 3), 3, f"{source}: tool: {key}") for key in ("position_m", "rotation_rad")]
     return np.concatenate(parts)
-
-
-def _floats(values: Array) -> list[float]:
-    return [float(x) for x in values]

@@ -70,21 +70,22 @@ class HeldWeight:
 def payload_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
     """The same, (n, 6, N), of a mass of 1 kg at the tip. down: unit vector (3,) in the base. held: as of inertias."""
     f = frames(chain, q)
+    return _tip_wrench(chain, f, f.p[-1], down, held)
+
+
+def _tip_wrench(chain: Chain, f: Frames, at: Array, down: Array, held: HeldBehind | None) -> Array:
+    """The wrenches, (n, 6, N), of 1 kg at points (3, N) that move with the last joint."""
     mass = np.zeros(chain.n)
     mass[-1] = 1.0
     held = None if held is None else held.empty
-    return _wrench(chain, f, mass, np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape)), down, held)
+    return _wrench(chain, f, mass, np.broadcast_to(at, (chain.n, *at.shape)), down, held)
 
 
 def offset_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
     """How the latter changes with each metre that the mass is beside the tip, along the tip's x, y, z, (3, n, 6, N)."""
     f = frames(chain, q)
-    mass = np.zeros(chain.n)
-    mass[-1] = 1.0
-    at = np.broadcast_to(f.p[-1], (chain.n, *f.p[-1].shape))
-    held = None if held is None else held.empty
-    own = _wrench(chain, f, mass, at, down, held)
-    return np.stack([_wrench(chain, f, mass, at + f.axes[-1, d], down, held) - own for d in range(3)])
+    own = _tip_wrench(chain, f, f.p[-1], down, held)
+    return np.stack([_tip_wrench(chain, f, f.p[-1] + f.axes[-1, d], down, held) - own for d in range(3)])
 
 
 def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int, moved: Array | None) -> Array:
