@@ -73,7 +73,7 @@ def blocks_at(samples: Samples, around: Drivers) -> Iterable[RowBlock]:
     def made() -> list[RowBlock]:
         return [replace(block, at=Drivers(block.part, around.arm)) for block in blocks(samples)]
 
-    found: list[RowBlock] = around.made_as(("blocks", BLOCK), made)
+    found: list[RowBlock] = around.kept.made_as(("blocks", BLOCK), made)
     return found
 
 

@@ -106,7 +106,7 @@ def product(one: Curve, other: Curve, weight: Array, at: Drivers) -> Array:
     if one.knots.value.size * other.knots.value.shape[1] > _MAX_KEPT:
         blocks = _blocks(one.knots, other.knots)
     else:
-        blocks = at.made_of((one.knots, other.knots), _blocks)
+        blocks = at.kept.made_of((one.knots, other.knots), _blocks)
     return np.asarray(blocks @ weight).reshape(len(one), len(other))
 
 

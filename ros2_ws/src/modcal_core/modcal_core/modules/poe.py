@@ -80,7 +80,7 @@ def chain_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, st
     frame that its part ends in; parts are "whole", and "to_axis" and "from_axis" of joints.
     """
     assembly.checked(library)
-    M = _origins(assembly, library, errors or {})
+    M = origins(assembly, library, errors)
     kinds = [library.types[m.kind] for m in assembly.joints]
     return Chain.build(
         names=assembly.joint_names,
@@ -93,15 +93,15 @@ def chain_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, st
     )
 
 
-def _origins(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str], Array]) -> Array:
-    """M_0 … M_n of the arm, (n + 1, 4, 4) [m], with these errors put in."""
+def origins(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str], Array] | None = None) -> Array:
+    """M_0 … M_n of the arm, (n + 1, 4, 4) [m], errors put in as of :func:`chain_of`; the assembly has been checked."""
     M = []
     for segment in pieces(assembly, library):
         T = np.eye(4)
         for piece in segment:
             T = T @ piece.T
             serial = assembly.modules[piece.module].serial
-            if not piece.is_interface and serial and (serial, piece.part) in errors:
+            if errors and not piece.is_interface and serial and (serial, piece.part) in errors:
                 T = T @ se3.exp(errors[serial, piece.part])
         M.append(T)
     return np.stack(M)

@@ -40,8 +40,8 @@ class PlanRequest:
     stations: how many; None: as many as the accuracy needs, or half as many again as the fewest. accuracy: [m], of what
     measure says: ``rms`` or ``p95``. criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that
     are not fitted. starts: of the exchange. candidates: postures to choose from. besides: stations (N, n) that are
-    measured already and count too.
-    returns: how many stations are visited twice, so that it is known what the arm does not repeat.
+    measured already and count too. returns: how many stations are visited twice, so that it is known what the arm does
+    not repeat.
     """
 
     stations: int | None = None

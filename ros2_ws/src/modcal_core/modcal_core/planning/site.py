@@ -11,7 +11,7 @@ inverse kinematics. So these are spread evenly over what can be seen, and not ov
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -124,10 +124,11 @@ class Site:
 
 
 _TOP = {"modcal_site", "tracker", "target", "noise", "arm", "surroundings", "limits", "workspace"}
+_NOISE = ("position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_m")  # in the order of Noise
 _KEYS = {
     "tracker": {"position_m", "axis", "half_angle_deg", "range_m", "on_tool"},
     "target": {"position_m", "axis", "half_angle_deg", "radius_m"},
-    "noise": {"position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_m"},
+    "noise": set(_NOISE),
     "arm": {"spheres", "link_radius_m", "margin_m"},
     "surroundings": {"floor_m", "spheres", "boxes"},
     "workspace": {"box_m"},
@@ -142,7 +143,6 @@ def site_from_data(data: Any, source: str) -> Site:
         raise BadTable(source, f"modcal_site is {top['modcal_site']!r}, {FORMAT} is known", "correct the file")
     part = {key: _mapping(top.get(key) or {}, keys, f"{source}, {key}") for key, keys in _KEYS.items()}
     arm, around, noise = part["arm"], part["surroundings"], part["noise"]
-    usual = Noise()
     box = part["workspace"].get("box_m")
     return Site(
         tracker=_tracker(part["tracker"], f"{source}, tracker") if part["tracker"] else None,
@@ -154,13 +154,7 @@ def site_from_data(data: Any, source: str) -> Site:
         noise=Noise(
             *(
                 _size(noise, key, f"{source}, noise", default)
-                for key, default in (
-                    ("position_m", usual.position),
-                    ("position_m_per_m", usual.per_metre),
-                    ("rotation_rad", usual.rotation),
-                    ("joint_rad", usual.joint_turn),
-                    ("joint_m", usual.joint_slide),
-                )
+                for key, default in zip(_NOISE, astuple(Noise()), strict=True)
             )
         ),
         spheres=_balls(arm.get("spheres"), True, f"{source}, arm"),
@@ -259,7 +253,7 @@ def view_postures(chain: Chain, site: Site, count: int, rng: np.random.Generator
     tracker, target = site.tracker, site.target
     assert tracker is not None
     start = random_postures(chain, count, rng)
-    reach = _reach(chain)
+    reach = float(np.linalg.norm(chain.along_z[:, :3, 3], axis=1).sum())  # of the arm stretched out [m]
     farthest = min(tracker.farthest, tracker.nearest + 2.0 * reach)
     distance = rng.uniform(max(tracker.nearest, target.radius), farthest, count)
     view = tracker.view or _AROUND
@@ -281,12 +275,6 @@ def view_postures(chain: Chain, site: Site, count: int, rng: np.random.Generator
     near = np.linalg.norm(T[:, :3, 3], axis=1) <= reach
     reached = inverse_batch(chain, T[near], start[near])
     return np.asarray(reached.q[reached.met])
-
-
-def _reach(chain: Chain) -> float:
-    """Length [m] of the arm stretched out."""
-    M = chain.along_z
-    return float(np.linalg.norm(M[:, :3, 3], axis=1).sum())
 
 
 def _within(axis: Array, angle: Array, rng: np.random.Generator) -> Array:

@@ -76,11 +76,9 @@ def _of_closed(chain: Mechanism, site: Site) -> Spheres:
 
 def _lines(chain: Chain, target: Array) -> list[tuple[Array, Array]]:
     """The two ends of every link, joint to joint, in the frame it carries; the last one ends at target or camera."""
-    M = chain.along_z
-    out = [(-M[0, :3, :3].T @ M[0, :3, 3], np.zeros(3))]
-    for k in range(1, chain.n + 1):
-        out.append((se3.inverse(M[k])[:3, 3], np.zeros(3)))
-    return [*out[:-1], (out[-1][0], target)]
+    starts, ends = se3.inverse(chain.along_z)[:, :3, 3], np.zeros((chain.n + 1, 3))
+    ends[-1] = target
+    return list(zip(starts, ends, strict=True))
 
 
 def _along(a: Array, b: Array, spacing: float) -> list[Array]:
