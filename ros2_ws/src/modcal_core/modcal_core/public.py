@@ -228,11 +228,9 @@ def _require_measured(report: Report, samples: Samples) -> None:
     computed = [reason for reason in report.open_because if COMPUTED in reason]
     by_type = samples.origin.by_type
     if computed and by_type:
-        raise BadRecording(
-            f"topic {by_type[0]}",
-            f"was taken as the tracker's topic, as the only candidate; but {computed[0].rstrip('.')}",
-            f"record a tracker, or state --topic tracker/pose={by_type[0]} if it is one",
-        )
+        said = f"was taken as the tracker's topic, as the only candidate; but {computed[0].rstrip('.')}"
+        remedy = f"record a tracker, or state --topic tracker/pose={by_type[0]} if it is one"
+        raise BadRecording(f"topic {by_type[0]}", said, remedy)
 
 
 def _described(samples: Samples) -> str | None:

@@ -173,11 +173,8 @@ def with_frames(model: Model, frames: Sequence[str]) -> Model:
     """The model watched from these of its frames, in this order; raises BadTable for one it does not know."""
     for name in frames:
         if name not in model.frames:
-            raise BadTable(
-                f"frame '{name}' of the recording",
-                f"the calibration knows only {', '.join(model.frames)}",
-                "give --refit-base to find the base again",
-            )
+            said = f"the calibration knows only {', '.join(model.frames)}"
+            raise BadTable(f"frame '{name}' of the recording", said, "give --refit-base to find the base again")
     rows = [model.frames.index(name) for name in frames]
     return replace(
         model,
@@ -332,11 +329,8 @@ def _require_moving(samples: Samples, frame: str, chain: Mechanism) -> None:
     seen = _scatter_of_sockets(samples.reading)
     topic = f"/tracker/{samples.kind[0]} ({frame})"
     if _THOUSANDTH[0] * moved < seen < _THOUSANDTH[1] * moved and _follows(tip, samples.reading):
-        raise BadRecording(
-            topic,
-            f"readings follow the tip at a thousandth of its motion (RMS {1e3 * seen:.3g} of {1e3 * moved:.0f} mm)",
-            "positions look like metres taken for millimetres: state the unit m",
-        )
+        said = f"readings follow the tip at a thousandth of its motion (RMS {1e3 * seen:.3g} of {1e3 * moved:.0f} mm)"
+        raise BadRecording(topic, said, "positions look like metres taken for millimetres: state the unit m")
     if seen < _STANDS * moved and turned < _STANDS:
         raise BadRecording(
             topic,

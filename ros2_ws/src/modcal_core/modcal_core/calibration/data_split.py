@@ -74,11 +74,8 @@ def split(
     role = np.array([role_of_station[s] for s in samples.station.tolist()])
     train, explain, held_out = (np.flatnonzero(role == r) for r in range(3))
     if block > 1 and not min(len(train), len(explain), len(held_out)):
-        raise NotEnoughData(
-            f"--block {block}",
-            f"{len(first)} stations in blocks of {block} leave nothing to fit, to choose effects by or to hold out",
-            f"give at most --block {max(1, len(first) // _FEWEST)}",
-        )
+        said = f"{len(first)} stations in blocks of {block} leave nothing to fit, to choose effects by or to hold out"
+        raise NotEnoughData(f"--block {block}", said, f"give at most --block {max(1, len(first) // _FEWEST)}")
     return Split(train, explain, held_out, unit="station" if block == 1 else "block")
 
 

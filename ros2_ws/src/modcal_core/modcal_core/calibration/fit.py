@@ -398,11 +398,9 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
     if equations < need:
         least = int(np.ceil(need / max(equations / max(postures, 1), 1e-9)))
         they = "they" if share == 1.0 else f"the {share:.0%} of them that fit"
-        raise NotEnoughData(
-            f"{samples.stations} stations{of_them} for {parameters} parameters",
-            f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed",
-            f"record at least {least} {'different postures' if of_them else 'stations'}, or fix parameters",
-        )
+        said = f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed"
+        remedy = f"record at least {least} {'different postures' if of_them else 'stations'}, or fix parameters"
+        raise NotEnoughData(f"{samples.stations} stations{of_them} for {parameters} parameters", said, remedy)
 
 
 def _cost(at: Linearised, row_weight: Array) -> float:

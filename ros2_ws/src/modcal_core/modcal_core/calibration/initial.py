@@ -74,11 +74,9 @@ def require_placeable(known: Sequence[Known], samples: Samples) -> None:
         }
         same = np.allclose(k.T_frame_to, np.eye(4))
         if POSE_OF_FRAME not in seen and not (seen == {PLANE} and same):
-            raise BadTable(
-                f"frame '{k.frame}', known in '{k.to}'",
-                f"'{k.to}' is {'a plane' if PLANE in seen else 'an anchor'} and has no orientation of its own",
-                "state it in a tracker's or a station's frame, or in the base",
-            )
+            said = f"'{k.to}' is {'a plane' if PLANE in seen else 'an anchor'} and has no orientation of its own"
+            remedy = "state it in a tracker's or a station's frame, or in the base"
+            raise BadTable(f"frame '{k.frame}', known in '{k.to}'", said, remedy)
 
 
 def place_instruments(
@@ -124,11 +122,8 @@ def require_readings(instruments: Sequence[Instrument], samples: Samples) -> Non
     for instrument in instruments:
         count, least = len(instrument.rows(samples)), instrument.of_kind.least
         if count < least:
-            raise NotEnoughData(
-                f"frame '{instrument.frame}'",
-                f"{count} readings of kind {instrument.kind}, at least {least} are needed",
-                "record more stations in it",
-            )
+            said = f"{count} readings of kind {instrument.kind}, at least {least} are needed"
+            raise NotEnoughData(f"frame '{instrument.frame}'", said, "record more stations in it")
 
 
 def residuals(instruments: Sequence[Instrument], samples: Samples, T_base_tool: Array, T_frame_base: Array) -> Array:

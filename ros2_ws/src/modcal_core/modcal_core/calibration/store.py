@@ -213,17 +213,13 @@ class Calibration:
     def require_robot(self, chain: Mechanism) -> None:
         """Raises BadRobot unless the chain is the nominal one this calibration was made for."""
         if chain.names != self.nominal.chain.names:
-            raise BadRobot(
-                f"calibration of joints {', '.join(self.nominal.chain.names)}",
-                f"this robot has {', '.join(chain.names)}",
-                "use the calibration of this robot, or --base and --tip of the one it was made for",
-            )
+            said = f"this robot has {', '.join(chain.names)}"
+            remedy = "use the calibration of this robot, or --base and --tip of the one it was made for"
+            raise BadRobot(f"calibration of joints {', '.join(self.nominal.chain.names)}", said, remedy)
         if fingerprint(chain) != self.robot:
-            raise BadRobot(
-                f"calibration of robot {self.robot}",
-                f"this description is robot {fingerprint(chain)}: same joints, other nominal kinematics",
-                "use the URDF it was made from, or calibrate again",
-            )
+            said = f"this description is robot {fingerprint(chain)}: same joints, other nominal kinematics"
+            remedy = "use the URDF it was made from, or calibrate again"
+            raise BadRobot(f"calibration of robot {self.robot}", said, remedy)
 
 
 def fingerprint(chain: Mechanism) -> str:

@@ -75,11 +75,8 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
     pieces = [_cut(track, t, q, velocity, dwells, rules) for track in tracks]
     counts = [len(p.q) for p in pieces]
     if not sum(counts):
-        raise BadRecording(
-            "joint states and readings",
-            _why_nothing(tracks, t, dwells),
-            "record both at once on synchronised clocks, holding each posture for a second",
-        )
+        remedy = "record both at once on synchronised clocks, holding each posture for a second"
+        raise BadRecording("joint states and readings", _why_nothing(tracks, t, dwells), remedy)
     frames = tuple(dict.fromkeys(track.frame for track in tracks))
     whole: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in _COLUMNS}
     moving = np.repeat([p.moving for p in pieces], counts)

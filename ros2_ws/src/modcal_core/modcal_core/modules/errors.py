@@ -85,11 +85,8 @@ def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -
     """
     chain = chain_of(assembly, library)
     if chain.n < 2:
-        raise NotEnoughData(
-            f"assembly {assembly.name}",
-            "it has one joint, and the parts before and behind it cannot be distinguished from base and tool",
-            "learn from assemblies of two joints or more",
-        )
+        said = "it has one joint, and the parts before and behind it cannot be distinguished from base and tool"
+        raise NotEnoughData(f"assembly {assembly.name}", said, "learn from assemblies of two joints or more")
     start = fit_cell(chain, samples, Cell())
     choice = choose_parameters(start.model, views_of(samples))
     fit = identify(start.model, samples, choice.parameters)

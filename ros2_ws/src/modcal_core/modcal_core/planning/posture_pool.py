@@ -99,11 +99,9 @@ def survey(
     all_free, q = np.concatenate(free), np.concatenate(seen)[:candidates]
     if len(q) < 2:
         what = "touches nothing" if not len(all_free) else "is seen by the tracker"
-        raise NotPlannable(
-            f"{tried} postures within the joints' limits",
-            f"{'none' if not len(q) else 'one'} {what}",
-            "check the site: radii, floor, obstacles, the tracker's place, cone and range",
-        )
+        said = f"{'none' if not len(q) else 'one'} {what}"
+        remedy = "check the site: radii, floor, obstacles, the tracker's place, cone and range"
+        raise NotPlannable(f"{tried} postures within the joints' limits", said, remedy)
     inside = all_free
     if site.box is not None:
         at = model.predict(inside)[:, :3, 3] - T[:3, 3]

@@ -205,11 +205,8 @@ def orthogonal_array(factors: int, levels: int) -> np.ndarray:
     while (levels**k - 1) // (levels - 1) < factors:
         k += 1
     if levels**k > _MAX_RUNS:
-        raise BadTable(
-            f"orthogonal array of {factors} factors at {levels} levels",
-            f"{levels**k} runs, {_MAX_RUNS} are the limit",
-            "choose fewer levels",
-        )
+        said = f"{levels**k} runs, {_MAX_RUNS} are the limit"
+        raise BadTable(f"orthogonal array of {factors} factors at {levels} levels", said, "choose fewer levels")
     # unit vectors last to first, then the sums: i, j, i + j, i + 2 j … for two
     forms = sorted(
         (c for c in product(range(levels), repeat=k) if any(c) and c[np.flatnonzero(c)[0]] == 1),

@@ -345,11 +345,9 @@ class Window:
         half = 0.5 * (self.upper - self.lower)[at, joint]
         needed = abs(0.5 * (self.upper + self.lower)[at, joint])
         where = f" at posture {at + 1} of {len(self.lower)}" if len(self.lower) > 1 else ""
-        raise Overloaded(
-            f"joint {self.names[joint]}{where}",
-            f"gravity, friction and speed need {needed:.4g} of the {half:.4g} N m (N) that its drive has",
-            "reduce the payload or the speed, or use another posture",
-        )
+        said = f"gravity, friction and speed need {needed:.4g} of the {half:.4g} N m (N) that its drive has"
+        remedy = "reduce the payload or the speed, or use another posture"
+        raise Overloaded(f"joint {self.names[joint]}{where}", said, remedy)
 
     def together(self) -> Window:
         """The accelerations that are within all N windows, as one window with all their rows, (1, N n, n)."""

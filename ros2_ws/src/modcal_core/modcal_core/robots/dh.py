@@ -133,12 +133,11 @@ def _rows(chain: Chain, largest_offset: float) -> _Rows:
         links.append(link)
         theta, d = link.phi, link.c
     if pairs:
-        raise NotRepresentable(
-            f"axes of joints {'; '.join(pairs)} from parallel",
+        said = (
             f"DH's offset would move by {most:.3g} m with a mrad, and be {farthest:.3g} m, "
-            f"{largest_offset:g} m is the limit",
-            "write a CPC table instead",
+            f"{largest_offset:g} m is the limit"
         )
+        raise NotRepresentable(f"axes of joints {'; '.join(pairs)} from parallel", said, "write a CPC table instead")
     return _Rows(T_base, links, _Link(theta, d), constants[-1])
 
 

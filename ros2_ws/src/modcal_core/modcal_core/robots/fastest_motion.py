@@ -123,11 +123,9 @@ def fastest(s: Array, rows: PathRows) -> Timing:
         p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])
         reachable[k] = min(_largest_x(p, r, h), rows.most[k])
         if not reachable[k] > 0.0:
-            raise Overloaded(
-                f"path at {s[k] / s[-1]:.1%} of its length",
-                "no speed within the limits reaches its end",
-                "reduce the payload, or use a path that the drives can hold everywhere",
-            )
+            said = "no speed within the limits reaches its end"
+            remedy = "reduce the payload, or use a path that the drives can hold everywhere"
+            raise Overloaded(f"path at {s[k] / s[-1]:.1%} of its length", said, remedy)
     x = np.zeros(len(s))
     for k in range(len(step)):
         p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])

@@ -55,11 +55,8 @@ class Payload:
         tensor = np.array([[i[0], i[3], i[4]], [i[3], i[1], i[5]], [i[4], i[5], i[2]]])
         least = np.linalg.eigvalsh(0.5 * np.trace(tensor) * np.eye(3) - tensor).min()  # Σ m r rᵀ of a body is not < 0
         if least < -_SAME * max(1e-3, float(np.abs(i).max())):
-            raise BadRobot(
-                "payload: inertia",
-                f"{_said(i)} is not physical: moments obey a + b ≥ c",
-                "give it about the centre of mass",
-            )
+            said = f"{_said(i)} is not physical: moments obey a + b ≥ c"
+            raise BadRobot("payload: inertia", said, "give it about the centre of mass")
         return cls(float(mass), c, tensor)
 
 
