@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.calibration.cell import Cell, StatedPayload, fit_cell, free_cell, own_statement, refit_cell
     from modcal_core.calibration.cell import together_stated, with_frames, with_sockets
-    from modcal_core.calibration.covariance import Identifiability, Uncertainty, identifiability, uncertainty
-    from modcal_core.calibration.covariance import values_without, without
+    from modcal_core.calibration.covariance import GroupSizes, Identifiability, Uncertainty, identifiability
+    from modcal_core.calibration.covariance import likely_sizes, uncertainty, values_without, without
     from modcal_core.calibration.data_split import SHARES, RejectedPlace, Split, block_length, consecutive, distinct
     from modcal_core.calibration.data_split import hold_out_all, in_order_of_time, independent_unit, places_of, runs_of
     from modcal_core.calibration.data_split import split, station_numbers, units_of_stations
     from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance, distance_rows
-    from modcal_core.calibration.empirical_bayes import GroupSizes, likely_sizes
-    from modcal_core.calibration.equations import normal_equations
-    from modcal_core.calibration.final_fit import finalise, sharpened
-    from modcal_core.calibration.fit import EQUATIONS_PER_PARAMETER, FITTED, WHATS, Curvature, Fit, Move, What
-    from modcal_core.calibration.fit import identify, identify_moved, priors, require_enough
+    from modcal_core.calibration.equations import nonnegative, normal_equations
+    from modcal_core.calibration.final_fit import Readmitted, finalise, readmitted, right_after_all, sharpened
+    from modcal_core.calibration.final_fit import uncontradicted
+    from modcal_core.calibration.fit import EQUATIONS_PER_PARAMETER, FITTED, WHATS, Curvature, Fit, Move, What, identify
+    from modcal_core.calibration.fit import identify_moved, priors, require_enough
     from modcal_core.calibration.initial import Known, base_and_tool_turns, base_by_positions, hand_eye
     from modcal_core.calibration.initial import place_instruments, procrustes, tool_and_place, turns_left
     from modcal_core.calibration.instruments import Instrument, new_instruments
@@ -35,18 +35,15 @@ if TYPE_CHECKING:
     from modcal_core.calibration.linearisation import Deviations, RowView, apply_deviations, deviations, geometry_rows
     from modcal_core.calibration.linearisation import linearise, model_at
     from modcal_core.calibration.model import BLEND, Model, between, curved_joints, place_model
-    from modcal_core.calibration.nnls import nonnegative
-    from modcal_core.calibration.noise import HUBER_Z, REJECT_Z, Groups, NoiseModel, as_normal, beyond_chi2
-    from modcal_core.calibration.noise import beyond_gumbel, beyond_normal, exceeded_chi2, gumbel_of, log10_beyond_f
-    from modcal_core.calibration.noise import median_chi2, quantile_chi2, robust_weights, row_weights, score_of_one
-    from modcal_core.calibration.noise import standard_score
+    from modcal_core.calibration.noise import FINEST, HUBER_Z, REJECT_Z, ErrorSize, Errors, Groups, NoiseModel
+    from modcal_core.calibration.noise import as_normal, beyond_chi2, beyond_gumbel, beyond_normal, errors
+    from modcal_core.calibration.noise import exceeded_chi2, gumbel_of, log10_beyond_f, median_chi2, outlying
+    from modcal_core.calibration.noise import quantile_chi2, robust_weights, row_weights, score_of_one
+    from modcal_core.calibration.noise import squared_residuals, standard_score, usual_miss
     from modcal_core.calibration.parameters import INSTRUMENT, PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, ModelParameter, View
     from modcal_core.calibration.parameters import direction_names, drop_fixed, least_change, ordered_candidates
     from modcal_core.calibration.parameters import passing_directions
     from modcal_core.calibration.prediction import averaged, outside_drivers
-    from modcal_core.calibration.readmission import Readmitted, readmitted, right_after_all, uncontradicted
-    from modcal_core.calibration.score import FINEST, ErrorSize, Errors, errors, outlying, squared_residuals
-    from modcal_core.calibration.score import usual_miss
     from modcal_core.calibration.starts import fit_geometry
     from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places
     from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data

@@ -26,7 +26,7 @@ from modcal_core.calibration.covariance import Uncertainty, uncertainty
 from modcal_core.calibration.distances import CONTRADICTED, AnyDistance, Distance, distance_rows
 from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import Samples

@@ -20,9 +20,8 @@ from modcal_core.calibration.cell import Cell, with_bases
 from modcal_core.calibration.distances import distance_cost
 from modcal_core.calibration.fit import CONVERGED, FITTED, Fit, identify, identify_moved
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.noise import NoiseModel, errors, squared_residuals
 from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.stated import as_stated
 from modcal_core.effects import is_move
 from modcal_core.errors import NotEnoughData

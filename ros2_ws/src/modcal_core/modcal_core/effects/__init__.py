@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from modcal_core.effects.effect import columns, is_large_move, is_move, is_turned, knots_of, motion, place_index
     from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns
     from modcal_core.effects.family import FREE, USUAL, ReportEntry, nothing_plainer
-    from modcal_core.effects.registry import candidates, claimed, companionless, complexity, family_named
-    from modcal_core.effects.registry import require_known, with_companions
+    from modcal_core.effects.registry import candidates, claimed, companionless, complexity, family_named, require_known
+    from modcal_core.effects.registry import with_companions
     from modcal_core.effects.shapes import PERIODIC, Shape, periodic
     from modcal_core.effects.sizes import AxisCurves, Quantity, Sizes, component_names, curve, curve_sizes, unit_of
 else:

@@ -14,10 +14,9 @@ import numpy as np
 
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array
-from modcal_core.measurements.approach import MIN_RETURNS, returns
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
-from modcal_core.measurements.dwells import StationRules, find_dwells
+from modcal_core.measurements.dwells import MIN_RETURNS, StationRules, find_dwells, returns
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions, joints_by_time
 from modcal_core.robots import Mechanism

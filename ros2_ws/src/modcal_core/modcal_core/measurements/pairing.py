@@ -15,8 +15,7 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
-from modcal_core.measurements.approach import TRAVEL
-from modcal_core.measurements.dwells import StationRules, deviation_of_mean, dwells_of, inliers, spread_rows
+from modcal_core.measurements.dwells import TRAVEL, StationRules, deviation_of_mean, dwells_of, inliers, spread_rows
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (

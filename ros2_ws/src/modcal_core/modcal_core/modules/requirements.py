@@ -23,7 +23,7 @@ import numpy as np
 from modcal_core.geometry import Array, se3
 from modcal_core.modules.catalogue import Arms
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.targets import TargetPostures, frames
+from modcal_core.modules.targets import TargetPostures, frames, starts
 from modcal_core.robots import STANDARD_GRAVITY
 
 CODE, REACH, ARM, POSTURE = "code", "reachability", "arm", "posture"
@@ -87,8 +87,6 @@ def farthest_reach(arms: Arms, tries: int = 16) -> Array:
     Joint by joint the distance is the largest there is: for a turning one its square is c + A cos q + B sin q. From
     several postures, so it may come out a little short of the truth, never long.
     """
-    from modcal_core.modules.reaching import starts
-
     unit = np.random.default_rng(0).random((tries, arms.n))
     q = starts(arms, unit)
     low = np.where(np.isfinite(arms.lower), arms.lower, np.where(arms.revolute, -np.pi, -_FREE_SLIDE))

@@ -11,10 +11,10 @@ import numpy as np
 
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
+from modcal_core.modules.coding import plain_name
 from modcal_core.modules.evaluation import uses_of
 from modcal_core.modules.genetic import SearchSettings
 from modcal_core.modules.requirements import REQUIREMENTS, Requirement
-from modcal_core.modules.spec import plain_name
 from modcal_core.modules.synthesis import SynthesisTask
 from modcal_core.modules.targets import Target
 

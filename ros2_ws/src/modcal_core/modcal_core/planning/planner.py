@@ -19,8 +19,7 @@ from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, cr
 from modcal_core.planning.fedorov import Exchange, exchange
 from modcal_core.planning.posture_pool import CANDIDATES, PosturePool, random_accuracies, survey
 from modcal_core.planning.route import RETURNS, Route, route
-from modcal_core.planning.site import Site
-from modcal_core.planning.spheres import clearance, visible
+from modcal_core.planning.site import Site, clearance, visible
 from modcal_core.planning.worth import Accuracy, StationRows, station_rows
 from modcal_core.robots import Mechanism
 

@@ -6,23 +6,21 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.robots.acceleration import Drives, Window, bias_torque, read_drives, torque
+    from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, chain_gravity_wrench
+    from modcal_core.robots.bodies import with_payload
     from modcal_core.robots.chain import Chain
     from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
-    from modcal_core.robots.delta import RATIO, ZERO, Delta
-    from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+    from modcal_core.robots.delta import RATIO, ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_positions
-    from modcal_core.robots.dh import to_dh
-    from modcal_core.robots.dh_nearest import NearestTable, nearest_dh
+    from modcal_core.robots.dh import plain, read_rows, to_dh, vector
     from modcal_core.robots.fastest_motion import constant_bounds
-    from modcal_core.robots.gravity import DOWN, STANDARD_GRAVITY, HeldWeight, chain_gravity_wrench
-    from modcal_core.robots.inertia import Payload, with_payload
     from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
     from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, pose_and_jacobian
     from modcal_core.robots.kinematics import spatial_jacobian
     from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
     from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
-    from modcal_core.robots.table_rows import plain, read_rows, vector
-    from modcal_core.robots.tables import CONVENTIONS, UNITS, from_csv, from_table, loss, to_csv, to_table
+    from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_csv, from_table, loss, nearest_dh
+    from modcal_core.robots.tables import to_csv, to_table
     from modcal_core.robots.urdf import LoadedArm, joint_origins, other_tips, read_chain, read_path, require_method
     from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
     from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless

@@ -17,7 +17,7 @@ A joint that stands may begin to move either way: then dry friction is taken fro
 
 What goes with no acceleration follows by Newton and Euler's recursion, written in the base frame, where it becomes sums
 along the chain. With S_i the unit twist of joint i and I_j the spatial inertias of
-:mod:`modcal_core.robots.inertia`, at q̈ = 0:
+:mod:`modcal_core.robots.bodies`, at q̈ = 0:
 
     V_j = Σ_{i ≤ j} S_i q̇_i,    A_j = (−g, 0) + Σ_{i ≤ j} ad(V_i) S_i q̇_i,
     F_j = I_j A_j − ad(V_j)ᵀ I_j V_j,    τ_i = S_iᵀ Σ_{j ≥ i} F_j.
@@ -49,9 +49,8 @@ from scipy.linalg.lapack import dposv
 
 from modcal_core.errors import BadRobot, Overloaded
 from modcal_core.geometry import Array, so3
+from modcal_core.robots.bodies import STANDARD_GRAVITY, Bodies, beyond
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import STANDARD_GRAVITY
-from modcal_core.robots.inertia import Bodies, beyond
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.robots.urdf_tree import document
 

@@ -32,8 +32,8 @@ from scipy.interpolate import CubicSpline
 from modcal_core.errors import BadTable, Overloaded
 from modcal_core.geometry import Array
 from modcal_core.robots.acceleration import DOWN, Drives, Window, bias_of, window
+from modcal_core.robots.bodies import Bodies
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inertia import Bodies
 from modcal_core.robots.urdf_inertias import Inertias
 
 # --- A path through joint positions without a time: how far along each joint stands, and its first two derivatives

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array
 from modcal_core.robots.acceleration import DOWN, Drives, Window, read_drives, window
+from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inertia import Payload, with_payload
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 from modcal_core.robots.urdf_tree import TURNS, Joint, Tree, parse
 
