@@ -216,13 +216,16 @@ def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRu
     believed: list[tuple[float | None, float | None]] = []
     notes = []
     for track in tracks:
-        own = _median(track)
+        assert track.stated is not None
+        known = [c[np.isfinite(c)] for c in track.stated.T]  # of position [m] and angle [rad]
+        own = np.array([float(np.median(c)) if len(c) else np.nan for c in known])
         seen = _scatter(track, dwells)
         name = f"{track.topic} ({track.frame})"
         units = ((1e3, "mm", MAX_MM), (np.degrees(1.0), "°", MAX_DEG))
         kept: list[float | None] = []
         for what, shown, (scale, unit, largest) in zip(own, seen, units, strict=True):
-            value = _checked(what, shown, scale, largest)
+            borne_out = np.isfinite([what, shown]).all() and shown / _FACTOR <= what <= shown * _FACTOR
+            value = float(scale * what) if borne_out and 0.0 < scale * what <= largest else None
             kept.append(value)
             if np.isfinite(what):
                 notes.append(
@@ -245,24 +248,11 @@ def together_stated(parts: Sequence[Stated]) -> Stated:
     return Stated(**values)
 
 
-def _checked(what: float, shown: float, scale: float, largest: float) -> float | None:
-    """The statement in mm or degrees, if it is borne out."""
-    if not np.isfinite([what, shown]).all() or not shown / _FACTOR <= what <= shown * _FACTOR:
-        return None
-    return float(scale * what) if 0.0 < scale * what <= largest else None
-
-
 def _why(value: float | None, shown: float, scale: float, unit: str) -> str:
     if not np.isfinite(shown):
         return f": not used, because the arm does not stand still long enough to compare. {_REMEDY}, if it is known"
     seen = f"its readings scatter by {scale * shown:.3g} {unit} where the arm stands still"
     return f"; {seen}, which agrees with it" if value is not None else f": not used, because {seen}"
-
-
-def _median(track: ReadingTrack) -> Array:
-    """The usual statement of position [m] and angle [rad], (2,); NaN where there is none."""
-    assert track.stated is not None
-    return np.array([float(np.median(c[np.isfinite(c)])) if np.isfinite(c).any() else np.nan for c in track.stated.T])
 
 
 def _scatter(track: ReadingTrack, dwells: Array) -> Array:

@@ -172,8 +172,11 @@ def finalise(
         samples = samples.select(~wrong)
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
     begun = nominal.model if geometry is None else geometry.start
-    fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
-    fits = [nominal, fit]
+    if geometry is None or any(is_move(effect) for effect in begun.effects):
+        fit = identify_moved(begun, samples, choice.parameters, cell.distances, reject=not decided)
+    else:
+        fit = identify(begun, samples, choice.parameters, cell.distances, begin=geometry.values, reject=not decided)
+    last, fits = fit, [nominal, fit]
     geometric = least_change(fit.model, chain)
     if scored is None or not scored.model.effects:
         tidy = geometric
@@ -193,12 +196,13 @@ def finalise(
     kind = str(samples.kind[0])
     few = samples.q[spread_rows(len(samples), _MAX_KEPT)]
     covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
+    left = errors(geometric, samples).position_norm  # not finite where readings show no positions
     return Calibration(
         *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),
         scatter=typical_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,
-        left_alone=_left(geometric, samples),
+        left_alone=float(np.sqrt(np.mean(left**2))) if np.isfinite(left).all() else 0.0,
         geometry_outside=geometry_is_better(tidy, geometric, samples, choice.parameters, last, cell.distances),
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
@@ -219,19 +223,6 @@ def _require_each_frame(samples: Samples, kept: np.ndarray) -> None:
                 "see whether its axes are left-handed, its units and its quaternions, and what it looks at; or leave "
                 "its topic out with --ignore",
             )
-
-
-def _left(model: Model, samples: Samples) -> float:
-    """RMS [m] that a model leaves of positions; 0 where readings show none, or everything is met."""
-    square = errors(model, samples).position_norm ** 2
-    return float(np.sqrt(np.mean(square))) if np.isfinite(square).all() else 0.0
-
-
-def _geometry(start: Model, samples: Samples, choice: ParameterChoice, cell: Cell, at: Fit | None, reject: bool) -> Fit:
-    """The fit of geometry alone, from where another fit of it ended."""
-    if at is None or any(is_move(effect) for effect in start.effects):
-        return identify_moved(start, samples, choice.parameters, cell.distances, reject=reject)
-    return identify(start, samples, choice.parameters, cell.distances, begin=at.values, reject=reject)
 
 
 # --- Rejected samples that no other sample speaks against: a learned curve is known there from rejected ones alone

@@ -197,11 +197,6 @@ def waves(x: Array, s: Settings) -> Array:
     return np.concatenate([np.sin(phase), np.cos(phase)])
 
 
-def _wave_count(s: Settings) -> int:
-    order = int(s["order"])
-    return 2 * (order + order * (order + 1) + order * order)
-
-
 def periodic(kind: str, cycles: Array, x: Array) -> Array:
     """Basis functions (C, b, N) of shapes of a PERIODIC kind with these cycles a turn (C,), at drivers x (N,)."""
     turn = _turns(cycles, x)
@@ -265,6 +260,6 @@ KINDS: Mapping[str, ShapeKind] = {
     "settle": ShapeKind(settle, refined={"tau": Setting(unit="s", name="time_constant")}),
     "spline": ShapeKind(splines, lambda s: int(s["count"])),
     "polynomial": ShapeKind(polynomial, lambda s: int(s["degree"])),
-    "waves": ShapeKind(waves, _wave_count),
+    "waves": ShapeKind(waves, lambda s: 4 * int(s["order"]) * (int(s["order"]) + 1)),
 }
 FREE = ("spline", "polynomial", "waves")

@@ -92,9 +92,9 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
     for joint in recording.joints:
         facts.append(_facts(joint.topic, f"{len(joint.names)} joints: {', '.join(joint.names)}", joint.stamps))
         findings += _clock_findings(joint.topic, joint.stamps, joint.received)
-        findings += [
-            f"Joint {name} never moves." for name in _constant(joint.names, joint.position) if len(joint.stamps) > 2
-        ]
+        for name, p in zip(joint.names, joint.position.T, strict=True):
+            if len(joint.stamps) > 2 and np.isfinite(p).all() and np.ptp(p) < _CONSTANT:
+                findings.append(f"Joint {name} never moves.")
     for told in recording.commands:
         facts.append(_facts(told.topic, f"commands of {len(told.names)} joints", told.stamps))
     for reading in recording.readings:
@@ -163,10 +163,6 @@ def _receive_finding(recording: Recording) -> list[str]:
         for r in recording.readings
         if np.isfinite(r.received).any() and abs(offset := usual - float(np.nanmedian(r.received - r.stamps))) > _CLOCKS
     ]
-
-
-def _constant(names: tuple[str, ...], position: Array) -> list[str]:
-    return [n for n, p in zip(names, position.T, strict=True) if np.isfinite(p).all() and np.ptp(p) < _CONSTANT]
 
 
 def _stuck_finding(name: str, values: Array) -> list[str]:

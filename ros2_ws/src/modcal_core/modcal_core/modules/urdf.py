@@ -205,13 +205,10 @@ def picture(assembly: Assembly, library: Library, q: Array | None = None, title:
             axes.set_yticks([])
             axes.set_ylabel("")
     figure.suptitle(
-        title or f"{assembly.name}: " + " ".join(_short(m.kind, m.size) for m in assembly.modules), fontsize=9
+        title or f"{assembly.name}: " + " ".join(m.kind + (f"({m.size})" if m.size else "") for m in assembly.modules),
+        fontsize=9,
     )
     return _svg(figure)
-
-
-def _short(kind: str, size: int) -> str:
-    return kind + (f"({size})" if size else "")
 
 
 def _draw(axes: Any, kind: ModuleType, points: Array, T: Array, high: float) -> None:

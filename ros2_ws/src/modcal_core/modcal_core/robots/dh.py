@@ -136,18 +136,12 @@ def number(row: Mapping[str, Any], key: str, joint: str, default: float = 0.0) -
 def vector(values: object, count: int, what: str) -> Array:
     """So many finite numbers, (count,). Raises BadTable."""
     try:
-        out = np.array([_float(v) for v in values])  # type: ignore[attr-defined]
+        out = np.array([np.nan if isinstance(v, bool) else float(v) for v in values])  # type: ignore[attr-defined]
     except (TypeError, ValueError, OverflowError):
         out = np.empty(0)
     if out.shape != (count,) or not np.isfinite(out).all():
         raise BadTable(what, f"needs {count} finite number{'s' * (count > 1)}, has {values!r}", "correct the table")
     return out
-
-
-def _float(value: object) -> float:
-    if isinstance(value, bool):
-        raise TypeError
-    return float(value)  # type: ignore[arg-type]
 
 
 def _known(mapping: Mapping[str, Any], keys: set[str], what: str) -> None:

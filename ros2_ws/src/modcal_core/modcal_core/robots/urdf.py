@@ -47,7 +47,8 @@ class _End:
     @property
     def order(self) -> tuple[bool, int, int, int, str]:
         """The first is the best."""
-        return self.unknown, -len(self.moving), _rank(self.link), -self.length, self.link
+        named = (i for i, pattern in enumerate(_TOOL_NAMES) if pattern.search(self.link.lower()))
+        return self.unknown, -len(self.moving), next(named, len(_TOOL_NAMES)), -self.length, self.link
 
 
 def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tuple[str, tuple[str, ...]]:
@@ -85,10 +86,6 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
         if end.unknown == best.unknown and len(end.moving) == len(best.moving) and end.moving != best.moving:
             rivals.setdefault(end.moving, end)
     return best.link, tuple(end.link for end in rivals.values())
-
-
-def _rank(link: str) -> int:
-    return next((i for i, pattern in enumerate(_TOOL_NAMES) if pattern.search(link.lower())), len(_TOOL_NAMES))
 
 
 def _fingers(tree: Tree, link: str, before: int) -> set[str]:
