@@ -10,14 +10,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.family import PLAIN, Family, ReportEntry
-from modcal_core.effects.registry import both_signs
-from modcal_core.effects.shapes import Shape
-from modcal_core.effects.sizes import Sizes, unit_of, value
-from modcal_core.geometry.so3 import Array
-from modcal_core.robots.mechanism import Mechanism
+from modcal_core.effects import (
+    AXIS,
+    PLAIN,
+    Drivers,
+    Effect,
+    Family,
+    ReportEntry,
+    Shape,
+    Sizes,
+    both_signs,
+    unit_of,
+    value,
+)
+from modcal_core.geometry import Array
+from modcal_core.robots import Mechanism
 
 NAME = "friction_windup"
 

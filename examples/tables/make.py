@@ -16,11 +16,9 @@ import numpy as np
 
 import modcal
 from modcal_core.geometry import se3
-from modcal_core.robots.chain import Chain
-from modcal_core.robots.kinematics import pose_and_jacobian
-from modcal_core.robots.urdf import read_chain
-from modcal_nodes.cli.main import run
-from modcal_nodes.simulation.world import World
+from modcal_core.robots import Chain, pose_and_jacobian, read_chain
+from modcal_nodes.cli import run
+from modcal_nodes.simulation import World
 
 HERE = Path(__file__).resolve().parent
 ROBOTS = HERE.parent / "robots"

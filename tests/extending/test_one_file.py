@@ -45,7 +45,7 @@ from cells import record, ur10
 from modcal_core.effects.drivers import Drivers, NominalArm
 from modcal_core.effects.effect import columns, prior_stds
 from modcal_core.effects.family import ReportEntry
-from modcal_core.effects.registry import candidates, complexity, families, family, require_known
+from modcal_core.effects.registry import candidates, complexity, family_named, known_families, require_known
 
 drivers = Drivers(record(1, 20).samples, NominalArm(ur10()))
 found = [e for e in candidates(drivers) if e.family == "stick"]
@@ -53,11 +53,11 @@ effect = found[2].with_values([3e-4, 2.5], [1e-5, 0.1])
 require_known(effect)
 x = drivers.samples.q[:, 2]
 (term,) = columns(effect, drivers)[0]
-sizes = family("stick").sizes(effect, ur10())
+sizes = family_named("stick").sizes(effect, ur10())
 print(json.dumps(dict(
-    families=list(families()), count=len(found), complexity=complexity(effect),
+    families=list(known_families()), count=len(found), complexity=complexity(effect),
     right=bool(np.allclose(term.size, np.tanh(2.5 * x**2), atol=1e-15)), priors=prior_stds(effect, drivers).tolist(),
-    said=family("stick").sentence(ReportEntry(effect.place, "axis", effect.public_driver, sizes)))))
+    said=family_named("stick").sentence(ReportEntry(effect.place, "axis", effect.public_driver, sizes)))))
 """
 
 

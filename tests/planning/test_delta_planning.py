@@ -14,7 +14,7 @@ from modcal_core.calibration.linearisation import model_at
 from modcal_core.geometry import se3
 from modcal_core.planning.closed_chain import calibration_chain
 from modcal_core.planning.planner import PlanRequest, plan
-from modcal_core.planning.sensitivity import array_postures, sobol_postures
+from modcal_core.planning.sensitivity_study import array_postures, sobol_postures
 from modcal_core.planning.site import Site
 from modcal_core.robots.mechanism import takes
 from modcal_nodes.cli.main import run

@@ -11,7 +11,7 @@ from cells import ur10
 
 from modcal_core.planning.criteria import CRITERIA
 from modcal_core.planning.posture_pool import with_limits
-from modcal_core.planning.sensitivity import DESIGNS
+from modcal_core.planning.sensitivity_study import DESIGNS
 from modcal_core.planning.site import site_from_data, spheres_of
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.planning.sensitivity import interval_probabilities
+from modcal_core.planning.sensitivity_study import interval_probabilities
 
 
 def test_the_largest_value_shares_the_last_interval() -> None:

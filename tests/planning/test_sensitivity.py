@@ -12,7 +12,7 @@ from scipy.stats import chi
 from modcal_core.errors import BadTable
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
-from modcal_core.planning.sensitivity import (
+from modcal_core.planning.sensitivity_study import (
     design,
     gains,
     interval_probabilities,

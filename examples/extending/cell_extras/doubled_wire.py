@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.measurements.kinds.distance import DistanceKind
-from modcal_core.measurements.kinds.kind import Scene, Sight
+from modcal_core.measurements.kinds import DistanceKind, Scene, Sight
 
 Array = NDArray[np.float64]
 

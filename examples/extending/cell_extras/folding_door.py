@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.models.parametric import ParametricModel, ShapeParameter
+from modcal_core.articulation.models import ParametricModel, ShapeParameter
 
 Array = NDArray[np.float64]
 

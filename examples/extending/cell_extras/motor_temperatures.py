@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from modcal_msgs_py.topics import AddedTopic, Signal
+from modcal_msgs_py import AddedTopic, Signal
 
 AXES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 

@@ -11,10 +11,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import AXIS, Effect
-from modcal_core.effects.family import Family, ReportEntry
-from modcal_core.effects.shapes import Setting, Shape, ShapeKind
+from modcal_core.effects import AXIS, Drivers, Effect, Family, ReportEntry, Setting, Shape, ShapeKind
 
 _ROUNDING = 0.02  # rad; a cable does not become taut within nothing, and what is fitted must be smooth
 

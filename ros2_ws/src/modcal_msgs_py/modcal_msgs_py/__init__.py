@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from modcal_msgs_py.objects import fill_markers, fill_object_state, fill_picture, seen, status_values
     from modcal_msgs_py.readings import READING, SignalsHeard, seconds, set_seconds
     from modcal_msgs_py.recording_write import write_recording
-    from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, Topics, accepted, role_of
+    from modcal_msgs_py.topics import JOINT_COMMANDS, JOINT_STATES, READINGS, TYPES, AddedTopic, Joints, Signal, Topics
+    from modcal_msgs_py.topics import accepted, role_of
     from modcal_msgs_py.track_rows import JointStateBytes
 else:
     from modcal_core.lazy import lazy_face
@@ -30,11 +31,12 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["CLOUD", "FLUSH_SECONDS", "JOINT_COMMANDS", "JOINT_STATES", "READING", "READINGS", "SUFFIXES", "TAGS"]
-__all__ += ["TYPES", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "ObjectInput"]
-__all__ += ["RawImage", "RecordingBuilder", "Repair", "SignalsHeard", "Topics", "accepted", "arrows", "caption"]
-__all__ += ["chosen_topic", "colour_of", "corner_topics", "desired_pose", "dots", "ellipsoids", "fill_accelerations"]
-__all__ += ["fill_corners", "fill_expected", "fill_markers", "fill_object_state", "fill_picture", "fill_point"]
-__all__ += ["fill_pose", "fill_target", "fill_wrench", "image_topics", "info_topic", "jazzy", "lens_data"]
-__all__ += ["list_topics", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages", "read_recording"]
-__all__ += ["repair_bag", "require_new", "role_of", "seconds", "seen", "set_seconds", "size_of", "stamp_of"]
-__all__ += ["stamps_of", "status_values", "tag_topics", "why_left_out", "wrench_numbers", "write_recording"]
+__all__ += ["TYPES", "AddedTopic", "Bag", "BagWriter", "Colour", "Commands", "JointInput", "JointStateBytes", "Joints"]
+__all__ += ["ObjectInput", "RawImage", "RecordingBuilder", "Repair", "Signal", "SignalsHeard", "Topics", "accepted"]
+__all__ += ["arrows", "caption", "chosen_topic", "colour_of", "corner_topics", "desired_pose", "dots", "ellipsoids"]
+__all__ += ["fill_accelerations", "fill_corners", "fill_expected", "fill_markers", "fill_object_state", "fill_picture"]
+__all__ += ["fill_point", "fill_pose", "fill_target", "fill_wrench", "image_topics", "info_topic", "jazzy"]
+__all__ += ["lens_data", "list_topics", "qos_profile", "raw_image", "read_bag", "read_corners", "read_messages"]
+__all__ += ["read_recording", "repair_bag", "require_new", "role_of", "seconds", "seen", "set_seconds", "size_of"]
+__all__ += ["stamp_of", "stamps_of", "status_values", "tag_topics", "why_left_out", "wrench_numbers"]
+__all__ += ["write_recording"]

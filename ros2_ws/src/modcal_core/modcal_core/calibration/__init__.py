@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from modcal_core.calibration.data_split import SHARES, RejectedPlace, Split, block_length, consecutive, distinct
     from modcal_core.calibration.data_split import hold_out_all, in_order_of_time, independent_unit, places_of, runs_of
     from modcal_core.calibration.data_split import split, station_numbers, units_of_stations
+    from modcal_core.calibration.delta_distances import Pairs, Schedule, anneal_distances, fit_distances, max_deviations
+    from modcal_core.calibration.delta_distances import objective, visibility
     from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance, distance_rows
     from modcal_core.calibration.equations import nonnegative, normal_equations
     from modcal_core.calibration.final_fit import Readmitted, finalise, readmitted, right_after_all, sharpened
@@ -57,20 +59,21 @@ else:
 __all__ = ["BLEND", "EQUATIONS_PER_PARAMETER", "FINEST", "FITTED", "HUBER_Z", "INSTRUMENT", "PRIOR_ANGLE_RAD"]
 __all__ += ["PRIOR_LENGTH_M", "REJECT_Z", "SHARES", "WHATS", "AnyDistance", "Calibration", "Cell", "Curvature"]
 __all__ += ["Deviations", "Distance", "ErrorSize", "Errors", "Fit", "GroupSizes", "Groups", "Identifiability"]
-__all__ += ["Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "Move", "NoiseModel", "Readmitted"]
-__all__ += ["RejectedPlace", "RowView", "Split", "Stated", "StatedPayload", "StatedTool", "StationDistance"]
-__all__ += ["Uncertainty", "View", "What", "apply_deviations", "as_normal", "averaged", "base_and_tool_turns"]
-__all__ += ["base_by_positions", "between", "beyond_chi2", "beyond_gumbel", "beyond_normal", "block_length"]
-__all__ += ["choose_parameters", "consecutive", "contradicted_places", "contradicted_together", "contradictions"]
-__all__ += ["curved_joints", "deviations", "direction_names", "distance_rows", "distances_of", "distinct"]
-__all__ += ["drop_fixed", "errors", "exact_samples", "exceeded_chi2", "finalise", "fingerprint", "fit_cell"]
-__all__ += ["fit_geometry", "free_cell", "from_data", "general_samples", "geometry_rows", "gumbel_of", "hand_eye"]
-__all__ += ["hold_out_all", "identifiability", "identify", "identify_moved", "in_order_of_time", "independent_unit"]
-__all__ += ["joint_ranges", "least_change", "likely_sizes", "linearise", "log10_beyond_f", "median_chi2", "model_at"]
-__all__ += ["new_instruments", "nonnegative", "normal_equations", "ordered_candidates", "outlying", "outside_drivers"]
+__all__ += ["Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "Move", "NoiseModel", "Pairs"]
+__all__ += ["Readmitted", "RejectedPlace", "RowView", "Schedule", "Split", "Stated", "StatedPayload", "StatedTool"]
+__all__ += ["StationDistance", "Uncertainty", "View", "What", "anneal_distances", "apply_deviations", "as_normal"]
+__all__ += ["averaged", "base_and_tool_turns", "base_by_positions", "between", "beyond_chi2", "beyond_gumbel"]
+__all__ += ["beyond_normal", "block_length", "choose_parameters", "consecutive", "contradicted_places"]
+__all__ += ["contradicted_together", "contradictions", "curved_joints", "deviations", "direction_names"]
+__all__ += ["distance_rows", "distances_of", "distinct", "drop_fixed", "errors", "exact_samples", "exceeded_chi2"]
+__all__ += ["finalise", "fingerprint", "fit_cell", "fit_distances", "fit_geometry", "free_cell", "from_data"]
+__all__ += ["general_samples", "geometry_rows", "gumbel_of", "hand_eye", "hold_out_all", "identifiability", "identify"]
+__all__ += ["identify_moved", "in_order_of_time", "independent_unit", "joint_ranges", "least_change", "likely_sizes"]
+__all__ += ["linearise", "log10_beyond_f", "max_deviations", "median_chi2", "model_at", "new_instruments"]
+__all__ += ["nonnegative", "normal_equations", "objective", "ordered_candidates", "outlying", "outside_drivers"]
 __all__ += ["own_statement", "parameter_count", "passing_directions", "place_instruments", "place_model", "places_of"]
 __all__ += ["priors", "procrustes", "quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all"]
 __all__ += ["robust_weights", "row_weights", "runs_of", "score_of_one", "sharpened", "split", "squared_residuals"]
 __all__ += ["standard_score", "station_numbers", "to_data", "together_stated", "tool_and_place", "turns_left"]
 __all__ += ["uncertainty", "uncontradicted", "units_of_stations", "usual_miss", "values_without", "views_of"]
-__all__ += ["with_frames", "with_sockets", "without"]
+__all__ += ["visibility", "with_frames", "with_sockets", "without"]

@@ -8,13 +8,13 @@ if TYPE_CHECKING:
     from modcal_core.correction.commander import CalibratedRobot, Commander, CommanderSettings, JointSetpoint
     from modcal_core.correction.commander import corrected_urdf, finite
     from modcal_core.correction.correction import ArmState, Correction
-    from modcal_core.correction.picture import Residuals, arm_state_of, enlarged_axes, joint_axes, known_to, residuals
-    from modcal_core.correction.picture import tool_ellipsoid
+    from modcal_core.correction.picture import Residuals, arm_state_of, ellipsoid, enlarged_axes, joint_axes, known_to
+    from modcal_core.correction.picture import residuals, tool_ellipsoid
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ArmState", "CalibratedRobot", "Commander", "CommanderSettings", "Correction", "JointSetpoint"]
-__all__ += ["Residuals", "arm_state_of", "corrected_urdf", "enlarged_axes", "finite", "joint_axes", "known_to"]
-__all__ += ["residuals", "tool_ellipsoid"]
+__all__ += ["Residuals", "arm_state_of", "corrected_urdf", "ellipsoid", "enlarged_axes", "finite", "joint_axes"]
+__all__ += ["known_to", "residuals", "tool_ellipsoid"]

@@ -11,21 +11,22 @@ if TYPE_CHECKING:
     from modcal_core.effects.effect import RADIAL, READING, RODS, SHIFT, STEPS, Effect, Knots, Term, all_columns
     from modcal_core.effects.effect import columns, is_large_move, is_move, is_turned, knots_of, motion, place_index
     from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns
-    from modcal_core.effects.family import FREE, USUAL, ReportEntry, nothing_plainer
-    from modcal_core.effects.registry import candidates, claimed, companionless, complexity, family_named, require_known
-    from modcal_core.effects.registry import with_companions
-    from modcal_core.effects.shapes import PERIODIC, Shape, periodic
+    from modcal_core.effects.family import FREE, PLAIN, USUAL, Family, ReportEntry, nothing_plainer
+    from modcal_core.effects.registry import both_signs, candidates, claimed, companionless, complexity, family_named
+    from modcal_core.effects.registry import known_families, require_known, with_companions
+    from modcal_core.effects.shapes import PERIODIC, Setting, Shape, ShapeKind, periodic
     from modcal_core.effects.sizes import AxisCurves, Quantity, Sizes, component_names, curve, curve_sizes, unit_of
+    from modcal_core.effects.sizes import value
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ACROSS", "ALL", "AXIS", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS", "LENGTH", "PAIRS"]
-__all__ += ["PERIODIC", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL", "AxisCurves", "Carried"]
-__all__ += ["DriverLimits", "Drivers", "Effect", "Knots", "NominalArm", "Quantity", "ReportEntry", "Shape", "Sizes"]
-__all__ += ["Term", "all_columns", "candidates", "claimed", "columns", "companionless", "complexity"]
-__all__ += ["component_names", "curve", "curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move"]
-__all__ += ["is_turned", "knots_of", "motion", "nothing_plainer", "periodic", "place_index", "plain_columns"]
-__all__ += ["prior_stds", "public_driver", "remembered", "require_known", "shape_columns", "unit_of"]
-__all__ += ["with_companions"]
+__all__ += ["PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL", "AxisCurves", "Carried"]
+__all__ += ["DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity", "ReportEntry", "Setting"]
+__all__ += ["Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "candidates", "claimed", "columns"]
+__all__ += ["companionless", "complexity", "component_names", "curve", "curve_sizes", "drivers_at", "family_named"]
+__all__ += ["is_large_move", "is_move", "is_turned", "knots_of", "known_families", "motion", "nothing_plainer"]
+__all__ += ["periodic", "place_index", "plain_columns", "prior_stds", "public_driver", "remembered", "require_known"]
+__all__ += ["shape_columns", "unit_of", "value", "with_companions"]

@@ -19,7 +19,7 @@ from modcal_core.measurements import PART
 
 
 @cache
-def families() -> dict[str, Family]:
+def known_families() -> dict[str, Family]:
     """The families by name, in the order they are looked for.
 
     Raises BadTable for what is no family, or takes a name that is taken.
@@ -42,7 +42,7 @@ def families() -> dict[str, Family]:
 
 def family_named(name: str) -> Family:
     """The family of this name; one that says only what its effects show, where nobody here knows it."""
-    return families().get(name) or Family(name, no_candidates)
+    return known_families().get(name) or Family(name, no_candidates)
 
 
 def candidates(drivers: Drivers) -> Iterator[Effect]:
@@ -51,7 +51,7 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
     Raises BadTable for a candidate that belongs to another family, or cannot be evaluated.
     """
     known: set[tuple[str, str]] = set()  # thousands have the same shape and driver
-    for name, own in families().items():
+    for name, own in known_families().items():
         for effect in own.candidates(drivers):
             if name != effect.family:
                 raise BadTable(f"effect {name}", f"yields one of family {effect.family}", "yield its own only")
@@ -99,7 +99,7 @@ def require_known(effect: Effect) -> None:
 @cache
 def _known() -> tuple[frozenset[str], frozenset[str]]:
     """Kinds of shapes and of drivers, by name."""
-    everyone = families().values()
+    everyone = known_families().values()
     shapes = {*known_shapes.KINDS, *(name for own in everyone for name in own.shapes)}
     drivers = {*known_drivers.KINDS, *known_drivers.SIGNALS, *(name for own in everyone for name in own.drivers)}
     return frozenset(shapes), frozenset(drivers)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from modcal_core.measurements.dwells import LATE_STEPS, LEFT, MIN_RETURNS, NOISE_FACTOR, SAME, SECOND_DIFFERENCE
     from modcal_core.measurements.dwells import SHORTEST, TRAVEL, Approach, StationRules, dwells_of, find_dwells
     from modcal_core.measurements.dwells import fitted_rules, inliers, posture_numbers, returns, spread_rows
+    from modcal_core.measurements.held_box import measure_box
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged
@@ -36,7 +37,7 @@ __all__ += ["Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Record
 __all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "align", "as_recording", "averaged", "between"]
 __all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "elsewhen", "explained_by_posture", "find_dwells"]
 __all__ += ["fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits", "joint_stamps_and"]
-__all__ += ["joint_stamps_and_positions", "joints_by_time", "joints_instead", "marks_of", "moving_beside"]
-__all__ += ["other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require"]
-__all__ += ["require_new", "require_usable", "returns", "share_of_known", "shown", "spoken_name", "spread_rows"]
-__all__ += ["staircase", "together", "told", "told_at", "unexpected"]
+__all__ += ["joint_stamps_and_positions", "joints_by_time", "joints_instead", "marks_of", "measure_box"]
+__all__ += ["moving_beside", "other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers"]
+__all__ += ["remedies_of", "require", "require_new", "require_usable", "returns", "share_of_known", "shown"]
+__all__ += ["spoken_name", "spread_rows", "staircase", "together", "told", "told_at", "unexpected"]

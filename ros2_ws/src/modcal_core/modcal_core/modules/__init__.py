@@ -5,7 +5,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.modules.coding import assembly_from_data, assembly_to_data, incidence_of
+    from modcal_core.modules.coding import Coding, assembly_from_data, assembly_to_data, incidence_of
     from modcal_core.modules.errors import ModuleError, ModuleErrors, learn, recording_evidence, store_from_data
     from modcal_core.modules.errors import store_to_data, surprise, twists_from_data, with_recording
     from modcal_core.modules.genetic import Generation
@@ -20,8 +20,8 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["JOINT", "Assembly", "Generation", "Library", "Module", "ModuleError", "ModuleErrors", "Synthesis"]
-__all__ += ["SynthesisTask", "Watch", "assembly_from_data", "assembly_to_data", "chain_of", "described"]
-__all__ += ["incidence_of", "learn", "library_from_data", "module_frames", "picture", "published"]
-__all__ += ["recording_evidence", "sentence", "store_from_data", "store_to_data", "surprise", "synthesize"]
-__all__ += ["task_from_data", "to_data", "to_markdown", "twists_from_data", "urdf_of", "with_recording"]
+__all__ = ["JOINT", "Assembly", "Coding", "Generation", "Library", "Module", "ModuleError", "ModuleErrors", "Synthesis"]
+__all__ += ["SynthesisTask", "Watch", "assembly_from_data", "assembly_to_data", "chain_of", "described", "incidence_of"]
+__all__ += ["learn", "library_from_data", "module_frames", "picture", "published", "recording_evidence", "sentence"]
+__all__ += ["store_from_data", "store_to_data", "surprise", "synthesize", "task_from_data", "to_data", "to_markdown"]
+__all__ += ["twists_from_data", "urdf_of", "with_recording"]

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from modcal_core.planning.posture_pool import CANDIDATES, allowed, survey, with_limits
     from modcal_core.planning.route import RETURNS, Trajectory, stations_from_data, stations_from_rows
     from modcal_core.planning.route import trajectory_from_data, with_returns
-    from modcal_core.planning.sensitivity import ARMS, DESIGNS, NAMED, Measured, Study, design, study
+    from modcal_core.planning.sensitivity_study import ARMS, DESIGNS, NAMED, Measured, Study, design, orthogonal_array
+    from modcal_core.planning.sensitivity_study import sensitivity, study
     from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of, visible
     from modcal_core.planning.worth import Accuracy
 else:
@@ -24,6 +25,6 @@ else:
 __all__ = ["ACCURACY", "ARMS", "CANDIDATES", "CRITERIA", "DESIGNS", "NAMED", "RETURNS", "STARTS", "Accuracy"]
 __all__ += ["ClosedChain", "DecidingStations", "Measured", "Plan", "PlanRequest", "Site", "Spheres", "Study"]
 __all__ += ["Trajectory", "allowed", "calibration_chain", "clearance", "criterion", "design", "dh_closed_chain"]
-__all__ += ["exchange", "plan", "propose", "site_from_data", "sizes_of", "spheres_of", "stations_from_data"]
-__all__ += ["stations_from_rows", "study", "survey", "trajectory_from_data", "undecided_by_posture", "visible"]
-__all__ += ["with_limits", "with_returns"]
+__all__ += ["exchange", "orthogonal_array", "plan", "propose", "sensitivity", "site_from_data", "sizes_of"]
+__all__ += ["spheres_of", "stations_from_data", "stations_from_rows", "study", "survey", "trajectory_from_data"]
+__all__ += ["undecided_by_posture", "visible", "with_limits", "with_returns"]

@@ -12,7 +12,7 @@ from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
 from modcal_core.planning.closed_chain import one_frame_model
-from modcal_core.planning.sensitivity import sobol_postures
+from modcal_core.planning.sensitivity_study import sobol_postures
 from modcal_core.planning.site import Site, Spheres, clearance, spheres_of, view_postures, visible
 from modcal_core.planning.worth import Accuracy, StationRows, Workspace, position_rows, station_rows
 from modcal_core.robots import Mechanism, is_serial_arm

@@ -4,10 +4,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_nodes.cli.inputs import described
+    from modcal_nodes.cli.main import run
     from modcal_nodes.cli.numbers import numbers_by_joint
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["described", "numbers_by_joint"]
+__all__ = ["described", "numbers_by_joint", "run"]

@@ -12,10 +12,11 @@ if TYPE_CHECKING:
     from modcal_nodes.simulation.pulling import PullRecord, Pulling, effort_limits
     from modcal_nodes.simulation.recording import recorded
     from modcal_nodes.simulation.spoken import Poses, States, stamp
+    from modcal_nodes.simulation.world import World
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["SWITCHES", "TRACKER", "TRACKER_PHASE", "Beat", "CellTime", "Grid", "Plant", "Poses", "PullRecord"]
-__all__ += ["Pulling", "Rates", "Servo", "States", "draw", "effort_limits", "legs", "recorded", "stamp"]
+__all__ += ["Pulling", "Rates", "Servo", "States", "World", "draw", "effort_limits", "legs", "recorded", "stamp"]

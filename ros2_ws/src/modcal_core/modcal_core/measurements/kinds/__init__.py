@@ -5,6 +5,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from modcal_core.measurements.kinds.distance import DistanceKind
     from modcal_core.measurements.kinds.kind import KIND_NAMES, ORIGIN, PLANE, POSE_OF_FRAME, Constant, Kind, Scene
     from modcal_core.measurements.kinds.kind import Sight, frame_on_plane, scene_in
     from modcal_core.measurements.kinds.registry import is_direct, kinds
@@ -14,5 +15,5 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["KIND_NAMES", "ORIGIN", "PLANE", "POSE_OF_FRAME", "Constant", "Kind", "Scene", "Sight", "dimensions"]
-__all__ += ["frame_on_plane", "indirect_rows", "is_direct", "kinds", "scene_in"]
+__all__ = ["KIND_NAMES", "ORIGIN", "PLANE", "POSE_OF_FRAME", "Constant", "DistanceKind", "Kind", "Scene", "Sight"]
+__all__ += ["dimensions", "frame_on_plane", "indirect_rows", "is_direct", "kinds", "scene_in"]
