@@ -31,12 +31,12 @@ if TYPE_CHECKING:
     from modcal_core.calibration.fit import identify_moved, priors, require_enough
     from modcal_core.calibration.initial import Known, base_and_tool_turns, base_by_positions, hand_eye
     from modcal_core.calibration.initial import place_instruments, procrustes, tool_and_place, turns_left
-    from modcal_core.calibration.instruments import Instrument, new_instruments
     from modcal_core.calibration.known_distances import KnownDistance, contradicted_together, contradictions
     from modcal_core.calibration.known_distances import distances_of
     from modcal_core.calibration.linearisation import Deviations, RowView, apply_deviations, deviations, geometry_rows
     from modcal_core.calibration.linearisation import linearise, model_at
-    from modcal_core.calibration.model import BLEND, Model, between, curved_joints, place_model
+    from modcal_core.calibration.model import BLEND, Instrument, Model, between, curved_joints, new_instruments
+    from modcal_core.calibration.model import place_model
     from modcal_core.calibration.noise import FINEST, HUBER_Z, REJECT_Z, ErrorSize, Errors, Groups, NoiseModel
     from modcal_core.calibration.noise import as_normal, beyond_chi2, beyond_gumbel, beyond_normal, errors
     from modcal_core.calibration.noise import exceeded_chi2, gumbel_of, log10_beyond_f, median_chi2, outlying

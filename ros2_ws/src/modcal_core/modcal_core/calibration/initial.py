@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.instruments import Instrument, new_instruments
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Instrument, Model, new_instruments
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import Samples, spread_rows
@@ -219,7 +218,8 @@ def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) 
     T_base_tip = forward(model.chain, samples.q)
     for f in order:
         _require_readings(model.frames[f], int((samples.frame == f).sum()))
-    order = sorted(order, key=lambda f: -_knowledge(samples, f))
+    pose = [samples.is_pose[samples.frame == f] for f in range(len(model.frames))]
+    order.sort(key=lambda f: -len(pose[f]) * (1000 if pose[f].all() else 1))  # poses say more of the tool than points
     T_frame_base = np.array(model.T_frame_base)
     tool: Array | None = None
     if all(samples.is_same_point(f) for f in order):
@@ -272,12 +272,6 @@ def _require_readings(frame: str, count: int) -> None:
         raise NotEnoughData(
             f"frame '{frame}'", f"{count} readings, at least 3 are needed", "record more stations in it"
         )
-
-
-def _knowledge(samples: Samples, frame: int) -> int:
-    """How much a frame says of the tool: poses before points, then the number of readings."""
-    rows = samples.frame == frame
-    return int(rows.sum()) * (1000 if samples.is_pose[rows].all() else 1)
 
 
 def _pose_tool(A: Array, B: Array) -> tuple[Array, Array]:

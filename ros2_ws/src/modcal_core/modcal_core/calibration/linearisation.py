@@ -29,8 +29,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from modcal_core.calibration.instruments import Sights, look
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Model, Sights, look
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects import READING, RODS, Drivers, Effect, Knots, Term, all_columns, knots_of, motion
 from modcal_core.geometry import Array, error_transform, local_twists, se3, so3

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.covariance import Uncertainty
-from modcal_core.calibration.instruments import Instrument
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Instrument, Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.prediction import TypicalDriver
 from modcal_core.effects import Carried, Effect, NominalArm, Shape, require_known

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
-from modcal_core.calibration.instruments import Instrument, new_instruments
 from modcal_core.calibration.linearisation import linearise
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Instrument, Model, new_instruments
 from modcal_core.calibration.parameters import ModelParameter, View, drop_fixed, independent_columns, ordered_candidates
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples

@@ -304,11 +304,6 @@ def drivers_at(samples: Samples, arm: NominalArm) -> Drivers:
 DriverKind = Callable[[Drivers, str], Array]  # of the drivers and of what stands behind the colon, (N,)
 
 
-def _time(drivers: Drivers, _: str) -> Array:
-    stamps, limits = drivers.samples.stamps, drivers.arm.limits
-    return stamps if limits is None else limits.time(stamps)
-
-
 def _effort(drivers: Drivers, joint: str) -> Array:
     """Efforts of a joint. Missing ones are replaced by gravity's torque or, for an arm without masses, by the mean of
     the others.
@@ -343,7 +338,7 @@ def _along(drivers: Drivers, j: int) -> int:
 
 KINDS: Mapping[str, DriverKind] = {
     "constant": lambda at, _: np.ones(len(at)),
-    "time": _time,
+    "time": lambda at, _: at.samples.stamps if at.arm.limits is None else at.arm.limits.time(at.samples.stamps),
     "velocity": lambda at, _: np.asarray(np.nan_to_num(at.samples.velocity.T)),  # of all joints, (n, N)
     "reading": lambda at, _: np.ones(len(at)),
     "position": lambda at, joint: at.samples.q[:, _column(at, joint)],

@@ -7,7 +7,7 @@ columns of the linearised model are the geometry's columns times numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -275,19 +275,16 @@ def all_columns(effects: Iterable[Effect], drivers: Drivers) -> list[list[Term]]
         for place, twist in motion(effects, drivers)[0].items()
         if np.abs(twist[3:]).max() > _TURNED and place in (0, drivers.arm.chain.tool_place)
     }
-    return [_seen_turned(terms, turned) for terms in out]
+    for k, terms in enumerate(out):
+        if len(terms) == 1 and terms[0].place in turned:
+            place, direction, size = terms[0].place, terms[0].direction, terms[0].size
+            out[k] = [Term(place, d, turned[place][:, direction, d] * size) for d in range(6)]
+    return out
 
 
 def is_turned(effect: Effect) -> bool:
     """Whether an effect turns its place by so much that columns there are those of the turned frame."""
     return effect.direction == ALL and bool(np.abs(effect.amplitudes).max(initial=0.0) > _TURNED)
-
-
-def _seen_turned(terms: list[Term], turned: Mapping[int, Array]) -> list[Term]:
-    if len(terms) != 1 or terms[0].place not in turned:
-        return terms
-    place, direction, size = terms[0].place, terms[0].direction, terms[0].size
-    return [Term(place, d, turned[place][:, direction, d] * size) for d in range(6)]
 
 
 def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array], Array]:

@@ -93,16 +93,10 @@ def _best(
     for at in np.argsort(-worth, kind="stable"):
         if not np.isfinite(worth[at]):
             break
-        if _open(q, m, int(i[at]), passable):
-            return float(worth[at]), m, int(i[at])
+        to = int(i[at])
+        if passable is None or (passable(q[m], q[to]) and (m + 1 >= len(q) or passable(q[to], q[m + 1]))):
+            return float(worth[at]), m, to
     return None
-
-
-def _open(q: Array, m: int, i: int, passable: Passable | None) -> bool:
-    """Whether station i can be visited between stations m and m + 1."""
-    if passable is None:
-        return True
-    return passable(q[m], q[i]) and (m + 1 >= len(q) or passable(q[i], q[m + 1]))
 
 
 _STEP = 0.05  # rad or m, of the joint that moves most
