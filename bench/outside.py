@@ -37,7 +37,7 @@ import scenarios as kinds
 from arm import ROBOTS as TIPS
 from recordings import Cell, plant, point_to_point, record
 
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import ORDER_ONLY, JointTrack, ReadingTrack, Recording

@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration.cell import Cell, with_bases
 from modcal_core.calibration.fit import Fit, identify
-from modcal_core.calibration.score import errors, squared_residuals
+from modcal_core.calibration.noise import errors, squared_residuals
 from modcal_core.geometry import se3
 from modcal_core.loop import Solution
 from modcal_core.measurements.samples import Samples

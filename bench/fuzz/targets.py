@@ -29,11 +29,11 @@ from modcal_core.files import parse_yaml, to_yaml
 from modcal_core.geometry import se3
 from modcal_core.measurements.inspection import inspect
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_core.modules.coding import assembly_from_data
 from modcal_core.modules.library import library_from_data, published, published_text
-from modcal_core.modules.spec import assembly_from_data
 from modcal_core.modules.synthesis_data import task_from_data
+from modcal_core.planning.route import stations_from_data
 from modcal_core.planning.site import site_from_data
-from modcal_core.planning.stations import stations_from_data
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import LoadedArm, read_chain

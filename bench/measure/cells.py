@@ -14,7 +14,7 @@ from recordings import BEGIN, NOISE_MM, NOISE_MRAD, Cell, plant
 from scenarios import SCENARIOS
 from scipy.spatial.transform import Rotation
 
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.advice import Advice, Advisor

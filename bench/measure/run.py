@@ -23,7 +23,7 @@ import numpy as np
 import recorded
 from cells import REPEATS, Bench
 
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.advice import Advisor
 from modcal_core.measuring.choose import deciding_stations, fit_stations, of_recording, one_motion

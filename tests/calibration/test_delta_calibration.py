@@ -9,7 +9,7 @@ from finite_differences import assert_jacobian
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.linearisation import linearise
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import from_data, to_data
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import ALL, AXIS, Effect

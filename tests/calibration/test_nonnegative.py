@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from modcal_core.calibration.nnls import nonnegative
+from modcal_core.calibration.equations import nonnegative
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 20])

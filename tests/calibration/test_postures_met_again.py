@@ -10,7 +10,7 @@ from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.covariance import uncertainty
 from modcal_core.calibration.data_split import distinct, independent_unit, split, units_of_stations
 from modcal_core.calibration.fit import identify, require_enough
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3

@@ -9,7 +9,7 @@ import pytest
 from cells import record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.readmission import uncontradicted
+from modcal_core.calibration.final_fit import uncontradicted
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array

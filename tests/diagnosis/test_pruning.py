@@ -12,8 +12,7 @@ from diagnosis.test_diagnosis import at_joint, recorded
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.covariance import Uncertainty, uncertainty, without
 from modcal_core.calibration.fit import identify
-from modcal_core.calibration.noise import as_normal
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import as_normal, errors
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.diagnosis.pruning import is_nothing, joint_size, needless
 from modcal_core.effects.effect import AXIS, Effect

@@ -10,10 +10,10 @@ import pytest
 from cells import record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.empirical_bayes import likely_sizes
+from modcal_core.calibration.covariance import likely_sizes
 from modcal_core.calibration.fit import Fit
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.calibration.starts import fit_geometry
 from modcal_core.calibration.store import Calibration
 from modcal_core.calibration.structure import choose_parameters, views_of

@@ -12,7 +12,7 @@ from cells import record, samples_of, ur10
 from modcal_core.calibration.covariance import uncertainty
 from modcal_core.calibration.fit import FITTED, Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import errors, squared_residuals
+from modcal_core.calibration.noise import errors, squared_residuals
 from modcal_core.diagnosis.choice import EffectChoice, choose
 from modcal_core.diagnosis.evidence import Evidence, Scanner
 from modcal_core.diagnosis.rounds import chosen_together, surely_worth

@@ -9,8 +9,7 @@ import pytest
 from cells import record, ur10
 
 from modcal_core.effects.drivers import Drivers, NominalArm
-from modcal_core.measurements.recording import SignalTrack
-from modcal_core.measurements.stated_signals import is_told
+from modcal_core.measurements.recording import SignalTrack, is_told
 
 KG = "signal:/payload_kg"
 

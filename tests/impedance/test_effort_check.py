@@ -11,7 +11,7 @@ from modcal_core.impedance.effort_check import ArmEfforts, EffortCheck
 from modcal_core.impedance.task import JointPositions
 from modcal_core.impedance.wrench import DOWN
 from modcal_core.robots.acceleration import read_drives
-from modcal_core.robots.gravity import HeldWeight, chain_gravity_wrench, payload_wrench
+from modcal_core.robots.bodies import HeldWeight, chain_gravity_wrench, payload_wrench
 from modcal_core.robots.kinematics import pose_and_jacobian
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 

@@ -15,8 +15,8 @@ from instruments.worlds import Reading
 from modcal_core.calibration.initial import locate
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model, place_model
+from modcal_core.calibration.noise import errors
 from modcal_core.calibration.parameters import INSTRUMENT, ordered_candidates
-from modcal_core.calibration.score import errors
 from modcal_core.calibration.structure import views_of
 from modcal_core.errors import BadRecording, ModcalError, NotEnoughData
 from modcal_core.geometry import se3

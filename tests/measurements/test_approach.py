@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.measurements.approach import Approach
+from modcal_core.measurements.dwells import Approach
 
 
 def test_approach_remembers_the_last_way_of_every_joint() -> None:

@@ -13,8 +13,7 @@ from nodes.processes import ROOT
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import se3
-from modcal_core.planning.site import Ball, Site
-from modcal_core.planning.spheres import clearance, spheres_of
+from modcal_core.planning.site import Ball, Site, clearance, spheres_of
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.measuring.collision import CollisionModel, has_shapes
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from nodes.processes import ROOT
 
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.effects.registry import candidates
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml

@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 from modules.arms import LIBRARY
 
-from modcal_core.modules.spec import assembly_from_data
+from modcal_core.modules.coding import assembly_from_data
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "modules.md").read_text()
 

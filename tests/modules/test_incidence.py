@@ -10,9 +10,8 @@ import pytest
 from modules.arms import LIBRARY, five_joints, random_assembly
 
 from modcal_core.errors import BadTable
-from modcal_core.modules.coding import Entry, assembly_of, incidence_of
+from modcal_core.modules.coding import Entry, assembly_from_data, assembly_of, assembly_to_data, incidence_of
 from modcal_core.modules.library import Assembly, Module
-from modcal_core.modules.spec import assembly_from_data, assembly_to_data
 
 # A matrix of the paper's form: five revolute joints, and a kind of link (LC) that is not used.
 AIM: dict[str, Any] = {

@@ -24,7 +24,7 @@ from modcal_core.modules.requirements import (
 )
 from modcal_core.modules.targets import Target, TargetPostures, frames
 from modcal_core.modules.urdf import path, urdf_of
-from modcal_core.robots.gravity import chain_gravity_wrench, payload_wrench
+from modcal_core.robots.bodies import chain_gravity_wrench, payload_wrench
 from modcal_core.robots.kinematics import body_jacobian, chain_forward
 from modcal_core.robots.urdf_inertias import read_inertias
 

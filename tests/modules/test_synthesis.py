@@ -15,7 +15,7 @@ from modules.arms import LIBRARY, random_assembly
 
 from modcal_core.errors import BadTable, NotReachable
 from modcal_core.geometry import se3, so3
-from modcal_core.modules import reaching
+from modcal_core.modules import targets as reaching
 from modcal_core.modules.catalogue import Catalogue
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.evaluation import Effort, Evaluator

@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadCommand, BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.gravity import STANDARD_GRAVITY
+from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.inverse_kinematics import inverse
 from modcal_nodes.simulation.furniture import KINDS, Furniture, draw
 from modcal_nodes.simulation.furniture_mjcf import GRASP_STIFFNESS

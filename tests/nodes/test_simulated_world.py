@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadCommand, BadRobot, BadTable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
-from modcal_core.robots.gravity import STANDARD_GRAVITY
+from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import SWITCHES, Grid, Growth, Switches, make_world

@@ -12,8 +12,7 @@ from cells import ur10
 from modcal_core.planning.criteria import CRITERIA
 from modcal_core.planning.posture_pool import with_limits
 from modcal_core.planning.sensitivity_study import DESIGNS
-from modcal_core.planning.site import site_from_data
-from modcal_core.planning.spheres import spheres_of
+from modcal_core.planning.site import site_from_data, spheres_of
 
 
 def blocks(root: Path, page: str, language: str) -> list[str]:

@@ -15,8 +15,7 @@ from modcal_core.loop import calibrate
 from modcal_core.planning.criteria import criterion
 from modcal_core.planning.fedorov import exchange
 from modcal_core.planning.planner import PlanRequest, min_stations, plan
-from modcal_core.planning.site import site_from_data
-from modcal_core.planning.spheres import clearance, visible
+from modcal_core.planning.site import clearance, site_from_data, visible
 
 _ARMS = 12
 

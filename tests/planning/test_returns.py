@@ -9,7 +9,7 @@ import pytest
 from cells import ur10
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measurements.approach import returns
+from modcal_core.measurements.dwells import returns
 from modcal_core.measurements.inspection import inspect
 from modcal_core.planning.route import RETURNS, route, with_returns
 from modcal_msgs_py.mcap_read import read_recording

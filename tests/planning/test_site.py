@@ -13,8 +13,7 @@ from planning.sites import HALL, ground, hall
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry.so3 import Array
 from modcal_core.planning.posture_pool import one_turn, survey, with_limits
-from modcal_core.planning.site import site_from_data
-from modcal_core.planning.spheres import clearance, spheres_of, visible
+from modcal_core.planning.site import clearance, site_from_data, spheres_of, visible
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.kinematics import chain_forward, frames
 from modcal_core.robots.mechanism import random_postures

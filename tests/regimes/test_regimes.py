@@ -9,7 +9,7 @@ import pytest
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.model import place_model
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.effects.effect import SHIFT, is_move
 from modcal_core.effects.families import step
 from modcal_core.geometry import se3, so3

@@ -11,7 +11,7 @@ from report.judged import CANNOT, FLOOR, OPEN
 from report.reports import points
 from report.test_page import Elements
 
-from modcal_core.calibration.score import Errors
+from modcal_core.calibration.noise import Errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import so3

@@ -11,7 +11,7 @@ from cells import Recorded, record, samples_of, ur10
 from verdict.visits import tour
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.score import Errors
+from modcal_core.calibration.noise import Errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadRecording
 from modcal_core.evaluation import evaluate

@@ -12,8 +12,8 @@ import pytest
 from report.reports import COUNT, REPORTS, WRONG, delta, points, warm_cell
 
 from modcal_core.calibration.data_split import Split
-from modcal_core.calibration.score import Errors
-from modcal_core.measurements.approach import SAME
+from modcal_core.calibration.noise import Errors
+from modcal_core.measurements.dwells import SAME
 from modcal_core.measurements.kinds.rows import indirect_rows
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import FILES, MAX_BYTES, _page, to_html

@@ -17,8 +17,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
+from modcal_core.robots.bodies import STANDARD_GRAVITY, payload_wrench
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import STANDARD_GRAVITY, payload_wrench
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modcal_core.robots.delta_file import delta_from_data
+from modcal_core.robots.delta import delta_from_data
 from modcal_core.robots.delta_kinematics import forward
 
 

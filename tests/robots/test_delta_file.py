@@ -13,8 +13,7 @@ from deltas import FILE, nominal, postures
 
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml
-from modcal_core.robots.delta import OFFSET
-from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+from modcal_core.robots.delta import OFFSET, delta_from_data, delta_to_data
 from modcal_core.robots.delta_kinematics import tool_pose
 from modcal_nodes.io.inputs import read_delta
 from modcal_nodes.simulation.delta_world import displaced

@@ -13,7 +13,7 @@ from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.effects.effect import PAIRS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.geometry import so3
-from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+from modcal_core.robots.delta import delta_from_data, delta_to_data
 from modcal_core.robots.delta_kinematics import RODS, ROWS, frames
 from modcal_nodes.simulation.delta_world import PLATFORM_RADIUS, ROD_SPACING, DeltaWorld
 

@@ -16,8 +16,8 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import from_dh, to_dh
-from modcal_core.robots.dh_nearest import nearest_dh
 from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.tables import nearest_dh
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_write import calibrated_urdf
 

@@ -9,9 +9,8 @@ from robots.test_kinematics import ARMS, urdf
 
 from modcal_core.errors import BadRobot
 from modcal_core.robots.acceleration import bias_torque, torque
+from modcal_core.robots.bodies import Payload, chain_gravity_wrench, equivalent_inertia, mass_matrix, with_payload
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import chain_gravity_wrench
-from modcal_core.robots.inertia import Payload, equivalent_inertia, mass_matrix, with_payload
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias

@@ -13,8 +13,8 @@ from robots.test_kinematics import urdf
 from scipy.optimize import linprog
 
 from modcal_core.errors import BadRobot, BadTable, Overloaded
+from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.fastest_motion import JointPath, motion, within_bounds, within_torque
-from modcal_core.robots.inertia import Payload, with_payload
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from robots.test_inertias import reduced
 from robots.test_kinematics import ARMS, chain_of, urdf
 
-from modcal_core.robots.gravity import STANDARD_GRAVITY, chain_gravity_wrench, payload_wrench
+from modcal_core.robots.bodies import STANDARD_GRAVITY, chain_gravity_wrench, payload_wrench
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.robots.mechanism import random_postures
 from modcal_core.robots.urdf_inertias import read_inertias

@@ -119,9 +119,9 @@ def test_a_joint_that_was_not_recorded_does_not_shorten_the_arm() -> None:
 @pytest.mark.parametrize("arm", ARMS)
 def test_the_way_says_what_makes_up_each_constant(arm: str) -> None:
     chain, origins = chain_of(arm), joint_origins(urdf(arm))
-    path = read_path(urdf(arm), chain.base, chain.tip)
-    assert tuple(segment[-1] for segment in path.segments[:-1]) == chain.names
-    for constant, segment in zip(chain.origins, path.segments, strict=True):
+    segments = read_path(urdf(arm), chain.base, chain.tip)
+    assert tuple(segment[-1] for segment in segments[:-1]) == chain.names
+    for constant, segment in zip(chain.origins, segments, strict=True):
         product = np.eye(4)
         for name in segment:
             product = product @ origins[name]

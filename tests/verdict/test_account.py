@@ -10,7 +10,7 @@ from cells import ur10
 from verdict.visits import tour, visited
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate

@@ -9,7 +9,7 @@ import pytest
 from cells import ur10
 from verdict.visits import NOISE_M, NOISE_RAD, tour, visited
 
-from modcal_core.calibration.score import Errors
+from modcal_core.calibration.noise import Errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples

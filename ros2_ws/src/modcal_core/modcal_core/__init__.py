@@ -13,6 +13,8 @@ Conventions, used everywhere and stated once: SI units (m, rad, s, N, kg); ``T_a
 axis first; joints are ordered by name, never by their place in a message.
 """
 
+# ruff: noqa: I001
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
@@ -27,19 +29,8 @@ if TYPE_CHECKING:
     from modcal_core.calibration.stated import Stated
     from modcal_core.calibration.store import Calibration
     from modcal_core.checkup import Checked
-    from modcal_core.errors import (
-        BadCommand,
-        BadRecording,
-        BadRobot,
-        BadTable,
-        MissingDriver,
-        ModcalError,
-        NotEnoughData,
-        NotPlannable,
-        NotReachable,
-        NotRepresentable,
-        Overloaded,
-    )
+    from modcal_core.errors import BadCommand, BadRecording, BadRobot, BadTable, MissingDriver, ModcalError
+    from modcal_core.errors import NotEnoughData, NotPlannable, NotReachable, NotRepresentable, Overloaded
     from modcal_core.measurements.samples import Samples
     from modcal_core.modules.library import Assembly, Library, Module
     from modcal_core.planning.planner import Plan
@@ -50,48 +41,15 @@ if TYPE_CHECKING:
     from modcal_core.robot import Robot
     from modcal_core.robots.chain import Chain
     from modcal_core.robots.delta import Delta
-
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = [
-    "Assembly",
-    "BadCommand",
-    "BadRecording",
-    "BadRobot",
-    "BadTable",
-    "Calibration",
-    "Cell",
-    "Chain",
-    "Checked",
-    "Choice",
-    "Delta",
-    "Distance",
-    "Library",
-    "MissingDriver",
-    "ModcalError",
-    "Module",
-    "NotEnoughData",
-    "NotPlannable",
-    "NotReachable",
-    "NotRepresentable",
-    "Overloaded",
-    "Plan",
-    "Report",
-    "Result",
-    "Robot",
-    "Samples",
-    "Site",
-    "Stated",
-    "Track",
-    "articulate",
-    "calibrate",
-    "check",
-    "evaluate",
-    "plan",
-]
+__all__ = ["Assembly", "BadCommand", "BadRecording", "BadRobot", "BadTable", "Calibration", "Cell", "Chain", "Checked"]
+__all__ += ["Choice", "Delta", "Distance", "Library", "MissingDriver", "ModcalError", "Module", "NotEnoughData"]
+__all__ += ["NotPlannable", "NotReachable", "NotRepresentable", "Overloaded", "Plan", "Report", "Result", "Robot"]
+__all__ += ["Samples", "Site", "Stated", "Track", "articulate", "calibrate", "check", "evaluate", "plan"]
 
 
 def __dir__() -> list[str]:

@@ -138,11 +138,9 @@ def checkup(
     samples = with_sockets(samples, cell, calibration.nominal.chain)
     if (count := distinct_postures(samples)) < MIN:
         again = "" if count == samples.stations else f" at {count} posture{'s' if count > 1 else ''}"
-        raise NotEnoughData(
-            f"{samples.stations} stations{again}",
-            f"at least {MIN} postures are needed to tell changes apart",
-            "measure ten stations, spread over the ranges of all joints",
-        )
+        said = f"at least {MIN} postures are needed to tell changes apart"
+        remedy = "measure ten stations, spread over the ranges of all joints"
+        raise NotEnoughData(f"{samples.stations} stations{again}", said, remedy)
     new = new_frames(calibration, samples)
     placed = _placed(calibration, samples, new)
     known = recognised(with_frames(placed[1].model, samples.frames), samples, calibration.noise)

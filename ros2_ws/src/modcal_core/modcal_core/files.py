@@ -6,7 +6,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +22,14 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes]) -> None:
     All files are written elsewhere first, on the same disk. A folder that is new is then moved into place at once, into
     one that is there already its files are moved one after the other.
     """
-    folder.parent.mkdir(parents=True, exist_ok=True)
     if folder.exists() and not folder.is_dir():
         raise BadTable(str(folder), "is a file", "give --out a folder")
-    stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
-        new = stage / "new"
-        new.mkdir()
-        for name, content in files.items():
-            (new / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    with _staged(folder, files) as stage:
         if not folder.exists():
-            os.rename(new, folder)
+            os.rename(stage / "new", folder)
             return
         for name in files:
-            os.replace(new / name, folder / name)
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
+            os.replace(stage / "new" / name, folder / name)
 
 
 def replace_folder(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -45,16 +38,22 @@ def replace_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     It is written elsewhere on the same disk and moved into place by renaming, so whoever looks sees the old folder, or
     for a moment none, or the new one, but never a part.
     """
+    with _staged(folder, files) as stage:
+        if folder.exists():
+            os.replace(folder, stage / "old")
+        os.replace(stage / "new", folder)
+
+
+@contextmanager
+def _staged(folder: Path, files: Mapping[str, str | bytes] | Mapping[str, bytes]) -> Iterator[Path]:
+    """A folder beside this one, gone afterwards, that holds the files in ``new``."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     stage = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        new = stage / "new"
-        new.mkdir()
+        (stage / "new").mkdir()
         for name, content in files.items():
-            (new / name).write_bytes(content)
-        if folder.exists():
-            os.replace(folder, stage / "old")
-        os.replace(new, folder)
+            (stage / "new" / name).write_bytes(content.encode() if isinstance(content, str) else content)
+        yield stage
     finally:
         shutil.rmtree(stage, ignore_errors=True)
 

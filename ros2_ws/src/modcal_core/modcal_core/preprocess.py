@@ -119,10 +119,7 @@ def _flickering(recording: Recording, unused: dict[str, int], since: float, unti
 
 
 def prepare_pieces(
-    pieces: Iterable[Stretch],
-    chain: Mechanism,
-    clock_limit: float = LIMIT,
-    before: Samples | None = None,
+    pieces: Iterable[Stretch], chain: Mechanism, clock_limit: float = LIMIT, before: Samples | None = None
 ) -> Prepared:
     """The samples of all pieces, behind those from before. A piece that holds nothing to use is passed over.
 

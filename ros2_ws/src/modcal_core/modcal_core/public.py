@@ -153,10 +153,7 @@ def articulate(track: Track, seed: int = 0) -> Choice:
     track: positions or poses of the handle. seed: of the samples that first guesses are made from. Raises BadRecording
     where rotations would follow the handle in another convention (w x y z, inverse, a left-handed frame).
     """
-    from modcal_core.articulation import (
-        choose,  # not for those who only calibrate
-        require_convention,
-    )
+    from modcal_core.articulation import choose, require_convention  # not for those who only calibrate
 
     rng = np.random.default_rng(seed)
     choice = choose(track, rng)
@@ -180,10 +177,7 @@ def plan(
     site: instrument, obstacles and noise; None: an instrument that sees everything. fixed: as in :func:`calibrate`.
     seed: of candidates and starts. Raises NotPlannable where no set of stations will do.
     """
-    from modcal_core.planning import (
-        PlanRequest,  # not for those who only calibrate
-        Site,
-    )
+    from modcal_core.planning import PlanRequest, Site  # not for those who only calibrate
     from modcal_core.planning import plan as plan_stations
 
     request = PlanRequest(stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, reading=reading, fixed=fixed)
@@ -234,11 +228,9 @@ def _require_measured(report: Report, samples: Samples) -> None:
     computed = [reason for reason in report.open_because if COMPUTED in reason]
     by_type = samples.origin.by_type
     if computed and by_type:
-        raise BadRecording(
-            f"topic {by_type[0]}",
-            f"was taken as the tracker's topic, as the only candidate; but {computed[0].rstrip('.')}",
-            f"record a tracker, or state --topic tracker/pose={by_type[0]} if it is one",
-        )
+        said = f"was taken as the tracker's topic, as the only candidate; but {computed[0].rstrip('.')}"
+        remedy = f"record a tracker, or state --topic tracker/pose={by_type[0]} if it is one"
+        raise BadRecording(f"topic {by_type[0]}", said, remedy)
 
 
 def _described(samples: Samples) -> str | None:

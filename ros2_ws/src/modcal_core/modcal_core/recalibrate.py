@@ -6,7 +6,6 @@ before the change the trusted model was right.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -126,5 +125,4 @@ def thinned(samples: Samples, most: int) -> Samples:
         return samples
     recent = most // 2
     older = spread_rows(len(samples) - recent, most - recent)
-    rows: Sequence[int] = [*older, *range(len(samples) - recent, len(samples))]
-    return samples.select(np.array(rows))
+    return samples.select(np.r_[older, len(samples) - recent : len(samples)])

@@ -51,7 +51,8 @@ class Robot:
         """
         from modcal_core.robots import document, other_tips, read_chain, read_inertias
 
-        text = source if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<") else _text(source)
+        is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
+        text = str(source) if is_text else Path(source).read_text(encoding="utf-8", errors="replace")
         chain = read_chain(text, base, tip, recorded)
         others = () if tip is not None else other_tips(text, chain.base, recorded)
         return cls(chain, read_inertias(text, chain), text, str(document(text).get("name") or "robot"), others)
@@ -170,10 +171,6 @@ class Robot:
         middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
         start = middle if near is None else np.asarray(near, dtype=float)
         return inverse(self.chain, goal, start, rng=np.random.default_rng(seed))
-
-
-def _text(source: str | Path) -> str:
-    return Path(source).read_text(encoding="utf-8", errors="replace")
 
 
 def _data(table: Table) -> Mapping[str, Any]:

@@ -1,14 +1,12 @@
 """The error model of an arm and the fit of its parameters.
 
-model, parameters: nominal chain, small twists at its places, effects; together where the tool is.
-structure, instruments, identifiability: which parameters a robot and an instrument have, and which the data show.
-initial, locate_instruments, closed_form: base, tool and instruments without a guess.
-linearise, kernels: derivatives, sample by sample and in batches. system, normal_equations: the steps solved.
-identify: the fit, ``identify(model, samples, parameters) -> Fit``. noise: the weights of its samples.
-cell, distances, sockets, stated, moves: what is known of the surroundings.
-split, score, finalise: train, explain and held-out; errors; the model to ship.
-uncertainty, canonical: covariance; parameters written with the least change to the description.
-store, predict: ``calibration.yaml``, and what is predicted with it.
+model, parameters, structure: nominal chain, small twists at its places, effects; which of them instruments can show.
+initial, starts, instruments: base, tool and instruments without a guess.
+linearisation, equations, kernels: derivatives, sample by sample and in batches, and the steps solved.
+fit: ``identify(model, samples, parameters) -> Fit``. noise: the weights of its samples.
+cell, distances, known_distances, stated: what is known of the surroundings.
+data_split, score, final_fit: train, explain and held-out; errors; the model to ship.
+covariance: how well all of it is known. store, prediction: ``calibration.yaml``, and what is predicted with it.
 """
 
 # ruff: noqa: I001
@@ -18,40 +16,37 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_core.calibration.cell import Cell, StatedPayload, fit_cell, free_cell, own_statement, refit_cell
     from modcal_core.calibration.cell import together_stated, with_frames, with_sockets
-    from modcal_core.calibration.covariance import Identifiability, Uncertainty, identifiability, uncertainty
-    from modcal_core.calibration.covariance import values_without, without
+    from modcal_core.calibration.covariance import GroupSizes, Identifiability, Uncertainty, identifiability
+    from modcal_core.calibration.covariance import likely_sizes, uncertainty, values_without, without
     from modcal_core.calibration.data_split import SHARES, RejectedPlace, Split, block_length, consecutive, distinct
     from modcal_core.calibration.data_split import hold_out_all, in_order_of_time, independent_unit, places_of, runs_of
     from modcal_core.calibration.data_split import split, station_numbers, units_of_stations
     from modcal_core.calibration.delta_distances import Pairs, Schedule, anneal_distances, fit_distances
     from modcal_core.calibration.delta_distances import max_deviations, objective, visibility
     from modcal_core.calibration.distances import AnyDistance, Distance, StationDistance, distance_rows
-    from modcal_core.calibration.empirical_bayes import GroupSizes, likely_sizes
-    from modcal_core.calibration.equations import blocks_at, normal_equations
-    from modcal_core.calibration.final_fit import finalise, sharpened
+    from modcal_core.calibration.equations import blocks_at, nonnegative, normal_equations
+    from modcal_core.calibration.final_fit import Readmitted, finalise, readmitted, right_after_all, sharpened
+    from modcal_core.calibration.final_fit import uncontradicted
     from modcal_core.calibration.fit import EQUATIONS_PER_PARAMETER, FITTED, WHATS, Curvature, Fit, Move, What
     from modcal_core.calibration.fit import identify, identify_moved, priors, require_enough
     from modcal_core.calibration.initial import Known, base_and_tool_turns, base_by_positions, hand_eye
     from modcal_core.calibration.initial import place_instruments, procrustes, tool_and_place, turns_left
-    from modcal_core.calibration.instruments import Instrument, new_instruments
     from modcal_core.calibration.known_distances import KnownDistance, contradicted_together, contradictions
     from modcal_core.calibration.known_distances import distances_of
     from modcal_core.calibration.linearisation import Deviations, RowView, apply_deviations, deviations, geometry_rows
     from modcal_core.calibration.linearisation import linearise, model_at
-    from modcal_core.calibration.model import BLEND, Model, between, curved_joints, place_model
-    from modcal_core.calibration.nnls import nonnegative
-    from modcal_core.calibration.noise import HUBER_Z, REJECT_Z, Groups, NoiseModel, as_normal, beyond_chi2
-    from modcal_core.calibration.noise import beyond_gumbel, beyond_normal, exceeded_chi2, gumbel_of, has_shared_noise
-    from modcal_core.calibration.noise import known_sigma, log10_beyond_f, median_chi2, of_rows, quantile_chi2
-    from modcal_core.calibration.noise import robust_weights, row_weights, score_of_one, shared_noise, standard_score
-    from modcal_core.calibration.noise import weigh
+    from modcal_core.calibration.model import BLEND, Instrument, Model, between, curved_joints, new_instruments
+    from modcal_core.calibration.model import place_model
+    from modcal_core.calibration.noise import FINEST, HUBER_Z, REJECT_Z, ErrorSize, Errors, Groups, NoiseModel
+    from modcal_core.calibration.noise import as_normal, beyond_chi2, beyond_gumbel, beyond_normal, errors
+    from modcal_core.calibration.noise import exceeded_chi2, gumbel_of, has_shared_noise, known_sigma, log10_beyond_f
+    from modcal_core.calibration.noise import median_chi2, of_rows, outlying, quantile_chi2, robust_weights
+    from modcal_core.calibration.noise import row_weights, score_of_one, shared_noise, squared_residuals
+    from modcal_core.calibration.noise import standard_score, usual_miss, weigh
     from modcal_core.calibration.parameters import INSTRUMENT, PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, ModelParameter, View
     from modcal_core.calibration.parameters import direction_names, drop_fixed, least_change, ordered_candidates
     from modcal_core.calibration.parameters import passing_directions
     from modcal_core.calibration.prediction import averaged, outside_drivers
-    from modcal_core.calibration.readmission import Readmitted, readmitted, right_after_all, uncontradicted
-    from modcal_core.calibration.score import FINEST, ErrorSize, Errors, errors, outlying, squared_residuals
-    from modcal_core.calibration.score import usual_miss
     from modcal_core.calibration.starts import fit_geometry
     from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places, stated_std
     from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data

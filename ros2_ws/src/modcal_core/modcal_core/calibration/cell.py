@@ -30,7 +30,7 @@ from modcal_core.measurements import (
     StationRules,
     dwells_of,
     inliers,
-    joint_stamps_and_positions,
+    joints_by_time,
 )
 from modcal_core.robots import Inertias, Mechanism, forward
 
@@ -88,23 +88,15 @@ class Cell:
 
     def require_frames(self, frames: Sequence[str]) -> None:
         """Raises BadTable for something known of a frame that no reading came in."""
-        stated = [(k.frame, k.to) for k in self.known]
-        for name in dict.fromkeys(
-            [*(n for pair in stated for n in pair if n != "base"), *self.own_target, *self.sockets]
-        ):
-            if name not in frames:
-                said = f"no reading has the frame '{name}'"
-                raise BadTable("cell file", said, f"name frames of the recording: {', '.join(frames)}")
+        of_frames = [n for k in self.known for n in (k.frame, k.to) if n != "base"]
+        wanted = [("cell file", name) for name in (*of_frames, *self.own_target, *self.sockets)]
         for distance in self.distances:
-            if isinstance(distance, StationDistance):
-                continue
-            for name in distance.between:
-                if name not in frames:
-                    raise BadTable(
-                        f"known distance {' to '.join(distance.between)}",
-                        f"no reading has the frame '{name}'",
-                        f"name frames of the recording: {', '.join(frames)}",
-                    )
+            if isinstance(distance, Distance):
+                wanted += [(f"known distance {' to '.join(distance.between)}", name) for name in distance.between]
+        for offender, name in wanted:
+            if name not in frames:
+                remedy = f"name frames of the recording: {', '.join(frames)}"
+                raise BadTable(offender, f"no reading has the frame '{name}'", remedy)
 
 
 def fit_cell(
@@ -181,11 +173,8 @@ def with_frames(model: Model, frames: Sequence[str]) -> Model:
     """The model watched from these of its frames, in this order; raises BadTable for one it does not know."""
     for name in frames:
         if name not in model.frames:
-            raise BadTable(
-                f"frame '{name}' of the recording",
-                f"the calibration knows only {', '.join(model.frames)}",
-                "give --refit-base to find the base again",
-            )
+            said = f"the calibration knows only {', '.join(model.frames)}"
+            raise BadTable(f"frame '{name}' of the recording", said, "give --refit-base to find the base again")
     rows = [model.frames.index(name) for name in frames]
     return replace(
         model,
@@ -223,19 +212,20 @@ def own_statement(recording: Recording, names: tuple[str, ...], rules: StationRu
     tracks = [track for track in recording.readings if track.stated is not None and len(track.stamps)]
     if not tracks:
         return OwnStatement(Stated())
-    t, q = joint_stamps_and_positions(recording, names)
-    order = np.argsort(t, kind="stable")
-    dwells = dwells_of(t[order], q[order], recording.readings, rules or StationRules())
+    dwells = dwells_of(*joints_by_time(recording, names), recording.readings, rules or StationRules())
     believed: list[tuple[float | None, float | None]] = []
     notes = []
     for track in tracks:
-        own = _median(track)
+        assert track.stated is not None
+        known = [c[np.isfinite(c)] for c in track.stated.T]  # of position [m] and angle [rad]
+        own = np.array([float(np.median(c)) if len(c) else np.nan for c in known])
         seen = _scatter(track, dwells)
         name = f"{track.topic} ({track.frame})"
         units = ((1e3, "mm", MAX_MM), (np.degrees(1.0), "°", MAX_DEG))
         kept: list[float | None] = []
         for what, shown, (scale, unit, largest) in zip(own, seen, units, strict=True):
-            value = _checked(what, shown, scale, largest)
+            borne_out = np.isfinite([what, shown]).all() and shown / _FACTOR <= what <= shown * _FACTOR
+            value = float(scale * what) if borne_out and 0.0 < scale * what <= largest else None
             kept.append(value)
             if np.isfinite(what):
                 notes.append(
@@ -258,24 +248,11 @@ def together_stated(parts: Sequence[Stated]) -> Stated:
     return Stated(**values)
 
 
-def _checked(what: float, shown: float, scale: float, largest: float) -> float | None:
-    """The statement in mm or degrees, if it is borne out."""
-    if not np.isfinite([what, shown]).all() or not shown / _FACTOR <= what <= shown * _FACTOR:
-        return None
-    return float(scale * what) if 0.0 < scale * what <= largest else None
-
-
 def _why(value: float | None, shown: float, scale: float, unit: str) -> str:
     if not np.isfinite(shown):
         return f": not used, because the arm does not stand still long enough to compare. {_REMEDY}, if it is known"
     seen = f"its readings scatter by {scale * shown:.3g} {unit} where the arm stands still"
     return f"; {seen}, which agrees with it" if value is not None else f": not used, because {seen}"
-
-
-def _median(track: ReadingTrack) -> Array:
-    """The usual statement of position [m] and angle [rad], (2,); NaN where there is none."""
-    assert track.stated is not None
-    return np.array([float(np.median(c[np.isfinite(c)])) if np.isfinite(c).any() else np.nan for c in track.stated.T])
 
 
 def _scatter(track: ReadingTrack, dwells: Array) -> Array:
@@ -342,11 +319,8 @@ def _require_moving(samples: Samples, frame: str, chain: Mechanism) -> None:
     seen = _scatter_of_sockets(samples.reading)
     topic = f"/tracker/{samples.kind[0]} ({frame})"
     if _THOUSANDTH[0] * moved < seen < _THOUSANDTH[1] * moved and _follows(tip, samples.reading):
-        raise BadRecording(
-            topic,
-            f"readings follow the tip at a thousandth of its motion (RMS {1e3 * seen:.3g} of {1e3 * moved:.0f} mm)",
-            "positions look like metres taken for millimetres: state the unit m",
-        )
+        said = f"readings follow the tip at a thousandth of its motion (RMS {1e3 * seen:.3g} of {1e3 * moved:.0f} mm)"
+        raise BadRecording(topic, said, "positions look like metres taken for millimetres: state the unit m")
     if seen < _STANDS * moved and turned < _STANDS:
         raise BadRecording(
             topic,

@@ -66,18 +66,16 @@ def split(
         blocks = np.unique(posture[rows], return_inverse=True)[1] // block
         order = rng.permutation(int(blocks.max()) + 1)
         sizes = np.bincount(blocks)[order]
+        # a role for each block, in order, so that the shares are met as closely as the sizes allow
         role_of_block = np.empty(len(order), int)
-        role_of_block[order] = _deal(sizes, len(stations))
+        role_of_block[order] = np.searchsorted(np.cumsum(SHARES)[:-1], (np.cumsum(sizes) - 0.5 * sizes) / len(stations))
         role_of_station.update(zip(stations.tolist(), role_of_block[blocks].tolist(), strict=True))
         role_of_posture.update(zip(posture[rows].tolist(), role_of_block[blocks].tolist(), strict=True))
     role = np.array([role_of_station[s] for s in samples.station.tolist()])
     train, explain, held_out = (np.flatnonzero(role == r) for r in range(3))
     if block > 1 and not min(len(train), len(explain), len(held_out)):
-        raise NotEnoughData(
-            f"--block {block}",
-            f"{len(first)} stations in blocks of {block} leave nothing to fit, to choose effects by or to hold out",
-            f"give at most --block {max(1, len(first) // _FEWEST)}",
-        )
+        said = f"{len(first)} stations in blocks of {block} leave nothing to fit, to choose effects by or to hold out"
+        raise NotEnoughData(f"--block {block}", said, f"give at most --block {max(1, len(first) // _FEWEST)}")
     return Split(train, explain, held_out, unit="station" if block == 1 else "block")
 
 
@@ -106,12 +104,6 @@ def hold_out_all(samples: Samples) -> Split:
     """Every sample held out: for scoring a model that was fitted elsewhere."""
     none = np.empty(0, int)
     return Split(none, none, np.arange(len(samples)), unit="station")
-
-
-def _deal(sizes: np.ndarray, total: int) -> np.ndarray:
-    """A role for each block, in order, so that the shares are met as closely as the sizes allow."""
-    centre = (np.cumsum(sizes) - 0.5 * sizes) / total
-    return np.searchsorted(np.cumsum(SHARES)[:-1], centre)
 
 
 def block_length(samples: Samples) -> int:
@@ -154,16 +146,11 @@ def independent_unit(samples: Samples) -> np.ndarray:
     A station, with those after it in the same posture: several readings of one stop share what the arm does not repeat.
     In motion, where noise has a memory, all samples of half a second.
     """
-    key = np.where(samples.moving, np.floor(samples.stamps / _MEMORY), _stops(samples))
-    return np.unique(np.stack([samples.moving, key]), axis=1, return_inverse=True)[1].ravel()
-
-
-def _stops(samples: Samples) -> np.ndarray:
-    """For each sample the number of the stop that its station belongs to: stations in sequence in one posture, (N,)."""
     number = station_numbers(samples)
-    first = np.unique(number, return_index=True)[1]
-    posture = posture_numbers(samples.q[first])
-    return np.asarray(np.cumsum(np.r_[0, np.diff(posture) != 0])[number])
+    posture = posture_numbers(samples.q[np.unique(number, return_index=True)[1]])
+    stop = np.cumsum(np.r_[0, np.diff(posture) != 0])[number]
+    key = np.where(samples.moving, np.floor(samples.stamps / _MEMORY), stop)
+    return np.unique(np.stack([samples.moving, key]), axis=1, return_inverse=True)[1].ravel()
 
 
 def station_numbers(samples: Samples) -> np.ndarray:

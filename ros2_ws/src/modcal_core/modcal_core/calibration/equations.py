@@ -3,7 +3,7 @@
 Samples are taken block by block, so memory stays flat however long the recording is. Columns of a curve are one
 direction at one place times a number for each sample, ``u φ``. Products of such columns need the six components of u
 only once: ``(u φ)ᵀ W (v ψ) = φᵀ diag(uᵀWv) ψ``, and of a curve with many knots few numbers at a sample are not zero
-(:mod:`curves`). All other columns, some dozens, are one dense matrix.
+(:class:`~modcal_core.calibration.linearisation.Curve`). All other columns, some dozens, are one dense matrix.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def blocks_at(samples: Samples, around: Drivers) -> Iterable[RowBlock]:
     def made() -> list[RowBlock]:
         return [replace(block, at=Drivers(block.part, around.arm)) for block in blocks(samples)]
 
-    found: list[RowBlock] = around.made_as(("blocks", BLOCK), made)
+    found: list[RowBlock] = around.kept.made_as(("blocks", BLOCK), made)
     return found
 
 
@@ -293,3 +293,22 @@ def system_of(start: Model, parameters: Sequence[ModelParameter], samples: Sampl
     if is_serial(start, samples, parameters):
         return SerialSystem(start, parameters, samples)
     return PlainSystem(start, parameters, samples, around)
+
+
+# --- Least squares without negative values, of columns that are given by their products
+
+_MAX_STEPS = 100  # of a column; usual are one or two
+
+
+def nonnegative(A: Array, v: Array) -> Array:
+    """The x ≥ 0, (..., n), with the least ``xᵀ A x − 2 vᵀ x``. A: products of the columns (..., n, n), positive
+    definite. v: their products with what they are fitted to, (..., n).
+    """
+    from scipy.optimize import nnls  # slow to import, and of most recordings not asked for
+
+    lower = np.linalg.cholesky(A)
+    target = np.linalg.solve(lower, v[..., None])[..., 0]
+    x = np.zeros(v.shape)
+    for at in np.ndindex(v.shape[:-1]):
+        x[at] = nnls(lower[at].T, target[at], maxiter=_MAX_STEPS * v.shape[-1])[0]
+    return x

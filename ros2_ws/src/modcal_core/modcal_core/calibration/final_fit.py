@@ -3,30 +3,35 @@
 Both models are fitted to the inner postures, as far as curves depend on their joints, and judged on the outer fifth.
 They are linear in small deviations, so leaving out is a step in closed form: with A the curvature of the whole fit,
 prior included, and J, r the weighted derivatives and residuals of what is left out, it moves the values by
-−(A − JJᵀ)⁻¹Jr. Where the full model then hardly knows itself, it is doubted for that (:mod:`doubt`), and not judged.
+−(A − JJᵀ)⁻¹Jr. Where the full model then hardly knows itself, it is doubted for that, and not judged.
+
+Geometry misses by far where a curve is large, and a fit begins from geometry. Where a recording has few stations, all
+of them may then be rejected before the curve could bend to them, and what is left of it there is nobody's: it misses
+them for ever, and they stay rejected. A wrong reading is one that its neighbours contradict; three that have no other
+neighbours are to be fitted first and judged then.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.covariance import UNSURE, uncertainty
+from modcal_core.calibration.data_split import consecutive
 from modcal_core.calibration.distances import AnyDistance, distance_rows
 from modcal_core.calibration.fit import FITTED, Fit, identify, identify_moved
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.model import Model, curved_joints
-from modcal_core.calibration.noise import row_weights
+from modcal_core.calibration.noise import errors, outlying, row_weights, typical_scatter
 from modcal_core.calibration.parameters import ModelParameter, least_change
 from modcal_core.calibration.prediction import driver_ranges, typical_sizes
-from modcal_core.calibration.score import errors, typical_scatter
 from modcal_core.calibration.store import Calibration, parameter_table
 from modcal_core.calibration.structure import ParameterChoice
-from modcal_core.effects import Effect, is_move, prior_stds
+from modcal_core.effects import Effect, claimed, is_move, prior_stds
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, marks_of, spread_rows
@@ -167,8 +172,11 @@ def finalise(
         samples = samples.select(~wrong)
     nominal = fit_cell(chain, samples, cell, inertias, regimes)
     begun = nominal.model if geometry is None else geometry.start
-    fit = last = _geometry(begun, samples, choice, cell, geometry, not decided)
-    fits = [nominal, fit]
+    if geometry is None or any(is_move(effect) for effect in begun.effects):
+        fit = identify_moved(begun, samples, choice.parameters, cell.distances, reject=not decided)
+    else:
+        fit = identify(begun, samples, choice.parameters, cell.distances, begin=geometry.values, reject=not decided)
+    last, fits = fit, [nominal, fit]
     geometric = least_change(fit.model, chain)
     if scored is None or not scored.model.effects:
         tidy = geometric
@@ -188,12 +196,13 @@ def finalise(
     kind = str(samples.kind[0])
     few = samples.q[spread_rows(len(samples), _MAX_KEPT)]
     covariance = uncertainty(tidy, samples, choice.parameters, last, cell.distances)
+    left = errors(geometric, samples).position_norm  # not finite where readings show no positions
     return Calibration(
         *(nominal.model, tidy, geometric, seen, parameter_table(fit), (), kind, few, fit.noise, covariance, watched),
         scatter=typical_scatter(samples),
         converged=all(each.converged for each in fits),
         clock=samples.clock,
-        left_alone=_left(geometric, samples),
+        left_alone=float(np.sqrt(np.mean(left**2))) if np.isfinite(left).all() else 0.0,
         geometry_outside=geometry_is_better(tidy, geometric, samples, choice.parameters, last, cell.distances),
         ranges=driver_ranges(tidy, samples),
         typical=typical_sizes(tidy, samples),
@@ -216,14 +225,102 @@ def _require_each_frame(samples: Samples, kept: np.ndarray) -> None:
             )
 
 
-def _left(model: Model, samples: Samples) -> float:
-    """RMS [m] that a model leaves of positions; 0 where readings show none, or everything is met."""
-    square = errors(model, samples).position_norm ** 2
-    return float(np.sqrt(np.mean(square))) if np.isfinite(square).all() else 0.0
+# --- Rejected samples that no other sample speaks against: a learned curve is known there from rejected ones alone
+
+_LOST = 0.5  # of a function's squares, less of which is left to samples that count: the others then decide it
+_NEIGHBOURS = 3  # rejected stations at one place are no chance (as in runs); one alone may be a wrong reading
+_SAID = 0.2  # the same, of all samples, from which a place is said: where they were half of those that are fitted
+_THERE = 0.1  # of a function's largest square, from which a station says something of it
 
 
-def _geometry(start: Model, samples: Samples, choice: ParameterChoice, cell: Cell, at: Fit | None, reject: bool) -> Fit:
-    """The fit of geometry alone, from where another fit of it ended."""
-    if at is None or any(is_move(effect) for effect in start.effects):
-        return identify_moved(start, samples, choice.parameters, cell.distances, reject=reject)
-    return identify(start, samples, choice.parameters, cell.distances, begin=at.values, reject=reject)
+@dataclass(frozen=True)
+class ReadmittedPlace:
+    """Where stations were taken in again. joint: whose curve they show. low, high: of its position [rad or m] at these.
+    stations: how many, of so many between.
+    """
+
+    joint: str
+    low: float
+    high: float
+    stations: int
+    of: int
+
+
+@dataclass(frozen=True)
+class Readmitted:
+    """Stations that were taken in again. stations: how many. unscored: how many of them the score rejects still, since
+    the fit that is scored has no others there. places: what they show.
+    """
+
+    stations: int = 0
+    unscored: int = 0
+    places: tuple[ReadmittedPlace, ...] = ()
+
+
+def uncontradicted(model: Model, samples: Samples, rejected: np.ndarray) -> np.ndarray:
+    """True for rejected samples that stand where curves of the model are known from rejected ones, (N,)."""
+    out = np.zeros(len(samples), bool)
+    for _, _, there in _alone(model, samples, rejected, 1.0 - _LOST):
+        if len(np.unique(samples.station[there])) >= _NEIGHBOURS:
+            out |= there
+    return out
+
+
+def right_after_all(
+    scored: Fit,
+    samples: Samples,
+    parameters: Sequence[ModelParameter],
+    distances: Sequence[AnyDistance],
+    wrong: np.ndarray,
+) -> tuple[np.ndarray, Fit | None]:
+    """True for samples that the scored fit had no others beside of, and that a fit to all of them explains, (N,).
+
+    What was held out from it may be all that there is of a place. wrong: True for what it rejects, (N,). Also that fit,
+    where it is to just those samples that are right after all and those that are not wrong.
+    """
+    alone = uncontradicted(scored.model, samples, wrong)
+    if not alone.any():
+        return alone, None
+    start = scored.start.with_effects(sharpened(scored.model, samples).effects)
+    some = samples.select(~wrong | alone)
+    fit = identify(start, some, parameters, distances, tolerance=FITTED, begin=scored.values, reject=False)
+    right = np.asarray(alone & ~outlying(fit.model, scored.noise, samples))
+    return right, fit if np.array_equal(right, alone) else None
+
+
+def readmitted(model: Model, samples: Samples, again: np.ndarray, wrong: np.ndarray) -> Readmitted:
+    """What was taken in again (True, (N,)), and where they say much of the model's curves. wrong: True for what the
+    score rejects, (N,).
+    """
+    places = []
+    for joint, x, there in _alone(model, samples, again, _SAID):
+        low, high = float(x[there].min()), float(x[there].max())
+        count = len(np.unique(samples.station[there]))
+        places.append(
+            ReadmittedPlace(joint, low, high, count, len(np.unique(samples.station[(x >= low) & (x <= high)])))
+        )
+    return Readmitted(
+        len(np.unique(samples.station[again])), len(np.unique(samples.station[again & wrong])), tuple(places)
+    )
+
+
+def _alone(
+    model: Model, samples: Samples, some: np.ndarray, share: float
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Stretches of curves of which some samples (True, (N,)) say this share of all, or more: the joint, its positions,
+    and True for these samples there, (N,) each.
+    """
+    curves = [effect for effect in model.effects if effect.shape.kind == "spline" and claimed(effect)]
+    if not some.any() or not curves:
+        return
+    drivers = model.drivers(samples)
+    for effect in curves:
+        x = drivers.values(effect.driver, effect.lag)
+        square = effect.shape.basis(x) ** 2
+        whole = square.sum(axis=1)
+        lost = square[:, ~some].sum(axis=1) < (1.0 - share) * whole
+        for first, last in consecutive(lost & (whole > 0.0)):
+            part = square[first:last]
+            there = some & (part > _THERE * part.max()).any(axis=0)
+            if there.any():
+                yield effect.place, x, there

@@ -20,7 +20,7 @@ import scipy
 from modcal_core.calibration.data_split import distinct
 from modcal_core.calibration.distances import AnyDistance, distance_cost, distance_rows
 from modcal_core.calibration.equations import system_of
-from modcal_core.calibration.linearisation import Linearised, apply_deviations, deviations
+from modcal_core.calibration.linearisation import Linearised, model_at
 from modcal_core.calibration.model import Model
 from modcal_core.calibration.noise import (
     REJECT_Z,
@@ -207,7 +207,7 @@ def identify(
     at = _minimum(start, samples, parameters, distances, limit, fitted, tolerance, values, False, most, hopeless)
     covariance = Curvature.of(at.H).inverse() if spread else np.full_like(at.H, np.nan)
     return Fit(
-        _model_at(start, parameters, fitted, at.values, np.sqrt(np.diag(covariance)[P:])),
+        model_at(start, parameters, at.values, np.sqrt(np.diag(covariance)[P:])),
         start,
         tuple(parameters),
         at.values[:P],
@@ -341,7 +341,7 @@ def _minimum(
             flat = flat or sum(gained[-_TO_AND_FRO:]) < _NO_GAIN
         if ended or begun or flat:
             break
-        if hopeless is not None and hopeless(_model_at(start, parameters, fitted, values), length):
+        if hopeless is not None and hopeless(model_at(start, parameters, values), length):
             break
         moved = max(moved, float(np.abs(step).max()))
         if fitted:
@@ -380,27 +380,6 @@ def priors(effects: Sequence[Effect], parameters: Sequence[ModelParameter], arou
     return np.concatenate(centre), np.concatenate(prior)
 
 
-def _model_at(
-    start: Model,
-    parameters: Sequence[ModelParameter],
-    fitted: Sequence[Effect],
-    values: Array,
-    std: Array | None = None,
-) -> Model:
-    """The model with these values put in. std: standard deviations of the effects' values; zero by default."""
-    P = len(parameters)
-    model = apply_deviations(start, deviations(start, parameters, values[:P]))
-    if not fitted:
-        return model
-    return model.with_effects(_estimated(fitted, values[P:], np.zeros(len(values) - P) if std is None else std))
-
-
-def _estimated(effects: Sequence[Effect], values: Array, std: Array) -> tuple[Effect, ...]:
-    ends = np.cumsum([len(e.values) for e in effects])[:-1]
-    parts = zip(effects, np.split(values, ends), np.split(std, ends), strict=True)
-    return tuple(effect.with_values(v, s) for effect, v, s in parts)
-
-
 def require_enough(samples: Samples, parameters: int, known: int = 0, share: float = 1.0) -> None:
     """Raises NotEnoughData unless a share of these samples gives equations enough for so many parameters.
 
@@ -419,11 +398,9 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
     if equations < need:
         least = int(np.ceil(need / max(equations / max(postures, 1), 1e-9)))
         they = "they" if share == 1.0 else f"the {share:.0%} of them that fit"
-        raise NotEnoughData(
-            f"{samples.stations} stations{of_them} for {parameters} parameters",
-            f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed",
-            f"record at least {least} {'different postures' if of_them else 'stations'}, or fix parameters",
-        )
+        said = f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed"
+        remedy = f"record at least {least} {'different postures' if of_them else 'stations'}, or fix parameters"
+        raise NotEnoughData(f"{samples.stations} stations{of_them} for {parameters} parameters", said, remedy)
 
 
 def _cost(at: Linearised, row_weight: Array) -> float:

@@ -10,8 +10,7 @@ Each kind places itself in closed form once the tool is known. Where no instrume
 numbers are searched for such that the placed instruments meet their readings best, each trial placing them again
 (variable projection).
 
-Y, t: the arm's base in the readings' frame; A: poses of the arm's tip in its base; X, x: the tool. :mod:`conventions`
-compares readings as they are with readings corrected by it, :mod:`consistency` finds the stations that agree.
+Y, t: the arm's base in the readings' frame; A: poses of the arm's tip in its base; X, x: the tool.
 """
 
 from __future__ import annotations
@@ -21,8 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration.instruments import Instrument, new_instruments
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Instrument, Model, new_instruments
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import Samples, spread_rows
@@ -75,11 +73,9 @@ def require_placeable(known: Sequence[Known], samples: Samples) -> None:
         }
         same = np.allclose(k.T_frame_to, np.eye(4))
         if POSE_OF_FRAME not in seen and not (seen == {PLANE} and same):
-            raise BadTable(
-                f"frame '{k.frame}', known in '{k.to}'",
-                f"'{k.to}' is {'a plane' if PLANE in seen else 'an anchor'} and has no orientation of its own",
-                "state it in a tracker's or a station's frame, or in the base",
-            )
+            said = f"'{k.to}' is {'a plane' if PLANE in seen else 'an anchor'} and has no orientation of its own"
+            remedy = "state it in a tracker's or a station's frame, or in the base"
+            raise BadTable(f"frame '{k.frame}', known in '{k.to}'", said, remedy)
 
 
 def place_instruments(
@@ -125,11 +121,8 @@ def require_readings(instruments: Sequence[Instrument], samples: Samples) -> Non
     for instrument in instruments:
         count, least = len(instrument.rows(samples)), instrument.of_kind.least
         if count < least:
-            raise NotEnoughData(
-                f"frame '{instrument.frame}'",
-                f"{count} readings of kind {instrument.kind}, at least {least} are needed",
-                "record more stations in it",
-            )
+            said = f"{count} readings of kind {instrument.kind}, at least {least} are needed"
+            raise NotEnoughData(f"frame '{instrument.frame}'", said, "record more stations in it")
 
 
 def residuals(instruments: Sequence[Instrument], samples: Samples, T_base_tool: Array, T_frame_base: Array) -> Array:
@@ -225,7 +218,8 @@ def _locate(model: Model, samples: Samples, shown: Sequence[int] | None = None) 
     T_base_tip = forward(model.chain, samples.q)
     for f in order:
         _require_readings(model.frames[f], int((samples.frame == f).sum()))
-    order = sorted(order, key=lambda f: -_knowledge(samples, f))
+    pose = [samples.is_pose[samples.frame == f] for f in range(len(model.frames))]
+    order.sort(key=lambda f: -len(pose[f]) * (1000 if pose[f].all() else 1))  # poses say more of the tool than points
     T_frame_base = np.array(model.T_frame_base)
     tool: Array | None = None
     if all(samples.is_same_point(f) for f in order):
@@ -278,12 +272,6 @@ def _require_readings(frame: str, count: int) -> None:
         raise NotEnoughData(
             f"frame '{frame}'", f"{count} readings, at least 3 are needed", "record more stations in it"
         )
-
-
-def _knowledge(samples: Samples, frame: int) -> int:
-    """How much a frame says of the tool: poses before points, then the number of readings."""
-    rows = samples.frame == frame
-    return int(rows.sum()) * (1000 if samples.is_pose[rows].all() else 1)
 
 
 def _pose_tool(A: Array, B: Array) -> tuple[Array, Array]:

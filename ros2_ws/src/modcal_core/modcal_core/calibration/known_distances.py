@@ -26,7 +26,7 @@ from modcal_core.calibration.covariance import Uncertainty, uncertainty
 from modcal_core.calibration.distances import CONTRADICTED, AnyDistance, Distance, distance_rows
 from modcal_core.calibration.fit import Fit, identify
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.score import errors
+from modcal_core.calibration.noise import errors
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import Samples
@@ -62,7 +62,7 @@ def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyD
     fixed = all(samples.is_same_point(f) for f in range(len(samples.frames)))
     if not fixed or not distances or not is_serial_arm(fit.model.chain):
         return None
-    cost_of = partial(_cost_of, samples=samples, distances=distances)
+    cost_of = partial(_cost, samples=samples, distances=distances)
     shown = _shown(fit)
     told = shown >= _MIN_SHOWN
     try:
@@ -82,7 +82,10 @@ def scale_without_distances(fit: Fit, samples: Samples, distances: Sequence[AnyD
         return None
     if found is None:
         return None
-    return ScaleEstimate(found[0] - 1.0, found[0] * found[1] * (_tail(shown) if told else 1.0))
+    # widened as so few values tell it: a contradiction is then as rare as a normal one's
+    beyond = float(scipy.special.ndtr(-CONTRADICTED))
+    wider = -float(scipy.special.stdtrit(shown, beyond)) / CONTRADICTED if told else 1.0
+    return ScaleEstimate(found[0] - 1.0, found[0] * found[1] * wider)
 
 
 def _settled(cost: Callable[[float], float], about: float) -> tuple[float, float] | None:
@@ -97,11 +100,6 @@ def _settled(cost: Callable[[float], float], about: float) -> tuple[float, float
         if abs(step) < _SETTLED * std:
             break
     return about, std
-
-
-def _cost_of(fit: Fit, factor: float, samples: Samples, distances: Sequence[AnyDistance]) -> float:
-    """What speaks against a fit with all known distances times a factor."""
-    return _cost(_held(fit, samples, distances, factor), fit.weights, samples)
 
 
 def _lengths(fit: Fit) -> np.ndarray:
@@ -138,12 +136,6 @@ def _expecting(fit: Fit, off: float) -> Fit:
     return replace(fit, parameters=tuple(parameters))
 
 
-def _tail(shown: float) -> float:
-    """By which a deviation that so many values tell is widened: a contradiction is then as rare as a normal one's."""
-    beyond = float(scipy.special.ndtr(-CONTRADICTED))
-    return -float(scipy.special.stdtrit(shown, beyond)) / CONTRADICTED
-
-
 def _held(fit: Fit, samples: Samples, distances: Sequence[AnyDistance], factor: float) -> Fit:
     """The fit with all known distances times a factor, effects as they are."""
     start = fit.start.with_effects(fit.model.effects)
@@ -151,12 +143,15 @@ def _held(fit: Fit, samples: Samples, distances: Sequence[AnyDistance], factor: 
     return identify(start, samples, fit.parameters, known, keep_effects=True, begin=fit.values)
 
 
-def _cost(fit: Fit, weights: Array, samples: Samples) -> float:
-    """What speaks against a fit: what it leaves in units of the joints' levers, and how far it is from the drawing."""
-    square = weights @ errors(fit.model, samples).position_norm ** 2
-    prior = np.array([p.prior_std for p in fit.parameters])
-    left = 3.0 * float(weights.sum()) * np.log(square / _lever(fit.model, samples.q) ** 2)
-    return float(left + np.sum((fit.values / prior) ** 2))
+def _cost(fit: Fit, factor: float, samples: Samples, distances: Sequence[AnyDistance]) -> float:
+    """What speaks against a fit with all known distances times a factor: what it leaves in units of the joints' levers,
+    and how far it is from the drawing.
+    """
+    held = _held(fit, samples, distances, factor)
+    square = fit.weights @ errors(held.model, samples).position_norm ** 2
+    prior = np.array([p.prior_std for p in held.parameters])
+    left = 3.0 * float(fit.weights.sum()) * np.log(square / _lever(held.model, samples.q) ** 2)
+    return float(left + np.sum((held.values / prior) ** 2))
 
 
 def _lever(model: Model, q: Array) -> float:
@@ -204,13 +199,11 @@ def distances_of(fit: Fit, samples: Samples, distances: Sequence[AnyDistance]) -
         return ()
     known = known_distances(fit, uncertainty(fit.model, samples, fit.parameters, fit, distances), distances)
     scale = scale_without_distances(fit, samples, distances) if len(distances) == 1 else None
-    return known if scale is None else (_by_scale(known[0], scale, fit),)
-
-
-def _by_scale(only: KnownDistance, scale: ScaleEstimate, fit: Fit) -> KnownDistance:
-    """The only known distance, beside what fixed points and the drawing say of the scale without it."""
-    std = float(np.hypot(scale.std * only.stated, np.sqrt(2.0) * fit.noise.position))
-    return replace(only, found=(1.0 + scale.longer) * only.stated, std=std)
+    if scale is None:
+        return known
+    # the only known distance, beside what fixed points and the drawing say of the scale without it
+    std = float(np.hypot(scale.std * known[0].stated, np.sqrt(2.0) * fit.noise.position))
+    return (replace(known[0], found=(1.0 + scale.longer) * known[0].stated, std=std),)
 
 
 def known_distances(fit: Fit, known: Uncertainty, distances: Sequence[AnyDistance]) -> tuple[KnownDistance, ...]:

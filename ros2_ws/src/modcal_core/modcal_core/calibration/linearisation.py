@@ -29,8 +29,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from modcal_core.calibration.instruments import Sights, look
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Model, Sights, look
 from modcal_core.calibration.parameters import INSTRUMENT, ModelParameter
 from modcal_core.effects import READING, RODS, Drivers, Effect, Knots, Term, all_columns, knots_of, motion
 from modcal_core.geometry import Array, error_transform, local_twists, se3, so3
@@ -85,20 +84,16 @@ def whole_shapes(terms: Sequence[list[Term]]) -> tuple[list[tuple[int, Term, Arr
     j = 0
     while j < len(terms):
         of = terms[j][0].of if len(terms[j]) == 1 else None
-        if of is None or not _is_whole(terms[j : j + len(of)], of):
+        last = [] if of is None else terms[j : j + len(of)][-1]
+        # all functions of one direction stand one after another: the last says whether they do
+        same = len(last) == 1 and last[0].of is of and last[0].direction == terms[j][0].direction
+        if of is not None and same and j + len(of) <= len(terms):
+            found.append((j, terms[j][0], of))
+            j += len(of)
+        else:
             others.append(j)
             j += 1
-            continue
-        found.append((j, terms[j][0], of))
-        j += len(of)
     return found, others
-
-
-def _is_whole(terms: Sequence[list[Term]], of: Array) -> bool:
-    """Whether these are the columns of all functions of one direction, which stand one after another: the last says."""
-    last = terms[-1]
-    same = len(last) == 1 and last[0].of is of and last[0].direction == terms[0][0].direction
-    return same and len(terms) == len(of)
 
 
 def product(one: Curve, other: Curve, weight: Array, at: Drivers) -> Array:
@@ -110,7 +105,7 @@ def product(one: Curve, other: Curve, weight: Array, at: Drivers) -> Array:
     if one.knots.value.size * other.knots.value.shape[1] > _MAX_KEPT:
         blocks = _blocks(one.knots, other.knots)
     else:
-        blocks = at.made_of((one.knots, other.knots), _blocks)
+        blocks = at.kept.made_of((one.knots, other.knots), _blocks)
     return np.asarray(blocks @ weight).reshape(len(one), len(other))
 
 
@@ -234,11 +229,19 @@ def effect_rows(view: RowView, terms: Sequence[list[Term]], out: Array) -> None:
         view.moved_by(terms[j], out=out[j])
 
 
-def model_at(model: Model, parameters: Sequence[ModelParameter], values: Array) -> Model:
-    """The model with these values put in: those of the parameters, then, where given, those of its effects."""
+def model_at(model: Model, parameters: Sequence[ModelParameter], values: Array, std: Array | None = None) -> Model:
+    """The model with these values put in: those of the parameters, then, where given, those of its effects.
+
+    std: standard deviations of the effects' values; zero by default.
+    """
     P = len(parameters)
     now = apply_deviations(model, deviations(model, parameters, values[:P]))
-    return now.with_effects(tuple(split_values(model.effects, values[P:]))) if len(values) > P else now
+    if len(values) == P:
+        return now
+    ends = np.cumsum([len(e.values) for e in model.effects])[:-1]
+    parts = np.split(values[P:], ends)
+    stds = [None] * len(parts) if std is None else np.split(std, ends)
+    return now.with_effects(tuple(e.with_values(x, s) for e, x, s in zip(model.effects, parts, stds, strict=True)))
 
 
 def geometry_rows(
@@ -261,14 +264,6 @@ def geometry_rows(
         if parameter.place == 0 and len(model.frames) > 1:
             view.only_frame(model.frames_led_by(parameter.frame), J[j])
     return J
-
-
-def split_values(effects: Sequence[Effect], values: Array) -> list[Effect]:
-    """The effects with their shares of a vector of values."""
-    ends = np.cumsum([len(e.values) for e in effects])
-    return (
-        [e.with_values(part) for e, part in zip(effects, np.split(values, ends[:-1]), strict=True)] if effects else []
-    )
 
 
 @dataclass
@@ -311,10 +306,9 @@ class RowView:
             R_y = T_root_frame[samples.frame[pose], :3, :3] @ samples.R[pose]
             rotation = so3.log(R_y @ np.swapaxes(R, -1, -2)).T
         view = cls(samples, pose, f, y - f.p[-1], rotation, reading, effects=now.effects)
-        if now.instruments:
-            view.sights = look(now.instruments, samples, true, T_root_frame, f)
-            if view.sights is not None:
-                view.sights.put_into(view.position, view.reading)
+        if now.instruments and (sights := look(now.instruments, samples, true, T_root_frame, f)) is not None:
+            view.sights = sights
+            view.position[:, sights.rows], view.reading[:, sights.rows] = sights.residual, sights.scale
         return view
 
     def column(self, place: int, twist: Array, out: Array) -> None:

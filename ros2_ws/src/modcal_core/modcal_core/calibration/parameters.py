@@ -26,8 +26,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from modcal_core.calibration.instruments import Instrument
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Instrument, Model
 from modcal_core.errors import BadTable
 from modcal_core.geometry import DIRECTIONS, Array, se3
 from modcal_core.measurements.kinds import ORIGIN, kinds

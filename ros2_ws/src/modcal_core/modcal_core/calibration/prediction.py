@@ -17,13 +17,7 @@ from modcal_core.robots import Mechanism
 
 # --- What drivers and effects were while a calibration was recorded, to be kept with it
 
-OUTSIDE = (
-    "effort",
-    "following",
-    "temperature",
-    "signal",
-    "time",
-)  # kinds of drivers that postures and URDF do not tell
+OUTSIDE = ("effort", "following", "temperature", "signal", "time")  # drivers that postures and URDF do not tell
 _HEARD = ("temperature:", "signal:")
 
 
@@ -91,9 +85,7 @@ def predict(
         remedy = f"give one of {', '.join(model.frames)}"
         raise BadTable(f"frame {unknown[0]}", "is not in the calibration", remedy)
     index = np.array([model.frames.index(name) for name in names])
-    at = (
-        index[samples.frame] if len(names) == len(samples.frames) and frame is None else np.full(len(samples), index[0])
-    )
+    at = index[samples.frame if len(names) == len(samples.frames) and frame is None else np.zeros(len(samples), int)]
     samples = replace(samples, frames=model.frames, frame=at)
     _require_drivers(model, samples)
     arm = replace(model.arm or NominalArm(nominal), limits=limits)

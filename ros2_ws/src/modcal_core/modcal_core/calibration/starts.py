@@ -20,9 +20,8 @@ from modcal_core.calibration.cell import Cell, with_bases
 from modcal_core.calibration.distances import distance_cost
 from modcal_core.calibration.fit import CONVERGED, FITTED, Fit, identify, identify_moved
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.noise import NoiseModel, errors, squared_residuals
 from modcal_core.calibration.parameters import ModelParameter
-from modcal_core.calibration.score import errors, squared_residuals
 from modcal_core.calibration.stated import as_stated
 from modcal_core.effects import is_move
 from modcal_core.errors import NotEnoughData
@@ -44,11 +43,7 @@ Parameters = Sequence[ModelParameter]
 
 
 def fit_geometry(
-    start: Model,
-    samples: Samples,
-    parameters: Parameters,
-    cell: Cell,
-    tolerance: float = CONVERGED,
+    start: Model, samples: Samples, parameters: Parameters, cell: Cell, tolerance: float = CONVERGED
 ) -> Fit:
     """The fit of the whole geometry; its start is the model that the best of several fits was begun from.
 
@@ -61,7 +56,9 @@ def fit_geometry(
         return identify_moved(start, samples, _usual(parameters), cell.distances, tolerance)
     fitted = partial(identify, samples=samples, distances=cell.distances, tolerance=tolerance)
     first = fitted(start, parameters=parameters)
-    if is_serial_arm(start.chain) and _tool_free(parameters) and _far(first):
+    # whether where the tool is has to be found at all, and is not stated
+    free = any(p.name.startswith("tool/") and not p.turns and p.prior_std > p.expected for p in parameters)
+    if is_serial_arm(start.chain) and free and _far(first):
         best = _best(start, samples, parameters, cell, first)
         if best is not None:
             return fitted(best.start, parameters=parameters, begin=best.values)
@@ -91,11 +88,6 @@ def _borne_out(fit: Fit) -> bool:
     rows = [k for k, p in enumerate(fit.parameters) if p.name.startswith(("frame ", "tool/"))]
     usual = np.array([fit.parameters[k].expected for k in rows])
     return bool(np.all(np.abs(fit.values[rows]) < _NEAR * usual) and np.all(fit.std[rows] < _NEAR * usual))
-
-
-def _tool_free(parameters: Parameters) -> bool:
-    """Whether where the tool is has to be found at all, and is not stated."""
-    return any(p.name.startswith("tool/") and not p.turns and p.prior_std > p.expected for p in parameters)
 
 
 def _far(fit: Fit) -> bool:

@@ -42,11 +42,8 @@ class Stated:
                 said = f"{value:g} {unit}, above 0 and at most {limit:g} {unit} is allowed"
                 raise BadTable(f"stated {name}", said, f"give {unit}")
         if self.repeatability_mm is not None and self.repeatability_iso_mm is not None:
-            raise BadTable(
-                "stated repeatability",
-                f"given twice: {self.repeatability_mm:g} mm RMS and RP {self.repeatability_iso_mm:g} mm",
-                "state one of them",
-            )
+            said = f"given twice: {self.repeatability_mm:g} mm RMS and RP {self.repeatability_iso_mm:g} mm"
+            raise BadTable("stated repeatability", said, "state one of them")
 
     @property
     def rms_mm(self) -> float | None:

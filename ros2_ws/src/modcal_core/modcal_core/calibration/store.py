@@ -1,7 +1,7 @@
 """A calibration as plain data: everything needed to predict, and to refuse a robot it was not made for.
 
-Values are checked where they are read (:mod:`store`). Names that are free (frames, joints, signals), and the
-settings of an effect's shape, which packages may add to, may be any.
+Values are checked where they are read. Names that are free (frames, joints, signals), and the settings of an effect's
+shape, which packages may add to, may be any.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from modcal_core.calibration.store_parts import (
     centre_from_data,
     effect_from_data,
     effect_to_data,
-    floats,
     inertias_from_data,
     model_from_data,
     model_to_data,
@@ -213,17 +212,13 @@ class Calibration:
     def require_robot(self, chain: Mechanism) -> None:
         """Raises BadRobot unless the chain is the nominal one this calibration was made for."""
         if chain.names != self.nominal.chain.names:
-            raise BadRobot(
-                f"calibration of joints {', '.join(self.nominal.chain.names)}",
-                f"this robot has {', '.join(chain.names)}",
-                "use the calibration of this robot, or --base and --tip of the one it was made for",
-            )
+            said = f"this robot has {', '.join(chain.names)}"
+            remedy = "use the calibration of this robot, or --base and --tip of the one it was made for"
+            raise BadRobot(f"calibration of joints {', '.join(self.nominal.chain.names)}", said, remedy)
         if fingerprint(chain) != self.robot:
-            raise BadRobot(
-                f"calibration of robot {self.robot}",
-                f"this description is robot {fingerprint(chain)}: same joints, other nominal kinematics",
-                "use the URDF it was made from, or calibrate again",
-            )
+            said = f"this description is robot {fingerprint(chain)}: same joints, other nominal kinematics"
+            remedy = "use the URDF it was made from, or calibrate again"
+            raise BadRobot(f"calibration of robot {self.robot}", said, remedy)
 
 
 def fingerprint(chain: Mechanism) -> str:
@@ -267,11 +262,11 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
         "recorded": {
             "kind": calibration.kind,
             "spread": [calibration.noise.position, calibration.noise.rotation],
-            "scatter": floats(np.array(calibration.scatter)),
+            "scatter": np.array(calibration.scatter).tolist(),
             "converged": calibration.converged,
             **({"spread_of": dict(calibration.noise.others)} if calibration.noise.others else {}),
-            "postures": [floats(q) for q in calibration.postures],
-            **({"stamps": floats(np.array(calibration.watched))} if calibration.watched else {}),
+            "postures": calibration.postures.tolist(),
+            **({"stamps": np.array(calibration.watched).tolist()} if calibration.watched else {}),
             **({} if calibration.clock else {"clock": False}),
             **({"geometry_outside": True} if calibration.geometry_outside else {}),
             **({"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}),

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.calibration.covariance import Uncertainty
-from modcal_core.calibration.instruments import Instrument
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Instrument, Model
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.prediction import TypicalDriver
 from modcal_core.effects import Carried, Effect, NominalArm, Shape, require_known
@@ -41,8 +40,8 @@ def effect_to_data(effect: Effect) -> dict[str, Any]:
         "direction": effect.direction,
         "driver": effect.driver,
         "shape": {"kind": effect.shape.kind, **{k: float(v) for k, v in effect.shape.settings.items()}},
-        "values": floats(effect.values),
-        "std": floats(effect.std),
+        "values": effect.values.tolist(),
+        "std": effect.std.tolist(),
     }
 
 
@@ -75,7 +74,7 @@ def _vector(values: Any) -> Array:
 
 def typical_to_data(typical: TypicalDriver | None) -> dict[str, Any]:
     """What an effect was on average, under the key ``usual``; nothing where that is not known."""
-    return {} if typical is None else {"usual": {"mean": floats(typical.mean), "cost_m2": float(typical.cost)}}
+    return {} if typical is None else {"usual": {"mean": typical.mean.tolist(), "cost_m2": float(typical.cost)}}
 
 
 def typical_from_data(data: Any) -> TypicalDriver | None:
@@ -130,19 +129,16 @@ def arm_to_data(arm: NominalArm | None) -> dict[str, Any] | None:
     """The bodies of the nominal arm, which loads are computed from."""
     if arm is None or arm.inertias is None:
         return None
+    held = arm.inertias.held
     return {
-        "mass": floats(arm.inertias.mass),
-        "com": [floats(c) for c in arm.inertias.com],
-        "down": floats(arm.inertias.down),
-        **({} if arm.inertias.held is None else {"held": _held_to_data(arm.inertias.held)}),
+        "mass": arm.inertias.mass.tolist(),
+        "com": arm.inertias.com.tolist(),
+        "down": arm.inertias.down.tolist(),
+        **({} if held is None else {"held": {"joints": held.joints, "mass": held.mass, "com": held.com.tolist()}}),
         **({"branches": [_hanging_to_data(b) for b in arm.inertias.branches]} if arm.inertias.branches else {}),
         **({} if arm.earlier is None else {"earlier": _carried_to_data(arm.earlier)}),
-        **({} if arm.centre is None else {"centre": floats(arm.centre)}),
+        **({} if arm.centre is None else {"centre": arm.centre.tolist()}),
     }
-
-
-def _held_to_data(held: HeldBehind) -> dict[str, Any]:
-    return {"joints": held.joints, "mass": held.mass, "com": floats(held.com)}
 
 
 def _held_from_data(data: Any, joints: int) -> HeldBehind | None:
@@ -156,9 +152,9 @@ def _held_from_data(data: Any, joints: int) -> HeldBehind | None:
 
 def _carried_to_data(carried: Carried) -> dict[str, Any]:
     return {
-        "until": floats(np.array(carried.until)),
-        "mass": floats(carried.mass),
-        "moment": [floats(m) for m in carried.moment],
+        "until": np.array(carried.until).tolist(),
+        "mass": carried.mass.tolist(),
+        "moment": carried.moment.tolist(),
     }
 
 
@@ -190,11 +186,11 @@ def _hanging_to_data(body: Hanging) -> dict[str, Any]:
     return {
         "carrier": body.carrier,
         "mass": float(body.mass),
-        "com": floats(body.com),
+        "com": body.com.tolist(),
         "steps": [
             {
-                "origin": _matrix(s.origin),
-                "axis": floats(s.axis),
+                "origin": s.origin[:3].tolist(),
+                "axis": s.axis.tolist(),
                 "turns": s.turns,
                 "joint": s.joint,
                 "motion": [float(s.factor), float(s.offset)],
@@ -236,8 +232,8 @@ def model_to_data(model: Model) -> dict[str, Any]:
     """Mechanism, frames, tool and instruments, without the effects."""
     chain = model.chain
     cell = {
-        "frames": {name: _matrix(T) for name, T in zip(model.frames, model.T_frame_base, strict=True)},
-        "tool": _matrix(model.T_tip_tool),
+        "frames": {name: T[:3].tolist() for name, T in zip(model.frames, model.T_frame_base, strict=True)},
+        "tool": model.T_tip_tool[:3].tolist(),
         **({"instruments": [_instrument_to_data(i) for i in model.instruments]} if model.instruments else {}),
         **({"leaders": list(model.leaders)} if model.leaders else {}),
     }
@@ -251,13 +247,13 @@ def model_to_data(model: Model) -> dict[str, Any]:
             {
                 "name": name,
                 "type": "revolute" if chain.revolute[k] else "prismatic",
-                "origin": _matrix(chain.origins[k]),
-                "axis": floats(chain.axes[k]),
+                "origin": chain.origins[k][:3].tolist(),
+                "axis": chain.axes[k].tolist(),
                 "limits": [float(chain.lower[k]), float(chain.upper[k])],
             }
             for k, name in enumerate(chain.names)
         ],
-        "tip_origin": _matrix(chain.origins[-1]),
+        "tip_origin": chain.origins[-1][:3].tolist(),
         **cell,
     }
 
@@ -266,8 +262,8 @@ def _instrument_to_data(instrument: Instrument) -> dict[str, Any]:
     return {
         "frame": instrument.frame,
         "kind": instrument.kind,
-        "constants": floats(instrument.values),
-        "target": None if instrument.target is None else floats(instrument.target),
+        "constants": instrument.values.tolist(),
+        "target": None if instrument.target is None else instrument.target.tolist(),
     }
 
 
@@ -308,16 +304,6 @@ def _chain_from_data(data: Mapping[str, Any]) -> Mechanism:
         str(data["base"]),
         str(data["tip"]),
     )
-
-
-def _matrix(T: Array) -> list[list[float]]:
-    """The upper three rows of a transform."""
-    return [[float(x) for x in row] for row in np.asarray(T)[:3]]
-
-
-def floats(a: Array) -> list[float]:
-    """Numbers (m,) with all their digits."""
-    return [float(x) for x in a]
 
 
 def _transform(rows: Any) -> Array:

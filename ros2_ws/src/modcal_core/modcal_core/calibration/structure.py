@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration.distances import AnyDistance, distance_rows
-from modcal_core.calibration.instruments import Instrument, new_instruments
 from modcal_core.calibration.linearisation import linearise
-from modcal_core.calibration.model import Model
+from modcal_core.calibration.model import Instrument, Model, new_instruments
 from modcal_core.calibration.parameters import ModelParameter, View, drop_fixed, independent_columns, ordered_candidates
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples
@@ -18,12 +17,11 @@ from modcal_core.measurements.kinds import KIND_NAMES, PLANE, kinds, scene_in
 from modcal_core.robots import Chain, Mechanism, forward, is_serial_arm, random_postures, spatial_jacobian
 
 _SEED = 20  # postures must be general, not new: the same robot always gets the same parameters
-
-# a tool that lies on no joint's axis
 _EXACTLY = 1e-7  # what is left of a column that says nothing new, rounding alone
 _NEARLY = 5e-3  # the same for planes: one that stands across an axis but for the error of its placing is taken to do so
 _SPARE = 6  # postures drawn for each that is kept, where an instrument cannot read at all of them
 _GENERAL_FRAME = se3.transform(so3.exp([0.4, 0.7, -0.3]), [1.3, -0.8, 0.6])
+# a tool that lies on no joint's axis
 _GENERAL_TOOL = se3.transform(so3.exp([0.3, -0.2, 0.5]), [0.11, 0.07, 0.13])
 
 

@@ -3,7 +3,7 @@
 A search takes an effect in or leaves it out, and fits freely what it takes in. Where stations are few both cost: what
 does not show is left out, and a curve of fifty values follows the noise. So when the search has ended, its curves, and
 small ones of every joint beside them, are given the sizes that make the samples most likely
-(:mod:`modcal_core.calibration.empirical_bayes`): the mean of a Gaussian process with as many kernels as there are
+(:mod:`modcal_core.calibration.covariance`): the mean of a Gaussian process with as many kernels as there are
 curves. They stay only where that surely predicts samples better that it has not seen, sizes included, by
 cross-validation. What they consist of names no cause.
 """

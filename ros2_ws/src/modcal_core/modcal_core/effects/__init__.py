@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from modcal_core.effects.effect import columns, is_large_move, is_move, is_turned, knots_of, motion, place_index
     from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns
     from modcal_core.effects.family import FREE, PLAIN, USUAL, Family, ReportEntry, nothing_plainer
-    from modcal_core.effects.registry import both_signs, candidates, claimed, companionless, complexity, known_families
-    from modcal_core.effects.registry import family_named, require_known, with_companions
+    from modcal_core.effects.registry import both_signs, candidates, claimed, companionless, complexity, family_named
+    from modcal_core.effects.registry import known_families, require_known, with_companions
     from modcal_core.effects.shapes import PERIODIC, Setting, Shape, ShapeKind, periodic
     from modcal_core.effects.sizes import AxisCurves, Quantity, Sizes, component_names, curve, curve_sizes, unit_of
     from modcal_core.effects.sizes import value
@@ -26,7 +26,7 @@ __all__ = ["ACROSS", "ALL", "AXIS", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE",
 __all__ += ["PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL", "AxisCurves", "Carried"]
 __all__ += ["DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity", "ReportEntry", "Setting"]
 __all__ += ["Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "candidates", "claimed", "columns"]
-__all__ += ["companionless", "complexity", "component_names", "curve", "curve_sizes", "drivers_at", "known_families"]
-__all__ += ["family_named", "is_large_move", "is_move", "is_turned", "knots_of", "motion", "nothing_plainer"]
+__all__ += ["companionless", "complexity", "component_names", "curve", "curve_sizes", "drivers_at", "family_named"]
+__all__ += ["is_large_move", "is_move", "is_turned", "knots_of", "known_families", "motion", "nothing_plainer"]
 __all__ += ["periodic", "place_index", "plain_columns", "prior_stds", "public_driver", "remembered", "require_known"]
 __all__ += ["shape_columns", "unit_of", "value", "with_companions"]

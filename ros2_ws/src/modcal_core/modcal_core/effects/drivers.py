@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.effects.shapes import Shape, brought
+from modcal_core.effects.shapes import Shape, brought_kind
 from modcal_core.geometry import Array
 from modcal_core.measurements import PART, Samples, is_told, others_by_name, staircase, told_at
 from modcal_core.robots import (
@@ -179,31 +179,19 @@ class Drivers:
 
     samples: Samples
     arm: NominalArm
-    _kept: Kept = field(default_factory=lambda: Kept(), compare=False, repr=False)
+    kept: Kept = field(default_factory=Kept, compare=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.samples)
 
     def values(self, name: str, lag: float = 0.0) -> Array:
         """The driver (N,), or its components (c, N). lag: [s] by which a recorded signal's effect follows it."""
-        return self._kept.of(("driver", name, lag), lambda: self._values(name, lag))
+        return self.kept.of(("driver", name, lag), lambda: self._values(name, lag))
 
     def basis(self, name: str, lag: float, shape: Shape) -> Array:
         """The functions (b, N) of a shape that follows a driver."""
         key = "basis", name, lag, shape.kind, *sorted(shape.settings.items())
-        return self._kept.of(key, lambda: shape.basis(self.values(name, lag)))
-
-    def made_of(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any:
-        """What is made of the functions of shapes, or of what was made of them, computed once."""
-        return self._kept.made_of(parts, make)
-
-    def made_as(self, name: tuple[Hashable, ...], make: Callable[[], Any]) -> Any:
-        """What is made of these drivers under a name, computed once."""
-        return self._kept.made_as(name, make)
-
-    def made_of_if_often(self, parts: tuple[Any, ...], make: Callable[..., Any]) -> Any | None:
-        """The same where it was made already, or is asked for often; else None."""
-        return self._kept.made_of_if_often(parts, make)
+        return self.kept.of(key, lambda: shape.basis(self.values(name, lag)))
 
     def _values(self, name: str, lag: float) -> Array:
         if "," in name:
@@ -211,7 +199,7 @@ class Drivers:
         kind, _, of = name.partition(":")
         if kind in SIGNALS:
             return self._signal(name, lag)
-        if found := KINDS.get(kind) or _brought(kind):
+        if found := KINDS.get(kind) or brought_kind("drivers", kind):
             return np.asarray(found(self, of), dtype=float)
         return self._signal(name, lag)
 
@@ -316,28 +304,6 @@ def drivers_at(samples: Samples, arm: NominalArm) -> Drivers:
 DriverKind = Callable[[Drivers, str], Array]  # of the drivers and of what stands behind the colon, (N,)
 
 
-def _ones(drivers: Drivers, _: str) -> Array:
-    return np.ones(len(drivers))
-
-
-def _time(drivers: Drivers, _: str) -> Array:
-    stamps, limits = drivers.samples.stamps, drivers.arm.limits
-    return stamps if limits is None else limits.time(stamps)
-
-
-def _velocity(drivers: Drivers, _: str) -> Array:
-    """Velocities of all joints, (n, N)."""
-    return np.asarray(np.nan_to_num(drivers.samples.velocity.T))
-
-
-def _position(drivers: Drivers, joint: str) -> Array:
-    return drivers.samples.q[:, _column(drivers, joint)]
-
-
-def _direction(drivers: Drivers, joint: str) -> Array:
-    return drivers.samples.approach[:, _column(drivers, joint)]
-
-
 def _effort(drivers: Drivers, joint: str) -> Array:
     """Efforts of a joint. Missing ones are replaced by gravity's torque or, for an arm without masses, by the mean of
     the others.
@@ -351,28 +317,14 @@ def _effort(drivers: Drivers, joint: str) -> Array:
     return np.where(known, effort, effort[known].mean() if known.any() else 0.0)
 
 
-def _following(drivers: Drivers, joint: str) -> Array:
-    return np.asarray(np.nan_to_num(drivers.samples.following[:, _column(drivers, joint)]))
-
-
 def _load(drivers: Drivers, joint: str) -> Array:
     j = _column(drivers, joint)
     return drivers.gravity[j, _along(drivers, j)]
 
 
-def _payload(drivers: Drivers, joint: str) -> Array:
-    j = _column(drivers, joint)
-    return drivers.payload[j, _along(drivers, j)]
-
-
 def _offset(drivers: Drivers, joint: str, axis: int) -> Array:
     j = _column(drivers, joint)
     return drivers.offset[axis, j, _along(drivers, j)]
-
-
-def _moment(drivers: Drivers, joint: str) -> Array:
-    """Across the joint's axis, (2, N)."""
-    return drivers.gravity[_column(drivers, joint), 3:5]
 
 
 def _column(drivers: Drivers, joint: str) -> int:
@@ -385,28 +337,22 @@ def _along(drivers: Drivers, j: int) -> int:
 
 
 KINDS: Mapping[str, DriverKind] = {
-    "constant": _ones,
-    "time": _time,
-    "velocity": _velocity,
-    "reading": _ones,
-    "position": _position,
-    "direction": _direction,
-    "following": _following,
+    "constant": lambda at, _: np.ones(len(at)),
+    "time": lambda at, _: at.samples.stamps if at.arm.limits is None else at.arm.limits.time(at.samples.stamps),
+    "velocity": lambda at, _: np.asarray(np.nan_to_num(at.samples.velocity.T)),  # of all joints, (n, N)
+    "reading": lambda at, _: np.ones(len(at)),
+    "position": lambda at, joint: at.samples.q[:, _column(at, joint)],
+    "direction": lambda at, joint: at.samples.approach[:, _column(at, joint)],
+    "following": lambda at, joint: np.asarray(np.nan_to_num(at.samples.following[:, _column(at, joint)])),
     "load": _load,
     "effort": _effort,
-    "payload": _payload,
+    "payload": lambda at, joint: at.payload[(j := _column(at, joint)), _along(at, j)],
     "offset_x": partial(_offset, axis=0),
     "offset_y": partial(_offset, axis=1),
     "offset_z": partial(_offset, axis=2),
-    "moment": _moment,
+    "moment": lambda at, joint: at.gravity[_column(at, joint), 3:5],  # across the joint's axis, (2, N)
 }
 SIGNALS = ("temperature", "signal")  # kinds that are found among the recorded tracks, by their whole name
-
-
-def _brought(kind: str) -> DriverKind | None:
-    """The kind of this name that a family brings, None where none does."""
-    found = (getattr(source, "drivers", {}).get(kind) for _, source in brought())
-    return next((driver for driver in found if driver is not None), None)
 
 
 def delayed(t: Array, x: Array, lag: float, at: Array, step: float = np.inf) -> Array:

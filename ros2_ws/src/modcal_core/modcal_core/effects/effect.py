@@ -1,13 +1,13 @@
 """The error model: every effect is a sum of small motions *place × direction × driver*.
 
 An effect's amplitude a moves each sample by the sum of its terms, ``a · φ(driver)`` along one direction at one place,
-where places and directions are those of :mod:`parameters`. Effects therefore compose, and their columns of the
-linearised model are the geometry's columns times numbers.
+where places and directions are those of :mod:`modcal_core.calibration.parameters`. Effects therefore compose, and their
+columns of the linearised model are the geometry's columns times numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -66,12 +66,7 @@ class Knots:
 
 def knots_of(functions: Array, at: Drivers) -> Knots | None:
     """Sparse form of a shape's functions (b, N), cached by these drivers; None where dense matrices are faster."""
-    return at.made_of((functions,), Knots.of) if functions.size >= _MIN else None
-
-
-def knots_if_often(functions: Array, at: Drivers) -> Knots | None:
-    """The same, but None where they are not there yet and are not asked for often."""
-    return at.made_of_if_often((functions,), Knots.of) if functions.size >= _MIN else None
+    return at.kept.made_of((functions,), Knots.of) if functions.size >= _MIN else None
 
 
 READING = -1  # the place of what scales readings: behind everything
@@ -109,8 +104,8 @@ class Effect:
     family: as in reports. place: a joint, "base", "tool" or "tracker". direction: x y z rx ry rz of the place, "axis"
     (along the joint's), "across" it, "length" (along the link before the joint), "shift" (x y z), "all" six, "joints"
     (the axes of all joints at once), "rods" (of a Delta's parallelograms) or "radial" (from the tracker). driver: see
-    :mod:`drivers`. shape: how it follows the driver. values, std: amplitudes and their standard deviations (m,), in rad
-    or m per unit of the driver, then the settings that are fitted with them.
+    :mod:`modcal_core.effects.drivers`. shape: how it follows the driver. values, std: amplitudes and their standard
+    deviations (m,), in rad or m per unit of the driver, then the settings that are fitted with them.
     """
 
     family: str
@@ -230,7 +225,7 @@ def columns(effect: Effect, drivers: Drivers) -> list[list[Term]]:
     if not effect.shape.is_free:
         return made()
     name = "columns", k, effect.direction, effect.driver, effect.shape.kind, *sorted(effect.shape.settings.items())
-    found: list[list[Term]] = drivers.made_as(name, made)  # hundreds, which a fit asks for at every step
+    found: list[list[Term]] = drivers.kept.made_as(name, made)  # hundreds, which a fit asks for at every step
     return found
 
 
@@ -280,19 +275,16 @@ def all_columns(effects: Iterable[Effect], drivers: Drivers) -> list[list[Term]]
         for place, twist in motion(effects, drivers)[0].items()
         if np.abs(twist[3:]).max() > _TURNED and place in (0, drivers.arm.chain.tool_place)
     }
-    return [_seen_turned(terms, turned) for terms in out]
+    for k, terms in enumerate(out):
+        if len(terms) == 1 and terms[0].place in turned:
+            place, direction, size = terms[0].place, terms[0].direction, terms[0].size
+            out[k] = [Term(place, d, turned[place][:, direction, d] * size) for d in range(6)]
+    return out
 
 
 def is_turned(effect: Effect) -> bool:
     """Whether an effect turns its place by so much that columns there are those of the turned frame."""
     return effect.direction == ALL and bool(np.abs(effect.amplitudes).max(initial=0.0) > _TURNED)
-
-
-def _seen_turned(terms: list[Term], turned: Mapping[int, Array]) -> list[Term]:
-    if len(terms) != 1 or terms[0].place not in turned:
-        return terms
-    place, direction, size = terms[0].place, terms[0].direction, terms[0].size
-    return [Term(place, d, turned[place][:, direction, d] * size) for d in range(6)]
 
 
 def motion(effects: Iterable[Effect], drivers: Drivers) -> tuple[dict[int, Array], Array]:
@@ -320,7 +312,7 @@ def _moved(effect: Effect, drivers: Drivers) -> Iterator[Term]:
         return
     basis = drivers.basis(effect.driver, effect.lag, effect.shape)
     # of curves of many knots, in a fit or where models are weighed against each other at the same samples
-    knots = knots_if_often(basis, drivers)
+    knots = drivers.kept.made_of_if_often((basis,), Knots.of) if basis.size >= _MIN else None
     yield from _sums(effect, drivers, knots.curves if knots is not None else lambda each: each @ basis)
 
 

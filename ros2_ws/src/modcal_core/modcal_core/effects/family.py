@@ -2,7 +2,7 @@
 
 Everything else in modcal treats all effects alike and asks the family of one where they differ; nothing asks for a
 family's name. A built-in family is a file in ``effects/families`` that names it ``FAMILY``; a package's is named by
-an entry point (:mod:`sources`). Apart from where they lie the two are the same.
+an entry point (:func:`modcal_core.effects.shapes.brought`). Apart from where they lie the two are the same.
 """
 
 from __future__ import annotations
@@ -110,24 +110,9 @@ def complexity_of_joint(effect: Effect) -> int:
     return PLAIN if own and not effect.shape.is_free else complexity_of_shape(effect)
 
 
-def always(_: Effect) -> bool:
-    """Whatever its amplitudes."""
-    return True
-
-
 def nothing_plainer(_: Effect) -> Effect | None:
     """The effect is as plain as it can be."""
     return None
-
-
-def nothing_else(_effect: Effect, _samples: Samples) -> tuple[str, ...]:
-    """Nothing beyond what the scan itself found to explain as much."""
-    return ()
-
-
-def everywhere(_: Effect, drivers: Drivers) -> np.ndarray:
-    """At all samples, (N,)."""
-    return np.ones(len(drivers), bool)
 
 
 @dataclass(frozen=True)
@@ -155,10 +140,10 @@ class Family:
     shapes: Mapping[str, ShapeKind] = field(default_factory=dict)
     drivers: Mapping[str, DriverKind] = field(default_factory=dict)
     complexity: Callable[[Effect], int] = complexity_of_shape
-    plausible: Callable[[Effect], bool] = always
+    plausible: Callable[[Effect], bool] = lambda _: True
     plainer: Callable[[Effect], Effect | None] = nothing_plainer
     sizes: Callable[[Effect, Mechanism], Sizes] = sizes_of
     sentence: Callable[[ReportEntry], str] = unnamed
-    same_as: Callable[[Effect, Samples], tuple[str, ...]] = nothing_else
-    certain: Callable[[Effect, Drivers], np.ndarray] = everywhere
+    same_as: Callable[[Effect, Samples], tuple[str, ...]] = lambda _effect, _samples: ()  # beyond what the scan found
+    certain: Callable[[Effect, Drivers], np.ndarray] = lambda _, drivers: np.ones(len(drivers), bool)
     claimed: bool = True

@@ -4,7 +4,8 @@ A shape has settings that are not linear (cycles a turn, the time of a step, a t
 scanning; those that its kind calls *refined* are then fitted together with everything else. :data:`KINDS` has the kinds
 that families share; a family may bring more.
 
-Both are read here, without knowing what a family is; :mod:`registry` says what may be one. A package says
+Both are read here, without knowing what a family is; :mod:`modcal_core.effects.registry` says what may be one. A
+package says
 
     [project.entry-points."modcal.effects"]
     taut_cable = "my_package.taut_cable:FAMILY"
@@ -42,6 +43,12 @@ def brought() -> tuple[tuple[str, Any], ...]:
     names.sort(key=lambda name: (order.get(name, len(order)), name))
     files = [(f"effects/families/{name}.py", import_module(f"{families.__name__}.{name}").FAMILY) for name in names]
     return (*files, *added(GROUP))
+
+
+def brought_kind(what: str, name: str) -> Any:
+    """The kind of this name among the shapes, or drivers, that a family brings; None where none does."""
+    found = (getattr(source, what, {}).get(name) for _, source in brought())
+    return next((kind for kind in found if kind is not None), None)
 
 
 Settings = Mapping[str, float]
@@ -90,7 +97,7 @@ class Shape:
     @property
     def of_kind(self) -> ShapeKind:
         """What is known of its kind. Raises BadTable for a kind that nobody knows."""
-        found = KINDS.get(self.kind) or _brought(self.kind)
+        found = KINDS.get(self.kind) or brought_kind("shapes", self.kind)
         if found is None:
             raise BadTable(f"shape {self.kind}", "is not known", "install the package that provides it")
         return found
@@ -136,66 +143,10 @@ class Shape:
         return out
 
 
-def _brought(kind: str) -> ShapeKind | None:
-    """The kind of this name that a family brings, None where none does."""
-    found = (getattr(source, "shapes", {}).get(kind) for _, source in brought())
-    return next((shape for shape in found if shape is not None), None)
-
-
-def linear(x: Array, _: Settings) -> Array:
-    """The driver itself. Of ``lagged`` it is a signal that was delayed by the setting ``lag`` already."""
-    return x[None]
-
-
-def several(x: Array, _: Settings) -> Array:
-    """Each of the drivers."""
-    return x
-
-
-def product(x: Array, _: Settings) -> Array:
-    """The first driver times the second."""
-    return np.asarray((x[0] * x[1])[None])
-
-
-def products(x: Array, _: Settings) -> Array:
-    """Each of the first three drivers times the fourth."""
-    return np.asarray(x[:3] * x[3])
-
-
-def carried(x: Array, _: Settings) -> Array:
-    """The first driver, and the second times the third: a load, and that of one kilogram times how many there are."""
-    return np.asarray((x[0] + x[1] * x[2])[None])
-
-
-def since(x: Array, s: Settings) -> Array:
-    """The first driver, from the time ``at`` on, the second being time."""
-    return np.asarray((x[0] * (x[1] >= s["at"]))[None])
-
-
 def hardening(x: Array, s: Settings) -> Array:
     """The y with y + beta y³ = x / scale, as a spring deflects that gets stiffer."""
     root = np.sqrt(3.0 * max(s["beta"], 1e-6))
     return np.asarray((2.0 / root * np.sinh(np.arcsinh(1.5 * root * x / s["scale"]) / 3.0))[None])
-
-
-def sign(x: Array, _: Settings) -> Array:
-    """±1."""
-    return np.asarray(np.sign(x)[None])
-
-
-def ramp(x: Array, s: Settings) -> Array:
-    """x − since."""
-    return np.asarray((x - s["since"])[None])
-
-
-def step(x: Array, s: Settings) -> Array:
-    """0 before ``at``, 1 from then on."""
-    return np.asarray((x >= s["at"]).astype(float)[None])
-
-
-def until(x: Array, s: Settings) -> Array:
-    """A step that is zero at the end, so that the final state needs no effect."""
-    return np.asarray(-(x < s["at"]).astype(float)[None])
 
 
 def settle(x: Array, s: Settings) -> Array:
@@ -246,11 +197,6 @@ def waves(x: Array, s: Settings) -> Array:
     return np.concatenate([np.sin(phase), np.cos(phase)])
 
 
-def _wave_count(s: Settings) -> int:
-    order = int(s["order"])
-    return 2 * (order + order * (order + 1) + order * order)
-
-
 def periodic(kind: str, cycles: Array, x: Array) -> Array:
     """Basis functions (C, b, N) of shapes of a PERIODIC kind with these cycles a turn (C,), at drivers x (N,)."""
     turn = _turns(cycles, x)
@@ -292,24 +238,28 @@ def _of_cycles(kind: str, size: int, *, refined: bool) -> ShapeKind:
 
 _AT = {"at": Setting(unit="s")}
 KINDS: Mapping[str, ShapeKind] = {
-    "linear": ShapeKind(linear),
-    "lagged": ShapeKind(linear, refined={"lag": Setting(unit="s")}),
-    "several": ShapeKind(several, 2),
-    "product": ShapeKind(product),
-    "products": ShapeKind(products, 3),
-    "carried": ShapeKind(carried),
-    "since": ShapeKind(since, fixed=_AT),
+    "linear": ShapeKind(lambda x, _: x[None]),
+    # a signal that was delayed by the setting already
+    "lagged": ShapeKind(lambda x, _: x[None], refined={"lag": Setting(unit="s")}),
+    "several": ShapeKind(lambda x, _: x, 2),
+    "product": ShapeKind(lambda x, _: np.asarray((x[0] * x[1])[None])),
+    "products": ShapeKind(lambda x, _: np.asarray(x[:3] * x[3]), 3),
+    # a load, and that of one kilogram times how many there are
+    "carried": ShapeKind(lambda x, _: np.asarray((x[0] + x[1] * x[2])[None])),
+    # the first driver from a time on, the second being time
+    "since": ShapeKind(lambda x, s: np.asarray((x[0] * (x[1] >= s["at"]))[None]), fixed=_AT),
     "hardening": ShapeKind(hardening, refined={"beta": Setting()}),
     "turn": _of_cycles("turn", 2, refined=False),
     "sine": _of_cycles("sine", 2, refined=True),
     "double": _of_cycles("double", 4, refined=True),
-    "sign": ShapeKind(sign),
-    "ramp": ShapeKind(ramp),
-    "step": ShapeKind(step, fixed=_AT),
-    "until": ShapeKind(until, fixed=_AT),
+    "sign": ShapeKind(lambda x, _: np.asarray(np.sign(x)[None])),
+    "ramp": ShapeKind(lambda x, s: np.asarray((x - s["since"])[None])),
+    "step": ShapeKind(lambda x, s: np.asarray((x >= s["at"]).astype(float)[None]), fixed=_AT),
+    # a step that is zero at the end, so that the final state needs no effect
+    "until": ShapeKind(lambda x, s: np.asarray(-(x < s["at"]).astype(float)[None]), fixed=_AT),
     "settle": ShapeKind(settle, refined={"tau": Setting(unit="s", name="time_constant")}),
     "spline": ShapeKind(splines, lambda s: int(s["count"])),
     "polynomial": ShapeKind(polynomial, lambda s: int(s["degree"])),
-    "waves": ShapeKind(waves, _wave_count),
+    "waves": ShapeKind(waves, lambda s: 4 * int(s["order"]) * (int(s["order"]) + 1)),
 }
 FREE = ("spline", "polynomial", "waves")

@@ -163,9 +163,9 @@ def _per_driver(effect: Effect, chain: Mechanism) -> str:
     if effect.shape.kind not in ("linear", "lagged"):
         return ""
     kind = effect.driver.partition(":")[0]
-    if kind == "following":  # an angle per angle
+    if kind in ("position", "following"):  # of the latter an angle per angle
         return f"/{unit_of_driver(effect, chain)}"
-    return f"/{unit_of_driver(effect, chain)}" if kind == "position" else _PER_DRIVER.get(kind, "")
+    return _PER_DRIVER.get(kind, "")
 
 
 # --- Curves about joints' axes, all at once

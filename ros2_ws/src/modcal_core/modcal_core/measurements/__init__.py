@@ -6,26 +6,25 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.measurements.alignment import LIMIT, align
-    from modcal_core.measurements.approach import LEFT, MIN_RETURNS, SAME, TRAVEL, Approach, posture_numbers, returns
     from modcal_core.measurements.checks import joint_limits, remedies_of, require_usable
     from modcal_core.measurements.dropouts import BETWEEN, DAY, ELSEWHEN, GLITCHES, MAX_GLITCHES, UNUSABLE, Dropped
     from modcal_core.measurements.dropouts import cleaned, dropped, elsewhen, hung, together, unexpected
-    from modcal_core.measurements.dwells import LATE_STEPS, NOISE_FACTOR, SECOND_DIFFERENCE, SHORTEST, StationRules
-    from modcal_core.measurements.dwells import dwells_of, find_dwells, fitted_rules, inliers, spread_rows
+    from modcal_core.measurements.dwells import LATE_STEPS, LEFT, MIN_RETURNS, NOISE_FACTOR, SAME, SECOND_DIFFERENCE
+    from modcal_core.measurements.dwells import SHORTEST, TRAVEL, Approach, StationRules, dwells_of, find_dwells
+    from modcal_core.measurements.dwells import fitted_rules, inliers, posture_numbers, returns, spread_rows
     from modcal_core.measurements.held_box import measure_box
     from modcal_core.measurements.inspection import inspect, out_of_time
     from modcal_core.measurements.packages import added
     from modcal_core.measurements.pairing import averaged
     from modcal_core.measurements.recording import APART, BEARING, IMPORTED, ORDER_ONLY, PART, POINT, POSE, RANGE, RAY
     from modcal_core.measurements.recording import SOCKETS, TOUCH, JointTrack, Listed, ReadingTrack, Recording
-    from modcal_core.measurements.recording import SignalTrack, Stretch, following, joint_stamps_and
-    from modcal_core.measurements.recording import joint_stamps_and_positions
+    from modcal_core.measurements.recording import SignalTrack, Stretch, following, is_told, joint_stamps_and
+    from modcal_core.measurements.recording import joint_stamps_and_positions, joints_by_time, staircase, told_at
     from modcal_core.measurements.samples import SHARED, Origin, Samples, after, as_recording, between, cut_stations
     from modcal_core.measurements.samples import explained_by_posture, joints_instead, marks_of, moving_beside
     from modcal_core.measurements.samples import other_joints, others_at, others_by_name, require_new, share_of_known
     from modcal_core.measurements.samples import spoken_name
     from modcal_core.measurements.schema import Schema, require, shown, told
-    from modcal_core.measurements.stated_signals import is_told, staircase, told_at
 else:
     from modcal_core.lazy import lazy_face
 
@@ -38,7 +37,7 @@ __all__ += ["Dropped", "JointTrack", "Listed", "Origin", "ReadingTrack", "Record
 __all__ += ["SignalTrack", "StationRules", "Stretch", "added", "after", "align", "as_recording", "averaged", "between"]
 __all__ += ["cleaned", "cut_stations", "dropped", "dwells_of", "elsewhen", "explained_by_posture", "find_dwells"]
 __all__ += ["fitted_rules", "following", "hung", "inliers", "inspect", "is_told", "joint_limits", "joint_stamps_and"]
-__all__ += ["joint_stamps_and_positions", "joints_instead", "marks_of", "measure_box", "moving_beside", "other_joints"]
-__all__ += ["others_at", "others_by_name", "out_of_time", "posture_numbers", "remedies_of", "require", "require_new"]
-__all__ += ["require_usable", "returns", "share_of_known", "shown", "spoken_name", "spread_rows", "staircase"]
-__all__ += ["together", "told", "told_at", "unexpected"]
+__all__ += ["joint_stamps_and_positions", "joints_by_time", "joints_instead", "marks_of", "measure_box"]
+__all__ += ["moving_beside", "other_joints", "others_at", "others_by_name", "out_of_time", "posture_numbers"]
+__all__ += ["remedies_of", "require", "require_new", "require_usable", "returns", "share_of_known", "shown"]
+__all__ += ["spoken_name", "spread_rows", "staircase", "together", "told", "told_at", "unexpected"]

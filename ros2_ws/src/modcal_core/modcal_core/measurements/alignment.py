@@ -20,7 +20,7 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
-from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joint_stamps_and_positions
+from modcal_core.measurements.recording import POINT, POSE, ReadingTrack, Recording, joints_by_time
 
 # --- The tracker's delay together with the point of the tip link that it sees
 
@@ -143,9 +143,7 @@ def align(
     tip: poses (N, 4, 4) [m] of the tip for joint positions (N, n), by the nominal arm. Raises BadRecording for a clock
     that is off by more than ``limit`` seconds.
     """
-    t, q = joint_stamps_and_positions(recording, names)
-    order = np.argsort(t, kind="stable")
-    t, q = t[order], q[order]
+    t, q = joints_by_time(recording, names)
     tracks, notes = [], []
     for track in recording.readings:
         clock = clock_offset(track, t, q, tip) if track.kind in (POSE, POINT) else None

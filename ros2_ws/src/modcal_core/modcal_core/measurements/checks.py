@@ -84,11 +84,8 @@ def _require_joints(recording: Recording, chain: Mechanism) -> None:
     known = sorted({name for t in tracks for name in t.names})
     missing = [name for name in chain.names if name not in known]
     if missing:
-        raise BadRecording(
-            f"joint {', '.join(missing)}",
-            f"not among the joint states ({', '.join(known)})",
-            "record every joint between base and tip, or give --base and --tip of the joints recorded",
-        )
+        remedy = "record every joint between base and tip, or give --base and --tip of the joints recorded"
+        raise BadRecording(f"joint {', '.join(missing)}", f"not among the joint states ({', '.join(known)})", remedy)
     for track in tracks:
         for j, name in enumerate(track.names):
             if name in chain.names:
@@ -107,11 +104,8 @@ def _require_joint(track: JointTrack, j: int, name: str, chain: Mechanism) -> No
         said = f"position reaches {largest:.1f} rad, {limit:.1f} rad is the limit: it looks like degrees"
         if largest > limit + _COUNTED_ON:
             raise BadRecording(f"joint {name}", said, "record radians")
-        raise BadRecording(
-            f"joint {name}",
-            f"{said}, or whole turns were counted on",
-            "record radians, within the joint's range, or correct its limits in the URDF",
-        )
+        remedy = "record radians, within the joint's range, or correct its limits in the URDF"
+        raise BadRecording(f"joint {name}", f"{said}, or whole turns were counted on", remedy)
     raise BadRecording(f"joint {name}", f"slides by {largest:.0f} m: it looks like millimetres", "record metres")
 
 
@@ -127,11 +121,9 @@ def _require_one_source(track: JointTrack, chain: Mechanism) -> None:
     back = (np.abs(step[:-1] + step[1:]) < _BACK * np.abs(step[:-1])) & (seconds[:-1] + seconds[1:] < _AT_ONCE)
     share = (away & back).mean(axis=0)
     if share.max() > _OFTEN:
-        raise BadRecording(
-            f"{track.topic}: the position of {track.names[mine[int(np.argmax(share))]]}",
-            f"jumps to and fro at {share.max():.0%} of the messages: two nodes publish joint states",
-            "stop the other one (a joint_state_publisher?), or record the driver's topic under a name of its own",
-        )
+        said = f"jumps to and fro at {share.max():.0%} of the messages: two nodes publish joint states"
+        remedy = "stop the other one (a joint_state_publisher?), or record the driver's topic under a name of its own"
+        raise BadRecording(f"{track.topic}: the position of {track.names[mine[int(np.argmax(share))]]}", said, remedy)
 
 
 def _require_readings(recording: Recording, chain: Mechanism) -> None:

@@ -18,19 +18,11 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
-from modcal_core.measurements.approach import LEFT
 from modcal_core.measurements.checks import joint_limits
-from modcal_core.measurements.dwells import StationRules, dwells_of, inliers
+from modcal_core.measurements.dwells import LEFT, StationRules, dwells_of, inliers
 from modcal_core.measurements.kinds.kind import farthest
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import (
-    POSE,
-    JointTrack,
-    ReadingTrack,
-    Recording,
-    SignalTrack,
-    joint_stamps_and_positions,
-)
+from modcal_core.measurements.recording import POSE, JointTrack, ReadingTrack, Recording, SignalTrack, joints_by_time
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots import Mechanism
 
@@ -122,21 +114,15 @@ def _joints(
         (BEYOND, far, beyond, "a position beyond its range"),
     ):
         if those.any():
-            _count(lost, reason, int(those.sum()))
+            lost[reason] = lost.get(reason, 0) + int(those.sum())
             of = "" if columns is None else f" of {track.names[mine[int(np.argmax(columns[those].sum(axis=0)))]]}"
             notes.append(_sentence(track.topic, those, track.stamps, what + of))
             if reason == BEYOND and those.mean() > MAX_GLITCHES:
                 doubts.append(_too_often(notes[-1]))
     keep = ~(rows | other | far)
     if not keep.all():
-        track = replace(
-            track,
-            stamps=track.stamps[keep],
-            position=track.position[keep],
-            velocity=track.velocity[keep],
-            effort=track.effort[keep],
-            received=track.received[keep],
-        )
+        each = ("stamps", "position", "velocity", "effort", "received")
+        track = replace(track, **{name: getattr(track, name)[keep] for name in each})
     return _with_rates(track, mine, notes)
 
 
@@ -214,7 +200,7 @@ def _readings(
         (IMPLAUSIBLE, odd, "too far away, or not of unit length,"),
     ):
         if those.any():
-            _count(lost, reason, int(those.sum()))
+            lost[reason] = lost.get(reason, 0) + int(those.sum())
             notes.append(_sentence(name, those, track.stamps, what))
             if reason == IMPLAUSIBLE and those.sum() > MAX_GLITCHES * (~(broken | gone)).sum():
                 doubts.append(_too_often(notes[-1]))
@@ -276,10 +262,6 @@ def _sentence(name: str, rows: np.ndarray, stamps: Array, what: str) -> str:
     return f"{name}: {what} in {int(rows.sum())} of {len(rows)} messages{much}, first at {first:.3f} s: left out."
 
 
-def _count(lost: dict[str, int], reason: str, n: int) -> None:
-    lost[reason] = lost.get(reason, 0) + n
-
-
 # --- Readings of a tracker that hangs: the same pose to the last bit, with new stamps, while the joints go on
 
 HUNG = "readings repeated while the joints moved"
@@ -315,11 +297,10 @@ def hung(recording: Recording, names: tuple[str, ...]) -> Hung:
 
     Stamps have to be on the joints' clock already.
     """
-    t, q = joint_stamps_and_positions(recording, names)
-    order = np.argsort(t, kind="stable")
+    t, q = joints_by_time(recording, names)
     found, notes, doubts = [], [], []
     for track in recording.readings:
-        rows = _repeated(track, t[order], q[order])
+        rows = _repeated(track, t, q)
         count = int(rows.sum())
         if count > _HUNG_MAX * len(rows):
             rows[:], count = False, 0
@@ -378,9 +359,7 @@ def dropped(
 
     samples: cut from the recording.
     """
-    t, q = joint_stamps_and_positions(recording, samples.names)
-    order = np.argsort(t, kind="stable")
-    t, q = t[order], q[order]
+    t, q = joints_by_time(recording, samples.names)
     count = dict.fromkeys((BETWEEN, GLITCHES, OUTSIDE, ALONE, UNKNOWN), 0)
     dwells: Array | None = None
     for track in recording.readings:

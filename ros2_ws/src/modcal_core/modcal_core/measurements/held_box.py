@@ -158,11 +158,7 @@ def _covariance(T: Array, p: Array, axis: np.ndarray, end: Array, s: Array, know
     _, value, V = np.linalg.svd(J / length, full_matrices=True)
     value = np.r_[value, np.zeros(J.shape[1] - len(value))]
     if value[-1] < _WEAK * value[0]:
-        names = [
-            *(f"shift along {a}" for a in "xyz"),
-            *(f"turn about {a}" for a in "xyz"),
-            *(f"size {a}" for a in "xyz"),
-        ]
+        names = [f"{what} {a}" for what in ("shift along", "turn about", "size") for a in "xyz"]
         weak = [n for n, share in zip(np.array(names)[free], np.abs(V[-1]), strict=True) if share > _NAMED]
         raise NotEnoughData(f"{len(p)} rays on the box leave open", " with ".join(weak), "hit faces in more places")
     out = np.zeros((9, 9))

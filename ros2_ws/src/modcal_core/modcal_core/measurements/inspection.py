@@ -3,7 +3,7 @@
 A tracker that begins earlier, or goes on after the joint states have ended, loses nothing but what no posture is known
 of. Where as long a part of the joint states has no reading as the readings outside take, these are that part: at an
 hour's distance since summer time ended, or a day's since midnight. By motion only jumps of some seconds are found
-(:mod:`alignment`).
+(:mod:`modcal_core.measurements.alignment`).
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ import numpy as np
 
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array
-from modcal_core.measurements.approach import MIN_RETURNS, returns
 from modcal_core.measurements.checks import require_usable
 from modcal_core.measurements.dropouts import MAX_GLITCHES, cleaned
-from modcal_core.measurements.dwells import StationRules, find_dwells
+from modcal_core.measurements.dwells import MIN_RETURNS, StationRules, find_dwells, returns
 from modcal_core.measurements.kinds.registry import kinds
-from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions
+from modcal_core.measurements.recording import POINT, POSE, Recording, joint_stamps_and_positions, joints_by_time
 from modcal_core.robots import Mechanism
 
 # --- Readings outside the times of the joint states, which meanwhile go on without any
@@ -93,9 +92,9 @@ def inspect(recording: Recording, chain: Mechanism | None = None) -> Inspection:
     for joint in recording.joints:
         facts.append(_facts(joint.topic, f"{len(joint.names)} joints: {', '.join(joint.names)}", joint.stamps))
         findings += _clock_findings(joint.topic, joint.stamps, joint.received)
-        findings += [
-            f"Joint {name} never moves." for name in _constant(joint.names, joint.position) if len(joint.stamps) > 2
-        ]
+        for name, p in zip(joint.names, joint.position.T, strict=True):
+            if len(joint.stamps) > 2 and np.isfinite(p).all() and np.ptp(p) < _CONSTANT:
+                findings.append(f"Joint {name} never moves.")
     for told in recording.commands:
         facts.append(_facts(told.topic, f"commands of {len(told.names)} joints", told.stamps))
     for reading in recording.readings:
@@ -166,10 +165,6 @@ def _receive_finding(recording: Recording) -> list[str]:
     ]
 
 
-def _constant(names: tuple[str, ...], position: Array) -> list[str]:
-    return [n for n, p in zip(names, position.T, strict=True) if np.isfinite(p).all() and np.ptp(p) < _CONSTANT]
-
-
 def _stuck_finding(name: str, values: Array) -> list[str]:
     if len(values) < 2 * _STUCK or np.ptp(values, axis=0).max() == 0.0:
         return []  # a ball in a socket always reads the same
@@ -186,9 +181,7 @@ def _stuck_finding(name: str, values: Array) -> list[str]:
 
 def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
     """Without postures that are visited twice nobody knows how well the arm repeats, so no fit can be called good."""
-    t, q = joint_stamps_and_positions(recording, chain.names)
-    order = np.argsort(t, kind="stable")
-    t, q = t[order], q[order]
+    t, q = joints_by_time(recording, chain.names)
     dwells = find_dwells(t, q, StationRules())
     if len(dwells):
         q = q[np.searchsorted(t, dwells.mean(axis=1)).clip(max=len(t) - 1)]
@@ -206,14 +199,13 @@ def _returns_finding(recording: Recording, chain: Mechanism) -> list[str]:
 
 def _uses(recording: Recording, chain: Mechanism | None) -> tuple[str, ...]:
     names = chain.names if chain is not None else max((t.names for t in recording.joints), key=len, default=())
-    t, q = joint_stamps_and_positions(recording, names)
+    t, q = joints_by_time(recording, names)
     read = [name for name in kinds() if any(r.kind == name for r in recording.readings)]
     if not read:
         return ("articulated objects, where the end effector's pose is known",) if len(t) else ()
     if not len(t):
         return ()
-    order = np.argsort(t, kind="stable")
-    dwells = find_dwells(t[order], q[order], StationRules())
+    dwells = find_dwells(t, q, StationRules())
     paired = sum(int(np.isin(r.stamps, t).sum()) for r in recording.readings)
     what = " and ".join({POSE: "poses", POINT: "points"}.get(name, f"readings of {name}") for name in read)
     if len(dwells):

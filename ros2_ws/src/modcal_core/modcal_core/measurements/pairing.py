@@ -15,8 +15,7 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
-from modcal_core.measurements.approach import TRAVEL
-from modcal_core.measurements.dwells import StationRules, deviation_of_mean, dwells_of, inliers, spread_rows
+from modcal_core.measurements.dwells import TRAVEL, StationRules, deviation_of_mean, dwells_of, inliers, spread_rows
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.kinds.registry import kinds
 from modcal_core.measurements.recording import (
@@ -75,11 +74,8 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
     pieces = [_cut(track, t, q, velocity, dwells, rules) for track in tracks]
     counts = [len(p.q) for p in pieces]
     if not sum(counts):
-        raise BadRecording(
-            "joint states and readings",
-            _why_nothing(tracks, t, dwells),
-            "record both at once on synchronised clocks, holding each posture for a second",
-        )
+        remedy = "record both at once on synchronised clocks, holding each posture for a second"
+        raise BadRecording("joint states and readings", _why_nothing(tracks, t, dwells), remedy)
     frames = tuple(dict.fromkeys(track.frame for track in tracks))
     whole: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in _COLUMNS}
     moving = np.repeat([p.moving for p in pieces], counts)
@@ -87,7 +83,7 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
         **whole,
         "names": names,
         "frames": frames,
-        "station": _number(whole["stamps"]),
+        "station": np.unique(whole["stamps"], return_inverse=True)[1],  # equal stamps are one, numbered by time
         "frame": np.repeat([frames.index(track.frame) for track in tracks], counts),
         "kind": np.repeat(np.array([track.kind for track in tracks], dtype=KIND_NAMES), counts),
         "moving": moving,
@@ -101,27 +97,20 @@ def paired_columns(recording: Recording, names: tuple[str, ...], rules: StationR
 
 
 def _cut(track: ReadingTrack, t: Array, q: Array, velocity: Array, dwells: Array, rules: StationRules) -> TrackSamples:
-    pairs = _paired(track.stamps, t)
+    _, read, rows = np.intersect1d(track.stamps, t, return_indices=True)  # with exactly the same stamp
     gaps = np.diff(np.unique(np.round(track.stamps / _ALIKE)) * _ALIKE)  # a station's row may have been written twice
     sparse = not len(gaps) or float(np.median(gaps)) > rules.window
     # one topic may have been heard for longer than the other; what counts is the time that both cover
     shared = int(((track.stamps >= t[0]) & (track.stamps <= t[-1])).sum()) if len(t) else 0
-    if len(pairs) and len(pairs) >= _PAIRED * shared and (sparse or len(dwells) < _MIN_DWELLS):
-        rows = pairs[:, 1]
+    if len(rows) and len(rows) >= _PAIRED * shared and (sparse or len(dwells) < _MIN_DWELLS):
         if sparse:
             # a course between stations far apart is not known; what the joints said of their speed is
-            return _as_is(track, pairs[:, 0], q[rows], velocity[rows], np.zeros_like(q[rows]), False)
+            return _as_is(track, read, q[rows], velocity[rows], np.zeros_like(q[rows]), False)
         course, at = _course(t, q), t[rows] - t[0]
-        return _as_is(track, pairs[:, 0], q[rows], course(at, 1), course(at, 2), moving=True)
+        return _as_is(track, read, q[rows], course(at, 1), course(at, 2), moving=True)
     if len(dwells) >= _MIN_DWELLS:
         return averaged(track, t, q, dwells)
     return _interpolated(track, t, q, rules)
-
-
-def _paired(readings: Array, t: Array) -> np.ndarray:
-    """(reading, joint state) rows with exactly the same stamp, (k, 2)."""
-    _, i, j = np.intersect1d(readings, t, return_indices=True)
-    return np.stack([i, j], axis=1)
 
 
 def _values(track: ReadingTrack, rows: np.ndarray) -> tuple[Array, Array]:
@@ -206,17 +195,10 @@ def averaged(track: ReadingTrack, t: Array, q: Array, dwells: Array) -> TrackSam
         R_mean = so3.mean(R)
         p_mean = position.mean(axis=0)
         turned = so3.log(np.swapaxes(R_mean[None], 1, 2) @ R)
-        out.append(
-            (
-                q[joint_rows].mean(axis=0),
-                0.5 * (start + end),
-                p_mean,
-                R_mean,
-                deviation_of_mean(position - p_mean, min(3, kinds()[track.kind].dimensions)),
-                deviation_of_mean(turned) if track.kind == POSE else np.nan,
-                (start, end),
-            )
-        )
+        std_p = deviation_of_mean(position - p_mean, min(3, kinds()[track.kind].dimensions))
+        std_r = deviation_of_mean(turned) if track.kind == POSE else np.nan
+        middle = 0.5 * (start + end)
+        out.append((q[joint_rows].mean(axis=0), middle, p_mean, R_mean, std_p, std_r, (start, end)))
     if not out:
         return _nothing(track, q.shape[1])
     q_mean, stamp, p, R, deviation_p, deviation_r, spans = (np.array(c) for c in zip(*out, strict=True))
@@ -281,11 +263,6 @@ def _held(stamps: Array, moving: np.ndarray, t: Array, effort: Array, rules: Sta
     within = count[last] - count[first]
     mean = np.where(within > 0, (total[last] - total[first]) / np.maximum(within, 1), effort[nearest])
     return np.where(moving[:, None], effort[nearest], mean)
-
-
-def _number(stamps: Array) -> np.ndarray:
-    """Station numbers: equal stamps are one station, numbered by time."""
-    return np.unique(stamps, return_inverse=True)[1]
 
 
 def _why_nothing(tracks: list[ReadingTrack], t: Array, dwells: Array) -> str:

@@ -63,14 +63,7 @@ class Origin:
     doubts: tuple[str, ...] = ()
 
 
-SHARED = (
-    "names",
-    "frames",
-    "signals",
-    "sockets",
-    "clock",
-    "origin",
-)  # fields of Samples that have no row for each sample
+SHARED = ("names", "frames", "signals", "sockets", "clock", "origin")  # fields of Samples without a row for each
 
 
 @dataclass(frozen=True)
@@ -402,11 +395,8 @@ def require_new(other: Samples, before: Samples, name: str) -> None:
     known = {row.tobytes() for row in _told_of_all(before)}
     copies = sum(row.tobytes() in known for row in _told_of_all(other))
     if copies > _COPIES * len(other):
-        raise BadRecording(
-            f"--also {name}",
-            f"is a copy: {copies} of its {len(other)} readings are those of a recording before it, to the last digit",
-            "give each recording once",
-        )
+        said = f"is a copy: {copies} of its {len(other)} readings are those of a recording before it, to the last digit"
+        raise BadRecording(f"--also {name}", said, "give each recording once")
 
 
 def _told_of_all(samples: Samples) -> np.ndarray:

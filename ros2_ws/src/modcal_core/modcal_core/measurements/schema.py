@@ -26,7 +26,26 @@ _NAMES = {
 
 def require(data: Any, schema: Schema, source: str, remedy: str) -> None:
     """Raises BadTable, naming the source and the place in it, unless the data is what the schema describes."""
-    _check(data, schema, source, remedy)
+    assert set(schema) <= _WORDS, set(schema) - _WORDS
+    if "type" in schema:
+        kinds = [schema["type"]] if isinstance(schema["type"], str) else schema["type"]
+        if not any(_is(data, kind) for kind in kinds):
+            raise BadTable(source, f"{shown(data)} is not {' or '.join(_NAMES[kind] for kind in kinds)}", remedy)
+    if "enum" in schema and not any(type(data) is type(one) and data == one for one in schema["enum"]):
+        raise BadTable(source, f"{shown(data)} is not one of {', '.join(map(str, schema['enum']))}", remedy)
+    if isinstance(data, str):
+        _check_size(len(data), schema, source, remedy, ("minLength", "maxLength"), "letters", shown(data))
+    elif isinstance(data, Mapping):
+        _check_mapping(data, schema, source, remedy)
+    elif isinstance(data, Sequence):
+        _check_size(len(data), schema, source, remedy, ("minItems", "maxItems"), "entries", "it")
+        if "items" in schema:
+            for i, item in enumerate(data):
+                require(item, schema["items"], f"{source}, entry {i + 1}", remedy)
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        _check_number(data, schema, source, remedy)
+    if "oneOf" in schema:
+        _check_one_of(data, schema["oneOf"], source, remedy)
 
 
 def shown(value: Any) -> str:
@@ -37,29 +56,6 @@ def shown(value: Any) -> str:
 def told(error: Exception) -> str:
     """What an exception says, in few letters, and of which kind it is."""
     return f"{type(error).__name__}: {error}"[:200]
-
-
-def _check(data: Any, schema: Schema, where: str, remedy: str) -> None:
-    assert set(schema) <= _WORDS, set(schema) - _WORDS
-    if "type" in schema:
-        kinds = [schema["type"]] if isinstance(schema["type"], str) else schema["type"]
-        if not any(_is(data, kind) for kind in kinds):
-            raise BadTable(where, f"{shown(data)} is not {' or '.join(_NAMES[kind] for kind in kinds)}", remedy)
-    if "enum" in schema and not any(type(data) is type(one) and data == one for one in schema["enum"]):
-        raise BadTable(where, f"{shown(data)} is not one of {', '.join(map(str, schema['enum']))}", remedy)
-    if isinstance(data, str):
-        _check_size(len(data), schema, where, remedy, ("minLength", "maxLength"), "letters", shown(data))
-    elif isinstance(data, Mapping):
-        _check_mapping(data, schema, where, remedy)
-    elif isinstance(data, Sequence):
-        _check_size(len(data), schema, where, remedy, ("minItems", "maxItems"), "entries", "it")
-        if "items" in schema:
-            for i, item in enumerate(data):
-                _check(item, schema["items"], f"{where}, entry {i + 1}", remedy)
-    elif isinstance(data, int | float) and not isinstance(data, bool):
-        _check_number(data, schema, where, remedy)
-    if "oneOf" in schema:
-        _check_one_of(data, schema["oneOf"], where, remedy)
 
 
 def _is(data: Any, kind: str) -> bool:
@@ -124,11 +120,11 @@ def _check_mapping(data: Mapping[Any, Any], schema: Schema, where: str, remedy: 
         if not isinstance(key, str) or not _is_text(key):
             raise BadTable(where, f"key {shown(key)} is not a text", remedy)
         if key in known:
-            _check(value, known[key], f"{where}: {key}", remedy)
+            require(value, known[key], f"{where}: {key}", remedy)
         elif others is False:
             raise BadTable(where, f"unknown key {key[:80]}; known are {', '.join(sorted(known))}", remedy)
         elif others is not True:
-            _check(value, others, f"{where}: {key}", remedy)
+            require(value, others, f"{where}: {key}", remedy)
 
 
 def _check_one_of(data: Any, choices: Sequence[Schema], where: str, remedy: str) -> None:
@@ -139,4 +135,4 @@ def _check_one_of(data: Any, choices: Sequence[Schema], where: str, remedy: str)
     if len(fitting) != 1:
         ways = " or ".join(" and ".join(choice.get("required", ())) for choice in choices)
         raise BadTable(where, f"{len(fitting)} of these ways are stated: {ways}", remedy)
-    _check(data, fitting[0], where, remedy)
+    require(data, fitting[0], where, remedy)

@@ -64,41 +64,25 @@ class Catalogue:
     def __init__(self, coding: Coding) -> None:
         self.coding = coding
         library = coding.library
-        genes = np.arange(coding.genes)
-        joint, turn, link, size, next_turn = coding.fields(genes)
+        joint, turn, link, size, next_turn = coding.fields(np.arange(coding.genes))
         nothing = ModuleTables.none()
         joints = [nothing if kind is None else ModuleTables.of(kind, 0) for kind in coding.joints]
         links = [
             [nothing if kind is None or s >= kind.sizes else ModuleTables.of(kind, s) for s in range(coding.shape[3])]
             for kind in coding.links
         ]
+        gripper = ModuleTables.of(library.gripper, 0)
+        bases = [ModuleTables.of(library.base, min(b // TURNS, library.base.sizes - 1)) for b in range(BASES)]
         T_joint = np.stack([t.T for t in joints])[joint]
         T_link = np.stack([[t.T for t in row] for row in links])[link, size]
         T_flange = T_joint @ TURN[turn]  # where the link begins, behind the joint's motion
         self._M = T_flange @ T_link @ TURN[next_turn]
-        self._T_gripper = ModuleTables.of(library.gripper, 0).T
-        self._M_base = np.stack(
-            [ModuleTables.of(library.base, min(b // TURNS, library.base.sizes - 1)).T for b in range(BASES)]
-        )
-        self._M_base = self._M_base @ TURN[np.arange(BASES) % TURNS]
+        self._T_gripper = gripper.T
+        self._M_base = np.stack([t.T for t in bases]) @ TURN[np.arange(BASES) % TURNS]
         self._revolute = np.array([kind is None or kind.revolute for kind in coding.joints])[joint]
         self._lower = np.array([-1.0 if kind is None else kind.lower for kind in coding.joints])[joint]
         self._upper = np.array([1.0 if kind is None else kind.upper for kind in coding.joints])[joint]
         self._effort = np.array([0.0 if kind is None else kind.effort for kind in coding.joints])[joint]
-        self._bodies(joints, links, T_flange, joint, link, size)
-
-    def _bodies(
-        self,
-        joints: list[ModuleTables],
-        links: list[list[ModuleTables]],
-        T_flange: Array,
-        joint: np.ndarray,
-        link: np.ndarray,
-        size: np.ndarray,
-    ) -> None:
-        library = self.coding.library
-        gripper = ModuleTables.of(library.gripper, 0)
-        bases = [ModuleTables.of(library.base, min(b // TURNS, library.base.sizes - 1)) for b in range(BASES)]
         most_j = max(len(t.points) for t in joints)
         most_l = max(len(t.points) for row in links for t in row)
         of_joint = np.stack([t.padded(most_j) for t in joints])[joint]

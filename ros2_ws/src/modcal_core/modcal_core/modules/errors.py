@@ -44,21 +44,21 @@ from modcal_core.calibration import (
     fit_cell,
     identify,
     normal_equations,
+    row_weights,
     views_of,
 )
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData, refusing
 from modcal_core.geometry import DIRECTIONS, Array, se3
 from modcal_core.measurements import Samples
+from modcal_core.modules.coding import assembly_from_data, assembly_to_data
 from modcal_core.modules.library import Assembly, Library, ModuleTolerance
 from modcal_core.modules.poe import TO_AXIS, Piece, chain_of, pieces
-from modcal_core.modules.spec import assembly_from_data, assembly_to_data
 from modcal_core.plausibility import require_plausible
 from modcal_core.robots import Chain
 
 # --- What one recording of an assembly says of the modules in it
 
 _FARTHEST, _MAX_TURNED = 0.015, 0.1  # m, rad; a module that is farther off than this is not the one that is named
-_ANYWHERE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # m, rad: base and tool are free
 
 
 @dataclass(frozen=True)
@@ -85,11 +85,8 @@ def recording_evidence(assembly: Assembly, library: Library, samples: Samples) -
     """
     chain = chain_of(assembly, library)
     if chain.n < 2:
-        raise NotEnoughData(
-            f"assembly {assembly.name}",
-            "it has one joint, and the parts before and behind it cannot be distinguished from base and tool",
-            "learn from assemblies of two joints or more",
-        )
+        said = "it has one joint, and the parts before and behind it cannot be distinguished from base and tool"
+        raise NotEnoughData(f"assembly {assembly.name}", said, "learn from assemblies of two joints or more")
     start = fit_cell(chain, samples, Cell())
     choice = choose_parameters(start.model, views_of(samples))
     fit = identify(start.model, samples, choice.parameters)
@@ -129,21 +126,13 @@ def _information(fit: Fit, samples: Samples, chain: Chain) -> Array:
     outer += [ModelParameter(f"tool/{name}", chain.n, d) for d, name in enumerate(DIRECTIONS)]
     everything = [*inner, *outer]
     model = fit.model.with_effects(())
-    H, _ = normal_equations(model, everything, np.zeros(len(everything)), samples, _row_weights(fit, samples))
+    weight = row_weights(fit.weights, fit.noise, samples)
+    H, _ = normal_equations(model, everything, np.zeros(len(everything)), samples, weight)
     P = len(inner)
-    free = H[P:, P:] + np.diag(np.tile(_ANYWHERE, len(outer) // 6) ** -2.0)
+    free = H[P:, P:] + np.eye(len(outer))  # base and tool are known to no better than 1 m and 1 rad
     H = H[:P, :P] - H[:P, P:] @ np.linalg.solve(free, H[P:, :P])
     value, vector = np.linalg.eigh(0.5 * (H + H.T))
     return (vector * np.maximum(value, 0.0)) @ vector.T  # rounding must not say that a direction is less than unknown
-
-
-def _row_weights(fit: Fit, samples: Samples) -> Array:
-    """Weight of each row of a linearisation, (3 N + 3 M,), as the fit had them."""
-    pose = samples.is_pose
-    known_p, known_r = np.nan_to_num(samples.sigma_position), np.nan_to_num(samples.sigma_rotation[pose])
-    position = fit.weights / (fit.noise.position**2 + known_p**2)
-    rotation = fit.weights[pose] / (fit.noise.rotation**2 + known_r**2)
-    return np.concatenate([np.tile(position, 3), np.tile(rotation, 3)])
 
 
 Key = tuple[str, str]  # serial number, part of the module
@@ -202,15 +191,7 @@ class Surprise:
 def learn(recordings: Sequence[RecordingEvidence], library: Library) -> ModuleErrors:
     """The errors of all numbered modules in these assemblies. Raises BadTable for a number that means two things."""
     kinds = _kinds(recordings)
-    keys = tuple(
-        dict.fromkeys(
-            (w.assembly.modules[piece.module].serial, piece.part)
-            for w in recordings
-            for segment in pieces(w.assembly, library)[1:-1]
-            for piece in segment
-            if not piece.is_interface and w.assembly.modules[piece.module].serial
-        )
-    )
+    keys = tuple(dict.fromkeys(key for w in recordings for key in _inner_keys(w.assembly, library)))
     if not keys:
         return ModuleErrors(recordings=tuple(recordings))
     prior = np.concatenate([part_std(library.module, part) for _, part in keys])
@@ -223,8 +204,9 @@ def learn(recordings: Sequence[RecordingEvidence], library: Library) -> ModuleEr
     x = np.zeros(len(prior))
     for _ in range(_ROUNDS):
         pull = -x / prior**2
+        errors = dict(zip(keys, x.reshape(-1, 6), strict=True))
         for w, (B, _, _), W in zip(recordings, maps, weights, strict=True):
-            pull += B.T @ W @ (w.deviation - deviation_of(w.assembly, library, _by_key(keys, x))).ravel()
+            pull += B.T @ W @ (w.deviation - deviation_of(w.assembly, library, errors)).ravel()
         x = x + prior * cho_solve(factor, prior * pull)
     covariance = np.outer(prior, prior) * cho_solve(factor, np.eye(len(prior)))
     covariance = 0.5 * (covariance + covariance.T)
@@ -242,7 +224,7 @@ def surprise(known: ModuleErrors, new: RecordingEvidence, library: Library) -> S
 
     A module that was bent, or mistaken for another, makes p small.
     """
-    own = tuple(sorted(_inner_keys(new.assembly, library) | set(known.keys)))
+    own = tuple(sorted({*_inner_keys(new.assembly, library), *known.keys}))
     B, C, std = _maps(new.assembly, library, own)
     spread = np.diag(np.concatenate([part_std(library.module, part) ** 2 for _, part in own]) if own else np.empty(0))
     rows = [6 * own.index(key) + d for key in known.keys for d in range(6)]
@@ -289,14 +271,14 @@ def _kinds(recordings: Sequence[RecordingEvidence]) -> dict[str, tuple[str, int]
     return kinds
 
 
-def _inner_keys(assembly: Assembly, library: Library) -> set[Key]:
-    """The numbered parts that stand between two joints."""
-    return {
+def _inner_keys(assembly: Assembly, library: Library) -> list[Key]:
+    """The numbered parts that stand between two joints, from the base on."""
+    return [
         (assembly.modules[piece.module].serial, piece.part)
         for segment in pieces(assembly, library)[1:-1]
         for piece in segment
         if not piece.is_interface and assembly.modules[piece.module].serial
-    }
+    ]
 
 
 def _maps(assembly: Assembly, library: Library, keys: Sequence[Key]) -> tuple[Array, Array, Array]:
@@ -341,10 +323,6 @@ def _without(information: Array, C: Array, std: Array) -> Array:
     return 0.5 * (left + left.T)
 
 
-def _by_key(keys: Sequence[Key], x: Array) -> dict[Key, Array]:
-    return dict(zip(keys, x.reshape(-1, 6), strict=True))
-
-
 # --- What is known of modules as plain data: for people and for the next assembly, and enough to learn on from
 
 FORMAT = 1  # of the file
@@ -358,9 +336,9 @@ def store_to_data(known: ModuleErrors, library: Library) -> dict[str, Any]:
         entry = modules.setdefault(serial, {"kind": error.kind, "length": error.size, "parts": {}})
         entry["parts"][part] = {
             "assemblies": error.seen,
-            "mean": _floats(error.twist),
-            "std": _floats(error.std),
-            "covariance": [_floats(row) for row in error.covariance],
+            "mean": error.twist.tolist(),
+            "std": error.std.tolist(),
+            "covariance": error.covariance.tolist(),
         }
     return {
         "modcal_module_store": FORMAT,
@@ -424,8 +402,8 @@ def _recording_to_data(w: RecordingEvidence, library: Library) -> dict[str, Any]
         **spec,
         "stations": w.stations,
         "residual_m": w.residual,
-        "deviation": [_floats(row) for row in w.deviation],
-        "information": _floats(w.information[lower]),
+        "deviation": w.deviation.tolist(),
+        "information": w.information[lower].tolist(),
     }
 
 
@@ -455,7 +433,3 @@ def _numbers(stated: Any, shape: tuple[int, ...], what: str) -> Array:
     if out.shape != shape or not np.isfinite(out).all():
         raise BadTable(what, f"does not hold {' x '.join(map(str, shape)) or 'one'} finite numbers", _FIX)
     return out
-
-
-def _floats(values: Array) -> list[float]:
-    return [float(x) for x in values]

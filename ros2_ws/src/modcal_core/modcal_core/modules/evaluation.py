@@ -1,7 +1,7 @@
 """What each of many candidates is worth: requirements in the order of what they cost to check, the cheap ones first.
 
 A genome that breaks a rule of structure is not built. An arm that cannot be long enough is not sent anywhere. Descents
-(see :mod:`modcal_core.modules.reaching`) begin from a few postures and only a few steps, and go on where they may get
+(see :mod:`modcal_core.modules.targets`) begin from a few postures and only a few steps, and go on where they may get
 there. What reaches every target is looked for again from more postures, and of all that are found the best is taken for
 each target, by what the other requirements say of it.
 """
@@ -18,9 +18,8 @@ from modcal_core.geometry import Array
 from modcal_core.modules.catalogue import Arms, Catalogue
 from modcal_core.modules.coding import Coding
 from modcal_core.modules.library import Library
-from modcal_core.modules.reaching import reach, starts
 from modcal_core.modules.requirements import ARM, CODE, POSTURE, REACH, REQUIREMENTS, Options
-from modcal_core.modules.targets import Target, TargetPostures
+from modcal_core.modules.targets import Target, TargetPostures, reach, starts
 
 MET = -1  # no requirement is broken
 _KEPT = 3  # starts that go on after the first steps

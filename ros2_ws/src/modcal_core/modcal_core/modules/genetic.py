@@ -93,8 +93,11 @@ def evolve(
     best, since = np.inf, 0
     for number in range(settings.generations):
         fresh = _unseen(fresh, archive.seen if archive else set())
-        archive = _judged(archive, fresh, judge(fresh))
-        at = archive.verdicts
+        at, seen = judge(fresh), {g.tobytes() for g in fresh}
+        if archive:
+            fresh, seen = np.concatenate([archive.genomes, fresh]), archive.seen | seen
+            at = Verdicts.joined([archive.verdicts, at])
+        archive = Archive(fresh, at, seen)
         order = at.order()
         met = int(at.met.sum())
         lead = order[0]
@@ -127,14 +130,6 @@ def valid(coding: Coding, joints: int, count: int, rng: np.random.Generator) -> 
     return out
 
 
-def _judged(archive: Archive | None, genomes: np.ndarray, verdicts: Verdicts) -> Archive:
-    seen = {g.tobytes() for g in genomes}
-    if archive is None:
-        return Archive(genomes, verdicts, seen)
-    joined = Verdicts.joined([archive.verdicts, verdicts])
-    return Archive(np.concatenate([archive.genomes, genomes]), joined, archive.seen | seen)
-
-
 def _unseen(genomes: np.ndarray, seen: set[bytes]) -> np.ndarray:
     """Genomes that are new, each once, in their order."""
     known = set(seen)
@@ -159,7 +154,9 @@ def _offspring(
         draws = rng.integers(len(parents), size=(2, wanted, settings.tournament)).min(axis=2)
         elite = rng.random(wanted) < 0.25
         draws[0] = np.where(elite, rng.integers(min(settings.elite, len(parents)), size=wanted), draws[0])
-        child = _crossed(parents[draws[0]], parents[draws[1]], rng, settings.crossover)
+        # the mother's modules up to a cut, the father's from there on
+        cut = np.where(rng.random(wanted) < settings.crossover, rng.integers(1, joints + 1, wanted), joints + 1)
+        child = np.where(np.arange(joints + 1) < cut[:, None], parents[draws[0]], parents[draws[1]])
         child = _changed(coding, child, rng)
         out = np.concatenate([out, child[structure(child, coding, {}) == 0.0]])
         out = _unseen(out, seen)[:wanted]
@@ -167,13 +164,6 @@ def _offspring(
             break
     newcomers = valid(coding, joints, settings.newcomers, rng)
     return _unseen(np.concatenate([out, newcomers]), seen)
-
-
-def _crossed(mothers: np.ndarray, fathers: np.ndarray, rng: np.random.Generator, share: float) -> np.ndarray:
-    """The mother's modules up to a cut, the father's from there on."""
-    count, length = mothers.shape
-    cut = np.where(rng.random(count) < share, rng.integers(1, length, count), length)
-    return np.where(np.arange(length) < cut[:, None], mothers, fathers)
 
 
 def _changed(coding: Coding, genomes: np.ndarray, rng: np.random.Generator) -> np.ndarray:

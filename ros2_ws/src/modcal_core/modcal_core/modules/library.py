@@ -1,8 +1,7 @@
 """The modules that arms are put together from: what each is, how long it may be, and where its output flange is.
 
 Every module has an input frame (0) and an output frame (1), z along the way through the flange. A joint acts along z of
-its input frame. Which modules there are, and all their figures, are data: see ``published.yaml`` and
-:func:`modcal_core.modules.library.library_from_data`.
+its input frame. Which modules there are, and all their figures, are data: see ``published.yaml``.
 """
 
 from __future__ import annotations

@@ -73,19 +73,6 @@ def pieces(assembly: Assembly, library: Library) -> tuple[tuple[Piece, ...], ...
     return tuple(tuple(segment) for segment in out)
 
 
-def origins(assembly: Assembly, library: Library) -> Array:
-    """M_0 … M_n of the arm, (n + 1, 4, 4) [m]; the assembly has been checked. Fast, for a search over many."""
-    M = [np.eye(4)]
-    for module in assembly.modules:
-        kind = library.types[module.kind]
-        M[-1] = M[-1] @ TURN[module.turn]
-        if kind.role == JOINT:
-            M.append(kind.T_in_out[module.size])
-        else:
-            M[-1] = M[-1] @ kind.T_in_out[module.size]
-    return np.stack(M)
-
-
 def chain_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str], Array] | None = None) -> Chain:
     """The arm that an assembly makes, from base_link to tool0. Raises BadTable where it cannot be built.
 
@@ -93,7 +80,7 @@ def chain_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, st
     frame that its part ends in; parts are "whole", and "to_axis" and "from_axis" of joints.
     """
     assembly.checked(library)
-    M = origins(assembly, library) if not errors else _origins_with(assembly, library, errors)
+    M = origins(assembly, library, errors)
     kinds = [library.types[m.kind] for m in assembly.joints]
     return Chain.build(
         names=assembly.joint_names,
@@ -106,14 +93,15 @@ def chain_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, st
     )
 
 
-def _origins_with(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str], Array]) -> Array:
+def origins(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str], Array] | None = None) -> Array:
+    """M_0 … M_n of the arm, (n + 1, 4, 4) [m], errors put in as of :func:`chain_of`; the assembly has been checked."""
     M = []
     for segment in pieces(assembly, library):
         T = np.eye(4)
         for piece in segment:
             T = T @ piece.T
             serial = assembly.modules[piece.module].serial
-            if not piece.is_interface and serial and (serial, piece.part) in errors:
+            if errors and not piece.is_interface and serial and (serial, piece.part) in errors:
                 T = T @ se3.exp(errors[serial, piece.part])
         M.append(T)
     return np.stack(M)

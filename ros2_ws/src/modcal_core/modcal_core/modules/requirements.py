@@ -23,7 +23,7 @@ import numpy as np
 from modcal_core.geometry import Array, se3
 from modcal_core.modules.catalogue import Arms
 from modcal_core.modules.coding import Coding
-from modcal_core.modules.targets import TargetPostures, frames
+from modcal_core.modules.targets import TargetPostures, frames, starts
 from modcal_core.robots import STANDARD_GRAVITY
 
 CODE, REACH, ARM, POSTURE = "code", "reachability", "arm", "posture"
@@ -34,7 +34,7 @@ _SWEEPS = 6
 
 @dataclass(frozen=True)
 class Requirement:
-    """One requirement. looks_at: which of the three it is; hard, soft: what it can be; about: for people.
+    """One requirement. looks_at: which of the three it is; hard, soft: what it can be.
 
     options: its own, with their defaults; None where the user must give one. weight: of its cost, where none is given.
     worst: whether the target that fares worst counts, and not the sum over all.
@@ -44,13 +44,9 @@ class Requirement:
     measure: Callable[..., Any] | None
     hard: bool
     soft: bool
-    about: str
     options: Options = field(default_factory=dict)
     weight: float = 0.0
     worst: bool = True
-
-
-# code
 
 
 def structure(genomes: np.ndarray, coding: Coding, options: Options) -> Array:
@@ -73,9 +69,6 @@ def _straight(T: Array) -> bool:
     return bool(np.abs(T[:, :2, 3]).max() < 1e-9 and np.abs(T[:, :3, 2] - [0.0, 0.0, 1.0]).max() < 1e-9)
 
 
-# arm
-
-
 def upright(arms: Arms, options: Options) -> tuple[Array, Array]:
     """Distance of the tool from the base's z axis with all joints at zero [m]: a cost, (N,)."""
     _, _, tip = frames(arms, np.zeros((len(arms.lower), arms.n)))
@@ -94,8 +87,6 @@ def farthest_reach(arms: Arms, tries: int = 16) -> Array:
     Joint by joint the distance is the largest there is: for a turning one its square is c + A cos q + B sin q. From
     several postures, so it may come out a little short of the truth, never long.
     """
-    from modcal_core.modules.reaching import starts
-
     unit = np.random.default_rng(0).random((tries, arms.n))
     q = starts(arms, unit)
     low = np.where(np.isfinite(arms.lower), arms.lower, np.where(arms.revolute, -np.pi, -_FREE_SLIDE))
@@ -118,9 +109,6 @@ def farthest_reach(arms: Arms, tries: int = 16) -> Array:
     _, _, tip = frames(arms, q)
     out: Array = np.linalg.norm(tip[..., :3, 3] - shoulder, axis=-1).max(axis=1)
     return out
-
-
-# posture
 
 
 def joint_range(postures: TargetPostures, options: Options) -> tuple[Array, Array]:
@@ -195,30 +183,12 @@ def _clearance(points: Array, radius: Array, options: Options) -> Array:
 
 
 REQUIREMENTS: Mapping[str, Requirement] = {
-    "structure": Requirement(CODE, structure, True, False, "no two joints act as one"),
-    "reachability": Requirement(
-        REACH, None, True, False, "every target is reached within the limits", {"tolerance": 1e-6}
-    ),
-    "reach": Requirement(
-        ARM, far_reach, True, True, "the tool gets this far from the first joint", {"at_least_m": None}
-    ),
-    "joint_range": Requirement(
-        POSTURE,
-        joint_range,
-        True,
-        True,
-        "joints stay within, and in the middle of, their range",
-        weight=1.0,
-        worst=False,
-    ),
-    "payload": Requirement(POSTURE, payload, True, True, "joints can hold this mass", {"mass_kg": None}),
-    "obstacles": Requirement(
-        POSTURE, obstacles, True, True, "the arm keeps clear of spheres", {"spheres": None, "margin_m": 0.0}
-    ),
-    "dexterity": Requirement(
-        POSTURE, dexterity, False, True, "the tool can be moved every way that counts", weight=1.0
-    ),
-    "upright": Requirement(
-        ARM, upright, False, True, "the tool is above the base when all joints are at zero", weight=1.0
-    ),
+    "structure": Requirement(CODE, structure, True, False),
+    "reachability": Requirement(REACH, None, True, False, {"tolerance": 1e-6}),
+    "reach": Requirement(ARM, far_reach, True, True, {"at_least_m": None}),
+    "joint_range": Requirement(POSTURE, joint_range, True, True, weight=1.0, worst=False),
+    "payload": Requirement(POSTURE, payload, True, True, {"mass_kg": None}),
+    "obstacles": Requirement(POSTURE, obstacles, True, True, {"spheres": None, "margin_m": 0.0}),
+    "dexterity": Requirement(POSTURE, dexterity, False, True, weight=1.0),
+    "upright": Requirement(ARM, upright, False, True, weight=1.0),
 }

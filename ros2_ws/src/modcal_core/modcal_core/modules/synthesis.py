@@ -312,9 +312,7 @@ def sentence(result: Synthesis) -> str:
     """What came of it, in one or two sentences."""
     judged, met = sum(t.judged for t in result.tallies), result.tallies[-1].met
     said = f"{judged} assemblies were judged, {met} meet every requirement."
-    return said + "".join(f" With {t.joints} joints none was found{_mostly(t)}." for t in result.tallies[:-1])
-
-
-def _mostly(tally: Tally) -> str:
-    name, count = max(tally.rejected.items(), key=lambda item: item[1])
-    return f" ({name} broke {count} of {tally.judged})"
+    for tally in result.tallies[:-1]:
+        name, count = max(tally.rejected.items(), key=lambda item: item[1])
+        said += f" With {tally.joints} joints none was found ({name} broke {count} of {tally.judged})."
+    return said

@@ -11,6 +11,7 @@ import numpy as np
 
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
+from modcal_core.modules.coding import plain_name
 from modcal_core.modules.evaluation import uses_of
 from modcal_core.modules.genetic import SearchSettings
 from modcal_core.modules.requirements import REQUIREMENTS, Requirement
@@ -34,14 +35,20 @@ def task_from_data(data: Any, source: str) -> SynthesisTask:
     top = _mapping(data, source, keys)
     if top.get("modcal_synthesis") != FORMAT:
         raise BadTable(source, f"is not a task of synthesis (modcal_synthesis: {FORMAT})", _SEE)
-    name = str(top.get("name", "task"))
-    if not name or not all(c.isalnum() or c in "_-." for c in name):
-        raise BadTable(f"{source}: name '{name}'", "is not a plain word", "use letters, digits, _ and -")
+    name = plain_name(top.get("name", "task"), source)
     stated = top.get("targets")
     if not isinstance(stated, Sequence) or isinstance(stated, str) or not stated:
         raise BadTable(f"{source}: targets", "is not a list of poses", _SEE)
     targets = tuple(_target(item, f"{source}: target {i + 1}", i) for i, item in enumerate(stated))
-    first, last = _joints(top.get("joints") or {}, f"{source}: joints", max(t.constraints for t in targets))
+    joints = _mapping(top.get("joints") or {}, f"{source}: joints", ("first", "last"))
+    least = max(t.constraints for t in targets)
+    first = _whole(joints.get("first", least), f"{source}: joints: first", 1, _MAX_JOINTS)
+    last = _whole(joints.get("last", max(_LAST, first)), f"{source}: joints: last", 1, _MAX_JOINTS)
+    if last < first:
+        raise BadTable(f"{source}: joints", f"run from {first} to {last}", "give first not above last")
+    modules = top.get("modules") or []
+    if not isinstance(modules, Sequence) or isinstance(modules, str):
+        raise BadTable(f"{source}: modules", "is not a list", "write modules: [JR, LC, LP, LR-I]")
     return SynthesisTask(
         targets=targets,
         uses=uses_of(_requirements(top.get("requirements"), f"{source}: requirements")),
@@ -49,15 +56,9 @@ def task_from_data(data: Any, source: str) -> SynthesisTask:
         last=last,
         settings=_settings(top.get("search") or {}, f"{source}: search"),
         listed=_whole(top.get("listed", 10), f"{source}: listed", 1, 1000),
-        modules=_modules(top.get("modules") or [], f"{source}: modules"),
+        modules=tuple(str(name) for name in modules),
         name=name,
     )
-
-
-def _modules(stated: Any, what: str) -> tuple[str, ...]:
-    if not isinstance(stated, Sequence) or isinstance(stated, str):
-        raise BadTable(what, "is not a list", "write modules: [JR, LC, LP, LR-I]")
-    return tuple(str(name) for name in stated)
 
 
 def _target(stated: Any, what: str, i: int) -> Target:
@@ -154,15 +155,6 @@ def _spheres(stated: Any, what: str) -> list[dict[str, Any]]:
         center = _numbers(data.get("center_m"), f"{what} {i + 1}: center_m", (3,))
         out.append({"center_m": [float(x) for x in center], "radius_m": radius})
     return out
-
-
-def _joints(stated: Any, what: str, needed: int) -> tuple[int, int]:
-    data = _mapping(stated, what, ("first", "last"))
-    first = _whole(data.get("first", needed), f"{what}: first", 1, _MAX_JOINTS)
-    last = _whole(data.get("last", max(_LAST, first)), f"{what}: last", 1, _MAX_JOINTS)
-    if last < first:
-        raise BadTable(what, f"run from {first} to {last}", "give first not above last")
-    return first, last
 
 
 def _settings(stated: Any, what: str) -> SearchSettings:

@@ -121,21 +121,14 @@ def urdf_of(assembly: Assembly, library: Library, errors: Mapping[tuple[str, str
             joint_element(robot, f"{above}_to_{below}", "fixed", above, below, T @ TURN[module.turn])
         if moving:
             _link(robot, link, kind, module.size)
-            name = link.removesuffix("_module")
-            joint = joint_element(
-                robot,
-                name,
-                "revolute" if kind.revolute else "prismatic",
-                f"{link}_housing",
-                link,
-                error(module, TO_AXIS),
-            )
-            ET.SubElement(joint, "axis", xyz="0 0 1")
-            if not (np.isfinite(kind.lower) and np.isfinite(kind.upper)):
-                joint.set("type", "continuous")
+            name, motion = link.removesuffix("_module"), "revolute" if kind.revolute else "prismatic"
             limit = {"effort": kind.effort, "velocity": kind.velocity}
-            if joint.get("type") != "continuous":
+            if np.isfinite(kind.lower) and np.isfinite(kind.upper):
                 limit |= {"lower": kind.lower, "upper": kind.upper}
+            else:
+                motion = "continuous"
+            joint = joint_element(robot, name, motion, f"{link}_housing", link, error(module, TO_AXIS))
+            ET.SubElement(joint, "axis", xyz="0 0 1")
             ET.SubElement(joint, "limit", {key: number(value) for key, value in limit.items()})
         above = link
         T = kind.T_in_out[module.size] @ error(module, FROM_AXIS if moving else WHOLE)
@@ -199,19 +192,15 @@ def picture(assembly: Assembly, library: Library, q: Array | None = None, title:
             if kind.role == JOINT:
                 joint += 1
                 _mark(axes, kind, T, joint)
-        _tip(axes, frames[-1])
+        for direction, colour in zip(frames[-1, :3, :3].T, ("#d1495b", "#3a7d44", "#1f6feb"), strict=True):
+            axes.plot(*np.stack([frames[-1, :3, 3], frames[-1, :3, 3] + 0.06 * direction]).T, color=colour, lw=1.5)
         _scale(axes, frames, high)
         if elevation == 0.0:  # seen along y, its numbers lie on top of each other
             axes.set_yticks([])
             axes.set_ylabel("")
-    figure.suptitle(
-        title or f"{assembly.name}: " + " ".join(_short(m.kind, m.size) for m in assembly.modules), fontsize=9
-    )
+    names = " ".join(m.kind + (f"({m.size})" if m.size else "") for m in assembly.modules)
+    figure.suptitle(title or f"{assembly.name}: {names}", fontsize=9)
     return _svg(figure)
-
-
-def _short(kind: str, size: int) -> str:
-    return kind + (f"({size})" if size else "")
 
 
 def _draw(axes: Any, kind: ModuleType, points: Array, T: Array, high: float) -> None:
@@ -228,11 +217,6 @@ def _mark(axes: Any, kind: ModuleType, T: Array, number: int) -> None:
     ends = middle + np.outer([-_AXIS, _AXIS], T[:3, 2])
     axes.plot(*ends.T, color="#d1495b", lw=1.0, ls="-" if kind.revolute else "--")
     axes.text(*ends[1], str(number), color="#d1495b", fontsize=8)
-
-
-def _tip(axes: Any, T: Array) -> None:
-    for direction, colour in zip(T[:3, :3].T, ("#d1495b", "#3a7d44", "#1f6feb"), strict=True):
-        axes.plot(*np.stack([T[:3, 3], T[:3, 3] + 0.06 * direction]).T, color=colour, lw=1.5)
 
 
 def _scale(axes: Any, frames: Array, high: float) -> None:

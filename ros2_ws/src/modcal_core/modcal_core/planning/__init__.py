@@ -11,12 +11,11 @@ if TYPE_CHECKING:
     from modcal_core.planning.fedorov import exchange
     from modcal_core.planning.planner import STARTS, Plan, PlanRequest, plan
     from modcal_core.planning.posture_pool import CANDIDATES, allowed, survey, with_limits
-    from modcal_core.planning.route import RETURNS, with_returns
+    from modcal_core.planning.route import RETURNS, Trajectory, stations_from_data, stations_from_rows
+    from modcal_core.planning.route import trajectory_from_data, with_returns
     from modcal_core.planning.sensitivity_study import ARMS, DESIGNS, NAMED, Measured, Study, design, orthogonal_array
     from modcal_core.planning.sensitivity_study import sensitivity, study
-    from modcal_core.planning.site import Site, site_from_data
-    from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
-    from modcal_core.planning.stations import Trajectory, stations_from_data, stations_from_rows, trajectory_from_data
+    from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of, visible
     from modcal_core.planning.worth import Accuracy
 else:
     from modcal_core.lazy import lazy_face

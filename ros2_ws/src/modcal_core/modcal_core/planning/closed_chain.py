@@ -18,9 +18,8 @@ the point,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,11 +56,15 @@ class ElementaryMotion:
 class ElementaryChain:
     """A point at the end of a row of motions.
 
-    steps: constants (4, 4) [m] and motions, from the measuring frame to the point. parameters: how many there are.
+    steps: constants (4, 4) [m] and motions, from the measuring frame to the point; parameters are numbered 0, 1, …
     """
 
     steps: tuple[Array | ElementaryMotion, ...]
-    parameters: int = field(default=0)
+
+    @property
+    def parameters(self) -> int:
+        """How many there are."""
+        return sum(isinstance(step, ElementaryMotion) and step.parameter >= 0 for step in self.steps)
 
     def positions(self, q: ArrayLike, errors: ArrayLike) -> Array:
         """The point [m] in the measuring frame, (S, N, 3), of S arms with errors (S, P) in postures q (N, n)."""
@@ -111,13 +114,6 @@ class ElementaryChain:
         return J
 
 
-def elementary(steps: Sequence[Array | ElementaryMotion]) -> ElementaryChain:
-    """The chain of these steps; its parameters are numbered 0, 1, … without a gap."""
-    numbers = sorted(s.parameter for s in steps if isinstance(s, ElementaryMotion) and s.parameter >= 0)
-    assert numbers == list(range(len(numbers))), numbers
-    return ElementaryChain(tuple(steps), len(numbers))
-
-
 _DH = (("theta", 5), ("d", 2), ("a", 0), ("alpha", 3))  # in the order in which a row moves the frame
 
 
@@ -134,16 +130,6 @@ class Factor:
         return self.unit == "m"
 
 
-class Motions(Protocol):
-    """An arm that moves with its P parameters."""
-
-    def positions(self, q: ArrayLike, errors: ArrayLike) -> Array:
-        """The point [m], (S, N, 3), of arms with errors (S, P) [m, rad] in postures q (N, n) [rad, m]."""
-
-    def jacobian(self, q: ArrayLike) -> Array:
-        """d(position, orientation)/d(parameter), (N, 6, P), at postures q (N, n)."""
-
-
 @dataclass(frozen=True)
 class ModelMotions:
     """The same of a robot whose loops no product of motions describes, to first order: a millimetre and a milliradian
@@ -154,13 +140,13 @@ class ModelMotions:
     parameters: tuple[ModelParameter, ...]
 
     def positions(self, q: ArrayLike, errors: ArrayLike) -> Array:
-        """As :meth:`Motions.positions`."""
+        """The point [m], (S, N, 3), of arms with errors (S, P) [m, rad] in postures q (N, n) [rad, m]."""
         q, x = np.atleast_2d(np.asarray(q, dtype=float)), np.atleast_2d(np.asarray(errors, dtype=float))
         here = self.model.predict(q, np.zeros(len(q), dtype=int))[:, :3, 3]
         return np.asarray(here + np.einsum("nkp,sp->snk", self.jacobian(q)[:, :3], x))
 
     def jacobian(self, q: ArrayLike) -> Array:
-        """As :meth:`Motions.jacobian`."""
+        """d(position, orientation)/d(parameter), (N, 6, P), at postures q (N, n)."""
         q = np.asarray(q, dtype=float)
         N = len(q)
         samples = exact_samples(self.model, q, np.zeros(N, dtype=int), np.full(N, "pose", dtype=KIND_NAMES))
@@ -177,7 +163,7 @@ class ClosedChain:
 
     chain: Mechanism
     factors: tuple[Factor, ...]
-    motions: Motions
+    motions: ElementaryChain | ModelMotions
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -233,14 +219,11 @@ def dh_closed_chain(
     steps.append(rows.T_tool @ se3.transform(p=point))
     for d in range(3):
         add(f"point/{'xyz'[d]}", d)
-    return ClosedChain(chain, tuple(factors), elementary(steps))
+    return ClosedChain(chain, tuple(factors), ElementaryChain(tuple(steps)))
 
 
 def calibration_chain(
-    chain: Mechanism,
-    T_measuring_base: Array | None = None,
-    T_tip_tool: Array | None = None,
-    kind: str = "point",
+    chain: Mechanism, T_measuring_base: Array | None = None, T_tip_tool: Array | None = None, kind: str = "point"
 ) -> ClosedChain:
     """The closed chain in the parameters that ``modcal calibrate`` would fit to readings of this kind, by its names."""
     model = one_frame_model(chain, T_measuring_base, T_tip_tool)
@@ -272,7 +255,7 @@ def chain_of_parameters(model: Model, parameters: Sequence[ModelParameter]) -> C
         steps += [ElementaryMotion(d, parameter=j) for d, j in sorted(at.get(k, []))]
         if k < chain.n:
             steps += [ElementaryMotion(5 if chain.revolute[k] else 2, joint=k), M[k + 1]]
-    return ClosedChain(chain, factors, elementary(steps))
+    return ClosedChain(chain, factors, ElementaryChain(tuple(steps)))
 
 
 def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mapping[str, float] | None = None) -> Array:

@@ -109,16 +109,11 @@ def propose(
     matters = np.array([name in directed for name in samples.names])
     approach = np.where(matters, samples.approach[new], 0.0)
     everywhere = list(range(len(samples)))
+    by_effort = any(part.startswith("effort:") for e in (truth, other) for part in e.driver.split(","))
     own, left = (
         float(np.sum(_miss(difference, rows, held, everywhere))) for rows, held in ((J[..., :P], prior[:P]), (J, prior))
     )
-    return DecidingStations(
-        truth, other, samples.q[new], approach, separation, left / max(own, 1e-300), _by_effort(truth, other)
-    )
-
-
-def _by_effort(*effects: Effect) -> bool:
-    return any(part.startswith("effort:") for e in effects for part in e.driver.split(","))
+    return DecidingStations(truth, other, samples.q[new], approach, separation, left / max(own, 1e-300), by_effort)
 
 
 def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> str:
@@ -191,12 +186,7 @@ def _rows(
     N = len(samples)
     weight = np.full(len(moved), 1.0 / np.maximum(noise.of(samples), FINEST).max())
     weight[3 * N :] = 1.0 / max(noise.rotation, FINEST)
-    return _by_station(moved * weight, N).T, _by_station(J * weight, N).transpose(2, 1, 0), prior
-
-
-def _by_station(rows: Array, N: int) -> Array:
-    """Rows (…, 3 N) or (…, 6 N) as (…, c, N)."""
-    return rows.reshape(*rows.shape[:-1], -1, N)
+    return (moved * weight).reshape(-1, N).T, (J * weight).reshape(len(J), -1, N).transpose(2, 1, 0), prior
 
 
 def _miss(difference: Array, J: Array, prior: Array, chosen: list[int]) -> Array:

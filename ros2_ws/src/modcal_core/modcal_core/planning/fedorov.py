@@ -74,7 +74,8 @@ class _CandidateSearch:
 
     def __init__(self, rows: StationRows, criterion: Criterion, H: Array) -> None:
         self._rows, self._criterion = rows, criterion
-        self._H, self._worth = H, None if _spectral(criterion) else Worth.of(rows, criterion, H)
+        spectral = not criterion.by_determinant and criterion.name != ACCURACY  # hangs on single eigenvalues
+        self._H, self._worth = H, None if spectral else Worth.of(rows, criterion, H)
 
     def begin(self, H: Array) -> None:
         """Go on from this information, so that rounding does not add up."""
@@ -141,11 +142,6 @@ def _improved(
         if value <= before + 1e-6 * abs(before):
             break
     return chosen, value, used
-
-
-def _spectral(criterion: Criterion) -> bool:
-    """Whether a criterion hangs on single eigenvalues."""
-    return not criterion.by_determinant and criterion.name != ACCURACY
 
 
 def best_candidate(rows: StationRows, H: Array, criterion: Criterion, free: np.ndarray) -> tuple[int, float]:

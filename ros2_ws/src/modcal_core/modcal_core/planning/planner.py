@@ -19,8 +19,7 @@ from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, cr
 from modcal_core.planning.fedorov import Exchange, exchange
 from modcal_core.planning.posture_pool import CANDIDATES, PosturePool, random_accuracies, survey
 from modcal_core.planning.route import RETURNS, Route, route
-from modcal_core.planning.site import Site
-from modcal_core.planning.spheres import clearance, visible
+from modcal_core.planning.site import Site, clearance, visible
 from modcal_core.planning.worth import Accuracy, StationRows, station_rows
 from modcal_core.robots import Mechanism
 
@@ -40,8 +39,8 @@ class PlanRequest:
     stations: how many; None: as many as the accuracy needs, or half as many again as the fewest. accuracy: [m], of what
     measure says: ``rms`` or ``p95``. criterion: one of CRITERIA. reading: ``point`` or ``pose``. fixed: parameters that
     are not fitted. starts: of the exchange. candidates: postures to choose from. besides: stations (N, n) that are
-    measured already and count too.
-    returns: how many stations are visited twice, so that it is known what the arm does not repeat.
+    measured already and count too. returns: how many stations are visited twice, so that it is known what the arm does
+    not repeat.
     """
 
     stations: int | None = None
@@ -179,11 +178,8 @@ def _require(count: int, least: int, there: int) -> None:
     if count < least:
         raise NotPlannable(f"{count} stations", f"modcal calibrate needs at least {least}", "ask for more stations")
     if count > there:
-        raise NotPlannable(
-            f"{count} stations",
-            f"only {there} of the postures tried are allowed and seen",
-            "ask for fewer, or widen the site",
-        )
+        said = f"only {there} of the postures tried are allowed and seen"
+        raise NotPlannable(f"{count} stations", said, "ask for fewer, or widen the site")
 
 
 def _requested(request: PlanRequest) -> float:
@@ -203,11 +199,9 @@ def _how_many(
     _require(least, least, len(pool.q))
     floor = pool.workspace.accuracy(np.zeros((len(pool.parameters),) * 2))
     if _measure(floor, request) >= _requested(request):
-        raise NotPlannable(
-            f"{request.measure} of {1e3 * _requested(request):.3g} mm",
-            f"what the joints do not repeat alone makes {1e3 * _measure(floor, request):.3g} mm",
-            "ask for less, or correct the noise of the site",
-        )
+        said = f"what the joints do not repeat alone makes {1e3 * _measure(floor, request):.3g} mm"
+        remedy = "ask for less, or correct the noise of the site"
+        raise NotPlannable(f"{request.measure} of {1e3 * _requested(request):.3g} mm", said, remedy)
     tried: dict[int, Accuracy] = {}
 
     def enough(count: int) -> bool:
@@ -219,11 +213,9 @@ def _how_many(
     low, high = least, least
     while not enough(high):
         if high >= most:
-            raise NotPlannable(
-                f"{request.measure} of {1e3 * _requested(request):.3g} mm",
-                f"{high} stations leave {1e3 * _measure(tried[high], request):.3g} mm",
-                "ask for less, use a better tracker, or measure poses",
-            )
+            said = f"{high} stations leave {1e3 * _measure(tried[high], request):.3g} mm"
+            remedy = "ask for less, use a better tracker, or measure poses"
+            raise NotPlannable(f"{request.measure} of {1e3 * _requested(request):.3g} mm", said, remedy)
         low, high = high, min(2 * high, most)
     while high - low > 1:
         middle = (low + high) // 2

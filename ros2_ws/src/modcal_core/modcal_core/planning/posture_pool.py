@@ -13,8 +13,7 @@ from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
 from modcal_core.planning.closed_chain import one_frame_model
 from modcal_core.planning.sensitivity_study import sobol_postures
-from modcal_core.planning.site import Site, view_postures
-from modcal_core.planning.spheres import Spheres, clearance, spheres_of, visible
+from modcal_core.planning.site import Site, Spheres, clearance, spheres_of, view_postures, visible
 from modcal_core.planning.worth import Accuracy, StationRows, Workspace, position_rows, station_rows
 from modcal_core.robots import Mechanism, is_serial_arm
 
@@ -99,11 +98,9 @@ def survey(
     all_free, q = np.concatenate(free), np.concatenate(seen)[:candidates]
     if len(q) < 2:
         what = "touches nothing" if not len(all_free) else "is seen by the tracker"
-        raise NotPlannable(
-            f"{tried} postures within the joints' limits",
-            f"{'none' if not len(q) else 'one'} {what}",
-            "check the site: radii, floor, obstacles, the tracker's place, cone and range",
-        )
+        said = f"{'none' if not len(q) else 'one'} {what}"
+        remedy = "check the site: radii, floor, obstacles, the tracker's place, cone and range"
+        raise NotPlannable(f"{tried} postures within the joints' limits", said, remedy)
     inside = all_free
     if site.box is not None:
         at = model.predict(inside)[:, :3, 3] - T[:3, 3]

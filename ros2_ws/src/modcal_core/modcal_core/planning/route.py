@@ -12,14 +12,17 @@ with that time, is told from scatter, which does not.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
+from modcal_core.errors import BadCommand, BadTable
 from modcal_core.geometry import Array
-from modcal_core.measurements import TRAVEL
+from modcal_core.measurements import TRAVEL, require
+from modcal_core.robots import vector
 
 # --- Which stations of a tour are visited a second time, and when: what the arm does not repeat is seen only there
 
@@ -90,16 +93,10 @@ def _best(
     for at in np.argsort(-worth, kind="stable"):
         if not np.isfinite(worth[at]):
             break
-        if _open(q, m, int(i[at]), passable):
-            return float(worth[at]), m, int(i[at])
+        to = int(i[at])
+        if passable is None or (passable(q[m], q[to]) and (m + 1 >= len(q) or passable(q[to], q[m + 1]))):
+            return float(worth[at]), m, to
     return None
-
-
-def _open(q: Array, m: int, i: int, passable: Passable | None) -> bool:
-    """Whether station i can be visited between stations m and m + 1."""
-    if passable is None:
-        return True
-    return passable(q[m], q[i]) and (m + 1 >= len(q) or passable(q[i], q[m + 1]))
 
 
 _STEP = 0.05  # rad or m, of the joint that moves most
@@ -244,3 +241,106 @@ class _Roadmap:
 def _line(a: Array, b: Array) -> Array:
     count = max(2, int(np.ceil(np.abs(b - a).max() / _STEP)) + 1)
     return a + (b - a) * np.linspace(0.0, 1.0, count)[:, None]
+
+
+# --- Stations as plain data: joints by name, one list of positions a station
+
+_STATIONS = {"type": ["array", "null"], "items": {"type": "object"}}
+_SCHEMA = {
+    "type": "object",
+    "properties": {
+        "joints": {"type": "array", "items": {"type": "string"}},
+        "stations": _STATIONS,
+        "ties": {"type": ["array", "null"], "items": {"type": "object", "properties": {"stations": _STATIONS}}},
+    },
+}
+
+
+def stations_from_data(data: Any, names: Sequence[str], source: str) -> Array:
+    """Postures (N, n) [rad, m] of these joints in what a plan.yaml holds. Raises BadTable."""
+    if not isinstance(data, Mapping) or data.get("modcal_plan") != 1:
+        raise BadTable(source, "is not a plan: modcal_plan is not 1", "give the plan.yaml that modcal plan wrote")
+    joints = data.get("joints")
+    if not isinstance(joints, Sequence) or isinstance(joints, str):
+        raise BadTable(source, "names no joints", "give the plan.yaml that modcal plan wrote")
+    require(data, _SCHEMA, source, "give the plan.yaml that modcal plan wrote")
+    rows = list(data.get("stations") or ())
+    rows += [station for tie in data.get("ties") or () for station in tie.get("stations") or ()]
+    values = [
+        vector(row.get("position") if isinstance(row, Mapping) else None, len(joints), f"{source}, station {i + 1}")
+        for i, row in enumerate(rows)
+    ]
+    return _of_joints(values, [str(j) for j in joints], names, source)
+
+
+def stations_from_rows(rows: Sequence[Sequence[str]], names: Sequence[str], source: str) -> Array:
+    """Postures (N, n) [rad, m] of these joints in a table whose first row names its columns. Raises BadTable."""
+    head = [cell.strip() for cell in rows[0]] if rows else []
+    full = [row for row in rows[1:] if any(cell.strip() for cell in row)]
+    wanted = [k for k, name in enumerate(head) if name in names]
+    values = [
+        vector([row[k] if k < len(row) else "" for k in wanted], len(wanted), f"{source}, row {i + 2}")
+        for i, row in enumerate(full)
+    ]
+    return _of_joints(values, [head[k] for k in wanted], names, source)
+
+
+def _of_joints(values: Sequence[Array], joints: Sequence[str], names: Sequence[str], source: str) -> Array:
+    for name in names:
+        if joints.count(name) != 1:
+            raise BadTable(f"{source}: joint {name}", "is not named once", f"name {', '.join(names)}")
+    if not values:
+        raise BadTable(source, "holds no station", "give one row a station")
+    return np.stack(values)[:, [joints.index(name) for name in names]]
+
+
+# --- A trajectory as ``modcal plan`` writes it, read back and checked, and led up to from where the arm stands
+
+_RISE = 1.5  # peak of a cubic's speed over its mean
+_MIN_LEAD = 0.5  # s from the start to the first point
+_MAX_POINTS = 100_000  # of a file, for memory
+_FORM = "give joint_names and points with positions and time_from_start, as modcal plan writes them"
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Postures q (k, n) [rad, m] of these joints at times t (k,) [s], at rest at each of them."""
+
+    names: tuple[str, ...]
+    t: Array
+    q: Array
+
+    def led_up_to(self, position: Array, speed: float, farthest: float) -> Trajectory:
+        """The trajectory, its first point reached from ``position`` (n,) at no more than ``speed`` [rad/s, m/s].
+
+        Raises BadCommand where a joint would have to go farther than ``farthest`` [rad, m]: nobody has looked at that
+        way.
+        """
+        off = np.abs(self.q[0] - position)
+        if not off.max() <= farthest:
+            worst = int(np.argmax(off))
+            said = f"is {off[worst]:.3g} from the first point, {farthest:g} is the limit"
+            raise BadCommand(f"joint {self.names[worst]}", said, "bring the arm to the first point before")
+        lead = max(_RISE * float(off.max()) / speed, _MIN_LEAD)
+        return Trajectory(self.names, self.t - self.t[0] + lead, self.q)
+
+
+def trajectory_from_data(data: Any, source: str) -> Trajectory:
+    """The trajectory in the content of a YAML file; raises BadTable for anything that is not one."""
+    try:
+        if not isinstance(data, Mapping):
+            raise TypeError(f"{type(data).__name__} at the top")
+        names = tuple(str(name) for name in data["joint_names"])
+        points = list(data["points"])
+        if not points or len(points) > _MAX_POINTS or not names or len(set(names)) != len(names):
+            raise ValueError(f"{len(points)} points for joints {', '.join(names)}")
+        q = np.array([[float(x) for x in point["positions"]] for point in points])
+        after = [point["time_from_start"] for point in points]
+        t = np.array([float(d["sec"]) + 1e-9 * float(d["nanosec"]) for d in after])
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadTable(source, f"is not a trajectory ({error!r})", _FORM) from error
+    if q.shape != (len(points), len(names)) or not (np.isfinite(q).all() and np.isfinite(t).all()):
+        raise BadTable(source, f"its positions are not {len(names)} finite numbers each", _FORM)
+    if t[0] < 0.0 or not (np.diff(t) > 0.0).all():
+        raise BadTable(source, "its times do not rise from zero", _FORM)
+    return Trajectory(names, t, q)

@@ -39,6 +39,7 @@ error.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -100,7 +101,8 @@ def sensitivity(closed: ClosedChain, q: Array, sizes: Array, base: str, bins: in
     if not (single[:, reference] > _ROUNDING * single.max()).all():
         raise BadTable(f"base factor '{base}'", "moves nothing at some posture", "choose a shift, such as base/x")
     bins = int(np.ceil(np.log2(len(q)))) + 1 if bins is None else bins
-    multi = np.array([_multi_point(column, bins) for column in single.T])
+    weights = [interval_probabilities(column, bins) for column in single.T]
+    multi = np.array([w @ column / w.sum() for w, column in zip(weights, single.T, strict=True)])
     return Sensitivity(closed.names, reference, sizes, single, multi)
 
 
@@ -111,11 +113,6 @@ def interval_probabilities(values: Array, bins: int) -> Array:
         return np.ones(len(values))
     index = np.minimum(((values - low) / (high - low) * bins).astype(int), bins - 1)
     return np.asarray(np.bincount(index, minlength=bins)[index] / len(values))
-
-
-def _multi_point(values: Array, bins: int) -> float:
-    weight = interval_probabilities(values, bins)
-    return float(weight @ values / weight.sum())
 
 
 # --- What knowing a parameter is worth, before and after the measurements that are planned
@@ -208,11 +205,8 @@ def orthogonal_array(factors: int, levels: int) -> np.ndarray:
     while (levels**k - 1) // (levels - 1) < factors:
         k += 1
     if levels**k > _MAX_RUNS:
-        raise BadTable(
-            f"orthogonal array of {factors} factors at {levels} levels",
-            f"{levels**k} runs, {_MAX_RUNS} are the limit",
-            "choose fewer levels",
-        )
+        said = f"{levels**k} runs, {_MAX_RUNS} are the limit"
+        raise BadTable(f"orthogonal array of {factors} factors at {levels} levels", said, "choose fewer levels")
     # unit vectors last to first, then the sums: i, j, i + j, i + 2 j … for two
     forms = sorted(
         (c for c in product(range(levels), repeat=k) if any(c) and c[np.flatnonzero(c)[0]] == 1),
@@ -330,8 +324,7 @@ def sobol_indices(
     )
 
 
-def _once(f: object, sizes: Array, rng: np.random.Generator, arms: int) -> tuple[Array, Array, float]:
-    assert callable(f)
+def _once(f: Callable[[Array], Array], sizes: Array, rng: np.random.Generator, arms: int) -> tuple[Array, Array, float]:
     P = len(sizes)
     A, B = np.split(ndtri(sobol_points(arms, 2 * P, rng)) * np.tile(sizes, 2), 2, axis=1)
     fA, fB = f(A), f(B)

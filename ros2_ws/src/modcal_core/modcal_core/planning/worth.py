@@ -21,8 +21,8 @@ moves the tool along its own arc; so the covariance that the fit will really hav
 with Λ the prior, which takes the arm to be as far from its drawing as robots are.
 
 What is left of the position error, in a posture with derivatives G, is ``G θ`` with θ of the covariance that the fit
-has (see :mod:`modcal_core.planning.worth`), and on top of it what the joints do not repeat. Sizes are over postures of
-the workspace and over what the noise may turn out to be; the noise of the tracker itself is not part of them.
+has, and on top of it what the joints do not repeat. Sizes are over postures of the workspace and over what the noise
+may turn out to be; the noise of the tracker itself is not part of them.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ import numpy as np
 
 from modcal_core.calibration import Model, ModelParameter, RowView, exact_samples, geometry_rows
 from modcal_core.geometry import Array
+from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.planning.criteria import Criterion
 from modcal_core.planning.site import Noise
@@ -100,14 +101,8 @@ def station_rows(
 
     joint_variance: that of other stations of the same fit; that of these where it is not given.
     """
-    N, n = q.shape
-    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
-    view = RowView.of(model, samples, model.drivers(samples))
-    scale = np.array([p.prior_std for p in parameters])
-    J = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
-    turning, first = model.chain.revolute, model.chain.first_place
-    repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
-    Jq = _by_station(np.stack([view.unit_column(first + k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
+    samples, J, Jq = _seen(model, parameters, q, kind, noise)
+    N = len(q)
     unrepeated = np.sum(Jq[:, :3] ** 2, axis=(1, 2))
     distance = np.linalg.norm(samples.reading, axis=1)
     read = np.full((N, J.shape[1]), noise.rotation)
@@ -118,6 +113,7 @@ def station_rows(
     weight = 1.0 / np.sqrt(read**2 + joint_variance)
     R = Jq @ Jq.transpose(0, 2, 1)
     R[:, np.arange(J.shape[1]), np.arange(J.shape[1])] += read**2
+    scale = np.array([p.prior_std for p in parameters])
     return StationRows(
         J * weight[..., None], R * weight[:, :, None] * weight[:, None, :], scale, unrepeated, joint_variance
     )
@@ -125,15 +121,24 @@ def station_rows(
 
 def position_rows(model: Model, parameters: Sequence[ModelParameter], q: Array, noise: Noise) -> tuple[Array, Array]:
     """Derivatives of the target's position (N, 3, P) [m] per prior deviation, and unrepeated mean squares (N,) [m²]."""
+    _, G, Jq = _seen(model, parameters, q, "point", noise)
+    return G, np.sum(Jq**2, axis=(1, 2))
+
+
+def _seen(
+    model: Model, parameters: Sequence[ModelParameter], q: Array, kind: str, noise: Noise
+) -> tuple[Samples, Array, Array]:
+    """Exact samples, and the derivatives of their readings by parameters, (N, c, P) per prior deviation, and by joints,
+    (N, c, n) per deviation of what these do not repeat.
+    """
     N, n = q.shape
-    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, "point", dtype=KIND_NAMES))
+    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
     view = RowView.of(model, samples, model.drivers(samples))
     scale = np.array([p.prior_std for p in parameters])
     turning, first = model.chain.revolute, model.chain.first_place
     repeat = np.where(turning, noise.joint_turn, noise.joint_slide)
     Jq = _by_station(np.stack([view.unit_column(first + k, 5 if turning[k] else 2) for k in range(n)]), N) * repeat
-    G = _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale
-    return G, np.sum(Jq**2, axis=(1, 2))
+    return samples, _by_station(geometry_rows(view, model, parameters, np.zeros(len(parameters))), N) * scale, Jq
 
 
 def _by_station(rows: Array, N: int) -> Array:

@@ -6,25 +6,22 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.robots.acceleration import Drives, Window, bias_torque, read_drives, torque
+    from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, chain_gravity_wrench
+    from modcal_core.robots.bodies import equivalent_inertia, mass_matrix, with_payload
     from modcal_core.robots.chain import Chain
     from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
-    from modcal_core.robots.delta import RATIO, ZERO, Delta
-    from modcal_core.robots.delta_file import delta_from_data, delta_to_data
+    from modcal_core.robots.delta import RATIO, ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_pose
     from modcal_core.robots.delta_kinematics import tool_positions
-    from modcal_core.robots.dh import from_dh, to_dh
-    from modcal_core.robots.dh_nearest import NearestTable, nearest_dh
+    from modcal_core.robots.dh import from_dh, plain, read_rows, to_dh, vector
     from modcal_core.robots.fastest_motion import JointPath, constant_bounds, motion, within_bounds, within_torque
-    from modcal_core.robots.gravity import DOWN, STANDARD_GRAVITY, HeldWeight, chain_gravity_wrench
-    from modcal_core.robots.inertia import Payload, equivalent_inertia, mass_matrix, with_payload
     from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
     from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, place_jacobian
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
     from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
     from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
-    from modcal_core.robots.table_rows import plain, read_rows, vector
-    from modcal_core.robots.tables import CONVENTIONS, UNITS, from_cpc, from_csv, from_table, loss, to_cpc, to_csv
-    from modcal_core.robots.tables import to_table
+    from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, loss
+    from modcal_core.robots.tables import nearest_dh, to_cpc, to_csv, to_table
     from modcal_core.robots.urdf import LoadedArm, joint_origins, other_tips, read_chain, read_path, require_method
     from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
     from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
@@ -39,14 +36,14 @@ else:
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
 __all__ += ["Drives", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath", "LoadedArm"]
-__all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
-__all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
-__all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward", "frames"]
-__all__ += ["from_cpc", "from_csv", "from_dh", "from_table", "gravity_wrench", "held_behind", "inverse"]
-__all__ += ["inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_data"]
-__all__ += ["lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh", "number", "offset_wrench"]
-__all__ += ["origin_element", "other_tips", "parse", "passable", "payload_wrench", "place_jacobian", "plain"]
-__all__ += ["pose_and_jacobian", "position_jacobians", "random_postures", "reachable", "read_chain", "read_drives"]
-__all__ += ["read_inertias", "read_path", "read_rows", "require_method", "rerooted", "spatial_jacobian", "takes"]
-__all__ += ["to_cpc", "to_csv", "to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque"]
-__all__ += ["urdf_text", "vector", "weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]
+__all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian", "calibrated_urdf"]
+__all__ += ["chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds", "delta_from_data"]
+__all__ += ["delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward", "frames", "from_cpc"]
+__all__ += ["from_csv", "from_dh", "from_table", "gravity_wrench", "held_behind", "inverse", "inverse_batch"]
+__all__ += ["is_delta", "is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_data", "lacks_hash", "loss"]
+__all__ += ["mass_matrix", "motion", "moved_centres", "nearest_dh", "number", "offset_wrench", "origin_element"]
+__all__ += ["other_tips", "parse", "passable", "payload_wrench", "place_jacobian", "plain", "pose_and_jacobian"]
+__all__ += ["position_jacobians", "random_postures", "reachable", "read_chain", "read_drives", "read_inertias"]
+__all__ += ["read_path", "read_rows", "require_method", "rerooted", "spatial_jacobian", "takes", "to_cpc", "to_csv"]
+__all__ += ["to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector"]
+__all__ += ["weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]

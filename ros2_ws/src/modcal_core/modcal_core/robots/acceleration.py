@@ -13,21 +13,20 @@ A joint that stands may begin to move either way: then dry friction is taken fro
 * *equivalent*: each joint by itself, the others at rest and whatever their drives must bear left out of account,
   ``lower_i / M_ii ≤ q̈_i ≤ upper_i / M_ii``: the equivalent-inertia method, with unequal bounds up and down.
 * *given*: joint i's interval in the polytope while the others accelerate as they do, all drives minded.
-* *box*: bounds that hold together, whatever the others do within theirs (:mod:`modcal_core.robots.acceleration`).
+* *box*: bounds that hold together, whatever the others do within theirs.
 
-Newton and Euler's recursion, written in the base frame, where it becomes sums along the chain. With S_i the unit twist
-of joint i and I_j the spatial inertias of :mod:`modcal_core.robots.inertia`, at q̈ = 0:
+What goes with no acceleration follows by Newton and Euler's recursion, written in the base frame, where it becomes sums
+along the chain. With S_i the unit twist of joint i and I_j the spatial inertias of
+:mod:`modcal_core.robots.bodies`, at q̈ = 0:
 
     V_j = Σ_{i ≤ j} S_i q̇_i,    A_j = (−g, 0) + Σ_{i ≤ j} ad(V_i) S_i q̇_i,
     F_j = I_j A_j − ad(V_j)ᵀ I_j V_j,    τ_i = S_iᵀ Σ_{j ≥ i} F_j.
 
 Gravity is an acceleration of the base upwards (Luh, Walker and Paul 1980; Featherstone 2008, chapter 5).
 
-They are read on their own: kinematics need none of these numbers, and must not fail where one of them is nonsense.
-
-Wanted are bounds −l ≤ x ≤ u with l, u > 0, of the greatest product Π (u_i l_i)^w_i, such that every x between them
-obeys ``lower ≤ A x ≤ upper``. Which weights w_i > 0 is a matter of taste, and 1 the plain choice; whichever, the box
-does not depend on the units of the components. A box obeys a row
+The box: wanted are bounds −l ≤ x ≤ u with l, u > 0, of the greatest product Π (u_i l_i)^w_i, such that every x between
+them obeys ``lower ≤ A x ≤ upper``. Which weights w_i > 0 is a matter of taste, and 1 the plain choice; whichever, the
+box does not depend on the units of the components. A box obeys a row
 if its worst corner does, which is linear in (u, l): with A⁺ and A⁻ the positive and negative parts of A,
 
     | A⁺  A⁻ | | u |     |  upper |
@@ -50,9 +49,8 @@ from scipy.linalg.lapack import dposv
 
 from modcal_core.errors import BadRobot, Overloaded
 from modcal_core.geometry import Array, so3
+from modcal_core.robots.bodies import STANDARD_GRAVITY, Bodies, beyond
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.gravity import STANDARD_GRAVITY
-from modcal_core.robots.inertia import Bodies, beyond
 from modcal_core.robots.urdf_inertias import Inertias
 from modcal_core.robots.urdf_tree import document
 
@@ -346,11 +344,9 @@ class Window:
         half = 0.5 * (self.upper - self.lower)[at, joint]
         needed = abs(0.5 * (self.upper + self.lower)[at, joint])
         where = f" at posture {at + 1} of {len(self.lower)}" if len(self.lower) > 1 else ""
-        raise Overloaded(
-            f"joint {self.names[joint]}{where}",
-            f"gravity, friction and speed need {needed:.4g} of the {half:.4g} N m (N) that its drive has",
-            "reduce the payload or the speed, or use another posture",
-        )
+        said = f"gravity, friction and speed need {needed:.4g} of the {half:.4g} N m (N) that its drive has"
+        remedy = "reduce the payload or the speed, or use another posture"
+        raise Overloaded(f"joint {self.names[joint]}{where}", said, remedy)
 
     def together(self) -> Window:
         """The accelerations that are within all N windows, as one window with all their rows, (1, N n, n)."""

@@ -20,7 +20,8 @@ from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, se3
 
 
-def _read_only(a: ArrayLike, dtype: type = float) -> np.ndarray:
+def read_only(a: ArrayLike, dtype: type = float) -> np.ndarray:
+    """A copy as an array that cannot be written to."""
     out: np.ndarray = np.array(a, dtype=dtype)
     out.flags.writeable = False
     return out
@@ -62,7 +63,7 @@ class Chain:
     ) -> Chain:
         """A chain from its constants; axes default to z, joints to revolute, limits to none. Raises BadRobot."""
         n = len(names)
-        M = _read_only(origins)
+        M = read_only(origins)
         if n == 0:
             raise BadRobot(f"chain {base} → {tip}", "no moving joint", "name a base and a tip with joints between them")
         if M.shape != (n + 1, 4, 4) or not np.isfinite(M).all():
@@ -75,34 +76,13 @@ class Chain:
         return cls(
             names=tuple(names),
             origins=M,
-            axes=_read_only(a / norm),
-            revolute=_read_only(np.ones(n, bool) if revolute is None else revolute, bool),
-            lower=_read_only(np.full(n, -np.inf) if lower is None else lower),
-            upper=_read_only(np.full(n, np.inf) if upper is None else upper),
+            axes=read_only(a / norm),
+            revolute=read_only(np.ones(n, bool) if revolute is None else revolute, bool),
+            lower=read_only(np.full(n, -np.inf) if lower is None else lower),
+            upper=read_only(np.full(n, np.inf) if upper is None else upper),
             base=base,
             tip=tip,
         )
-
-    @classmethod
-    def from_spatial_twists(
-        cls, names: Sequence[str], twists: ArrayLike, home: ArrayLike, base: str = "base", tip: str = "tip"
-    ) -> Chain:
-        """The chain ``exp(ξ_1 q_1) … exp(ξ_n q_n) home`` of zero-pitch unit screws ξ (n, 6) or slides (ω = 0).
-
-        Each joint frame is put on its axis, at the point nearest the base origin, parallel to the base.
-        """
-        xi = np.asarray(twists, dtype=float)
-        v, w = xi[:, :3], xi[:, 3:]
-        revolute = np.linalg.norm(w, axis=1) > 1e-9
-        pitch = np.abs(np.sum(v * w, axis=1))
-        if (revolute & (pitch > 1e-9)).any():
-            worst = names[int(np.argmax(np.where(revolute, pitch, 0.0)))]
-            raise BadRobot(f"joint {worst}", "its twist is a screw with pitch", "give ξ = (p × ω, ω) with v ⟂ ω")
-        T_base_joint = np.tile(np.eye(4), (len(names), 1, 1))
-        T_base_joint[revolute, :3, 3] = np.cross(w, v)[revolute]
-        ends = np.concatenate([np.eye(4)[None], T_base_joint, np.asarray(home, dtype=float)[None]])
-        origins = se3.inverse(ends[:-1]) @ ends[1:]
-        return cls.build(names, origins, np.where(revolute[:, None], w, v), revolute, base=base, tip=tip)
 
     @property
     def n(self) -> int:
@@ -127,7 +107,7 @@ class Chain:
     @cached_property
     def T_base_root(self) -> Array:
         """The frame of the first joint before it moves, its axis along z, in the base, (4, 4)."""
-        return _read_only(self.origins[0] @ se3.transform(self.joint_basis[0]))
+        return read_only(self.origins[0] @ se3.transform(self.joint_basis[0]))
 
     @cached_property
     def T_base_joint_home(self) -> Array:
@@ -135,14 +115,14 @@ class Chain:
         frames = [self.origins[0]]
         for M in self.origins[1:]:
             frames.append(frames[-1] @ M)
-        return _read_only(frames)
+        return read_only(frames)
 
     @cached_property
     def spatial_twists(self) -> Array:
         """ξ_1 … ξ_n of the spatial form, in the base frame, (n, 6)."""
         local = np.where(self.revolute[:, None], np.c_[np.zeros((self.n, 3)), self.axes], 0.0)
         local[~self.revolute, :3] = self.axes[~self.revolute]
-        return _read_only((se3.adjoint(self.T_base_joint_home[:-1]) @ local[..., None])[..., 0])
+        return read_only((se3.adjoint(self.T_base_joint_home[:-1]) @ local[..., None])[..., 0])
 
     @property
     def home(self) -> Array:
@@ -159,7 +139,7 @@ class Chain:
         M = np.array(self.origins)
         M[:-1] = M[:-1] @ A
         M[1:] = se3.inverse(A) @ M[1:]
-        return _read_only(M)
+        return read_only(M)
 
     @cached_property
     def joint_basis(self) -> Array:
@@ -167,11 +147,11 @@ class Chain:
 
         ``along_z`` uses the same basis, so a twist of the aligned frame has these columns as its directions.
         """
-        return _read_only(np.stack([rotation_to_axis(a) for a in self.axes]))
+        return read_only(np.stack([rotation_to_axis(a) for a in self.axes]))
 
     def with_origins(self, origins: ArrayLike) -> Chain:
         """The same robot with other constants M_0 … M_n, (n + 1, 4, 4)."""
-        other = replace(self, origins=_read_only(origins))
+        other = replace(self, origins=read_only(origins))
         other.__dict__["joint_basis"] = self.joint_basis  # depends on the axes only, and is asked for at every step
         return other
 
@@ -187,7 +167,7 @@ class Chain:
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Chain:
         """The same robot with other limits of its joints [rad or m], (n,) each."""
-        return replace(self, lower=_read_only(lower), upper=_read_only(upper))
+        return replace(self, lower=read_only(lower), upper=read_only(upper))
 
     def with_errors(self, E: Array, constants: Array) -> Chain:
         """The same robot with small motions E of its places behind the first, the tool's last, (n, 4, 4).

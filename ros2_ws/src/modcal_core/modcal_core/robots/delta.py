@@ -15,35 +15,30 @@ along which the rods of arm i stand apart, u_i the way outwards, r the platform'
 
     s_i · (R t_i − t_i) = ε_i = δ_i / d        |p + (R − 1) r u_i − C_i| = L2_i,
 
-exact but for terms of (d / L2) (δ / d)² (:mod:`delta_tilt`). ε is no structural parameter: it is an effect, found where
-the data show it.
+exact but for terms of (d / L2) (δ / d)². ε is no structural parameter: it is an effect, found where the data show it.
+These are three equations for R; the middle p follows from three spheres about the elbows, shifted by ``(R − 1) r u_i``.
+With a_i = R t_i × s_i and w_i the columns of the inverse of the matrix with these rows, the platform turns by
+``Σ w_i ε_i`` to first order. This is what of the closed chain with 54 parameters (Vischer and Clavel 1998) remains once
+each pair's mean is one rod: constant tilts of axes and shifts of joints along the rods are errors of the arms' places.
 
 Structural parameters, 24 as in CN114571465B: six constants of each arm (q_zero, k, α, dB, L1, L2), and six of the tool
 (x, y, z, rx, ry, rz). The zero of the shaft is the tool's rz. k_s belongs to the drawing; where it is wrong, the
 diagnosis names it (a gear ratio at the shaft).
-
-Each pair keeps its own line of the platform parallel to its elbow's but for what its rods differ by,
-
-    s_i · (R t_i − t_i) = ε_i,
-
-three equations for the platform's orientation R; the middle p follows from three spheres about the elbows, shifted by
-``(R − 1) r u_i`` (:mod:`delta` has the symbols). With a_i = R t_i × s_i and w_i the columns of the inverse of the
-matrix with these rows, the platform turns by ``Σ w_i ε_i`` to first order. This is what of the closed chain with 54
-parameters (Vischer and Clavel 1998) remains once each pair's mean is one rod: constant tilts of axes and shifts of
-joints along the rods are errors of the arms' places.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.errors import BadRobot
+from modcal_core.errors import BadRobot, BadTable, refusing
 from modcal_core.geometry import Array, cross, se3, so3
+from modcal_core.robots.chain import read_only
 from modcal_core.robots.kinematics import LoopShare, Tilt
 
 ARMS = 3
@@ -108,10 +103,10 @@ class Delta:
         far = np.r_[np.full(ARMS, UPPER), np.full(n - ARMS, np.pi)]
         out = cls(
             tuple(names),
-            _read_only(np.stack(rows)),
-            _read_only(wide if lower is None else lower),
-            _read_only(far if upper is None else upper),
-            _read_only(tool),
+            read_only(np.stack(rows)),
+            read_only(wide if lower is None else lower),
+            read_only(far if upper is None else upper),
+            read_only(tool),
             float(shaft_ratio),
             base,
             tip,
@@ -168,12 +163,12 @@ class Delta:
     @cached_property
     def T_tip_tool(self) -> Array:
         """Pose of the drawing's tool in the tip, (4, 4) [m]."""
-        return _read_only(se3.transform(so3.exp(self.tool[3:]), self.tool[:3]))
+        return read_only(se3.transform(so3.exp(self.tool[3:]), self.tool[:3]))
 
     @cached_property
     def vector(self) -> Array:
         """The structural parameters X, (24,): q_zero, k, α, dB, L1, L2 of the three arms, then the tool [rad, 1, m]."""
-        return _read_only(np.r_[self.constants.ravel(), self.tool])
+        return read_only(np.r_[self.constants.ravel(), self.tool])
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -184,15 +179,15 @@ class Delta:
     def with_vector(self, X: ArrayLike) -> Delta:
         """The same robot with other structural parameters (24,)."""
         X = np.asarray(X, dtype=float)
-        return replace(self, constants=_read_only(X[:-6].reshape(len(CONSTANTS), ARMS)), tool=_read_only(X[-6:]))
+        return replace(self, constants=read_only(X[:-6].reshape(len(CONSTANTS), ARMS)), tool=read_only(X[-6:]))
 
     def moved(self, deviation: ArrayLike) -> Delta:
         """The same robot with its arms' constants changed by these amounts, (6, 3)."""
-        return replace(self, constants=_read_only(self.constants + np.asarray(deviation, dtype=float)))
+        return replace(self, constants=read_only(self.constants + np.asarray(deviation, dtype=float)))
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Delta:
         """The same robot with other limits of its joints [rad or m], (n,) each."""
-        return replace(self, lower=_read_only(lower), upper=_read_only(upper))
+        return replace(self, lower=read_only(lower), upper=read_only(upper))
 
     def with_errors(self, E: Array, constants: Array) -> Delta:
         """The same robot with errors (k, 3) of the constants of its arms, which take up small motions of its places."""
@@ -209,12 +204,6 @@ class Delta:
     def reach(self) -> float:
         """An upper bound on the distance from the base to the tip [m], used to recognise wrong units."""
         return float(np.sum(np.abs(self.constants[[OFFSET, PROXIMAL, DISTAL]]), axis=0).max())
-
-
-def _read_only(a: ArrayLike) -> Array:
-    out: Array = np.array(a, dtype=float)
-    out.flags.writeable = False
-    return out
 
 
 def _require_sound(delta: Delta) -> None:
@@ -365,3 +354,126 @@ def tilted_shares(
         shares = LoopShare(s[i], by[i, :3], by[i, 3:], first), LoopShare(g[i], by[3 + i, :3], by[3 + i, 3:], second)
         found.append((tilt, shares))
     return found
+
+
+# --- A Delta as plain data, the way its YAML file holds it: docs/delta.md describes every key
+
+FORMAT = 1
+_ROWS = {
+    "zero_rad": ZERO, "ratio": RATIO, "azimuth_rad": AZIMUTH, "offset_m": OFFSET, "proximal_m": PROXIMAL,
+    "distal_m": DISTAL,
+}  # fmt: skip
+_RADII = ("fixed_radius_m", "platform_radius_m")
+_KEYS = {"modcal_delta", "joints", "arms", "shaft_ratio", "limits_rad", "tool", "base", "tip"}
+_REMEDY = "see docs/delta.md"
+
+
+@refusing
+def delta_from_data(data: Any, source: str) -> Delta:
+    """The Delta that this data describes; raises BadTable, naming the source, for what is missing or not understood.
+
+    Raises BadRobot for constants that no Delta has.
+    """
+    if not isinstance(data, Mapping) or "modcal_delta" not in data:
+        raise BadTable(source, "is not a description of a Delta: it lacks modcal_delta: 1", _REMEDY)
+    if data["modcal_delta"] != FORMAT:
+        raise BadTable(source, f"modcal_delta {data['modcal_delta']}, {FORMAT} is read", _REMEDY)
+    _only(data, _KEYS, source)
+    names = data.get("joints")
+    if not isinstance(names, Sequence) or isinstance(names, str) or len(names) not in (ARMS, ARMS + 1):
+        raise BadTable(f"{source}: joints", "must name three arms, and the shaft where there is one", _REMEDY)
+    names = [str(name) for name in names]
+    arms = data.get("arms")
+    if not isinstance(arms, Mapping):
+        raise BadTable(f"{source}: arms", f"must have {', '.join(_ROWS)}", _REMEDY)
+    _only(arms, {*_ROWS, *_RADII}, f"{source}: arms")
+    given = {key: _numbers(arms[key], ARMS, f"{source}: arms: {key}", one_for_all=True) for key in arms}
+    if all(key in given for key in _RADII) and "offset_m" not in given:
+        given["offset_m"] = given[_RADII[0]] - given[_RADII[1]]
+    elif any(key in given for key in _RADII) and not ("offset_m" in given and "fixed_radius_m" not in given):
+        said = f"needs either offset_m, or both {' and '.join(_RADII)}"
+        raise BadTable(f"{source}: arms", said, _REMEDY)
+    missing = [key for key in ("offset_m", "proximal_m", "distal_m") if key not in given]
+    if missing:
+        raise BadTable(f"{source}: arms", f"lacks {', '.join(missing)}", _REMEDY)
+    optional = {name: given[key] for name, key in
+                (("zero", "zero_rad"), ("ratio", "ratio"), ("azimuth", "azimuth_rad")) if key in given}  # fmt: skip
+    ratio = data.get("shaft_ratio", 1.0)
+    limits = _limits(data.get("limits_rad"), names, source)
+    return Delta.build(
+        names,
+        given["offset_m"],
+        given["proximal_m"],
+        given["distal_m"],
+        **optional,
+        lower=limits[:, 0],
+        upper=limits[:, 1],
+        tool=_tool(data.get("tool"), source),
+        shaft_ratio=float(_numbers(ratio, 1, f"{source}: shaft_ratio", one_for_all=True)[0]),
+        base=str(data.get("base", "base")),
+        tip=str(data.get("tip", "tip")),
+        platform_radius=float(given["platform_radius_m"].mean().round(12)) if "platform_radius_m" in given else 0.0,
+    )
+
+
+def delta_to_data(delta: Delta) -> dict[str, Any]:
+    """The data that :func:`delta_from_data` reads back as the same Delta, no digit lost."""
+    shaft = {"shaft_ratio": delta.shaft_ratio} if delta.has_shaft else {}
+    radius = {"platform_radius_m": delta.platform_radius} if delta.platform_radius else {}
+    return {
+        "modcal_delta": FORMAT,
+        "base": delta.base,
+        "tip": delta.tip,
+        "joints": list(delta.names),
+        "arms": {**{key: delta.constants[row].tolist() for key, row in _ROWS.items()}, **radius},
+        **shaft,
+        "limits_rad": {
+            name: [float(low), float(high)]
+            for name, low, high in zip(delta.names, delta.lower, delta.upper, strict=True)
+        },
+        "tool": {"position_m": delta.tool[:3].tolist(), "rotation_rad": delta.tool[3:].tolist()},
+    }
+
+
+def _only(data: Mapping[str, Any], known: set[str], source: str) -> None:
+    unknown = sorted(str(key) for key in data if key not in known)
+    if unknown:
+        raise BadTable(source, f"unknown key {', '.join(unknown)}; known are {', '.join(sorted(known))}", _REMEDY)
+
+
+def _numbers(given: Any, count: int, source: str, one_for_all: bool = False) -> Array:
+    """So many finite numbers, or one for all."""
+    try:
+        values = np.asarray(given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        values = np.empty(0)
+    if one_for_all and values.ndim == 0:
+        values = np.full(count, values)
+    if values.shape != (count,) or not np.isfinite(values).all():
+        said = f"must be {'one number or ' if one_for_all else ''}{count} numbers"
+        raise BadTable(source, said, "correct the file")
+    return values
+
+
+def _limits(given: Any, names: Sequence[str], source: str) -> Array:
+    """Limits (n, 2) [rad] by name; the usual ones of a Delta where none are stated."""
+    plain = Delta.build(names, 0.1, 0.3, 0.8)
+    out = np.c_[plain.lower, plain.upper]
+    if given is None:
+        return out
+    if not isinstance(given, Mapping):
+        raise BadTable(f"{source}: limits_rad", "must have a pair of numbers by joint", _REMEDY)
+    _only(given, set(names), f"{source}: limits_rad")
+    for name, pair in given.items():
+        out[list(names).index(name)] = _numbers(pair, 2, f"{source}: limits_rad: {name}")
+    return out
+
+
+def _tool(given: Any, source: str) -> Array:
+    if given is None:
+        return np.zeros(6)
+    if not isinstance(given, Mapping):
+        raise BadTable(f"{source}: tool", "must have position_m and rotation_rad", _REMEDY)
+    _only(given, {"position_m", "rotation_rad"}, f"{source}: tool")
+    parts = [_numbers(given.get(key, [0.0] * 3), 3, f"{source}: tool: {key}") for key in ("position_m", "rotation_rad")]
+    return np.concatenate(parts)

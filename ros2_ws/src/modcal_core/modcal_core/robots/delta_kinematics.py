@@ -34,13 +34,14 @@ from modcal_core.robots.delta import (
     ZERO,
     Delta,
     Stand,
+    inverse_rows,
     level_tilts,
     tilted,
     tilted_shares,
 )
 from modcal_core.robots.kinematics import Frames, Loop, moved_frame
 
-# rows of an arm's twist: by how much its rods differ, per spacing; behind it that times four lengths (delta_tilt)
+# rows of an arm's twist: by how much its rods differ, per spacing; behind it that times four lengths (of Stand)
 RODS, ROWS = 6, 11
 LOOSE = 0.05  # |det S| below which the platform counts as loose; three rods at right angles have 1
 STRETCHED = 0.02  # sine of the angle between arm and rod below which the arm counts as stretched
@@ -56,9 +57,9 @@ def frames(
     """Frames of every place in the base for joint positions q (N, n) [rad]: base, shoulders, shaft, tool.
 
     twists: small motions (6, N) [m, rad] put in at places, each in the frame of its place; of an arm, five rows more
-    say how its two rods differ (see RODS). T_tip_tool: puts the tool's
-    place at the tool instead of the tip. loops: whether it is asked how the arms move the tool. A shoulder's frame has
-    x outwards and z along the axis. Postures that no platform can take are NaN; :func:`forward` refuses them.
+    say how its two rods differ (see RODS). T_tip_tool: puts the tool's place at the tool instead of the tip. loops:
+    whether it is asked how the arms move the tool. A shoulder's frame has x outwards and z along the axis. Postures
+    that no platform can take are NaN; :func:`forward` refuses them.
     """
     twists = twists or {}
     q = np.asarray(q, dtype=float)
@@ -265,9 +266,7 @@ def _loops(
 ) -> dict[int, Loop]:
     distal = delta.constants[DISTAL]
     along = (platform - centre) / distal[:, None, None] if stand is None else stand.along  # (3 arms, 3, N)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        turned = [cross(along[1], along[2]), cross(along[2], along[0]), cross(along[0], along[1])]
-        gains = np.stack(turned) / np.sum(along[0] * turned[0], axis=0)
+    gains = inverse_rows(along)
     up = axes[0, 2]
     rates, ends = np.empty((ARMS, len(CONSTANTS), q.shape[0])), np.zeros((ARMS, len(CONSTANTS), 3, q.shape[0]))
     for i in range(ARMS):

@@ -32,8 +32,8 @@ from scipy.interpolate import CubicSpline
 from modcal_core.errors import BadTable, Overloaded
 from modcal_core.geometry import Array
 from modcal_core.robots.acceleration import DOWN, Drives, Window, bias_of, window
+from modcal_core.robots.bodies import Bodies
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inertia import Bodies
 from modcal_core.robots.urdf_inertias import Inertias
 
 # --- A path through joint positions without a time: how far along each joint stands, and its first two derivatives
@@ -123,15 +123,15 @@ def fastest(s: Array, rows: PathRows) -> Timing:
         p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])
         reachable[k] = min(_largest_x(p, r, h), rows.most[k])
         if not reachable[k] > 0.0:
-            raise Overloaded(
-                f"path at {s[k] / s[-1]:.1%} of its length",
-                "no speed within the limits reaches its end",
-                "reduce the payload, or use a path that the drives can hold everywhere",
-            )
+            said = "no speed within the limits reaches its end"
+            remedy = "reduce the payload, or use a path that the drives can hold everywhere"
+            raise Overloaded(f"path at {s[k] / s[-1]:.1%} of its length", said, remedy)
     x = np.zeros(len(s))
     for k in range(len(step)):
         p, r, h = _interval(rows, k, 2.0 * step[k], reachable[k + 1])
-        x[k + 1] = np.clip(x[k] + 2.0 * step[k] * _largest_u(p, h - r * x[k]), 0.0, reachable[k + 1])
+        above = p > 0.0
+        u = float(((h - r * x[k])[above] / p[above]).min())  # the largest of p u + r x ≤ h
+        x[k + 1] = np.clip(x[k] + 2.0 * step[k] * u, 0.0, reachable[k + 1])
         if x[k + 1] <= _SLACK * reachable.max() and k + 1 < len(step):
             raise Overloaded(
                 f"path at {s[k + 1] / s[-1]:.1%} of its length", "the limits bring it to a stop", "use another path"
@@ -170,15 +170,9 @@ def _largest_x(p: Array, r: Array, h: Array) -> float:
     return float(bounds.min(initial=np.inf))
 
 
-def _largest_u(p: Array, h: Array) -> float:
-    """The largest u of p u ≤ h."""
-    above = p > 0.0
-    return float((h[above] / p[above]).min())
-
-
 _ROUNDS = 3  # of tangents, after one without viscous friction
 _MIN = 1e-3  # of the greatest x: tangents are taken no nearer to standing
-_FASTEST_MOTION_NONE = 1e-30  # N m s: less friction than there is
+_LEAST_PULL = 1e-30  # N m s: less friction than there is
 _FASTEST = 1e3  # 1/s along the path, where no speed limit says less
 
 
@@ -252,8 +246,8 @@ def _with_viscous(rows: PathRows, pull: Array, x: Array) -> PathRows:
     takes, gives = np.maximum(pull, 0.0), np.minimum(pull, 0.0)
     # no nearer to standing than makes sense, and not where the tangent would leave nothing to stand with
     at = np.sqrt(np.maximum(x, _MIN * x.max()))[:, None]
-    at_upper = np.minimum(at, rows.upper / np.maximum(takes, _FASTEST_MOTION_NONE))
-    at_lower = np.minimum(at, -rows.lower / np.maximum(-gives, _FASTEST_MOTION_NONE))
+    at_upper = np.minimum(at, rows.upper / np.maximum(takes, _LEAST_PULL))
+    at_lower = np.minimum(at, -rows.lower / np.maximum(-gives, _LEAST_PULL))
     chord = 1.0 / np.sqrt(rows.most)[:, None]  # √x ≥ x / √most, and √x ≤ x / (2 √x̂) + √x̂ / 2
     # what raises a torque counts against the upper limit by its tangent, against the lower one by its chord
     b_upper = rows.b + takes * (0.5 / at_upper) + gives * chord

@@ -6,7 +6,7 @@ moves the tip by ``Ad(T) e`` seen from the base.
 
 ``posture_frames`` is the same of one posture, without what a batch costs. Everything else that needs a chain's
 kinematics asks here, but for what is written for its speed: the sweeps of a fit
-(:mod:`modcal_core.calibration.kernels`) and the descents of many different arms (:mod:`modcal_core.modules.reaching`).
+(:mod:`modcal_core.calibration.kernels`) and the descents of many different arms (:mod:`modcal_core.modules.targets`).
 Tests hold them to this, to twelve digits.
 """
 

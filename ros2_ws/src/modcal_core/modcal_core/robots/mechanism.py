@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.geometry import Array
-from modcal_core.robots import delta_kinematics, gravity, kinematics
+from modcal_core.robots import bodies, delta_kinematics, kinematics
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.delta import Delta
 from modcal_core.robots.kinematics import Frames
@@ -130,39 +130,39 @@ def _(robot: Chain, T_tip_tool: Array, q: ArrayLike, twists: Mapping[int, Array]
 
 
 @singledispatch
-def payload_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN, held: HeldBehind | None = None) -> Array:
-    """Weight of 1 kg at the tip as every joint bears it, (n, 6, N), as in :mod:`modcal_core.robots.gravity`."""
+def payload_wrench(robot: Mechanism, q: Array, down: Array = bodies.DOWN, held: HeldBehind | None = None) -> Array:
+    """Weight of 1 kg at the tip as every joint bears it, (n, 6, N), as in :mod:`modcal_core.robots.bodies`."""
     raise NotImplementedError(type(robot).__name__)
 
 
-payload_wrench.register(Chain, gravity.payload_wrench)
+payload_wrench.register(Chain, bodies.payload_wrench)
 
 
 @payload_wrench.register
-def _(robot: Delta, q: Array, down: Array = gravity.DOWN, held: HeldBehind | None = None) -> Array:
-    return delta_kinematics.payload_wrench(robot, q, gravity.STANDARD_GRAVITY)
+def _(robot: Delta, q: Array, down: Array = bodies.DOWN, held: HeldBehind | None = None) -> Array:
+    return delta_kinematics.payload_wrench(robot, q, bodies.STANDARD_GRAVITY)
 
 
 @singledispatch
-def offset_wrench(robot: Mechanism, q: Array, down: Array = gravity.DOWN, held: HeldBehind | None = None) -> Array:
+def offset_wrench(robot: Mechanism, q: Array, down: Array = bodies.DOWN, held: HeldBehind | None = None) -> Array:
     """How the weight of 1 kg as every joint bears it changes with its offset from the tip, (3, n, 6, N), as in
-    :mod:`modcal_core.robots.gravity`; of others than serial arms nothing is known of it, and it is zero.
+    :mod:`modcal_core.robots.bodies`; of others than serial arms nothing is known of it, and it is zero.
     """
     return np.zeros((3, robot.n, 6, len(np.asarray(q))))
 
 
-offset_wrench.register(Chain, gravity.offset_wrench)
+offset_wrench.register(Chain, bodies.offset_wrench)
 
 
 @singledispatch
 def gravity_wrench(robot: Mechanism, inertias: Inertias, q: ArrayLike, moved: Array | None = None) -> Array:
-    """Weight of the links beyond each joint, (n, 6, N), as in :mod:`modcal_core.robots.gravity`; of others than serial
+    """Weight of the links beyond each joint, (n, 6, N), as in :mod:`modcal_core.robots.bodies`; of others than serial
     arms nothing is known of it, and it is zero.
     """
     return np.zeros((robot.n, 6, len(np.asarray(q))))
 
 
-gravity_wrench.register(Chain, gravity.chain_gravity_wrench)
+gravity_wrench.register(Chain, bodies.chain_gravity_wrench)
 
 
 @singledispatch

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array
 from modcal_core.robots.acceleration import DOWN, Drives, Window, read_drives, window
+from modcal_core.robots.bodies import Payload, with_payload
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.inertia import Payload, with_payload
 from modcal_core.robots.urdf_inertias import Inertias, read_inertias
 from modcal_core.robots.urdf_tree import TURNS, Joint, Tree, parse
 
@@ -30,18 +30,9 @@ _TOOL_NAMES = tuple(
     for pattern in (r"(^|[_/-])tool0$", r"tcp$", r"(^|[_/-])(ee|eef|end_effector)([_/-]|$)", r"flange$")
 )
 
-
 # Words by which a gripper's own joint, or the link that it moves, is known; the second kind also names whole hands.
 _FINGER = re.compile(r"finger|jaw|knuckle|thumb|claw|pincer")
 _GRIPPER = re.compile(r"grip")
-
-
-@dataclass(frozen=True)
-class Tips:
-    """tip: the link where the arm ends. others: where arms of as many joints end that might have been meant as well."""
-
-    tip: str
-    others: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -56,16 +47,13 @@ class _End:
     @property
     def order(self) -> tuple[bool, int, int, int, str]:
         """The first is the best."""
-        return self.unknown, -len(self.moving), _rank(self.link), -self.length, self.link
+        named = (i for i, pattern in enumerate(_TOOL_NAMES) if pattern.search(self.link.lower()))
+        return self.unknown, -len(self.moving), next(named, len(_TOOL_NAMES)), -self.length, self.link
 
 
-def default_tip(tree: Tree, base: str, recorded: Collection[str] | None = None) -> str:
-    """The end of the arm, as :func:`tips` has it. Raises BadRobot when nothing moves."""
-    return tips(tree, base, recorded).tip
-
-
-def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> Tips:
-    """The end of the arm: the link behind most moving joints; and the ends of other arms with as many.
+def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tuple[str, tuple[str, ...]]:
+    """The end of the arm: the link behind most moving joints; and the ends of other arms with as many, which might have
+    been meant as well.
 
     Among several, one with a tool's usual name (tool0, tcp, ee, flange), then the one with the longest way, then the
     first by name. The way ends before joints that mimic or are mimicked, before those that a chain cannot hold, before
@@ -78,7 +66,11 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> Tips
 
     def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool) -> None:
         fingers = _fingers(tree, link, len(moving))
-        further = [j for j in tree.below[link] if not j.moves or (_usable(j) and j.name not in led | fingers)]
+        further = [
+            j
+            for j in tree.below[link]
+            if not j.moves or (j.kind in TURNS and j.mimics is None and j.name not in led | fingers)
+        ]
         if moving and not further:
             ends.append(_End(link, unknown, moving, length))
         for joint in further:
@@ -93,15 +85,7 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> Tips
     for end in sorted(ends, key=lambda end: end.order):
         if end.unknown == best.unknown and len(end.moving) == len(best.moving) and end.moving != best.moving:
             rivals.setdefault(end.moving, end)
-    return Tips(best.link, tuple(end.link for end in rivals.values()))
-
-
-def _usable(joint: Joint) -> bool:
-    return joint.kind in TURNS and joint.mimics is None
-
-
-def _rank(link: str) -> int:
-    return next((i for i, pattern in enumerate(_TOOL_NAMES) if pattern.search(link.lower())), len(_TOOL_NAMES))
+    return best.link, tuple(end.link for end in rivals.values())
 
 
 def _fingers(tree: Tree, link: str, before: int) -> set[str]:
@@ -137,30 +121,17 @@ def _depth(tree: Tree, joint: Joint) -> int:
 _FARTHEST = 20.0  # m; an arm whose constants add up to more is suspected of millimetres
 
 
-@dataclass(frozen=True)
-class UrdfPath:
-    """The joints between base and tip.
-
-    segments: for each constant M_k of the chain, the names of the URDF joints whose origins make it up, in order; the
-    last of segment k < n is the moving joint k + 1, all others are fixed.
-    """
-
-    base: str
-    tip: str
-    segments: tuple[tuple[str, ...], ...]
-
-
 def read_chain(
     urdf_xml: str, base: str | None = None, tip: str | None = None, recorded: Collection[str] | None = None
 ) -> Chain:
     """The chain from base to tip link of a URDF.
 
-    base: default the root link. tip: default see :func:`modcal_core.robots.urdf.default_tip`. recorded: names of
+    base: default the root link. tip: default see :func:`modcal_core.robots.urdf.tips`. recorded: names of
     the joints that were recorded; a default tip is sought behind those only. Raises BadRobot.
     """
     tree = parse(urdf_xml)
     base = tree.root() if base is None else tree.link(base)
-    tip = default_tip(tree, base, recorded) if tip is None else tree.link(tip)
+    tip = tips(tree, base, recorded)[0] if tip is None else tree.link(tip)
     origins, moving = [np.eye(4)], []
     for joint in tree.path(base, tip):
         origins[-1] = origins[-1] @ joint.T_parent_joint
@@ -183,36 +154,35 @@ def read_chain(
         base=base,
         tip=tip,
     )
-    _check_unit(chain, tree)
+    long = float(np.linalg.norm(chain.origins[1:, :3, 3], axis=1).sum())
+    if chain.revolute.any() and long > _FARTHEST:
+        said = f"its links add up to {long:.0f} m, {_FARTHEST:g} m is the limit: it looks like millimetres"
+        raise BadRobot(f"robot '{tree.name}'", said, "give <origin xyz> in metres")
     return replace(chain, links=tuple(joint.parent for joint in moving))
 
 
 def other_tips(urdf_xml: str, base: str, recorded: Collection[str] | None = None) -> tuple[str, ...]:
     """Tips of other arms of as many joints, which :func:`read_chain` passes over where no tip is given."""
-    return tips(parse(urdf_xml), base, recorded).others
+    return tips(parse(urdf_xml), base, recorded)[1]
 
 
-def read_path(urdf_xml: str, base: str, tip: str) -> UrdfPath:
-    """Which URDF joints make up each constant of the chain from base to tip. Raises BadRobot."""
+def read_path(urdf_xml: str, base: str, tip: str) -> tuple[tuple[str, ...], ...]:
+    """For each constant M_k of the chain from base to tip the names of the URDF joints whose origins make it up.
+
+    In order; the last of segment k < n is the moving joint k + 1, all others are fixed. Raises BadRobot.
+    """
     tree = parse(urdf_xml)
     segments: list[list[str]] = [[]]
     for joint in tree.path(tree.link(base), tree.link(tip)):
         segments[-1].append(joint.name)
         if joint.moves:
             segments.append([])
-    return UrdfPath(base, tip, tuple(tuple(s) for s in segments))
+    return tuple(tuple(s) for s in segments)
 
 
 def joint_origins(urdf_xml: str) -> dict[str, Array]:
     """``T_parent_joint`` (4, 4) [m] of every joint of a URDF, by its name. Raises BadRobot."""
     return {joint.name: joint.T_parent_joint for joint in parse(urdf_xml).joints}
-
-
-def _check_unit(chain: Chain, tree: Tree) -> None:
-    long = float(np.linalg.norm(chain.origins[1:, :3, 3], axis=1).sum())
-    if chain.revolute.any() and long > _FARTHEST:
-        said = f"its links add up to {long:.0f} m, {_FARTHEST:g} m is the limit: it looks like millimetres"
-        raise BadRobot(f"robot '{tree.name}'", said, "give <origin xyz> in metres")
 
 
 # --- An arm with what it carries and what its drives may give

@@ -197,11 +197,11 @@ def _step(joint: Joint) -> CarryingJoint:
 
 def _down(tree: Tree, base: str) -> Array:
     """Where the weight pulls, (3,), in the base: away from the root's z, the joints between them at zero."""
-    above = {joint.child: joint for joint in tree.joints}
     R, link = np.eye(3), base
-    while link in above:
-        R = (above[link].T_parent_joint @ _at_zero(above[link]))[:3, :3] @ R
-        link = above[link].parent
+    while link in tree.above:
+        joint = tree.above[link]
+        R = (joint.T_parent_joint @ _at_zero(joint))[:3, :3] @ R
+        link = joint.parent
     down = -R[2]
     down.flags.writeable = False
     return np.asarray(down)

@@ -310,7 +310,7 @@ def _check_depth(tree: Tree, carried: Mapping[str, str]) -> None:
         raise BadRobot("robot description", f"has {deepest} joints in a row, {_DEEPEST} is the limit", _ONE_ROBOT)
 
 
-# --- The same robot hung up at another of its links, so that a chain may go from the tip of one arm to that of anothe
+# --- The same robot hung up at another of its links, so that a chain may go from one arm's tip to another's
 
 _REPLACED = ("origin", "axis", "parent", "child")
 
@@ -336,14 +336,10 @@ def rerooted(urdf_xml: str, link: str) -> str:
         frame = _free(f"{joint.name}_frame", taken)
         root.append(etree.Element("link", name=frame))
         _put(element, np.eye(4), joint.child, frame)
-        etree.SubElement(element, "axis", xyz=_text(-_axis(joint)))
+        etree.SubElement(element, "axis", xyz=_text(-joint.axis))
         fixed = etree.SubElement(root, "joint", name=_free(f"{joint.name}_origin", taken), type="fixed")
         _put(fixed, back, frame, joint.parent)
     return str(etree.tostring(root, encoding="unicode"))
-
-
-def _axis(joint: Joint) -> Array:
-    return np.asarray(joint.axis, dtype=float)
 
 
 def _put(element: etree._Element, T: Array, parent: str, child: str) -> None:

@@ -37,14 +37,14 @@ def calibrated_urdf(urdf_xml: str, nominal: Chain, calibrated: Chain) -> str:
     comes after the last joint belongs to the tool; where it changed, the last fixed joint before the tip takes it, and
     NotRepresentable is raised if there is none. Raises BadRobot when the chain is not of this URDF.
     """
-    path = read_path(urdf_xml, nominal.base, nominal.tip)
-    moving = tuple(segment[-1] for segment in path.segments[:-1])
+    segments = read_path(urdf_xml, nominal.base, nominal.tip)
+    moving = tuple(segment[-1] for segment in segments[:-1])
     if not moving == nominal.names == calibrated.names:
         said = f"moves by {', '.join(moving)} and not by {', '.join(calibrated.names)}"
         raise BadRobot(f"robot from {nominal.base} to {nominal.tip}", said, "give the URDF the chain came from")
     old = joint_origins(urdf_xml)
     new: dict[str, Array] = {}
-    for k, segment in enumerate(path.segments):
+    for k, segment in enumerate(segments):
         if np.abs(nominal.origins[k] - calibrated.origins[k]).max() <= _SAME:
             continue
         if not segment:
@@ -86,7 +86,7 @@ class _OriginSpan:
 
 def _edits(raw: bytes, place: _OriginSpan, T: Array) -> list[tuple[int, int, bytes]]:
     """Replacements (from, to, new bytes) that give one joint its origin."""
-    values = {b"xyz": _text(T[:3, 3]), b"rpy": _text(so3.to_rpy(T[:3, :3]))}
+    values = {b"xyz": _numbers(T[:3, 3]).encode(), b"rpy": _numbers(so3.to_rpy(T[:3, :3])).encode()}
     if place.origin is None:
         if np.array_equal(T, np.eye(4)):
             return []
@@ -120,10 +120,6 @@ def _says(key: bytes, text: bytes, T: Array) -> bool:
     if numbers.shape != (3,):
         return False
     return np.array_equal(numbers, T[:3, 3]) if key == b"xyz" else np.array_equal(so3.from_rpy(numbers), T[:3, :3])
-
-
-def _text(values: Array) -> bytes:
-    return " ".join(repr(float(v) + 0.0) for v in values).encode()
 
 
 def _find_joints(raw: bytes) -> dict[str, _OriginSpan]:
@@ -184,7 +180,7 @@ def chain_urdf(chain: Chain, name: str = "arm") -> str:
         limited = bool(np.isfinite([chain.lower[k], chain.upper[k]]).all())
         kind = "prismatic" if not chain.revolute[k] else "revolute" if limited else "continuous"
         element = joint_element(robot, joint, kind, above, link, chain.origins[k])
-        ET.SubElement(element, "axis", xyz=" ".join(map(number, chain.axes[k])))
+        ET.SubElement(element, "axis", xyz=_numbers(chain.axes[k]))
         limits: Mapping[str, float] = {"lower": chain.lower[k], "upper": chain.upper[k]} if limited else {}
         # a reader must find both numbers; 0 says that nobody knows
         ET.SubElement(
@@ -208,8 +204,7 @@ def joint_element(robot: ET.Element, name: str, kind: str, parent: str, child: s
 
 def origin_element(element: ET.Element, T: Array) -> None:
     """An origin at T (4, 4) [m], added to the element."""
-    xyz, rpy = (" ".join(map(number, v)) for v in (T[:3, 3], so3.to_rpy(T[:3, :3])))
-    ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
+    ET.SubElement(element, "origin", xyz=_numbers(T[:3, 3]), rpy=_numbers(so3.to_rpy(T[:3, :3])))
 
 
 def urdf_text(robot: ET.Element) -> str:
@@ -258,7 +253,7 @@ def xacro_origins(origins: Mapping[str, Array], notes: Sequence[str] = ()) -> st
 
 
 def _numbers(values: Array) -> str:
-    return " ".join(repr(float(v) + 0.0) for v in values)
+    return " ".join(map(number, values))
 
 
 # --- Corrected kinematics in the forms that the makers' own descriptions read
@@ -272,7 +267,6 @@ _UR = {
     "wrist_3_joint": "wrist_3",
 }
 _FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)(?:v[\d_]*\d)?_)joint(?P<number>[1-7])")
-
 
 _AS_MADE = "give the file as the manufacturer's own tool wrote it for this arm"
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")

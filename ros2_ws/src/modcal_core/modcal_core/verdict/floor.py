@@ -119,7 +119,7 @@ def _beyond(seen: Floor | None, stated: Floor | None, unit: str) -> tuple[str, .
 def returns_of(samples: Samples, wrong: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """For each posture that was come back to the rows of its visits, one a visit, in order of time.
 
-    What counts as one, see :mod:`modcal_core.measurements.approach`.
+    What counts as one, see :mod:`modcal_core.measurements.dwells`.
     """
     keep = ~samples.moving if wrong is None else ~(samples.moving | wrong)
     others = others_at(samples)

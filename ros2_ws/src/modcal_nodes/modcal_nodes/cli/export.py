@@ -198,7 +198,7 @@ def _written_origins(
         data = kinematics_yaml_data(chain, origins, None if factory is None else read_yaml(factory))
         written = (NO_HASH if lacks_hash(data) else "") + to_yaml(data)
     else:
-        way = [name for segment in read_path(text, chain.base, chain.tip).segments for name in segment]
+        way = [name for segment in read_path(text, chain.base, chain.tip) for name in segment]
         notes = [f"left out: {note}" for note in left_out]
         written = xacro_origins({name: origins[name] for name in way}, notes)
     out = out or Path(

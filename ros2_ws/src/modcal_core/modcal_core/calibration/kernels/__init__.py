@@ -1,1 +1,1 @@
-"""Quick ways to what the plain modules beside this room compute; tests hold each to its plain version."""
+"""Quick ways to what the plain modules of calibration compute; tests hold each to its plain version."""

@@ -19,7 +19,6 @@ _RADIUS = 0.05  # m; by how much a platform's radius may be other than stated, o
 _LEVER = 0.15  # m; how far the tool may be from where a level platform leaves it open, to which the tilt is a lever
 _GUESSES = ((0, 0, 0), (0, 0, 1), (1, 1, 1))  # coordinates of the drawing's tool that the fit may have left at nothing
 
-
 _SETTINGS = {
     "radius": Setting(_RADIUS, "m", "platform_radius"),
     **{axis: Setting(_LEVER, "m", f"lever_{axis}") for axis in "xyz"},

@@ -58,11 +58,6 @@ def functions(drivers: Drivers) -> tuple[Effect, ...]:
     return tuple(out)
 
 
-def complexity(_: Effect) -> int:
-    """Whatever has a name is plainer."""
-    return FREE
-
-
 def _of_position(drivers: Drivers) -> Iterator[Effect]:
     """Any smooth dependence of a joint, or of the tilt of its axis, on the position of any joint."""
     for i, driver in moving_joints(drivers):
@@ -108,4 +103,4 @@ def _of_signals(drivers: Drivers) -> Iterator[Effect]:
                 yield Effect(NAME, place, direction, signal, bent)
 
 
-FAMILY = Family(NAME, candidates, complexity=complexity)
+FAMILY = Family(NAME, candidates, complexity=lambda _: FREE)  # whatever has a name is plainer

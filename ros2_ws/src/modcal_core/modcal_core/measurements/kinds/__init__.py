@@ -1,4 +1,4 @@
-"""Kinds of reading: one file each, registered in :mod:`registry`."""
+"""Kinds of reading: one file each, registered in :mod:`modcal_core.measurements.kinds.registry`."""
 
 # ruff: noqa: I001
 

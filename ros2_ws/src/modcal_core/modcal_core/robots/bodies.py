@@ -1,0 +1,293 @@
+"""The bodies of a chain: what gravity asks of every joint for them, and what it must set in motion.
+
+Inertias: everything is computed in the base frame, where twists and inertias of all bodies add without being carried
+along. With S_i the unit twist of joint i (see :func:`modcal_core.robots.kinematics.spatial_jacobian`), ``I_j`` the
+spatial inertia of body j, twists linear first, about the base's origin,
+
+    I_j = | m 1      −m ĉ         |          M_ij = S_iᵀ (Σ_{k ≥ max(i, j)} I_k) S_j,
+          | m ĉ      I_c − m ĉ ĉ  |
+
+the composite rigid body algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 6). The diagonal is also
+what the plain sum over the bodies beyond a joint says, with x and y of their centres across its axis:
+
+    J_i = Σ_{j ≥ i} [I_c,j about z_i + m_j (x_ij² + y_ij²)]          (a sliding joint: Σ m_j).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modcal_core.errors import BadRobot
+from modcal_core.geometry import Array, crossed_rows, se3, so3
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import Frames, frames, link_frames, posture_frames, spatial_jacobian
+from modcal_core.robots.urdf_inertias import HeldBehind, Inertias
+
+STANDARD_GRAVITY = 9.80665  # m/s²
+DOWN = np.array([0.0, 0.0, -1.0])  # in the base, where nothing else is known
+
+
+def chain_gravity_wrench(chain: Chain, inertias: Inertias, q: Array, moved: Array | None = None) -> Array:
+    """Weight of the bodies beyond each joint, (n, 6, N): force [N], moment about the joint's origin [N m].
+
+    Both in the frame just before the joint's motion, with its axis along z, so row 5 is the torque about a turning
+    joint's axis and row 2 the force along a sliding one's. q: joint positions (N, n). moved: how
+    far bodies' centres are from where the inertias have them, behind each joint, (n, N, 3) [m].
+    """
+    f = frames(chain, q)
+    centres = np.stack([_centre(chain, inertias, q, f, k, moved) for k in range(chain.n)])
+    return _wrench(chain, f, inertias.mass, centres, inertias.down, inertias.held)
+
+
+class HeldWeight:
+    """What joints give at rest for the weight of their bodies, of one posture at a time, for where a clock runs.
+
+    Of an arm that is held at its base.
+    """
+
+    def __init__(self, chain: Chain, inertias: Inertias) -> None:
+        """Prepare the bodies of a chain."""
+        self._chain, self._down = chain, inertias.down
+        self._local = np.einsum("ki,kij->kj", inertias.com, chain.joint_basis)  # with the joints' axes as z [m]
+        self._weight = (STANDARD_GRAVITY * inertias.mass)[:, None]
+        self._beyond = np.cumsum(self._weight[::-1], axis=0)[::-1]  # of all bodies that a joint carries [N]
+
+    def efforts(self, q: Array) -> Array:
+        """Torques (n,) [N m; N] that hold the arm at a posture q (n,)."""
+        before, _ = posture_frames(self._chain, q)
+        p = before[:, :3, 3]
+        x, y, z = self._local.T
+        c, s = np.cos(q), np.sin(q)
+        local = np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+        if not self._chain.revolute.all():
+            slides = np.stack([x, y, z + q], axis=1)
+            local = np.where(self._chain.revolute[:, None], local, slides)
+        centres = p + (before[:, :3, :3] @ local[:, :, None])[:, :, 0]
+        moments = np.cumsum((self._weight * centres)[::-1], axis=0)[::-1] - self._beyond * p
+        return self._about(before, moments, self._beyond)
+
+    def of_load(self, q: Array) -> Array:
+        """The same (n,) for 1 kg at the tip."""
+        before, tip = posture_frames(self._chain, q)
+        weight = np.full((len(q), 1), STANDARD_GRAVITY)
+        return self._about(before, weight * (tip[:3, 3] - before[:, :3, 3]), weight)
+
+    def _about(self, before: Array, moments: Array, weight: Array) -> Array:
+        """Efforts against weights (n, 1) [N] that have moments (n, 3) [N m] about the joints."""
+        axes = before[:, :3, 2]
+        turning = -(moments * crossed_rows(np.broadcast_to(self._down, axes.shape), axes)).sum(axis=1)
+        if self._chain.revolute.all():
+            return np.asarray(turning)
+        return np.where(self._chain.revolute, turning, -weight[:, 0] * (axes @ self._down))
+
+
+def payload_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
+    """The same, (n, 6, N), of a mass of 1 kg at the tip. down: unit vector (3,) in the base. held: as of inertias."""
+    f = frames(chain, q)
+    return _tip_wrench(chain, f, f.p[-1], down, held)
+
+
+def _tip_wrench(chain: Chain, f: Frames, at: Array, down: Array, held: HeldBehind | None) -> Array:
+    """The wrenches, (n, 6, N), of 1 kg at points (3, N) that move with the last joint."""
+    mass = np.zeros(chain.n)
+    mass[-1] = 1.0
+    held = None if held is None else held.empty
+    return _wrench(chain, f, mass, np.broadcast_to(at, (chain.n, *at.shape)), down, held)
+
+
+def offset_wrench(chain: Chain, q: Array, down: Array = DOWN, held: HeldBehind | None = None) -> Array:
+    """How the latter changes with each metre that the mass is beside the tip, along the tip's x, y, z, (3, n, 6, N)."""
+    f = frames(chain, q)
+    own = _tip_wrench(chain, f, f.p[-1], down, held)
+    return np.stack([_tip_wrench(chain, f, f.p[-1] + f.axes[-1, d], down, held) - own for d in range(3)])
+
+
+def _centre(chain: Chain, inertias: Inertias, q: Array, f: Frames, k: int, moved: Array | None) -> Array:
+    """Centre of mass of body k in the base, (3, N)."""
+    com = inertias.com[k] if moved is None else inertias.com[k] + moved[k]
+    x, y, z = (com @ chain.joint_basis[k]).T
+    if chain.revolute[k]:
+        c, s = np.cos(q[:, k]), np.sin(q[:, k])
+        local = (c * x - s * y, s * x + c * y, z)
+    else:
+        local = (x, y, z + q[:, k])
+    out: Array = f.p[k] + sum(f.axes[k, d] * local[d] for d in range(3))
+    return out
+
+
+def _wrench(chain: Chain, f: Frames, mass: Array, centres: Array, down: Array, held: HeldBehind | None) -> Array:
+    out = np.empty((chain.n, 6, f.p.shape[2]))
+    before = 0 if held is None else held.joints
+    way = _way(chain, f, down, before)
+    weight, moment_of_mass = 0.0, np.zeros_like(f.p[0])
+    for k in range(chain.n - 1, before - 1, -1):
+        weight += float(mass[k]) * STANDARD_GRAVITY
+        moment_of_mass = moment_of_mass + float(mass[k]) * STANDARD_GRAVITY * centres[k]
+        out[k] = _borne(f, k, weight, moment_of_mass, way)
+    if held is not None:
+        weight = held.mass * STANDARD_GRAVITY
+        moment_of_mass = np.broadcast_to(weight * held.com[:, None], f.p[0].shape)
+        for k in range(before):
+            out[k] = -_borne(f, k, weight, moment_of_mass, way)
+            weight += float(mass[k]) * STANDARD_GRAVITY
+            moment_of_mass = moment_of_mass + float(mass[k]) * STANDARD_GRAVITY * centres[k]
+    return out
+
+
+def _way(chain: Chain, f: Frames, down: Array, before: int) -> Array:
+    """Where weight pulls, in the base, (3, N). before: joints behind which the arm is held, where it does not turn."""
+    if not before:
+        return np.broadcast_to(down[:, None], f.p[0].shape)
+    at_zero = frames(chain, np.zeros((1, chain.n)))
+    return np.asarray(np.einsum("dcn,d->cn", f.axes[before], at_zero.axes[before, :, :, 0] @ down))
+
+
+def _borne(f: Frames, k: int, weight: float, moment_of_mass: Array, way: Array) -> Array:
+    """Wrench (6, N) at joint k of bodies of this weight, whose centre times it is given."""
+    x, y, z = moment_of_mass - weight * f.p[k]
+    # (c − p) × w down, summed over the bodies
+    moment = np.stack([y * way[2] - z * way[1], z * way[0] - x * way[2], x * way[1] - y * way[0]])
+    return np.concatenate(
+        [weight * np.einsum("dcn,cn->dn", f.axes[k], way), np.einsum("dcn,cn->dn", f.axes[k], moment)]
+    )
+
+
+# --- What a joint must set in motion: equivalent inertias, the joint-space inertia matrix, and a payload folded in
+
+_SAME = 1e-9  # how far, relatively, an inertia may be from symmetric, and from what a body can have
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What the arm carries: mass [kg], centre (3,) [m] in the tip link, and inertia (3, 3) [kg m²] about the centre."""
+
+    mass: float = 0.0
+    centre: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+    @classmethod
+    def checked(cls, mass: float, centre: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = (0.0,) * 6) -> Payload:
+        """The payload with these numbers; inertia: ixx iyy izz ixy ixz iyz, as in ROS's Inertia. Raises BadRobot."""
+        c, i = np.asarray(centre, dtype=float).ravel(), np.asarray(inertia, dtype=float).ravel()
+        if not (np.isfinite(mass) and mass >= 0.0):
+            raise BadRobot("payload: mass", f"{mass:g} kg is not 0 or more", "give kilograms")
+        if c.shape != (3,) or not np.isfinite(c).all() or np.abs(c).max() > 10.0:
+            raise BadRobot(
+                "payload: centre", f"{_said(c)} is not a point within 10 m of the tip", "give x y z in metres"
+            )
+        if i.shape != (6,) or not np.isfinite(i).all():
+            raise BadRobot(
+                "payload: inertia", f"{_said(i)} is not six numbers", "give ixx iyy izz ixy ixz iyz in kg m²"
+            )
+        tensor = np.array([[i[0], i[3], i[4]], [i[3], i[1], i[5]], [i[4], i[5], i[2]]])
+        least = np.linalg.eigvalsh(0.5 * np.trace(tensor) * np.eye(3) - tensor).min()  # Σ m r rᵀ of a body is not < 0
+        if least < -_SAME * max(1e-3, float(np.abs(i).max())):
+            said = f"{_said(i)} is not physical: moments obey a + b ≥ c"
+            raise BadRobot("payload: inertia", said, "give it about the centre of mass")
+        return cls(float(mass), c, tensor)
+
+
+def with_payload(inertias: Inertias, chain: Chain, payload: Payload) -> Inertias:
+    """The bodies of a chain with a payload in its tip link, folded into the body of the last joint.
+
+    Masses add, centres are weighted, inertias are carried to the common centre (Steiner).
+    """
+    T_joint_tip = chain.origins[-1]
+    R, c = T_joint_tip[:3, :3], se3.apply(T_joint_tip, payload.centre)
+    mass, com, inertia = (np.array(a) for a in (inertias.mass, inertias.com, inertias.inertia))
+    total = float(mass[-1]) + payload.mass
+    if total > 0.0:
+        between = com[-1] - c
+        reduced = float(mass[-1]) * payload.mass / total
+        com[-1] = (mass[-1] * com[-1] + payload.mass * c) / total
+        inertia[-1] += reduced * (between @ between * np.eye(3) - np.outer(between, between))
+    inertia[-1] += R @ payload.inertia @ R.T
+    mass[-1] = total
+    for array in (mass, com, inertia):
+        array.flags.writeable = False
+    return Inertias(mass, com, inertia)
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The bodies of a chain at N postures, seen from the base.
+
+    mass: (n,) [kg]. twists: S, (N, 6, n). centres: of mass, (N, n, 3) [m]. inertias: about them, (N, n, 3, 3) [kg m²].
+    """
+
+    mass: Array
+    twists: Array
+    centres: Array
+    inertias: Array
+
+    @classmethod
+    def at(cls, chain: Chain, inertias: Inertias, q: ArrayLike) -> Bodies:
+        """The bodies at joint positions q (N, n) [rad, m]."""
+        q = np.asarray(q, dtype=float)
+        f = frames(chain, q)
+        T = link_frames(chain, f)
+        R = T[..., :3, :3]
+        turned = R @ inertias.inertia @ np.swapaxes(R, -1, -2)
+        return cls(inertias.mass, spatial_jacobian(chain, q, f), se3.apply(T, inertias.com), turned)
+
+    @cached_property
+    def spatial(self) -> Array:
+        """I_j about the base's origin, (N, n, 6, 6)."""
+        m = self.mass[:, None, None]
+        c = so3.hat(self.centres)
+        out = np.empty((*self.centres.shape[:2], 6, 6))
+        out[..., :3, :3] = m * np.eye(3)
+        out[..., :3, 3:] = -m * c
+        out[..., 3:, :3] = m * c
+        out[..., 3:, 3:] = self.inertias - m * (c @ c)
+        return out
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Joint-space inertia matrices M, (N, n, n) [kg m², kg m, kg]; symmetric."""
+        S = self.twists
+        momentum = beyond(self.spatial) @ np.swapaxes(S, 1, 2)[..., None]  # (N, n, 6, 1)
+        upper = np.swapaxes(S, 1, 2) @ np.swapaxes(momentum[..., 0], 1, 2)  # what is below its diagonal is no matter
+        n = upper.shape[-1]
+        return np.where(np.arange(n)[:, None] <= np.arange(n), upper, np.swapaxes(upper, 1, 2))
+
+
+def beyond(values: Array) -> Array:
+    """For every joint the sum over the bodies beyond it, its own included: of (N, n, ...) along the second axis."""
+    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
+
+
+def mass_matrix(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
+    """Joint-space inertia matrices M(q) (N, n, n) [kg m², kg m, kg] for joint positions q (N, n)."""
+    return Bodies.at(chain, inertias, q).matrix
+
+
+def equivalent_inertia(chain: Chain, inertias: Inertias, q: ArrayLike) -> Array:
+    """J_i of every joint (N, n) [kg m²; kg where it slides], the plain sum over the bodies beyond it.
+
+    q: joint positions (N, n). The inertia that joint i meets while all the others stand still; the diagonal of M.
+    """
+    q = np.asarray(q, dtype=float)
+    f = frames(chain, q)
+    T = link_frames(chain, f)
+    R, centres = T[..., :3, :3], se3.apply(T, inertias.com)  # (N, n, 3, 3), (N, n, 3)
+    out = np.empty(q.shape)
+    for i in range(chain.n):
+        if not chain.revolute[i]:
+            out[:, i] = inertias.mass[i:].sum()
+            continue
+        z = f.axes[i, 2].T[:, None, :]  # (N, 1, 3)
+        lever = centres[:, i:] - f.p[i].T[:, None, :]
+        across = np.sum(lever**2, axis=-1) - np.sum(lever * z, axis=-1) ** 2  # x² + y² seen from joint i
+        z_body = np.einsum("njab,nja->njb", R[:, i:], np.broadcast_to(z, lever.shape))
+        own = np.einsum("nja,jab,njb->nj", z_body, inertias.inertia[i:], z_body)
+        out[:, i] = np.sum(own + inertias.mass[i:] * across, axis=1)
+    return out
+
+
+def _said(values: Array) -> str:
+    return f"({', '.join(f'{v:g}' for v in values)})"
