@@ -114,7 +114,6 @@ def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> 
 
 
 def _chosen(track: Track, rng: np.random.Generator, nodes: int) -> Choice:
-    """The choice for a track of which every sample has a say."""
     models = all_models()
     fits = {model.name: fit(track, model, rng) for model in models}
     richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
@@ -195,7 +194,6 @@ def _curved(track: Track, found: JointFit, left: float) -> str:
 
 
 def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
-    """A kind's rows: of each scene, one for every play."""
     rows: list[EvidenceRow] = []
     column = 2
     for k, scene in enumerate(scenes):

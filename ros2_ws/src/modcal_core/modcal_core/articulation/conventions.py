@@ -40,8 +40,6 @@ from modcal_core.articulation.track import Track
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
 
-# --- Whether rotations do not follow the handle because they, or the positions, were written in another convention
-
 ORDER, INVERSE, MIRROR = "quaternions", "rotations", "positions"
 _READ = {
     ORDER: "read as x y z w",
@@ -145,8 +143,6 @@ def require_convention(track: Track, choice: Choice, rng: np.random.Generator | 
     said = written(found, best)
     raise BadRecording(f"track, {said.offender}", said.said, said.remedy)
 
-
-# --- Online
 
 _TURN = 2.0  # times what a hand may sway by and still hold firmly: a smaller turn is no turn
 

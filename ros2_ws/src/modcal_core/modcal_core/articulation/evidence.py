@@ -188,8 +188,6 @@ def weigh(rows: Mapping[Kind, list[EvidenceRow]], moved: float, log_priors: Arra
     return shares, best[1], best[2], best[3]
 
 
-# --- Whether an arc proves a hinge that is far away, and whether a line excludes one that is as near as most
-
 FARTHEST = math.exp(RADIUS[0] + 2.0 * RADIUS[1])  # m, 1.6: of 95 % of hinges
 _LEAVES = 0.4 / (48.0 * math.sqrt(7.0))  # of κ L², the RMS that an arc leaves of a bend that changes by its mean
 _OF_LINE = 1.0 / (12.0 * math.sqrt(5.0))  # of κ L², the RMS that a line leaves of an arc

@@ -144,8 +144,6 @@ def scaled(size: float, by: float, limits: tuple[float, float]) -> float:
     return min(max(size * math.exp(min(max(float(by), -1.0), 1.0)), limits[0]), limits[1])
 
 
-# --- First guesses of a motion, robust to any share of gross outliers below a half: MLESAC over few samples
-
 _TRIES = 40  # random triples of samples
 KEEP = 2  # guesses that are fitted
 _SCORED = 50  # samples that a guess is scored on

@@ -144,12 +144,9 @@ def rms(sizes: Array) -> float:
 
 
 def _median(sizes: Array) -> Array:
-    """Along the track, over some neighbours."""
     half = _SMOOTH // 2
     return np.array([np.median(sizes[max(0, i - half) : i + half + 1]) for i in range(len(sizes))])
 
-
-# --- Whether what a joint leaves vanishes by a smooth bend of its path
 
 _DEGREE = 5  # of the bend, a polynomial along the path: two waves, longer than what is alike within a hand's width
 _PARAMETERS = 6  # of a circle in space
@@ -184,8 +181,6 @@ def bend_explains(track: Track, left: Array, along: Array) -> str:
     )
 
 
-# --- A path as the means of short stretches, bounded: when there are too many, neighbours are pooled
-
 MAX = 64  # stretches: of a metre some 2 cm each
 _STRETCH = 4e-3  # m, at first; less would be play
 _STRETCHES_NOISE = 4.0  # deviations of noise on an axis that a stretch is long, where that is more
@@ -216,7 +211,6 @@ class Stretches:
         self._counts[self.k - 1] += 1.0
 
     def _pool(self) -> None:
-        """Neighbours together."""
         half = MAX // 2
         for each in (self._sums, self._counts):
             each[:half] = each[0::2] + each[1::2]
@@ -239,8 +233,6 @@ class Stretches:
         first = int(np.searchsorted(self._ways[: self.k], way, side="left"))
         return self._sums[first : self.k] / self._counts[first : self.k, None]
 
-
-# --- Whether what a joint leaves of the path so far is one smooth bend, asked again as the path grows
 
 _BEND_CHECK_DEGREE = 4  # of the bend, a polynomial along the path
 _FITTED = 2  # of the degrees that a joint's own parameters change: no bend is what these leave
@@ -286,7 +278,6 @@ def bend_left(left: Array, along: Array) -> bool:
 
 
 def _beside(waves: Array, e: Array) -> Array:
-    """What waves (n, k) leave of residuals (n, 3) [m]."""
     return np.asarray(e - waves @ np.linalg.lstsq(waves, e, rcond=None)[0])
 
 
@@ -296,8 +287,6 @@ def _alike(e: Array) -> float:
     both = float(sizes[1:].sum() + sizes[:-1].sum())
     return 1.0 - float((steps * steps).sum()) / both if both > 0.0 else 0.0
 
-
-# --- Whether a joint predicts travel that it was not fitted to: the far third of its path, from either side
 
 _HELD_OUT_FITTED = 0.7  # of the path
 _MIN_FITTED, _MIN_ASKED = 8, 3  # samples
@@ -385,8 +374,6 @@ def predicted(
 def _usual(left: Misfit) -> bool:
     return usual(left.position, left.rotation, left.white)
 
-
-# --- Whether the model of a good half of the path predicts the rest of it, asked again as the path grows
 
 _SHARE_FITTED = 0.6  # of the path: a model from there has as much again to say, less a third
 _SHARE_NOISE = 3.0  # deviations of noise beside what is tolerated, as for tracks

@@ -85,7 +85,6 @@ class ModelSelector:
         return other
 
     def _improve(self, motion: AxisMotion, nodes: Nodes) -> None:
-        """A step of the selected motion, on the nodes of now, at the play and the sway that it was chosen for."""
         better = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
         assert isinstance(better, AxisMotion)
         self.motion = better
@@ -99,7 +98,6 @@ class ModelSelector:
         return NodeScene.of(track, nodes.apart(), nodes.counts[: nodes.k], self.scale)
 
     def _begin(self, nodes: Nodes) -> None:
-        """A new round, on the nodes of now."""
         self._scene = self._now(nodes)
         self._scene.prepare([float(PLAYS[i]) for i in FEW], float(SWAYS[FIRST]))  # here, where little else is to do
         self.rounds += 1
@@ -161,6 +159,5 @@ class ModelSelector:
 
 
 def _best(rows: list[EvidenceRow]) -> tuple[int, int]:
-    """The best play and the best sway."""
     i = int(np.argmax([row.evidence.max() for row in rows]))
     return i, int(np.argmax(rows[i].evidence))

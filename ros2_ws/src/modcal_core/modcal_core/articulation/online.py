@@ -34,8 +34,6 @@ from modcal_core.articulation.two_motions import TwoMotions
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array, posed
 
-# --- How far a handle has come, by its poses, and how many steps of computation are due for it
-
 _MARK = 4e-3  # m from mark to mark
 _NOISE = 4.0  # deviations of noise on an axis from mark to mark, where that is more
 _PER_STEP = 1e-3  # m: a hand at 5 cm/s, seen 50 times a second, makes one step due at each pose
@@ -375,7 +373,6 @@ class Tracker:
 
     @property
     def _none(self) -> bool:
-        """Whether the best kind is none."""
         return too_much(*self._left, self._selector.scale)
 
     def _reached(self) -> tuple[float, float]:
@@ -425,6 +422,5 @@ def _went_on(
 
 
 def _between(p: Array, R: Array | None, q: Array, S: Array | None) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses."""
     turn = 0.0 if R is None or S is None else math.dist(R.ravel(), S.ravel()) / math.sqrt(2.0)
     return math.dist(p, q), turn

@@ -128,8 +128,6 @@ def whitener(C: NDArray[Any]) -> tuple[Array, float]:
     return dtrtri(L, lower=1)[0], float(np.log(L.diagonal()).sum()) + 0.5 * len(L) * LOG_2PI
 
 
-# --- How well a motion explains the nodes of a scene
-
 _HOLDS = 0.3  # the longest step of any parameter; the expansion holds no farther
 
 
@@ -247,7 +245,6 @@ def _solved(H: Array, g: Array) -> tuple[Array, float]:
 
 
 def _lifted(H: Array, share: float) -> Array:
-    """H, its diagonal raised by a share of its trace."""
     H = np.array(H)
     H.ravel()[:: len(H) + 1] += share * float(H.trace())
     return H
@@ -259,8 +256,6 @@ def _squares(W: Array, blocks: Array) -> Array:
     white = (W @ blocks.reshape(k, d * c)).reshape(k * d, c)
     return white.T @ white
 
-
-# --- How well a motion whose path bends in its own frame explains what was seen, in the space and by the rules of all
 
 _AT_END = 1e-9  # of the range of configurations
 

@@ -178,8 +178,6 @@ def _rotations(rotations: ArrayLike, n: int) -> Array:
     return R
 
 
-# --- A track of any length in few nodes: neighbours in space pooled, so that memory and work stay bounded
-
 _LENGTH = 0.1  # m: a turn of 1 rad is as far as this shift
 _FIRST_REACH = 4e-3  # m
 FEWEST_NODES = 6  # while more are coming: a circle in space has six parameters
@@ -258,9 +256,6 @@ class Nodes:
         return Track.trusted(m[:, :3], self._rotations[: self.k].copy())
 
 
-# --- One direction of time for a track and for its reverse, where what is done would depend on it
-
-
 def backwards(positions: Array) -> bool:
     """Whether positions (n, 3) are to be taken from the last to the first: they end nearer to their middle than begin.
 
@@ -279,8 +274,6 @@ def one_way(track: Track) -> Track:
         return Track.trusted(p, R)
     return Track.trusted(p[::-1], None if R is None else R[::-1])
 
-
-# --- Which samples tell of a track's path: no lone outliers, and of a rest only a few
 
 _NEAR = (-2, -1, 1, 2)  # neighbours in time; an outlier may have one or two that are outliers as well
 _AROUND = 7  # samples either way, whose steps are the usual ones there
@@ -375,8 +368,6 @@ def _way(p: Array) -> Array:
         out[i] = way + (0.0 if step >= mark else min(step, mark))
     return np.maximum.accumulate(out)
 
-
-# --- Whether the stamp of a pose follows those before it, or is one of another time
 
 _STAMP_LEAP = 1.0  # s beyond the time that passed between two arrivals
 Order = Literal["next", "late", "alone", "restart"]

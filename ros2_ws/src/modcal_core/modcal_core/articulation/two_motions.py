@@ -21,8 +21,6 @@ from modcal_core.articulation.misfit import Stretches
 from modcal_core.articulation.track import Track, backwards, one_way, travelled, white
 from modcal_core.geometry import Array
 
-# --- Where a pull of two motions is cut
-
 MIN_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
 MIN = 10  # samples of it
 _TRIED = 24  # places for the cut
@@ -132,7 +130,6 @@ class TwoMotions:
             self._ask(noise)
 
     def _ask(self, noise: float) -> None:
-        """Begin to try cuts of the path as it is now."""
         path, k = self._stretches.path, self._stretches.k
         self._snapshot, self._asked, self._fine = self._stretches.points, path, False
         self._noise = noise**2 * float(np.mean(1.0 / self._stretches.counts))

@@ -45,8 +45,6 @@ from modcal_core.geometry import Array, error_transform, se3, so3
 from modcal_core.measurements import POSE, TRAVEL, Samples, SignalTrack
 from modcal_core.robots import Frames, Mechanism, frames, gravity_wrench, is_serial_arm, tool_frames
 
-# --- Everything beside the posture that an effect may depend on, at one moment
-
 
 @dataclass(frozen=True)
 class ArmState:
@@ -183,7 +181,6 @@ class Correction:
         return between(T, rows, share[rows], other)
 
     def _poses_outside(self, postures: Array, around: Drivers, target: Target, frame: str = "") -> Array:
-        """Poses (N, 4, 4) by the calibration's other model."""
         bases = self._outside.model.T_frame_base
         base = bases[self.model.frames.index(frame)] if frame else None
         other = self._outside.poses(postures, around, "tool", base)

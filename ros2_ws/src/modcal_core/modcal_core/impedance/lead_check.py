@@ -36,8 +36,6 @@ import numpy as np
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
 
-# --- Running maximum over a time window, in constant time per value
-
 
 class RecentMaximum:
     """The largest of the values of the last ``seconds``; 0 before the first. Times must not go back."""
@@ -60,8 +58,6 @@ class RecentMaximum:
         """Maximum over the last ``seconds``; 0 where there is none."""
         return self._falling[0][1] if self._falling else 0.0
 
-
-# --- Whether the joints follow their references as far as the force that is felt explains, were they as soft as may b
 
 _REMEMBERED = 0.5  # s of references
 _MAX_LAG = 2.0  # times the stated lag may a servo's be, as long as nothing was learned of it
@@ -354,7 +350,6 @@ class LeadCheck:
         return max(self._takes(noted, per))
 
     def _takes(self, noted: float, per: float) -> list[float]:
-        """The leads [m] that the forces of the last moments take."""
         softest = self.stiffness.softest
         if not math.isfinite(per):
             return [force / softest for _, force, _ in self._felt]

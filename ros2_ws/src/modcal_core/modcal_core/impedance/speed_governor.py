@@ -135,8 +135,6 @@ class SpeedGovernor:
         return now - since > (self.settings.still_s if pushed else self.settings.give_up_s)
 
 
-# --- Whether joint states, wrench and object status of a pull are fresh, and how long they are waited for
-
 # s: a driver that is restarted publishes again within that; later somebody may have moved the arm, and must not be met
 # by one that moves by itself
 _RECOVERY_TIME = 5.0

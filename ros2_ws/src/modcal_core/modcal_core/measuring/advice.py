@@ -268,7 +268,6 @@ class Advisor:
         return self._as_good_as_can_be(session, status, refitted, view, size, rng)
 
     def _looking(self, session: Session, expected: float, axes: float) -> Session:
-        """The session with a look at this model noted."""
         return replace(session, looks=(*session.looks, Look(len(session.fitted), expected, axes)))
 
     def _share(self, version: int) -> float:

@@ -29,8 +29,6 @@ from modcal_core.planning import (
 )
 from modcal_core.robots import Mechanism
 
-# --- Which postures there are to choose from, and which ones count: a robot's own, or those that were recorded
-
 _AHEAD = 400  # postures that stand for where accuracy counts, for time
 _PASSES = 2  # of the exchange that chooses the first stations; later ones take what it missed
 _MOVED = (0.3, 0.1)  # rad or m by which a chosen posture is moved in search of a better one

@@ -155,8 +155,6 @@ def samples_of(
     )
 
 
-# --- A session as plain data, in SI units: what its file keeps of it
-
 FORMAT = 1  # of the file
 _NUMBERS = {"type": ["array", "null"], "items": {"type": "number"}}
 _SCHEMA = {

@@ -189,8 +189,6 @@ def _number(cell: str, where: str) -> float:
     return value
 
 
-# --- Whether readings that people typed can be readings at all, by what the nominal arm makes of those around them
-
 _MIN = 10  # stations; of fewer, base and tool leave nothing to tell a wrong one by
 _MAX = 2.0 / 3.0  # of the stations that agree; where fewer do it is the arm that is off, or all readings are wrong
 _UNITS = ((1e3, "metres"), (10.0, "centimetres"), (25.4, "inches"), (1e-3, "micrometres"))  # with their size in mm
@@ -220,8 +218,6 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
 
 
 def _require_convention(samples: Samples, chain: Chain, source: str) -> None:
-    """Raises BadTable where all readings are in another unit or in a mirrored frame."""
-
     def missed(other: Array) -> float:
         return points_match(chain, samples.q, other).typical
 

@@ -40,8 +40,6 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, SHARED, Samples
 from modcal_core.online.fixed_linearisation import FixedLinearisation
 
-# --- The square-root information form of a linear least-squares estimate, updated row by row
-
 _PANEL = 8  # columns that are eliminated together
 
 
@@ -330,7 +328,6 @@ class Estimator:
         self.values = self._now.mean
 
     def _stand_at(self, values: Array) -> None:
-        """Linearise about these values from now on."""
         self._point, self._frozen = values, None
 
     def _linearised(self) -> list[Rows]:
@@ -350,7 +347,6 @@ class Estimator:
         return np.split(rows[order], cuts)
 
     def _apart(self, step: Array) -> float:
-        """How many standard deviations a step is long."""
         return float(np.linalg.norm(self._now.R @ step))
 
 

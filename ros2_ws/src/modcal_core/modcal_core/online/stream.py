@@ -33,8 +33,6 @@ from modcal_core.measurements import (
 )
 from modcal_core.measurements.kinds import KIND_NAMES, kinds
 
-# --- Recent commands to an arm, to compare with reported positions, in bounded memory
-
 _HELD = 4096  # commands; 4 s at 1 kHz, and any stand at the usual rates
 
 

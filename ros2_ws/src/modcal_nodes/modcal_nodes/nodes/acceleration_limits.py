@@ -87,7 +87,6 @@ class AccelerationLimits(GuardedNode):
                 self._recognise()
 
     def _recognise(self) -> None:
-        """Read the arm off its description, and take what it carries."""
         chosen = self._chosen
         self._described = self._arm = None
         try:
@@ -102,7 +101,6 @@ class AccelerationLimits(GuardedNode):
         self._health.publish_if_changed()
 
     def _check(self, new: dict[str, Any]) -> None:
-        """Raises BadRobot, BadTable for a payload, share or method that cannot be."""
         require_method(new["method"])
         _payload(new)
         if self._described is not None:
@@ -123,7 +121,6 @@ class AccelerationLimits(GuardedNode):
             self._joints.receive(message, self._now(), self._chosen["timeout_s"])
 
     def _tick(self, _: object = None) -> None:
-        """Publish bounds of where the arm stands now, if it has been heard since the last ones."""
         arm, joints = self._arm, self._joints
         if arm is None or joints is None or not joints.complete or (stamp := float(joints.stamps.min())) == self._last:
             return
@@ -158,12 +155,10 @@ class AccelerationLimits(GuardedNode):
 
 
 def _payload(chosen: dict[str, Any]) -> Payload:
-    """The payload of these parameters; raises BadRobot."""
     return Payload.checked(chosen["payload_kg"], chosen["payload_centre_m"], chosen["payload_inertia"])
 
 
 def _with(arm: LoadedArm, chosen: dict[str, Any]) -> LoadedArm:
-    """The arm with the payload and the drives of these parameters; raises BadRobot, BadTable."""
     drives = {core: numbers_by_joint(chosen[name], f"parameter {name}") for name, core in _DRIVES.items()}
     loaded = arm.carrying(_payload(chosen)).using(chosen["torque_share"], chosen["gravity"]).with_drives(**drives)
     loaded.drives.require_torque()

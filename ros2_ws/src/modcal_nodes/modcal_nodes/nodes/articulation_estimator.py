@@ -148,7 +148,6 @@ class ArticulationEstimator(GuardedNode):
             self._forget()
 
     def _recognise(self, names: frozenset[str]) -> None:
-        """Read the arm off its description, once there is one, or when other joints are received."""
         if not self._urdf or (names <= self._names and (self._chain or self._refusal)):
             return
         self._names |= names
@@ -219,11 +218,9 @@ class ArticulationEstimator(GuardedNode):
         return order != "late" and not self._soon(stamp)
 
     def _soon(self, stamp: float) -> bool:
-        """Whether a pose of this time follows the last that was taken too soon."""
         return 0.0 <= stamp - self._last < 0.999 / self._chosen["rate_hz"]
 
     def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
-        """Take one pose, and publish the estimate after it."""
         self._turned = R
         state = self._tracker.update(p, R, stamp, self._force > self._chosen["pull_n"])
         before = None if self._state is None else self._state.written
@@ -303,7 +300,6 @@ class ArticulationEstimator(GuardedNode):
         return lines
 
     def _starved(self, state: TrackerState) -> str:
-        """What is lacking of poses, as text; empty where nothing is."""
         topic, silent = self._chosen["input"], time.monotonic() - self._heard
         if silent > _SILENT:
             return f"{topic}: no usable pose for {silent:.0f} s, what is said of the object is as old"
@@ -319,7 +315,6 @@ class ArticulationEstimator(GuardedNode):
 
 
 def _said(state: TrackerState) -> str:
-    """The estimate, as text."""
     if state.event:
         return state.event
     if state.written is not None:

@@ -72,7 +72,6 @@ class BoardDetector(GuardedNode):
         self._coach = None
 
     def _image(self, message: Any) -> None:
-        """Look at an image, if the last one was long enough ago."""
         now = time.monotonic()
         if now - self._last < self._period:
             return

@@ -167,12 +167,10 @@ class Calibrator(GuardedNode):
         self._standing = standing_of_json(self._files.get("report.json"))
 
     def _broadcast(self) -> None:
-        """Where trackers and tool are by the trusted model, for /tf_static."""
         if self._tf is not None and self._supervisor.trusted is not None:
             self._tf.publish(static_frames(self._supervisor.trusted), self.get_clock().now().to_msg())
 
     def _lacks(self) -> str:
-        """What must come before stations can be cut; empty: nothing."""
         return lacking(self._arm, self._inputs, self._camera is not None)
 
     def _expect_frames(self) -> None:
@@ -203,7 +201,6 @@ class Calibrator(GuardedNode):
         return response
 
     def _begin_solve(self) -> str:
-        """Have a solve done by the worker; returns why not, or nothing."""
         if self._solve_next or self._worker.doing == _SOLVE:
             return "a solve is running already"
         self._recognise()
@@ -277,7 +274,6 @@ class Calibrator(GuardedNode):
             self._verdict = refusal
 
     def _left_out(self, pieces: int, then: int, why: str) -> None:
-        """Forget messages that hold no station."""
         self.get_logger().warning(f"some minutes of messages are left out: {why}")
         if then == self._buffer.forgotten:
             self._buffer.left_out(pieces)
@@ -288,7 +284,6 @@ class Calibrator(GuardedNode):
             self._folder.save_samples(self._buffer.samples)
 
     def _solved(self, then: int, solved: Solved) -> None:
-        """Publish what a solve has found; trust it, if the policy says so."""
         if then != self._buffer.forgotten:
             self._answer(False, "the data it was solved from have been cleared since")
             return
@@ -331,7 +326,6 @@ class Calibrator(GuardedNode):
         return response
 
     def _trusted(self, solved: Solved) -> None:
-        """Publish and keep a result that is trusted from now on."""
         self._files, self._candidate, self._standing = solved.files, None, solved.standing
         self._said = None
         self._expect_frames()

@@ -169,7 +169,6 @@ class Corrector(GuardedNode):
         self._health.publish()
 
     def _announce(self) -> None:
-        """Publish the corrected URDF of the calibration in use, once."""
         robot = self._commander.robot
         if robot is not None and robot is not self._announced:
             self._announced = robot
@@ -207,7 +206,6 @@ class Corrector(GuardedNode):
             self._last = now
 
     def _correct(self, robot: CalibratedRobot, joints: JointInput, at: ArmState) -> None:
-        """Publish where the arm truly is."""
         correction, target = robot.correction, self._commander.settings.target
         correction.require(at)
         T, C, q = correction.corrected(at, target)
@@ -228,7 +226,6 @@ class Corrector(GuardedNode):
         self._counts["poses"] += 1
 
     def _take_desired(self, message: PoseStamped) -> None:
-        """Command what brings the target to a desired true pose."""
         robot, joints, chosen = self._commander.robot, self._joints, self._chosen
         if robot is None or joints is None:
             raise BadCommand(
@@ -314,7 +311,6 @@ class Corrector(GuardedNode):
 
 
 def _settings(chosen: dict[str, Any]) -> CommanderSettings:
-    """The core's settings; raises BadTable for a target that there is none of."""
     if chosen["target"] not in ("tip", "tool"):
         raise BadTable(f"target '{chosen['target']}'", "must be tip or tool", "set one of them")
     return CommanderSettings(

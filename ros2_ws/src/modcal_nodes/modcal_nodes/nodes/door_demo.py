@@ -115,7 +115,6 @@ class DoorDemo(GuardedNode):
                 self._pulls = self._pulls or bool(phase)
 
     def _look(self) -> None:
-        """Ask for the pull until it begins; end when it is over."""
         if self._over:
             unit = "rad" if self._chosen["kind"] == "door" else "m"
             said = f"{self._said}; in truth it is open by {self._opened:.3f} {unit}, "

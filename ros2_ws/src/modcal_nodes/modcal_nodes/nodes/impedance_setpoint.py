@@ -246,7 +246,6 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
     # what it is asked
 
     def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Begin to pull, from where the arm stands."""
         try:
             self._begin()
             response.success, response.message = True, "weighing the tool, then pulling"
@@ -265,7 +264,6 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         return response
 
     def _begin(self) -> None:
-        """Raises BadCommand unless everything that a pull needs is there."""
         if not self._active:
             raise BadCommand("pull", "the node is not active", "configure and activate it first")
         if self._object.elsewhere:

@@ -80,7 +80,6 @@ class Recorder(GuardedNode):
             recorder.patience = self._chosen["patience_s"]
 
     def _tick(self) -> None:
-        """Subscribe to what is published now, and let no message wait."""
         if self._trouble is not None:
             self._end(self._trouble)
         for recorder in self._recorders:
@@ -134,7 +133,6 @@ class Recorder(GuardedNode):
         self._health.publish_if_changed()
 
     def _complain(self) -> None:
-        """Say what is newly wrong, in the log and on /diagnostics."""
         news = False
         for topic, complaint in self._complaints():
             if self._said.get(topic) != complaint.kind:
@@ -160,7 +158,6 @@ class Recorder(GuardedNode):
         )
 
     def _end(self, error: ModcalError) -> None:
-        """Say aloud why the recording ends, and end it."""
         self._trouble = error
         self.get_logger().fatal(str(error))
         self._health.publish_last()

@@ -58,7 +58,6 @@ class SimulatedCell(GuardedNode):
         self.get_logger().info("published " + ", ".join(f"{count} {topic}" for topic, count in counts.items()))
 
     def _speak(self, chosen: dict[str, Any]) -> None:
-        """Open every topic, service and timer."""
         text, chain = self._plant.text, self._plant.chain
         simulated, factor = chosen["publish_clock"], chosen["time_factor"] if chosen["publish_clock"] else 1.0
         if simulated and self.get_parameter("use_sim_time").value:
@@ -121,7 +120,6 @@ class SimulatedCell(GuardedNode):
         self._done = until
 
     def _heard(self) -> bool:
-        """Whether as many listen as it is to wait for."""
         return all(topic.get_subscription_count() >= self._least for topic in (self._joints, self._tracker))
 
     def _jump(self, now: float) -> None:

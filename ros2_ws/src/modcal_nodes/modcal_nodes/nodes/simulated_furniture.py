@@ -148,7 +148,6 @@ class SimulatedFurniture(GuardedNode):
             self._obey(lambda: self._world.follow(legs(self._world.chain, trajectory)))
 
     def _obey(self, act: Callable[[], None]) -> None:
-        """Do as told, or say once why not."""
         try:
             act()
             self._refused = ""

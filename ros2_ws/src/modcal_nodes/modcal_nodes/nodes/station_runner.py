@@ -131,7 +131,6 @@ class StationRunner(GuardedNode, LifecycleNode):
         return response
 
     def _start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Begin, or go on after a hold."""
         try:
             self._sequence.start(self._said)
             response.success, response.message = True, "measuring"
@@ -140,7 +139,6 @@ class StationRunner(GuardedNode, LifecycleNode):
         return response
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Hold the arm where it is, at once."""
         response.success, response.message = True, "held" if self._sequence.stop() else "nothing moved"
         return response
 

@@ -168,7 +168,6 @@ class Viewer(GuardedNode):
         self._change, self._dirty = said if isinstance(said, str) else "", True
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Forget the stations that are shown."""
         self._stations.clear()
         self._dirty = True
         response.success, response.message = True, "stations forgotten"
@@ -206,14 +205,12 @@ class Viewer(GuardedNode):
     # what it shows
 
     def _tick(self) -> None:
-        """Draw what is new, and the arm as it stands."""
         if self._dirty:
             self._dirty = False
             self._draw_stations()
         self._draw_posture()
 
     def _draw_stations(self) -> None:
-        """Publish residuals and stations, of the calibration in use."""
         chain, robot, chosen = self._arm.serial, self._robot, self._chosen
         self._judged, self._around_stations, self._missing = None, [], ""
         self._frame = chain.base if chain else self._frame

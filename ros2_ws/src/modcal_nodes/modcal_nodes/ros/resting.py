@@ -86,7 +86,6 @@ class RestingExecutor(SingleThreadedExecutor):
         return ran, time.monotonic() + until
 
     def _answer(self) -> None:
-        """Answer the requests that have come."""
         for service in list(self._node.services):
             if not service.callback_group.can_execute(service):
                 continue
@@ -107,7 +106,6 @@ class RestingExecutor(SingleThreadedExecutor):
 
 
 def _call(timer: Timer) -> None:
-    """Run a timer's callback, and raise what it raises."""
     with timer.handle:
         timer.handle.call_timer()
     timer.callback()
@@ -127,7 +125,6 @@ def _answering(request: Any, header: Any) -> Any:
 
 
 def _run(handler: Task[Any]) -> None:
-    """Run a callback, and raise what it raises."""
     handler()
     if (error := handler.exception()) is not None:
         raise error

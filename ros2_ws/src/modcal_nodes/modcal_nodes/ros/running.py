@@ -32,8 +32,6 @@ from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import NODES
 from modcal_nodes.ros.resting import RestingExecutor
 
-# --- Signals that ask a process to end
-
 _PATIENCE = 10.0  # s after the first signal, from which another one interrupts what hangs
 
 
@@ -70,8 +68,6 @@ class SignalGuard:
 
         threading.Thread(target=listen, name="signals", daemon=True).start()
 
-
-# --- What ``--help`` says of an executable, and what is said of arguments that none of them has
 
 _WIDTH = 120
 _ROS = (
@@ -208,9 +204,6 @@ def _close(node: Node | None) -> int:
     finally:
         node.destroy_node()
     return 0
-
-
-# --- Processes of our own: what each does first
 
 
 def settle_in(yielding: int = 0) -> None:

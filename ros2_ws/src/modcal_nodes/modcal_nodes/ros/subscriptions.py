@@ -22,8 +22,6 @@ from sensor_msgs.msg import JointState
 from modcal_msgs_py import JointStateBytes
 from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, is_latched, waiting
 
-# --- What a node reports on ``/diagnostics``, once a second and at once when it gets better or worse
-
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
 
@@ -164,7 +162,6 @@ class MonitoredSubscription:
         return self.count - before
 
     def _take_all(self, told: list[Any]) -> None:
-        """Hand on what is needed of messages that came together."""
         messages = told
         if len(told) > 1 and self._read is not None and self._replaced is not None:
             messages = self._read.needed(told, self._replaced)

@@ -254,7 +254,6 @@ class TopicRecorder:
         self._take(taken)
 
     def _known(self, published: int, cdr: bytes) -> bool:
-        """Whether this message came before; it is remembered."""
         key = (published, hash(cdr))
         if key in self._seen:
             return True

@@ -150,9 +150,6 @@ def _three(name: str, chosen: dict[str, Any]) -> tuple[float, float, float]:
     return a, b, c
 
 
-# --- What is known of an arm's joints by which their efforts show a force; or why nothing tells
-
-
 @dataclass(frozen=True)
 class JointEfforts:
     """arm: what is known, None where that is not enough. unknown: why not, as text."""
@@ -180,8 +177,6 @@ class JointEfforts:
         check = operation.tool_force.efforts
         return (self.unknown or check.unusable) or f"{check.force:.1f}"
 
-
-# --- How soft the servos of an arm's joints may be, by which a force that is not felt is judged; or why nothing tells
 
 _FEW = 3  # joints of one effort are made alike; all of more than that, from shoulder to wrist, are a placeholder
 

@@ -74,8 +74,6 @@ class ArmInputs:
         self.measured(now)
 
 
-# --- Which parameters of ``impedance_setpoint`` may change, and when: some at once, some between pulls, some never
-
 _AT_CONFIGURE = (
     "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "timeout_s",
     "rate_hz",

@@ -20,8 +20,6 @@ from modcal_core.errors import BadTable, NotReachable
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import Chain, body_jacobian, inverse
 
-# --- What holds furniture back beside dry friction, damping and a spring
-
 _AT_REST = 2e-3  # m/s of the handle: below it, dry friction is as if it stood
 _ENGAGES = 1e-3  # m: a preload does not act through a closed stop
 _CREEPS = 0.05  # m/s up to which what sticks does more than what slides, roughly

@@ -84,7 +84,6 @@ def _arm(chain: Chain, inertias: Inertias, scene: Furniture) -> str:
 
 
 def _fingers() -> str:
-    """What holds the handle, on springs."""
     joints = []
     for kind, stiffness, inertia in (
         ("slide", GRASP_STIFFNESS, _FINGERS),
@@ -147,6 +146,5 @@ def _couplings(scene: Furniture) -> str:
 
 
 def _inertial(mass: float, com: Array, gyration: float) -> str:
-    """MJCF of a body of a radius of gyration [m]."""
     about = mass * gyration**2
     return f'<inertial pos="{text(com)}" mass="{mass:.17g}" diaginertia="{about:.17g} {about:.17g} {about:.17g}"/>'

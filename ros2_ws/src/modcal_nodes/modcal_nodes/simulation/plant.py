@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-# --- Effects of the simulated cell that are switched on and off while it runs
-
 AMBIENT = 20.0  # °C
 EXPANSION = 23e-6  # 1/K, aluminium
 _VECTORS = {"tool_bump_m": 1.0, "tool_turn_rad": math.pi, "tracker_move_m": 10.0}  # longest that is taken
@@ -288,7 +286,6 @@ def make_world(
 
 
 def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
-    """The URDF's text, empty for a Delta, and the robot."""
     if chosen["measurement"] not in ("pose", "point"):
         raise BadTable(f"measurement '{chosen['measurement']}'", "pose and point are simulated", "set one of them")
     kind = "delta" if chosen["delta"] else "urdf"
@@ -317,8 +314,6 @@ def _compliance(given: ArrayLike, chain: Mechanism) -> Array:
         raise BadTable(f"joint_compliance_rad_per_nm {compliance.tolist()}", said, "set as many")
     return np.broadcast_to(compliance, (chain.n,))
 
-
-# --- When the simulated cell speaks: on a grid of times, whatever the machine does meanwhile
 
 NANO = 1_000_000_000
 
@@ -413,8 +408,6 @@ class Beat:
             due = max(due + self._period, time.monotonic() - self._period)
             time.sleep(max(due - time.monotonic(), 0.0))
 
-
-# --- How fast the simulated cell really speaks
 
 LATE = 0.1  # s of wall time that the cell may lag behind its own clock
 

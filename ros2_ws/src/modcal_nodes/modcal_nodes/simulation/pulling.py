@@ -225,8 +225,6 @@ def effort_limits(urdf_xml: str, names: Sequence[str]) -> Array:
     return np.where(efforts > 0.0, efforts, np.inf)
 
 
-# --- What a pull has shown of an object: the way of the hand, how hard it was held, and how far it opened
-
 _PERIOD = 0.04  # s between two poses of the hand that are kept: some millimetres of the way
 _STILL = 2e-4  # rad or m by which some joint must have gone since the last one: waiting says nothing of the way
 _MAX = 2000  # of them; a minute has 1500

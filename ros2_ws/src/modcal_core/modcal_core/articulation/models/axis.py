@@ -159,7 +159,6 @@ class AxisMotion(Motion):
         """Write what positions leave into both and by_a; Rz(−a) (n, 3, 3) where it turns."""
 
     def _turned(self, track: Track, C: Array | None, both: Array, by_a: Array, derivatives: bool) -> None:
-        """Write what rotations leave, and how it changes with a and with the parameters."""
         Q = self.against_start(track)
         if not derivatives:
             both[:, 3:, 0] = quick_log(Q if C is None else C @ Q)[0]

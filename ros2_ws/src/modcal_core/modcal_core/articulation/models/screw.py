@@ -138,7 +138,6 @@ class Screw(AxisModel):
 
 
 def _many(a: Array) -> bool:
-    """Whether a thread was followed for more than a turn."""
     return bool(np.ptp(a) > 2.0 * np.pi)
 
 
