@@ -29,24 +29,7 @@ from modcal_msgs_py import (
     status_values,
     wrench_numbers,
 )
-from modcal_nodes.ros import (
-    ARTICULATION_ESTIMATOR,
-    ERROR,
-    FRESH,
-    LATCHED,
-    OK,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    declare,
-    follow,
-    run,
-    subscription_status,
-    values,
-)
+from modcal_nodes import ros
 
 _POSES: dict[str, type] = {
     "tool_pose": PoseWithCovarianceStamped,
@@ -61,18 +44,18 @@ _SILENT = 1.0  # s without a pose, after which the estimate is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
 
-class ArticulationEstimator(GuardedNode):
+class ArticulationEstimator(ros.GuardedNode):
     """Publishes the object as a one-joint URDF, its state, its axis, where it will be, and whether to trust it."""
 
     def __init__(self) -> None:
         super().__init__("articulation_estimator")
-        declare(self, ARTICULATION_ESTIMATOR)
-        self._chosen = chosen = values(self, ARTICULATION_ESTIMATOR)
+        ros.declare(self, ros.ARTICULATION_ESTIMATOR)
+        self._chosen = chosen = ros.values(self, ros.ARTICULATION_ESTIMATOR)
         if chosen["input"] not in (_JOINTS, *_POSES):
             raise BadCommand(
                 f"parameter input {chosen['input']!r}", "is not an input", f"use {_JOINTS}, {', '.join(_POSES)}"
             )
-        follow(self, ARTICULATION_ESTIMATOR, chosen)
+        ros.follow(self, ros.ARTICULATION_ESTIMATOR, chosen)
         self._tracker = Tracker(
             TrackerSettings(
                 tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"], trust_after_m=chosen["trust_after_m"]
@@ -84,13 +67,13 @@ class ArticulationEstimator(GuardedNode):
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = chosen["robot_description"], ""
         self._forget()
-        self._refusals = Refusals(self)
+        self._refusals = ros.Refusals(self)
         self._rest: list[Array] = []
         self._offset = np.zeros(3)
         self._load = Load(chosen["tool_mass"])
         self._force = 0.0
 
-        self._description = self.create_publisher(String, "~/object_description", LATCHED)
+        self._description = self.create_publisher(String, "~/object_description", ros.LATCHED)
         self._object = self.create_publisher(JointState, "~/object_state", 10)
         self._status = self.create_publisher(DiagnosticArray, "~/object_status", 10)
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
@@ -98,25 +81,27 @@ class ArticulationEstimator(GuardedNode):
         topic = chosen["input"]
         take = self._refusals.guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
         self._inputs = [
-            MonitoredSubscription(
+            ros.MonitoredSubscription(
                 self,
                 JointState if topic == _JOINTS else _POSES[topic],
                 topic,
                 take,
-                FRESH,
+                ros.FRESH,
                 needed=True,
                 single=True,
                 replaced=self._soon,
             ),
-            MonitoredSubscription(
-                self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), FRESH
+            ros.MonitoredSubscription(
+                self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), ros.FRESH
             ),
         ]
         if topic == _JOINTS:
             needed = not chosen["robot_description"]
             heard = self._refusals.guarded("robot_description", self._take_description)
-            self._inputs.append(MonitoredSubscription(self, String, "robot_description", heard, LATCHED, needed=needed))
-        self._health = Health(self, self._report)
+            self._inputs.append(
+                ros.MonitoredSubscription(self, String, "robot_description", heard, ros.LATCHED, needed=needed)
+            )
+        self._health = ros.Health(self, self._report)
         self.create_service(Trigger, "~/reset", self._reset)
 
     def _forget(self) -> None:
@@ -270,7 +255,7 @@ class ArticulationEstimator(GuardedNode):
     def _publish_status(self, state: TrackerState, stamp: float) -> None:
         told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]
         status = DiagnosticStatus(
-            level=WARN if state.event or state.written else OK,
+            level=ros.WARN if state.event or state.written else ros.OK,
             name=f"{self.get_fully_qualified_name()}: object",
             hardware_id="modcal",
             message=_said(state),
@@ -280,23 +265,27 @@ class ArticulationEstimator(GuardedNode):
         set_seconds(message.header.stamp, stamp)
         self._status.publish(message)
 
-    def _report(self) -> list[Status]:
+    def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
         lines = [
-            subscription_status(self._inputs),
-            Status("inputs", WARN if refused else OK, refused or "nothing was refused"),
+            ros.subscription_status(self._inputs),
+            ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]
         if self._chosen["input"] == _JOINTS and self._chain is None:
             waits = "robot_description: not received yet: publish it (latched), or set the parameter"
             lines.append(
-                Status("object", ERROR, self._refusal or (waits if not self._urdf else "waiting for joint_states"))
+                ros.Status(
+                    "object", ros.ERROR, self._refusal or (waits if not self._urdf else "waiting for joint_states")
+                )
             )
         elif self._state is None:
-            lines.append(Status("object", WARN, "waiting for poses"))
+            lines.append(ros.Status("object", ros.WARN, "waiting for poses"))
         else:
             said, starved = _said(self._state), self._starved(self._state)
-            level = WARN if self._state.event or self._state.written or starved else OK
-            lines.append(Status("object", level, "; ".join(filter(None, (said, starved))), status_values(self._state)))
+            level = ros.WARN if self._state.event or self._state.written or starved else ros.OK
+            lines.append(
+                ros.Status("object", level, "; ".join(filter(None, (said, starved))), status_values(self._state))
+            )
         return lines
 
     def _starved(self, state: TrackerState) -> str:
@@ -337,4 +326,4 @@ def _alike(one: JointModel, other: JointModel) -> bool:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(ArticulationEstimator, rest=_REST)
+    ros.run(ArticulationEstimator, rest=_REST)

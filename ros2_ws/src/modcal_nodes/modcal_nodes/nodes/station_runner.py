@@ -18,44 +18,27 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import ModcalError
 from modcal_core.measuring import TimedMotion
 from modcal_msgs_py import seconds, set_seconds
+from modcal_nodes import ros
 from modcal_nodes.measuring import StationSequence
-from modcal_nodes.ros import (
-    ERROR,
-    FRESH,
-    LATCHED,
-    OK,
-    STATION_RUNNER,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    declare,
-    follow,
-    run,
-    subscription_status,
-    values,
-)
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # a simulated time that stands must not keep an arm from being held
 
 
-class StationRunner(GuardedNode, LifecycleNode):
+class StationRunner(ros.GuardedNode, LifecycleNode):
     """Moves an arm from station to station. Nothing moves at launch, and nothing before a dry run was accepted."""
 
     def __init__(self) -> None:
         super().__init__("station_runner")
-        declare(self, STATION_RUNNER)
-        self._chosen = values(self, STATION_RUNNER)
+        ros.declare(self, ros.STATION_RUNNER)
+        self._chosen = ros.values(self, ros.STATION_RUNNER)
         self._sequence = StationSequence(self._chosen, self._send, self._tell, self._now)
-        self._said, self._level = "not configured", OK
+        self._said, self._level = "not configured", ros.OK
         self._timer: Timer | None = None
-        self._inputs: list[MonitoredSubscription] = []
-        self._refusals = Refusals(self)
+        self._inputs: list[ros.MonitoredSubscription] = []
+        self._refusals = ros.Refusals(self)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
-        self._health = Health(self, self._report)
-        follow(self, STATION_RUNNER, self._chosen)
+        self._health = ros.Health(self, self._report)
+        ros.follow(self, ros.STATION_RUNNER, self._chosen)
         self.create_service(Trigger, "~/dry_run", self._show_dry_run)
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/stop", self._stop)
@@ -77,18 +60,18 @@ class StationRunner(GuardedNode, LifecycleNode):
             pose = self._chosen["measurement"] == "pose"
             kind, topic = (PoseStamped, "tracker/pose") if pose else (PointStamped, "tracker/point")
             heard: list[tuple[type, str, Callable[[Any], None], Any, bool]] = [
-                (JointState, "joint_states", self._take_joints, FRESH, True),
-                (kind, topic, self._take_reading, FRESH, True),
+                (JointState, "joint_states", self._take_joints, ros.FRESH, True),
+                (kind, topic, self._take_reading, ros.FRESH, True),
             ]
             if self._chosen["robot_description"]:
                 self._sequence.describe(self._chosen["robot_description"])
             else:
-                heard.append((String, "robot_description", self._take_description, LATCHED, True))
+                heard.append((String, "robot_description", self._take_description, ros.LATCHED, True))
             self._inputs = [
-                MonitoredSubscription(self, k, t, self._refusals.guarded(t, f), qos, needed=needed, single=True)
+                ros.MonitoredSubscription(self, k, t, self._refusals.guarded(t, f), qos, needed=needed, single=True)
                 for k, t, f, qos, needed in heard
             ]
-        self._tell(OK, "waiting for the robot description and joint states")
+        self._tell(ros.OK, "waiting for the robot description and joint states")
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -170,7 +153,7 @@ class StationRunner(GuardedNode, LifecycleNode):
                 raise
             said = self.faults.note("tick", error)
             self._sequence.halt(said)
-            self._tell(ERROR, said)
+            self._tell(ros.ERROR, said)
 
     def _send(self, motion: TimedMotion) -> None:
         message = JointTrajectory(joint_names=list(self._sequence.names))  # without a stamp: from now on
@@ -183,23 +166,23 @@ class StationRunner(GuardedNode, LifecycleNode):
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):
             log = self.get_logger()
-            if level == OK:
+            if level == ros.OK:
                 log.info(said)
-            elif level == WARN:
+            elif level == ros.WARN:
                 log.warning(said)
             else:
                 log.error(said)
         self._level, self._said = level, said
 
-    def _report(self) -> list[Status]:
+    def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
         return [
-            subscription_status(self._inputs),
-            Status("measuring", self._level, self._said, self._sequence.facts),
-            Status("inputs", WARN if refused else OK, refused or "nothing was refused"),
+            ros.subscription_status(self._inputs),
+            ros.Status("measuring", self._level, self._said, self._sequence.facts),
+            ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]
 
 
 def main() -> None:
     """Entry point of the executable."""
-    run(StationRunner)
+    ros.run(StationRunner)
