@@ -26,8 +26,7 @@ class AccelerationLimits(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("acceleration_limits")
-        ros.declare(self, ros.ACCELERATION_LIMITS)
-        self._chosen = ros.values(self, ros.ACCELERATION_LIMITS)
+        self._chosen = ros.declare(self, ros.ACCELERATION_LIMITS)
         require_method(self._chosen["method"])
         _payload(self._chosen)
         ros.follow(self, ros.ACCELERATION_LIMITS, self._chosen, self._check, self._take_parameters)

@@ -49,8 +49,7 @@ class ArticulationEstimator(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("articulation_estimator")
-        ros.declare(self, ros.ARTICULATION_ESTIMATOR)
-        self._chosen = chosen = ros.values(self, ros.ARTICULATION_ESTIMATOR)
+        self._chosen = chosen = ros.declare(self, ros.ARTICULATION_ESTIMATOR)
         if chosen["input"] not in (_JOINTS, *_POSES):
             raise BadCommand(
                 f"parameter input {chosen['input']!r}", "is not an input", f"use {_JOINTS}, {', '.join(_POSES)}"

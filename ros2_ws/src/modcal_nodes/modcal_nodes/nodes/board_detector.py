@@ -23,8 +23,7 @@ class BoardDetector(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("board_detector")
-        ros.declare(self, ros.BOARD_DETECTOR)
-        chosen = ros.values(self, ros.BOARD_DETECTOR)
+        chosen = ros.declare(self, ros.BOARD_DETECTOR)
         if not chosen["target"]:
             raise BadTable("parameter target", "names no file", "set it to the target.yaml of modcal target")
         self._target = read_target(Path(chosen["target"]))

@@ -35,8 +35,7 @@ class Calibrator(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("calibrator")
-        ros.declare(self, ros.CALIBRATOR)
-        self._chosen = chosen = ros.values(self, ros.CALIBRATOR)
+        self._chosen = chosen = ros.declare(self, ros.CALIBRATOR)
         calibrating.require_policy(chosen)
         ros.follow(self, ros.CALIBRATOR, chosen, calibrating.require_policy, self._take_parameters)
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))

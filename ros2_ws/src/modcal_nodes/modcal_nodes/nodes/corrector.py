@@ -41,8 +41,7 @@ class Corrector(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("corrector")
-        ros.declare(self, ros.CORRECTOR)
-        self._chosen = ros.values(self, ros.CORRECTOR)
+        self._chosen = ros.declare(self, ros.CORRECTOR)
         self._commander = Commander(_settings(self._chosen))
         ros.follow(self, ros.CORRECTOR, self._chosen, _settings, self._take_parameters)
         self._calibration: Calibration | None = None

@@ -32,8 +32,7 @@ class DoorDemo(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("door_demo")
-        ros.declare(self, ros.DOOR_DEMO)
-        self._chosen = ros.values(self, ros.DOOR_DEMO)
+        self._chosen = ros.declare(self, ros.DOOR_DEMO)
         if self._chosen["kind"] not in _KINDS:
             raise BadTable(f"kind '{self._chosen['kind']}'", "is neither door nor drawer", "set one of them")
         self._opened, self._pulls, self._over = 0.0, False, False

@@ -48,8 +48,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("impedance_setpoint")
-        ros.declare(self, ros.IMPEDANCE_SETPOINT)
-        self._chosen = ros.values(self, ros.IMPEDANCE_SETPOINT)
+        self._chosen = ros.declare(self, ros.IMPEDANCE_SETPOINT)
         self._active = self._configured = False
         self._urdf = ""
         self._arm: ArmInputs | None = None

@@ -28,8 +28,7 @@ class Recorder(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        ros.declare(self, ros.RECORDER)
-        self._chosen = chosen = ros.values(self, ros.RECORDER)
+        self._chosen = chosen = ros.declare(self, ros.RECORDER)
         ros.follow(self, ros.RECORDER, chosen, take=self._take_parameters)
         optional = {self.resolve_topic_name(name) for name in chosen["optional"] if name}
         self._recorders = [

@@ -27,8 +27,7 @@ class SimulatedCell(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("simulated_cell")
-        ros.declare(self, ros.SIMULATED_CELL)
-        chosen = ros.values(self, ros.SIMULATED_CELL)
+        chosen = ros.declare(self, ros.SIMULATED_CELL)
         self._plant = simulation.Plant(chosen)
         self._switches = self._plant.switches
         self._speak(chosen)

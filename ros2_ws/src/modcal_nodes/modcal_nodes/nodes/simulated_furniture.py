@@ -36,8 +36,7 @@ class SimulatedFurniture(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("simulated_furniture")
-        ros.declare(self, ros.SIMULATED_FURNITURE)
-        chosen = ros.values(self, ros.SIMULATED_FURNITURE)
+        chosen = ros.declare(self, ros.SIMULATED_FURNITURE)
         file = Path(chosen["urdf"])
         if not file.is_file():
             raise BadTable(f"urdf '{file}'", "is not a file", "set the parameter urdf")

@@ -29,8 +29,7 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("station_runner")
-        ros.declare(self, ros.STATION_RUNNER)
-        self._chosen = ros.values(self, ros.STATION_RUNNER)
+        self._chosen = ros.declare(self, ros.STATION_RUNNER)
         self._sequence = StationSequence(self._chosen, self._send, self._tell, self._now)
         self._said, self._level = "not configured", ros.OK
         self._timer: Timer | None = None

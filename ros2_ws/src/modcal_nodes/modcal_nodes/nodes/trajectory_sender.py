@@ -24,8 +24,7 @@ class TrajectorySender(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("trajectory_sender")
-        ros.declare(self, ros.TRAJECTORY_SENDER)
-        self._chosen = chosen = ros.values(self, ros.TRAJECTORY_SENDER)
+        self._chosen = chosen = ros.declare(self, ros.TRAJECTORY_SENDER)
         file = Path(chosen["trajectory"])
         if not file.is_file():
             raise BadTable(

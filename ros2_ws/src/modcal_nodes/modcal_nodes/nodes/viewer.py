@@ -36,8 +36,7 @@ class Viewer(ros.GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("viewer")
-        ros.declare(self, ros.VIEWER)
-        self._chosen = chosen = ros.values(self, ros.VIEWER)
+        self._chosen = chosen = ros.declare(self, ros.VIEWER)
         self._urdf, self._names = chosen["robot_description"], frozenset[str]()
         self._calibration: Calibration | None = None
         self._text = self._change = self._missing = self._unseen = self._frame = ""

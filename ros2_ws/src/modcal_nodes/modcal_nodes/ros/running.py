@@ -28,8 +28,7 @@ from rclpy.utilities import remove_ros_args
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, described
-from modcal_nodes.ros.parameter import Parameter
-from modcal_nodes.ros.parameters import NODES
+from modcal_nodes.ros.parameters import NODES, Parameter
 from modcal_nodes.ros.resting import RestingExecutor
 
 _PATIENCE = 10.0  # s after the first signal, from which another one interrupts what hangs
