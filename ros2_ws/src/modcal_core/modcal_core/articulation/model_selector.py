@@ -122,19 +122,14 @@ class ModelSelector:
         elif stage == "again" and known is not None:
             self._rows[kind, i] = glance(scene, known, play, self.rounds)
         else:
-            guess = self._guessed(kind, i, scene)
+            others = {other: row.motion for (other, j), row in self._rows.items() if j == i}
+            guess = _MODELS[kind].quick_guess(scene.track, others, self.rounds)
             if guess is None:
                 return
             level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
             self._fresh = glance(scene, EvidenceRow(guess, level, FIRST if scene.track.oriented else 0), play, -1)
             climbs: list[tuple[Kind, int, _Stage]] = [(kind, i, "climb")] * _CLIMBS
             self._left += [(kind, i, "judge"), *climbs]
-
-    def _guessed(self, kind: Kind, i: int, scene: NodeScene) -> AxisMotion | None:
-        known = {other: row.motion for (other, j), row in self._rows.items() if j == i}
-        guess = _MODELS[kind].quick_guess(scene.track, known, self.rounds)
-        assert guess is None or isinstance(guess, AxisMotion)
-        return guess
 
     def _conclude(self, scene: NodeScene) -> bool:
         known: dict[Kind, list[EvidenceRow]] = {}
@@ -148,7 +143,9 @@ class ModelSelector:
         won, self._won = self._won, best
         old = None if self.motion is None else self.motion.kind
         if old is not None and best not in (old, won) and old in known:
-            best, (i, j) = old, _best(known[old])  # the old kind, at its own best play
+            best, rows = old, known[old]  # the old kind, at its own best play
+            i = int(np.argmax([row.evidence.max() for row in rows]))
+            j = int(np.argmax(rows[i].evidence))
         self.follows = not (scene.track.oriented and bool(LOOSE[j]))
         chosen = known[best][i]
         self._play, self._column = FEW[i], j
@@ -156,8 +153,3 @@ class ModelSelector:
         assert isinstance(chosen.motion, AxisMotion)
         self.motion = chosen.motion
         return old != best
-
-
-def _best(rows: list[EvidenceRow]) -> tuple[int, int]:
-    i = int(np.argmax([row.evidence.max() for row in rows]))
-    return i, int(np.argmax(rows[i].evidence))

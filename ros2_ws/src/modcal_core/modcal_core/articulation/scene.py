@@ -1,7 +1,7 @@
 """What all kinds of joint must explain: nodes of a track, how they are off together, and the sizes that are tried.
 
 Where the direction along the path is the same for all nodes, as of every motion about one axis, what shares noise is
-whitened together; :mod:`.varying_terms` has the others.
+whitened together; ``VaryingTerms`` has the others.
 
 The path of a parametric model may bend in the frame that it moves along, so the direction t along it [unit vector]
 differs from node to node, and so does the turn ω [rad] per metre of path. The latent place on the path, flat in metres,
@@ -13,7 +13,7 @@ With covariances P and Q of positions and rotations between nodes, as for all mo
 
     x_i x_j: P_ij U_iᵀU_j,   x_i y_j: −P_ij (U_iᵀt_j) ω_jᵀ,   y_i y_j: Q_ij I + P_ij (t_iᵀt_j) ω_i ω_jᵀ
 
-Where t is the same everywhere, that is what ``terms`` has. A node beyond an end of the path pays for
+Where t is the same everywhere, that is what ``UniformTerms`` has. A node beyond an end of the path pays for
 how far it is beyond.
 """
 

@@ -47,9 +47,8 @@ _PRIOR = np.diag([200.0**-2.0] * 3 + [3.0**-2.0] * 3)
 _STANDS_OUT = 3.0  # standard deviations: where no row departs by more nothing is hidden
 _PASSES = 3  # in which rows whose compliance is unsure come to count by how large a load is hidden
 _SETTLED = 0.04  # s after which leads are such as those of now are compared with
-_BEFORE = (
-    0.015  # m of the tool's way on which they lie: half a second of exploration; of an arm that stands, none is new
-)
+# m of the tool's way on which they lie: half a second of exploration; of an arm that stands, none is new
+_BEFORE = 0.015
 _STEP = 3e-4  # m from one to the next: fifty, of which a mean and a scatter are known to a tenth
 _MIN = 10  # of them
 # m: a tool that went on by as much was not held, for fingers yield half of it to 60 N; then the model is wrong

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from modcal_core.planning import (
     ACCURACY,
     CANDIDATES,
     Site,
-    Spheres,
     clearance,
     criterion,
     exchange,
@@ -89,14 +87,10 @@ def of_robot(chain: Mechanism, site: Site, kind: str, rng: np.random.Generator, 
         where=drawn[:_AHEAD],
         order=len(there.q) + np.arange(len(drawn)),
         first=first,
-        allowed=partial(_allowed, there.spheres, site),
+        allowed=lambda q: np.asarray((clearance(there.spheres, site, q) >= 0.0) & visible(there.spheres, site, q)),
         lower=np.asarray(limits.lower),
         upper=np.asarray(limits.upper),
     )
-
-
-def _allowed(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
-    return np.asarray((clearance(spheres, site, q) >= 0.0) & visible(spheres, site, q))
 
 
 def of_recording(q: Array, rng: np.random.Generator) -> Pool:

@@ -112,7 +112,7 @@ class Proof:
 
 Statistic = Literal["rms", "p95"]
 # The 95th percentile over the RMS of a squared error that varies from station to station as the square of one normal
-# number does: the widest law that the proof allows for (see proof.py), and the one with the longest tail
+# number does: the widest law that the proof allows for, and the one with the longest tail
 P95_OVER_RMS = 1.96
 MAX_STATIONS = 400  # more than any arm has needed in the benchmarks; without an end a robot would go on for ever
 

@@ -57,7 +57,11 @@ def to_table(session: Session, numbers: Sequence[int], revolute: np.ndarray) -> 
         q = s.asked if s.q is None else s.q
         shown = [f"{v:.5f}" for v in np.where(revolute, np.degrees(q), 1e3 * q)]
         note = s.state if s.state in (UNSEEN, SKIPPED) else ""
-        writer.writerow([i + 1, s.role, *shown, *_written(s.reading, session.kind), note])
+        read = [""] * len(_reading_columns(session.kind))
+        if s.reading is not None:
+            turned = np.degrees(so3.to_rpy(so3.from_quaternion(s.reading[3:]))) if session.kind == POSE else ()
+            read = [f"{v:.5f}" for v in (*(1e3 * s.reading[:3]), *turned)]
+        writer.writerow([i + 1, s.role, *shown, *read, note])
     return out.getvalue()
 
 
@@ -67,13 +71,6 @@ def _joint_columns(names: Sequence[str], revolute: np.ndarray) -> list[str]:
 
 def _reading_columns(kind: str) -> tuple[str, ...]:
     return (*_POINT_COLUMNS, *_POSE_COLUMNS) if kind == POSE else _POINT_COLUMNS
-
-
-def _written(reading: Array | None, kind: str) -> list[str]:
-    if reading is None:
-        return [""] * len(_reading_columns(kind))
-    turned: list[float] = np.degrees(so3.to_rpy(so3.from_quaternion(reading[3:]))).tolist() if kind == POSE else []
-    return [f"{v:.5f}" for v in (*(1e3 * reading[:3]), *turned)]
 
 
 def text_of(data: bytes, source: str) -> str:

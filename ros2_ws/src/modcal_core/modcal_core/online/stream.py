@@ -248,7 +248,9 @@ class SampleStream:
         allowed = np.maximum(self._rules.still, NOISE_FACTOR / SECOND_DIFFERENCE * self._noise)
         if (high - low > allowed).any() or step > self._rules.gap + LATE_STEPS * self._step:
             if stamp - step - self._since >= SHORTEST:
-                self._note_stand(stamp - step)
+                self._stands.append((stamp - step, stamp - step - self._since))
+                times = np.array([length for _, length in self._stands])
+                self._rules = fitted_rules(self._asked, times, stamp - step - self._stands[0][0])
                 self._average_ended(np.inf)
                 self._ended = _Ended(self._since, stamp - step, self._approach.direction)
             self._begin_stand(stamp, q)
@@ -259,12 +261,6 @@ class SampleStream:
                 self._since = stamp - self._rules.settle  # it stands already: nothing to settle
         # last, for a stand that has just ended was approached by the motion before this one
         self._approach.update(q)
-
-    def _note_stand(self, end: float) -> None:
-        """Learn from a stand that has ended how long this arm stands."""
-        self._stands.append((end, end - self._since))
-        times = np.array([length for _, length in self._stands])
-        self._rules = fitted_rules(self._asked, times, end - self._stands[0][0])
 
     def _begin_stand(self, stamp: float, q: Array) -> None:
         self._since, self._low, self._high = stamp, q.copy(), q.copy()

@@ -92,11 +92,10 @@ class Live:
         self.since += 1
         # asked again as samples come in: the first answer rests on very few
         if self.hypothesis is None or (self.since & (self.since - 1)) == 0:
-            self.hypothesis = self._asked(min(self.changed, self.detector.seen[-1].stamp))
-
-    def _asked(self, since: float) -> ChangeHypothesis:
-        rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
-        return or_misread(find_change(self.detector, since), self.detector.model, rows, self.calibration.noise)
+            since = min(self.changed, self.detector.seen[-1].stamp)
+            rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
+            change = find_change(self.detector, since)
+            self.hypothesis = or_misread(change, self.detector.model, rows, self.calibration.noise)
 
 
 ASKED, BETTER = "asked", "better"
