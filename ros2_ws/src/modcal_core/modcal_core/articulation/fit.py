@@ -86,18 +86,6 @@ class ClimbState:
     cost: float
 
 
-@dataclass(frozen=True)
-class Settled:
-    """What a climb comes to, of any motion: as in ``JointFit``, the configurations as the motion counts them."""
-
-    configurations: Array
-    weights: Array
-    sigma_position: float
-    sigma_rotation: float
-    log_likelihood: float
-    parameters: Array
-
-
 def _dims(motion: Motion, m: int) -> int:
     """Dimensions of a residual that the configuration does not absorb."""
     return m - motion.moves
@@ -191,15 +179,7 @@ def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> Cli
 
 
 def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
-    motion, at = state.motion, settled(track, state, prior)
-    first = motion.zero(at.configurations)
-    a = motion.counted(at.configurations - first, at.weights > SOUND)
-    return JointFit(motion.joint(first), a, motion.covariance(at.parameters), at.log_likelihood,
-               at.weights, at.sigma_position, at.sigma_rotation, motion, at.parameters)  # fmt: skip
-
-
-def settled(track: Track, state: ClimbState, prior: bool) -> Settled:
-    """Configurations, scales, weights and covariance at the end of a climb."""
+    """What a climb comes to: configurations, scales, weights and covariance."""
     from scipy.special import gammaln
 
     motion, sigma = state.motion, state.sigma
@@ -217,7 +197,18 @@ def settled(track: Track, state: ClimbState, prior: bool) -> Settled:
     spread = float(np.sqrt(chi[inside].sum() / (d * inside.sum()))) if inside.any() else 1.0
     rotation = sigma[1] * spread if z.shape[1] == 6 else np.nan
     weights = np.minimum(w * NU / (NU + d), 1.0)
-    return Settled(a, weights, sigma[0] * spread, rotation, float(log_likelihood), covariance)
+    first = motion.zero(a)
+    return JointFit(
+        model=motion.joint(first),
+        configurations=motion.counted(a - first, weights > SOUND),
+        covariance=motion.covariance(covariance),
+        log_likelihood=float(log_likelihood),
+        weights=weights,
+        sigma_position=sigma[0] * spread,
+        sigma_rotation=rotation,
+        motion=motion,
+        parameters=covariance,
+    )
 
 
 def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: bool) -> Array:

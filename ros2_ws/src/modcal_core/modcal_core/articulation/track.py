@@ -186,8 +186,8 @@ FEWEST_NODES = 6  # while more are coming: a circle in space has six parameters
 class Nodes:
     """A track of any length as at most ``most`` pooled samples, in the order of their first sample."""
 
-    def __init__(self, oriented: bool, most: int = 32, reach: float = _FIRST_REACH) -> None:
-        self.oriented, self.most, self.reach = oriented, most, reach
+    def __init__(self, oriented: bool, most: int = 32) -> None:
+        self.oriented, self.most, self.reach = oriented, most, _FIRST_REACH
         self._width = 12 if oriented else 3
         self._rotations = np.zeros((most, 3, 3))
         self._stale = np.ones(most, dtype=bool)  # whose rotation is older than their sum

@@ -135,17 +135,8 @@ class Commander:
     def _solve(self, robot: CalibratedRobot, desired: Array, frame: str, at: ArmState, wide: bool) -> Command:
         settings = self.settings
         rng = np.random.default_rng(_SEED) if wide else None
-        command = compensate(
-            robot.correction,
-            desired,
-            at.q,
-            at,
-            settings.target,
-            frame,
-            rng,
-            settings.tolerance_m,
-            settings.tolerance_rad,
-        )
+        within = settings.tolerance_m, settings.tolerance_rad
+        command = compensate(robot.correction, desired, at.q, at, settings.target, frame, rng, *within)
         if command.singular and not wide:
             raise BadCommand("desired_pose", "the arm is singular there", "route the stream around it, or send a goal")
         return command

@@ -43,7 +43,7 @@ class DoorDemo(ros.GuardedNode):
         self.create_subscription(JointState, "simulated_furniture/object_truth", self._hear_truth, 10)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self.create_subscription(WrenchStamped, "simulated_furniture/contact_force", self._hear_force, 10)
-        self.create_subscription(String, "robot_description", self._hear_description, ros.LATCHED)
+        self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), ros.LATCHED)
         self.create_subscription(JointState, "joint_states", self._hear_joints, ros.FRESH)
         self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
@@ -84,9 +84,6 @@ class DoorDemo(ros.GuardedNode):
     def _hear_force(self, message: WrenchStamped) -> None:
         force = message.wrench.force
         self._record.feel(np.array([force.x, force.y, force.z]))
-
-    def _hear_description(self, message: String) -> None:
-        self._record.describe(message.data)
 
     def _hear_joints(self, message: JointState) -> None:
         if not self._over:  # before the pull is heard of as well: diagnostics come once a second

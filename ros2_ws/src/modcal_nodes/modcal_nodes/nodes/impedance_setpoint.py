@@ -134,8 +134,8 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             (JointState, "joint_states", self._take_joints, ros.FRESH, True),
             (WrenchStamped, "wrench", self._take_wrench, ros.FRESH, True),
             (String, "robot_description", self._take_description, ros.LATCHED, not self._chosen["robot_description"]),
-            (String, "object_description", self._take_object, ros.LATCHED, False),
-            (DiagnosticArray, "object_status", self._take_status, ros.FRESH, False),
+            (String, "object_description", self._object.hear_description, ros.LATCHED, False),
+            (DiagnosticArray, "object_status", lambda m: self._object.hear_status(m, self._now()), ros.FRESH, False),
             (PoseWithCovarianceStamped, "tool_pose", self._take_tool, ros.FRESH, self._chosen["calibrated"]),
         ]
         hear, guarded = partial(ros.MonitoredSubscription, self, replaced=ros.always), self._refusals.guarded
@@ -293,12 +293,6 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
     def _take_wrench(self, message: WrenchStamped) -> None:
         if self._arm is not None:
             self._arm.take_wrench(message, self._now())
-
-    def _take_object(self, message: String) -> None:
-        self._object.hear_description(message)
-
-    def _take_status(self, message: DiagnosticArray) -> None:
-        self._object.hear_status(message, self._now())
 
     def _take_tool(self, message: PoseWithCovarianceStamped) -> None:
         if self._arm is not None:

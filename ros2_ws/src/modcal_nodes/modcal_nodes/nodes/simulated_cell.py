@@ -33,7 +33,9 @@ class SimulatedCell(ros.GuardedNode):
         self._speak(chosen)
         if chosen["stations"]:
             self.get_logger().info(f"visiting {self._plant.stops} postures in {self._plant.end:.0f} s")
-        self._settle_parameters()
+        # from here on the switches may be changed, to values that make sense
+        self.add_on_set_parameters_callback(self._judge)
+        self.add_post_set_parameters_callback(self._take)
         self._beat.start()
 
     def close(self) -> None:
@@ -83,7 +85,8 @@ class SimulatedCell(ros.GuardedNode):
     def _send_due(self) -> None:
         """Send what a busy machine held up as well, late and with the stamps that it should have had."""
         if not self._begun:
-            self._begun = self._heard() and self._time.begin()
+            heard = all(t.get_subscription_count() >= self._least for t in (self._joints, self._tracker))
+            self._begun = heard and self._time.begin()
             if not self._begun:
                 return
         now = self._time.now()
@@ -100,15 +103,12 @@ class SimulatedCell(ros.GuardedNode):
                 self._time_topic.publish(message)
         self._plant.keep_going(self._done, until)
         for t in self._joint_grid.take(until):
-            self._send_joints(t)
+            self._joints.publish(self._states.fill(self._time.stamp(t), *self._plant.joints(t)))
         for t in self._tracker_grid.take(until):
             self._send_reading(t)
         for t in self._temperature_grid.take(until):
             self._send_temperature(t)
         self._done = until
-
-    def _heard(self) -> bool:
-        return all(topic.get_subscription_count() >= self._least for topic in (self._joints, self._tracker))
 
     def _jump(self, now: float) -> None:
         """Go on at another time, the arm as it is; postures of its own restart when time moves backwards."""
@@ -141,9 +141,6 @@ class SimulatedCell(ros.GuardedNode):
 
     # what it says
 
-    def _send_joints(self, t: float) -> None:
-        self._joints.publish(self._states.fill(self._time.stamp(t), *self._plant.joints(t)))
-
     def _send_reading(self, t: float) -> None:
         when, T_base_tool = self._time.stamp(t), self._plant.tool(t)
         if self._true.get_subscription_count():
@@ -162,11 +159,6 @@ class SimulatedCell(ros.GuardedNode):
         self._temperature.publish(message)
 
     # parameters
-
-    def _settle_parameters(self) -> None:
-        """From here on the switches may be changed, to values that make sense."""
-        self.add_on_set_parameters_callback(self._judge)
-        self.add_post_set_parameters_callback(self._take)
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {p.name: p.value for p in parameters if p.name in simulation.SWITCHES}

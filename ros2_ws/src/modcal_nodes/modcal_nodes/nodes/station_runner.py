@@ -59,13 +59,15 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
             pose = self._chosen["measurement"] == "pose"
             kind, topic = (PoseStamped, "tracker/pose") if pose else (PointStamped, "tracker/point")
             heard: list[tuple[type, str, Callable[[Any], None], Any, bool]] = [
-                (JointState, "joint_states", self._take_joints, ros.FRESH, True),
+                (JointState, "joint_states", self._sequence.take_joints, ros.FRESH, True),
                 (kind, topic, self._take_reading, ros.FRESH, True),
             ]
             if self._chosen["robot_description"]:
                 self._sequence.describe(self._chosen["robot_description"])
             else:
-                heard.append((String, "robot_description", self._take_description, ros.LATCHED, True))
+                heard.append(
+                    (String, "robot_description", lambda m: self._sequence.describe(m.data), ros.LATCHED, True)
+                )
             self._inputs = [
                 ros.MonitoredSubscription(self, k, t, self._refusals.guarded(t, f), qos, needed=needed, single=True)
                 for k, t, f, qos, needed in heard
@@ -125,12 +127,6 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
         return response
 
     # what it hears
-
-    def _take_description(self, message: String) -> None:
-        self._sequence.describe(message.data)
-
-    def _take_joints(self, message: JointState) -> None:
-        self._sequence.take_joints(message)
 
     def _take_reading(self, message: Any) -> None:
         if isinstance(message, PointStamped):

@@ -28,7 +28,7 @@ from rclpy.utilities import remove_ros_args
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, described
-from modcal_nodes.ros.parameters import NODES, Parameter
+from modcal_nodes.ros.parameters import NODES
 from modcal_nodes.ros.resting import RestingExecutor
 
 _PATIENCE = 10.0  # s after the first signal, from which another one interrupts what hangs
@@ -104,19 +104,16 @@ def help_text(name: str, make: Callable[[], Any]) -> str:
     lines = [f"usage: ros2 run modcal_nodes {name} [--ros-args ...]", "", *about, "", *_ROS]
     if parameters := NODES.get(name):
         lines += ["", "Parameters (those marked * may be changed while it runs):"]
-        lines += [line for key, parameter in parameters.items() for line in _told(key, parameter)]
+        for key, parameter in parameters.items():
+            default = parameter.default if parameter.default != "" else '""'
+            bounds = "" if parameter.low is None else f", {parameter.low:g} to {parameter.high:g}"
+            lines += [f" {'*' if parameter.live else ' '}{key} ({default}{bounds})"]
+            lines += [f"      {parameter.description}"[:_WIDTH]]
     lines += [
         "",
         "Exit code 0: stopped on request. 2: unusable parameters, files or disk, one line on stderr. 1: a fault.",
     ]
     return "\n".join(lines)
-
-
-def _told(name: str, parameter: Parameter) -> list[str]:
-    default = parameter.default if parameter.default != "" else '""'
-    bounds = "" if parameter.low is None else f", {parameter.low:g} to {parameter.high:g}"
-    star = "*" if parameter.live else " "
-    return [f" {star}{name} ({default}{bounds})", f"      {parameter.description}"[:_WIDTH]]
 
 
 RCLError = rclpy_implementation.RCLError

@@ -223,10 +223,9 @@ class TopicRecorder:
 
     def poll(self) -> int:
         """Take what has arrived, without an executor; how many messages that were."""
-        return sum(self._take_behind(offer, subscription) for offer, subscription in self._subscriptions())
-
-    def _subscriptions(self) -> list[tuple[Offer, Subscription]]:
-        return [*self._inputs.items(), *self._spares]
+        return sum(
+            self._take_behind(offer, subscription) for offer, subscription in [*self._inputs.items(), *self._spares]
+        )
 
     def _take_behind(self, offer: Offer, subscription: Subscription, more: int = 0) -> int:
         for behind in waiting(subscription, self._node.most_at_once, raw=True):

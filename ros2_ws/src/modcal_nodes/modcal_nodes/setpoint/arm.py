@@ -62,7 +62,8 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
     """The task that parameters ask for. Raises ModcalError for values that make no sense together."""
     if chosen["mode"] not in ("expected", "admittance"):
         raise BadTable(f"mode '{chosen['mode']}'", "is neither expected nor admittance", "set one of them")
-    chosen = {**chosen, **_forces(chosen)}
+    for name, share in (("slowdown_force_n", _SLOWS), ("stop_force_n", _STANDS)):  # as asked, or shares of the most
+        chosen = {**chosen, name: chosen[name] or share * chosen["max_force_n"]}
     for what in ("force_n", "moment_nm"):
         names = [f"{name}_{what}" for name in ("slowdown", "stop", "max")]
         slow, stop, most = (chosen[name] for name in names)
@@ -103,12 +104,6 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
     if out.mode == "admittance":
         _require_damping(out)
     return out
-
-
-def _forces(chosen: dict[str, Any]) -> dict[str, float]:
-    """From which force on the pull slows down, and at which it stands [N]: as asked, or shares of the most."""
-    shares = {"slowdown_force_n": _SLOWS, "stop_force_n": _STANDS}
-    return {name: chosen[name] or share * chosen["max_force_n"] for name, share in shares.items()}
 
 
 def _require_damping(asked: ImpedanceTask) -> None:

@@ -22,16 +22,8 @@ class PrismaticJoint(JointModel):
     """ξ = (axis, 0)."""
 
     kind: ClassVar[str] = "prismatic"
-
-    @property
-    def radius(self) -> float:
-        """Its axis lies infinitely far away."""
-        return np.inf
-
-    @property
-    def length_per_unit(self) -> float:
-        """A metre is a metre."""
-        return 1.0
+    radius: ClassVar[float] = np.inf
+    length_per_unit: ClassVar[float] = 1.0
 
     def twist(self) -> Array:
         """(axis, 0) (6,)."""
@@ -54,11 +46,7 @@ class PrismaticMotion(AxisMotion):
     flat: ClassVar[bool] = True
     made: ClassVar[type[JointModel]] = PrismaticJoint
     frame_turns: ClassVar[int] = 2
-
-    @property
-    def length_per_unit(self) -> float:
-        """A metre is a metre."""
-        return 1.0
+    length_per_unit: ClassVar[float] = 1.0
 
     def along(self, y: Array, track: Track, sigma: tuple[float, float]) -> Array:
         """How far along (n,) [m]."""

@@ -23,16 +23,8 @@ class RigidJoint(JointModel):
 
     kind: ClassVar[str] = "rigid"
     moves: ClassVar[bool] = False
-
-    @property
-    def radius(self) -> float:
-        """Nothing moves."""
-        return 0.0
-
-    @property
-    def length_per_unit(self) -> float:
-        """Nothing moves."""
-        return 0.0
+    radius: ClassVar[float] = 0.0
+    length_per_unit: ClassVar[float] = 0.0
 
     def twist(self) -> Array:
         """Zeros (6,)."""
@@ -56,11 +48,7 @@ class RigidMotion(AxisMotion):
     made: ClassVar[type[JointModel]] = RigidJoint
     frame_turns: ClassVar[int] = 0
     shifts: ClassVar[int] = 3
-
-    @property
-    def length_per_unit(self) -> float:
-        """Nothing moves."""
-        return 0.0
+    length_per_unit: ClassVar[float] = 0.0
 
     @property
     def across(self) -> Array:
