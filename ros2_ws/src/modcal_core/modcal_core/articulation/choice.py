@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from modcal_core.articulation.evidence import EvidenceRow, hidden, row, still, unproved, weigh
 from modcal_core.articulation.fit import SOUND, JointFit, fit
-from modcal_core.articulation.joint_motion import Motion
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
 from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
-from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST, Nodes, Track, backwards, one_way, telling, travelled

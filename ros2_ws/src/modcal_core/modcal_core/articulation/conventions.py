@@ -31,8 +31,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.articulation.choice import Choice, choose
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.misfit import limits, rms, too_much, usual
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.models.revolute import RevoluteMotion
 from modcal_core.articulation.models.screw import ScrewMotion
@@ -109,9 +109,8 @@ def written(found: Sequence[ReadOtherwise], kind: Kind) -> OtherConvention:
         remedies.append(_AGAINST)
     remedy = "; or ".join(remedies)
     if len(found) == 1:
-        return OtherConvention(
-            offenders[0], f"{_READ[offenders[0]]} they follow no joint, {ways[0]} a {kind} one", remedy
-        )
+        said = f"{_READ[offenders[0]]} they follow no joint, {ways[0]} a {kind} one"
+        return OtherConvention(offenders[0], said, remedy)
     said = f"with rotations they follow no joint, {_either(ways)} a {kind} one; which of these, the track does not tell"
     return OtherConvention("poses" if len(offenders) > 1 else offenders[0], said, f"see which it is: {remedy}")
 

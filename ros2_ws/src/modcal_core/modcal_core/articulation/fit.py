@@ -20,9 +20,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.articulation.joint_motion import Motion
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
 from modcal_core.articulation.joints import PlacedJoint
-from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.track import Track, one_way
 from modcal_core.geometry import Array

@@ -38,8 +38,8 @@ import numpy as np
 
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.furniture import DISTORTION, PLAY, SWAY
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.prediction_check import POSITIONS
 from modcal_core.articulation.track import Track, travelled, white
 from modcal_core.geometry import Array

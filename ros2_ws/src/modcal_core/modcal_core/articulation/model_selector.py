@@ -17,8 +17,8 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.articulation.evidence import EvidenceRow, glance, improved, weigh
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import AXES, STILL, log_shares
 from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST_NODES, Nodes

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.conventions import ConventionCheck, OtherConvention
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.misfit import NONE, BendCheck, ShareCheck, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
 from modcal_core.articulation.track import FARTHEST, FEWEST_NODES, RIGID, Nodes, Track
@@ -282,8 +282,6 @@ class Tracker:
         if steps:
             self._bend.come(motion)
             self._convention.advance()
-
-    # what the selected model says of this pose
 
     def _compare(self, p: Array, R: Array | None) -> tuple[float, float, float, Event | None]:
         """Configuration, distance from the selected path [m], rotation against it [rad], and whether that was left."""

@@ -13,8 +13,8 @@ With covariances P and Q of positions and rotations between nodes, as for all mo
 
     x_i x_j: P_ij U_iᵀU_j,   x_i y_j: −P_ij (U_iᵀt_j) ω_jᵀ,   y_i y_j: Q_ij I + P_ij (t_iᵀt_j) ω_i ω_jᵀ
 
-Where t is the same everywhere, that is what ``UniformTerms`` has. A node beyond an end of the path pays for
-how far it is beyond.
+Where t is the same everywhere, that is what ``UniformTerms`` has. A node beyond an end of the path pays for how far it
+is beyond.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from modcal_core.articulation.joint_motion import InUrdf
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.model import InUrdf
 from modcal_core.articulation.models.registry import AXES, axis_model
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, se3, so3

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -132,15 +133,14 @@ class Correction:
         self._covariance = _deviations_covariance(calibration)
         # columns of the covariance of an arm at which the values of each effect begin
         self._first = (6 * self.chain.n + np.cumsum([0, *(len(e.values) for e in self.model.effects)])[:-1]).tolist()
-        self._needs, self._needs_effort = self.needs, self.needs_effort
 
-    @property
+    @cached_property
     def needs(self) -> tuple[str, ...]:
         """Names of the temperatures and signals that the effects depend on."""
         parts = (part for e in self.model.effects for part in e.driver.split(","))
         return tuple(dict.fromkeys(part for part in parts if part.startswith(_HEARD)))
 
-    @property
+    @cached_property
     def needs_effort(self) -> bool:
         """Whether the effects depend on what the actuators exert."""
         return any(part.startswith("effort:") for e in self.model.effects for part in e.driver.split(","))
@@ -320,9 +320,9 @@ class Correction:
         return timed and bool(self.calibration.driver_limits.time(np.array(stamp)) != stamp)
 
     def _around(self, postures: Array, at: ArmState) -> Drivers:
-        signals = tuple(_lasting(track) for track in at.signals) if self._needs else ()
+        signals = tuple(_lasting(track) for track in at.signals) if self.needs else ()
         # efforts must be seen beside the weight that they hold, which takes as long as all the rest
-        effort = at.effort if self._needs_effort else np.full(len(at.effort), np.nan)
+        effort = at.effort if self.needs_effort else np.full(len(at.effort), np.nan)
         samples = replace(at, signals=signals, effort=effort).samples(self.chain, postures, self._arm)
         return Drivers(samples, self._arm)
 

@@ -180,8 +180,6 @@ class Operation:
         except ModcalError as error:
             return self.stop(str(error))
 
-    # before anything moves
-
     def _wait(self, why: str, now: float) -> Wait | Stop:
         self._watch.wait(now)
         patience = self.task.input_timeout_s if self.phase != "tare" else tare.PATIENCE
@@ -202,8 +200,6 @@ class Operation:
         self._watch.start_motion(now)
         self._enter("explore", now)
         return Wait("the wrench is tared")
-
-    # while it moves
 
     def _go_on(
         self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
@@ -329,8 +325,6 @@ class Operation:
         """
         if self._letting_go.over(self._last + h - self._since, T[:3, 3]):
             self.stop(self._why)
-
-    # what several of them do
 
     def _go(self, wanted: float, h: float, most: float = math.inf) -> float:
         """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it, and never above most."""

@@ -1,8 +1,8 @@
 """How fast to go on along a path, and whether anything moves at all.
 
 A force that rises slows the pace down before it becomes too much: full speed up to ``slowdown``, none from ``stop`` on.
-With the damping B of the impedance law, something rigid is then pushed with the force at which B times
-the pace is that force, whatever the arm's stiffness.
+With the damping B of the impedance law, something rigid is then pushed with the force at which B times the pace is that
+force, whatever the arm's stiffness.
 
 At a hard stop that comes too late: there the force grows by K v, stiffness of hand and arm times speed, and goes on
 growing when the pace is cut: for the delay T, until what is felt has been understood, sent and done, and for the way

@@ -201,7 +201,6 @@ class ToolForce:
 
 
 def _stiffness(task: ImpedanceTask) -> Stiffness:
-    """What is known of the stack that follows: a stiff one, or one that is as compliant as it is asked to be."""
     if task.mode == "admittance":
         return Stiffness.of(task.governor.contact_stiffness, task.stack[0], task.servo_lag, task.arm_stiffness)
     return Stiffness(task.stiffness[0], task.stiffness[0], task.servo_lag)

@@ -166,8 +166,6 @@ class Advisor:
             return Advice(session, "", status, spent(self.goal, status.measured, status.expected), refitted)
         return self._next(session, status, refitted, view, left)
 
-    # the model so far
-
     def _refit(self, session: Session, rows: Sequence[int]) -> Refit | None:
         if self._last is None or self._last[0] != tuple(rows):
             try:
@@ -223,8 +221,6 @@ class Advisor:
     def _floor(self, refitted: Refit) -> Floor | None:
         residual = errors(refitted.calibration.calibrated, refitted.samples)
         return floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
-
-    # what next
 
     def _next(self, session: Session, status: Advance, refitted: Refit, view: Outlook, left: Array) -> Advice:
         size = max(self._batch, len(session.fitted) // _GROWING)

@@ -125,7 +125,6 @@ class Batch:
 
 
 def _taken(pool: Pool, session: Session) -> np.ndarray:
-    """True for postures of the pool that were asked for already, (N,)."""
     if pool.recorded:
         taken = np.zeros(len(pool.q), bool)
         taken[[s.row for s in session.stations]] = True

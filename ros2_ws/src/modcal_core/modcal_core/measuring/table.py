@@ -89,7 +89,10 @@ def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -
     passed over. Raises BadTable with the row for what cannot be: a station that is not asked for or stands twice, half
     a reading, joints far from where they were asked to be, a note that says something else.
     """
-    lines = list(csv.reader(io.StringIO(text.lstrip("\ufeff")), delimiter=_separator(text)))
+    first_line = text.partition("\n")[0]  # spreadsheets write semicolons where the comma is a decimal point
+    separator = max((",", "\t"), key=first_line.count)
+    separator = ";" if first_line.count(";") > first_line.count(",") else separator
+    lines = list(csv.reader(io.StringIO(text.lstrip("\ufeff")), delimiter=separator))
     head = [cell.strip() for cell in lines[0]] if lines else []
     joints, read = _joint_columns(session.names, revolute), _reading_columns(session.kind)
     for name in ("station", *joints, *read):
@@ -111,12 +114,6 @@ def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -
         first[number] = row
         filled = _filled(filled, number, cells, joints, read, revolute, at)
     return filled
-
-
-def _separator(text: str) -> str:
-    """Spreadsheets write semicolons where the comma is a decimal point."""
-    first = text.partition("\n")[0]
-    return ";" if first.count(";") > first.count(",") else "\t" if first.count("\t") > first.count(",") else ","
 
 
 def _filled(

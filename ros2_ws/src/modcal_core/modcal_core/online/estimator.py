@@ -326,7 +326,6 @@ class Estimator:
         self._point, self._frozen = values, None
 
     def _linearised(self) -> list[Rows]:
-        """The kept samples as seen from the present estimate."""
         together = joined(self._kept)
         at = linearise(self.start, self.parameters, self.values, together)
         N, pose = len(together), together.is_pose

@@ -123,10 +123,9 @@ class _Ended:
 class SampleStream:
     """Samples of one arm from messages as they arrive. Stamps in seconds, joints in the order of ``names``."""
 
-    def __init__(self, names: tuple[str, ...], frames: tuple[str, ...] = (), rules: StationRules | None = None) -> None:
-        """frames: names of the frames that are expected, in this order; others are added behind them."""
+    def __init__(self, names: tuple[str, ...], rules: StationRules | None = None) -> None:
         self.names = names
-        self.frames = list(frames)
+        self.frames: list[str] = []  # names of the frames that are expected; others are added behind them
         self.counts = Counts()
         self._asked = self._rules = rules or StationRules()
         self._station = 0
@@ -220,15 +219,11 @@ class SampleStream:
                 a[:_STREAM_HELD] = a[keep]
             self._first, self._end = 0, _STREAM_HELD
         self._t[self._end], self._q[self._end] = stamp, q
-        self._effort[self._end] = np.nan if effort is None else self._known(effort)
+        if effort is not None and self._end > self._first:  # a stand's mean must not be lost to one that is not finite
+            effort = np.where(np.isfinite(effort), effort, self._effort[self._end - 1])
+        self._effort[self._end] = np.nan if effort is None else effort
         self._end += 1
         self._first = max(self._first, self._end - _STREAM_HELD)
-
-    def _known(self, effort: Array) -> Array:
-        """The efforts, those that are not finite as they were before: a stand's mean must not be lost to one."""
-        if np.isfinite(effort).all() or self._end == self._first:
-            return effort
-        return np.where(np.isfinite(effort), effort, self._effort[self._end - 1])
 
     def _watch_motion(self, stamp: float, q: Array) -> None:
         if self._end - self._first < 2:

@@ -58,8 +58,6 @@ class AccelerationLimits(ros.GuardedNode):
             1.0 / self._chosen["rate_hz"], lambda: tick(None), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
-    # robot and load
-
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
             self._urdf, self._described, self._arm = message.data, None, None
@@ -91,8 +89,6 @@ class AccelerationLimits(ros.GuardedNode):
         if self._described is not None:
             self._arm, self._refusal = _with(self._described, self._chosen), ""
 
-    # what it hears
-
     def _take_joints(self, message: JointState) -> None:
         new = frozenset(message.name)
         if self._described is None and self._urdf and not new <= self._names:
@@ -113,8 +109,6 @@ class AccelerationLimits(ros.GuardedNode):
             publisher.publish(message)
         self._last = stamp
         self._count += 1
-
-    # what it says of itself
 
     def _report(self) -> list[ros.Status]:
         return [ros.subscription_status(self._inputs), self._limits_status()]

@@ -116,15 +116,12 @@ class ArticulationEstimator(ros.GuardedNode):
         self._way = 1.0
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Forget the object: another one will be gripped."""
         self._forget()
         self._rest.clear()
         self._description.publish(String(data=""))
         self._health.publish()
         response.success, response.message = True, "forgotten"
         return response
-
-    # what it hears
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
@@ -222,8 +219,6 @@ class ArticulationEstimator(ros.GuardedNode):
         a = float(self._told.configuration(T if R is not None and state.follows else p))
         self._ends = (min(self._ends[0], a), max(self._ends[1], a))
         self._publish_state(self._told, a, stamp)
-
-    # what it says
 
     def _tell_model(self, state: TrackerState, stamp: float) -> None:
         """Publish the model, when it says something else than the last one that was published."""

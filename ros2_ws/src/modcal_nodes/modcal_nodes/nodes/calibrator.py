@@ -89,8 +89,6 @@ class Calibrator(ros.GuardedNode):
         for subscription in self._inputs:
             subscription.patience = self._chosen["silence_timeout_s"]
 
-    # subscriptions
-
     def _describe(self, message: String) -> None:
         self._arm.describe(message.data)
         self._recognise()
@@ -134,11 +132,8 @@ class Calibrator(ros.GuardedNode):
         return calibrating.lacking(self._arm, self._inputs, self._camera is not None)
 
     def _expect_frames(self) -> None:
-        """Number the frames of readings as the trusted model does."""
         if self._arm.stream is not None and self._supervisor.trusted is not None:
             self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
-
-    # solving
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._buffer.clear()
@@ -272,8 +267,6 @@ class Calibrator(ros.GuardedNode):
             waiting.set_result((success, message))
         self._health.publish()
 
-    # trusting
-
     def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._camera is not None and self._camera.accept():
             response.success, response.message = True, "accepted"
@@ -315,8 +308,6 @@ class Calibrator(ros.GuardedNode):
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._folder.save_samples(self._buffer.samples)
         self._folder.release()
-
-    # telling
 
     def _tell(self) -> None:
         """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""

@@ -90,8 +90,6 @@ class Corrector(ros.GuardedNode):
     def _take_parameters(self) -> None:
         self._commander.settings = _settings(self._chosen)
 
-    # calibration and robot
-
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
             self._urdf = message.data
@@ -162,8 +160,6 @@ class Corrector(ros.GuardedNode):
         # a late listener must not find the URDF of a calibration that is no longer trusted
         self.destroy_publisher(self._corrected)
         self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)
-
-    # what it hears
 
     def _take_temperature(self, message: Temperature) -> None:
         self._signals.hear_temperature(message, self._now())
@@ -243,8 +239,6 @@ class Corrector(ros.GuardedNode):
         came = self._approach.direction if len(self._approach.direction) else np.zeros(len(joints.names))
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
         return ArmState(now, *at, self._signals.tracks(needs))
-
-    # what it says of itself
 
     def _report(self) -> list[ros.Status]:
         robot, counts = self._commander.robot, self._counts

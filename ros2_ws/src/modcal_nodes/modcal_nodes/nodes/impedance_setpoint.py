@@ -78,8 +78,6 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         """Whether something is being pulled."""
         return self._operation is not None
 
-    # lifecycle
-
     def _start_itself(self) -> None:
         if self._auto is not None:
             self._auto.cancel()
@@ -223,8 +221,6 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             self._outputs.close()
         self._arm = None
 
-    # what it is asked
-
     def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             self._begin()
@@ -270,8 +266,6 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             held = "a controller listens to ~/target_stiffness: it holds the tool's axes"
         return JointSoftness.of(arm.arm.urdf, arm.chain, self._chosen["max_joint_lead_rad"], held)
 
-    # what it hears
-
     def _take_description(self, message: String) -> None:
         self._urdf = message.data
         known = self._chosen["robot_description"] or (self._arm is not None and message.data == self._arm.arm.urdf)
@@ -297,8 +291,6 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
     def _take_tool(self, message: PoseWithCovarianceStamped) -> None:
         if self._arm is not None:
             self._arm.take_tool(message)
-
-    # what it does
 
     def _tick(self) -> None:
         """One setpoint; a fault in the middle of a pull ends it."""
@@ -340,8 +332,6 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         self._operation = None
         self._tell(ros.OK if stop.done else ros.ERROR, stop.why)
         self._health.publish()
-
-    # what it says of itself
 
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):

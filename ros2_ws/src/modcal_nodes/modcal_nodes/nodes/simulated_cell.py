@@ -80,8 +80,6 @@ class SimulatedCell(ros.GuardedNode):
         period = max(_MIN_PERIOD, 1.0 / (max(fast, slow) * factor))
         self._beat = simulation.Beat(period, self.guarded("beat", self._send_due), self.context.ok)
 
-    # time
-
     def _send_due(self) -> None:
         """Send what a busy machine held up as well, late and with the stamps that it should have had."""
         if not self._begun:
@@ -129,7 +127,6 @@ class SimulatedCell(ros.GuardedNode):
         return answer
 
     def _follow(self, trajectory: JointTrajectory) -> None:
-        """Go through the points of a trajectory from where the arm is, or refuse the whole of it."""
         try:
             wanted = simulation.legs(self._plant.chain, trajectory, self._plant.posture(self._done))
         except ModcalError as error:
@@ -138,8 +135,6 @@ class SimulatedCell(ros.GuardedNode):
         if wanted:
             with self._beat.lock:
                 self._plant.go(wanted, self._done)
-
-    # what it says
 
     def _send_reading(self, t: float) -> None:
         when, T_base_tool = self._time.stamp(t), self._plant.tool(t)
@@ -157,8 +152,6 @@ class SimulatedCell(ros.GuardedNode):
         message.header.frame_id = felt[0]
         simulation.stamp(message, self._time.stamp(t))
         self._temperature.publish(message)
-
-    # parameters
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {p.name: p.value for p in parameters if p.name in simulation.SWITCHES}

@@ -65,7 +65,10 @@ class SimulatedFurniture(ros.GuardedNode):
         self._clock_topic = self.create_publisher(ClockMessage, "/clock", _DEPTH) if simulated else None
         self._speakers: list[tuple[simulation.Grid, Callable[[tuple[int, int]], None]]] = [
             (simulation.Grid(chosen["joint_rate_hz"]), self._send_joints),
-            (simulation.Grid(chosen["wrench_rate_hz"]), self._send_wrench),
+            (
+                simulation.Grid(chosen["wrench_rate_hz"]),
+                lambda when: self._wrench.publish(_filled(self._felt, when, self._world.wrench())),
+            ),
             (simulation.Grid(chosen["truth_rate_hz"]), self._send_truth),
         ]
         self._rates = simulation.Rates({"joint_states": self._speakers[0][0], "wrench": self._speakers[1][0]}, 1.0)
@@ -95,8 +98,6 @@ class SimulatedFurniture(ros.GuardedNode):
         """Stand still, and say how far the object came."""
         self._beat.stop()
         self.get_logger().info(f"opened {self._world.opened:.4f}")
-
-    # time
 
     def _now(self) -> float:
         """Seconds since it began: the clock's, or simulated ones, which wait for a machine that is busy."""
@@ -129,8 +130,6 @@ class SimulatedFurniture(ros.GuardedNode):
             speak(self._time.stamp(t))
         self._done = max(until, self._done)
 
-    # what it is told
-
     def _refer(self, point: JointTrajectoryPoint) -> None:
         with self._beat.lock:
             self._referred = time.monotonic(), self._done
@@ -149,8 +148,6 @@ class SimulatedFurniture(ros.GuardedNode):
                 self.get_logger().error(f"not followed: {error}")
             self._refused = error.limit
 
-    # what it says
-
     def _send_clock(self, when: tuple[int, int]) -> None:
         assert self._clock_topic is not None
         message = ClockMessage()
@@ -160,9 +157,6 @@ class SimulatedFurniture(ros.GuardedNode):
     def _send_joints(self, when: tuple[int, int]) -> None:
         q, v = self._world.joints()
         self._joints.publish(self._states.fill(when, q, v, self._world.efforts() if self._reports_effort else None))
-
-    def _send_wrench(self, when: tuple[int, int]) -> None:
-        self._wrench.publish(_filled(self._felt, when, self._world.wrench()))
 
     def _send_truth(self, when: tuple[int, int]) -> None:
         self._contact.publish(_filled(self._grasp, when, self._world.peak()))

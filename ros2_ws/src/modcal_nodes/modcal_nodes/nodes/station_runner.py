@@ -43,8 +43,6 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
         self.create_service(Trigger, "~/stop", self._stop)
         self._auto: Timer | None = self.create_timer(0.0, self._begin_itself, clock=_STEADY)
 
-    # lifecycle
-
     def _begin_itself(self) -> None:
         """Configure and activate: it listens and makes its dry run, and moves nothing."""
         if self._auto is not None:
@@ -107,8 +105,6 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
             self.destroy_timer(self._timer)
             self._timer = None
 
-    # what it is asked
-
     def _show_dry_run(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """What the arm would do first; calling ~/start after this accepts it."""
         response.success, response.message = self._sequence.show(self._said)
@@ -126,8 +122,6 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
         response.success, response.message = True, "held" if self._sequence.stop() else "nothing moved"
         return response
 
-    # what it hears
-
     def _take_reading(self, message: Any) -> None:
         if isinstance(message, PointStamped):
             p = message.point
@@ -136,8 +130,6 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
             p, r = message.pose.position, message.pose.orientation
             reading = np.array([p.x, p.y, p.z, r.x, r.y, r.z, r.w])
         self._sequence.take_reading(reading, seconds(message.header.stamp) or self._now())
-
-    # what it does and says
 
     def _tick(self) -> None:
         """One look at everything; a fault holds the arm."""

@@ -97,8 +97,6 @@ class Viewer(ros.GuardedNode):
     def _take_parameters(self) -> None:
         self._dirty = True
 
-    # arm and calibration
-
     def _look_at(self, base: str, tip: str) -> None:
         """Start over with the arm between these links; what was seen of another one is forgotten."""
         self._arm = KnownArm(self._urdf, base, tip)
@@ -164,8 +162,6 @@ class Viewer(ros.GuardedNode):
         response.success, response.message = True, "stations forgotten"
         return response
 
-    # what it hears
-
     def _take_joints(self, message: JointState) -> None:
         if not self._names.issuperset(message.name):
             self._names = self._names.union(message.name)
@@ -192,8 +188,6 @@ class Viewer(ros.GuardedNode):
     def _collect(self) -> None:
         for sample in self._arm.stream.take() if self._arm.stream else ():
             self._dirty = self._stations.add(sample) or self._dirty
-
-    # what it shows
 
     def _tick(self) -> None:
         if self._dirty:
@@ -253,14 +247,9 @@ class Viewer(ros.GuardedNode):
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
         return ArmState(now, *at, self._signals.tracks(needs))
 
-    # what it says of itself
-
     def _report(self) -> list[ros.Status]:
-        return [
-            ros.tracker_status(ros.subscription_status(self._inputs), self._inputs),
-            self._calibration_status(),
-            self._view_status(),
-        ]
+        heard = ros.tracker_status(ros.subscription_status(self._inputs), self._inputs)
+        return [heard, self._calibration_status(), self._view_status()]
 
     def _calibration_status(self) -> ros.Status:
         if self._robot is None:

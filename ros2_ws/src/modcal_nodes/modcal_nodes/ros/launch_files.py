@@ -210,7 +210,6 @@ def _boolean(name: str, text: str) -> bool:
 
 
 def _typed(node: str, name: str, text: str) -> Any:
-    """A launch argument as the type that its parameter has."""
     default = NODES[node][name].default
     try:
         if isinstance(default, bool):

@@ -24,7 +24,6 @@ from rclpy.executors import (
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.task import Task
-from rclpy.timer import Timer
 
 from modcal_nodes.ros.guarded import GuardedNode
 
@@ -79,7 +78,9 @@ class RestingExecutor(SingleThreadedExecutor):
                     if not timer.callback_group.can_execute(timer):
                         continue
                     ran = True
-                    _call(timer)
+                    with timer.handle:
+                        timer.handle.call_timer()
+                    timer.callback()
                     wait = timer.time_until_next_call()
                 if wait is not None:
                     until = min(until, 1e-9 * wait)
@@ -103,12 +104,6 @@ class RestingExecutor(SingleThreadedExecutor):
             return False
         _run(handler)
         return True
-
-
-def _call(timer: Timer) -> None:
-    with timer.handle:
-        timer.handle.call_timer()
-    timer.callback()
 
 
 def _answering(request: Any, header: Any) -> Any:

@@ -167,12 +167,9 @@ class MonitoredSubscription:
             messages = self._read.needed(told, self._replaced)
             self.count += len(told) - len(messages)
         for message in messages:
-            self._take(message)
-
-    def _take(self, message: Any) -> None:
-        self.count += 1
-        self._last = time.monotonic()
-        self._callback(message if self._read is None else self._read(message))
+            self.count += 1
+            self._last = time.monotonic()
+            self._callback(message if self._read is None else self._read(message))
 
     def _mismatch(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         try:
@@ -191,7 +188,6 @@ class MonitoredSubscription:
             self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
 
     def _settle_for_less(self, kind: QoSPolicyKind) -> None:
-        """Subscribe so that this publisher is received as well."""
         assert self._less is not None
         self._less.cancel()
         qos = QoSProfile(

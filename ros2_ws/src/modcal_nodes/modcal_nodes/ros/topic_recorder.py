@@ -276,7 +276,6 @@ class TopicRecorder:
 
 
 def _message_class(name: str) -> Any:
-    """The class of a message type; None when it is not installed."""
     package, _, message = name.partition("/msg/")
     try:
         return getattr(import_module(f"{package}.msg"), message, None)

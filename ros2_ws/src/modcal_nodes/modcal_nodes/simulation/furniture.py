@@ -229,7 +229,6 @@ def _character(kind: str, rng: np.random.Generator) -> dict[str, float]:
 def _place(
     kind: str, grasp: str, wish: Mapping[str, Any], character: Mapping[str, float], rng: np.random.Generator
 ) -> Furniture:
-    """A random place in front of the arm, which may be out of reach."""
     yaw, tilt, roll = rng.uniform([-0.6, -0.3, -0.6], [0.6, 0.3, 0.6])
     forward = so3.exp([0.0, 0.0, yaw]) @ so3.exp([0.0, np.pi / 2 + tilt, 0.0]) @ so3.exp([0.0, 0.0, np.pi + roll])
     handle = se3.transform(forward, rng.uniform([0.40, -0.35, 0.20], [0.70, 0.35, 0.70]))

@@ -180,8 +180,6 @@ class Plant:
         """When the last posture is reached [s]."""
         return self._program.end
 
-    # where it goes
-
     def begin_own(self, start: float) -> None:
         """Visit the postures of its own from this time on."""
         self._repeat = self._chosen["repeat"]
@@ -238,8 +236,6 @@ class Plant:
         if (j := self._gear) is not None:
             q[j] += self._chosen["gear_amplitude_rad"] * np.sin(self._chosen["gear_cycles"] * reported[j])
         return q
-
-    # what is seen of it
 
     def posture(self, t: float) -> Array:
         """What the joints report (n,)."""
@@ -307,7 +303,6 @@ def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
 
 
 def _compliance(given: ArrayLike, chain: Mechanism) -> Array:
-    """Compliance of every joint (n,) from one number for all, or one per joint."""
     compliance = np.asarray(given, dtype=float)
     if len(compliance) not in (1, chain.n) or not ((compliance >= 0.0) & (compliance <= 1e-3)).all():
         said = f"1 or {chain.n} numbers from 0 to 0.001 are understood"

@@ -30,6 +30,7 @@ import numpy as np
 from modcal_core.articulation.joint_motion import (
     EYE,
     KEEP,
+    ArticulationModel,
     Motion,
     best_of,
     frame,
@@ -38,7 +39,6 @@ from modcal_core.articulation.joint_motion import (
     quick_log,
 )
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.model import ArticulationModel
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import Array, posed, rotation_vector, so3, turned
 

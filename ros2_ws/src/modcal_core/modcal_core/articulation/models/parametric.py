@@ -31,8 +31,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.joint_motion import ROUGH, Motion, best_of, few, middle_rotation, quick_log
-from modcal_core.articulation.models.model import ArticulationModel
+from modcal_core.articulation.joint_motion import (
+    ROUGH,
+    ArticulationModel,
+    Motion,
+    best_of,
+    few,
+    middle_rotation,
+    quick_log,
+)
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3, turned

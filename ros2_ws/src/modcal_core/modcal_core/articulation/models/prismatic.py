@@ -9,10 +9,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.articulation.joint_motion import Motion, far_apart, few, frame, some_three
+from modcal_core.articulation.joint_motion import InUrdf, Kind, Motion, far_apart, few, frame, some_three
 from modcal_core.articulation.joints import JointModel, placed, span
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion, robust
-from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import Array
 

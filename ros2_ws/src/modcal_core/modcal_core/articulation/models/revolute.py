@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.joint_motion import Motion, best_of, far_apart, few, scaled, some_three
+from modcal_core.articulation.joint_motion import InUrdf, Kind, Motion, best_of, far_apart, few, scaled, some_three
 from modcal_core.articulation.joints import JointModel, followed, placed, span, wrapped
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion, robust
-from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.models.prismatic import line
 from modcal_core.articulation.scene import LOG_2PI
 from modcal_core.articulation.track import Track

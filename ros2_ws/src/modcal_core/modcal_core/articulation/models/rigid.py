@@ -9,10 +9,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.articulation.joint_motion import Motion, middle_rotation
+from modcal_core.articulation.joint_motion import InUrdf, Motion, middle_rotation
 from modcal_core.articulation.joints import JointModel, placed
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion
-from modcal_core.articulation.models.model import InUrdf
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import Array
 

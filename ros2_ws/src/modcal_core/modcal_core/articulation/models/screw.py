@@ -10,10 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.joint_motion import KEEP, ROUGH, Motion, best_of, few, scaled
+from modcal_core.articulation.joint_motion import KEEP, ROUGH, InUrdf, Kind, Motion, best_of, few, scaled
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.axis import AxisModel, or_fallback
-from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.models.revolute import Revolute, RevoluteJoint, RevoluteMotion, best_circles
 from modcal_core.articulation.scene import LOG_2PI
 from modcal_core.articulation.track import Track
