@@ -264,9 +264,8 @@ _AT_END = 1e-9  # of the range of configurations
 class VaryingTerms(Terms):
     """position (2 k, 1 + size), rotation (3 k, 1 + size): x and y of all nodes, and derivatives by the parameters.
 
-    beyond: (k, 1 + size) how far nodes lie beyond an end [m], zero for those that do not. U (k, 2, 3), t (k, 3),
-    w (k, 3): directions across and along the path, and the turn per metre. turn: the rotations
-    by node, None without.
+    beyond: (k, 1 + size) how far nodes lie beyond an end [m], zero for those that do not. U (k, 2, 3), t (k, 3), w
+    (k, 3): directions across and along the path, and the turn per metre. turn: the rotations by node, None without.
     """
 
     position: Array

@@ -20,9 +20,8 @@ explains whatever comes. What it cannot teach is a joint that yields more than t
 what it moves by e = l v + τ / k, with its lag l, the measured speed v and the load τ = −Jᵀ w of the wrench w on the
 tool. With a least stiffness k of each joint, known beforehand, the felt wrench takes no more of a lead than τ / k, and
 towards its own side; and a joint that stands takes none by its lag, but for the moment in which it is sent off or
-braked, when its inertia is a load. What a joint leads by beyond all of that is not felt.
-Asked of each joint by itself, what the hand yields by sideways, where levers are long, explains little of what the arm
-is pulled by along itself.
+braked, when its inertia is a load. What a joint leads by beyond all of that is not felt. Asked of each joint by itself,
+what the hand yields by sideways, where levers are long, explains little of what the arm is pulled by along itself.
 """
 
 from __future__ import annotations

@@ -12,8 +12,7 @@ The direction along which the latent configuration a absorbs play and bias is th
 
 Parameters are small changes: G exp(δ), p + G β with β across the path only (along it, the configurations absorb it),
 R_start turned by γ in G's axes, log r, and log |h|. So prismatic has 4 (7 with rotations), revolute 6 (9), screw 7
-(10).
-As log r grows without end, a revolute motion becomes the prismatic one with the same G.
+(10). As log r grows without end, a revolute motion becomes the prismatic one with the same G.
 """
 
 from __future__ import annotations
