@@ -65,7 +65,6 @@ class ForcePrediction:
     """Force expected once all motion under way has ended."""
 
     def __init__(self) -> None:
-        """Nothing felt yet."""
         self._past = LowPass(_RATE_HZ)
         self.lag = self._past.lag  # s until it is seen that a force rises
 
@@ -147,7 +146,6 @@ class InputWatch:
     """
 
     def __init__(self, timeout: float) -> None:
-        """Nothing is late yet."""
         self.timeout = timeout
         self.pending = ""
         self._late_since = math.nan  # s

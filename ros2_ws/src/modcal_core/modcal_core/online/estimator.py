@@ -256,11 +256,7 @@ class Estimator:
             centre, prior = priors(self.start.effects, self.parameters, self.start.drivers(sample))
             self._before = self._now = Information.of(np.diag(1.0 / prior), centre / prior)
             self._unprimed = False
-        passed = float(sample.stamps[0]) - self._stamp
-        self._stamp = max(float(sample.stamps[0]), self._stamp)
-        if self._directions is not None and np.isfinite(passed) and passed > 0.0:
-            directions, rates = self._directions
-            self._now = self._now.grown(directions, rates**2 * passed)
+        self._grow_covariance(float(sample.stamps[0]))
         if self._frozen is None:
             self._frozen = FixedLinearisation(self.start, self.parameters, self._point)
         residual, J = self._frozen(sample)
@@ -286,6 +282,13 @@ class Estimator:
                 return done
             self._again()
         return _ROUNDS
+
+    def _grow_covariance(self, stamp: float) -> None:
+        passed = stamp - self._stamp
+        self._stamp = max(stamp, self._stamp)
+        if self._directions is not None and np.isfinite(passed) and passed > 0.0:
+            directions, rates = self._directions
+            self._now = self._now.grown(directions, rates**2 * passed)
 
     def _noise(self, sample: Samples, rows: int) -> Array:
         """Standard deviation of each row of the residual, (3,) or (6,)."""
