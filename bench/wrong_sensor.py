@@ -32,7 +32,7 @@ from nodes.reported_efforts import KINDS, ReportedEfforts
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.simulation.furniture import FREE, draw
-from modcal_nodes.simulation.furniture_mjcf import Servo
+from modcal_nodes.simulation.mjcf import Servo
 from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = (harness.ROOT / "examples" / "robots" / "panda.urdf").read_text()

@@ -8,7 +8,7 @@ from cells import code, prose, table
 from graph import executables
 
 from modcal_nodes.ros import parameters
-from modcal_nodes.ros.parameter import Parameter
+from modcal_nodes.ros.parameters import Parameter
 
 INTRODUCTION = """# Parameters of the nodes
 

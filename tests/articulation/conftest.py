@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from articulation.furniture_tracks import recorded
 
-from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.track import Track
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.track import Track
 
 

@@ -7,7 +7,7 @@ import pytest
 from articulation.objects import ideal, noisy, real
 
 from modcal_core.articulation.choice import choose
-from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.track import Track
 
 pytestmark = pytest.mark.slow

@@ -9,8 +9,8 @@ from finite_differences import assert_jacobian
 from scipy.spatial.transform import Rotation
 
 from modcal_core.articulation.fit import JointFit, fit
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import AXES
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import se3, so3

@@ -8,7 +8,7 @@ from articulation.objects import Array, ideal, noisy
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.online import Tracker, TrackerState
 
 DEGREE = np.pi / 180.0

@@ -9,7 +9,7 @@ import pytest
 from articulation.objects import Seen, ideal, noisy
 from scipy.spatial.transform import Rotation
 
-from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.online import Tracker, TrackerState
 from modcal_core.errors import BadCommand
 

@@ -15,8 +15,8 @@ from finite_differences import assert_jacobian
 from modcal_core.articulation import choice, furniture
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.fit import fit
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.models import registry
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.parametric import ParametricModel, ParametricMotion, PathJoint, ShapeParameter
 from modcal_core.articulation.models.revolute import MODEL as REVOLUTE
 from modcal_core.articulation.models.revolute import RevoluteJoint

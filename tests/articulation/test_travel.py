@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from articulation.objects import ideal, noisy
 
-from modcal_core.articulation.models.model import Kind
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.online import Tracker, TrackerState, Travel
 from modcal_core.articulation.track import StampOrder
 from modcal_core.geometry import so3

@@ -10,9 +10,8 @@ from calibration.test_effects import started
 from cells import ur10
 from correction.test_compensation import STEEP, calibration_of, true_model
 
-from modcal_core.correction.commander import CalibratedRobot, Commander, CommanderSettings
+from modcal_core.correction.commander import Bounds, CalibratedRobot, Commander, CommanderSettings, SetpointStream
 from modcal_core.correction.correction import ArmState, Correction
-from modcal_core.correction.setpoints import Bounds, SetpointStream
 from modcal_core.errors import BadCommand, BadRobot, NotReachable
 from modcal_core.geometry import se3
 from modcal_core.robots.chain import Chain

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modcal_core.impedance.servo_model import ServoModel
 from modcal_core.impedance.tool_force import SensorEvidence
+from modcal_core.impedance.unfelt_force import ServoModel
 
 LEAST, TRUE = np.full(3, 2000.0), np.full(3, 4000.0)  # N m/rad
 LEVERS = np.array([0.5, 0.3, 0.1])  # m

@@ -19,7 +19,7 @@ from nodes.pulling import PANDA
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.simulation.furniture import Furniture, draw
-from modcal_nodes.simulation.furniture_mjcf import Servo
+from modcal_nodes.simulation.mjcf import Servo
 from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = PANDA.read_text()

@@ -21,7 +21,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.robots.bodies import STANDARD_GRAVITY
 from modcal_core.robots.inverse_kinematics import inverse
 from modcal_nodes.simulation.furniture import KINDS, Furniture, draw
-from modcal_nodes.simulation.furniture_mjcf import GRASP_STIFFNESS
+from modcal_nodes.simulation.mjcf import GRASP_STIFFNESS
 from modcal_nodes.simulation.pulling import Pulling, effort_limits
 
 URDF = urdf("panda")

@@ -6,8 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+from modcal_core.articulation.joint_motion import ArticulationModel
 from modcal_core.articulation.models import registry
-from modcal_core.articulation.models.model import ArticulationModel
 
 SRC = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
 CORE = SRC / "modcal_core" / "modcal_core"

@@ -1,8 +1,8 @@
 """Which kind of joint it is, or none of these: probabilities, the fit of the most probable kind, whether to rely on it.
 
 The probabilities compare joint types with each other. Whether the best is good enough is asked besides: what it leaves
-(``misfit``), and whether it predicts travel that it was not fitted to (``held_out``). A pull that is none of these is
-cut where two motions meet (``phases``).
+(``misfit``), and whether it predicts travel that it was not fitted to. A pull that is none of these is cut where two
+motions meet (``two_motions``).
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from modcal_core.articulation.evidence import EvidenceRow, hidden, row, still, unproved, weigh
 from modcal_core.articulation.fit import SOUND, JointFit, fit
-from modcal_core.articulation.joint_motion import Motion
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
 from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
-from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
 from modcal_core.articulation.scene import DISTORTIONS, LOG_DISTORTIONS, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST, Nodes, Track, backwards, one_way, telling, travelled
@@ -85,15 +84,10 @@ def choose(track: Track, rng: np.random.Generator | None = None, nodes: int = NO
         choice = _cut(told, choice, rng, nodes)
     if whole:
         return choice
-    found = _refitted(choice, track)
-    return replace(choice, fit=found, fits={**choice.fits, choice.best: found})
-
-
-def _refitted(choice: Choice, track: Track) -> JointFit:
-    """The chosen kind with a configuration for every sample of the whole track."""
     model = next(model for model in all_models() if model.name == choice.best)
     used = track if choice.follows else track.points()
-    return _settled(used, model, choice.fit.motion, choice.misfit.white)[0]
+    found = _settled(used, model, choice.fit.motion, choice.misfit.white)[0]  # a configuration for every sample
+    return replace(choice, fit=found, fits={**choice.fits, choice.best: found})
 
 
 def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> Choice:
@@ -114,7 +108,6 @@ def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> 
 
 
 def _chosen(track: Track, rng: np.random.Generator, nodes: int) -> Choice:
-    """The choice for a track of which every sample has a say."""
     models = all_models()
     fits = {model.name: fit(track, model, rng) for model in models}
     richest = max(fits.values(), key=lambda f: f.log_likelihood)  # what it cannot explain, none can
@@ -163,7 +156,10 @@ def _weighed(
         own = fits if follows else {**fits, **{k: fit(used, by_name[k], rng) for k in rivals}}
         doubt = predicted(used, kind, rivals, own, by_name, left).doubt
         doubt = doubt or (two_explain(used) if fits[kind].motion.flat else "")  # phases are lines or circles too
-        doubt = doubt or _curved(used, fits[kind], left.position)
+        if not doubt:  # it may be another curve than the joint's: a bend explains what is left, or a hinge is far
+            a = fits[kind].motion.configurations(used, scales(fits[kind]))
+            doubt = bend_explains(used, fits[kind].motion.residuals(used, a)[:, :3], a)
+            doubt = doubt or unproved(fits[kind].motion, a) or hidden(fits[kind].motion, a, left.position)
     enough = probabilities[kind] >= SURE and not left.fails and not doubt
     why = _why(probabilities, fits[kind], left, doubt, track)
     return Choice(probabilities, fits[kind], enough, why, fits, follows, float(PLAYS[i % len(PLAYS)]), left)
@@ -187,15 +183,7 @@ def _settled(
     return found, left
 
 
-def _curved(track: Track, found: JointFit, left: float) -> str:
-    """Why it may be another curve than the joint's, as text: a bend explains what is left, or a hinge is far."""
-    a = found.motion.configurations(track, scales(found))
-    bent = bend_explains(track, found.motion.residuals(track, a)[:, :3], a)
-    return bent or unproved(found.motion, a) or hidden(found.motion, a, left)
-
-
 def _rows(scenes: list[NodeScene], motion: Motion) -> list[EvidenceRow]:
-    """A kind's rows: of each scene, one for every play."""
     rows: list[EvidenceRow] = []
     column = 2
     for k, scene in enumerate(scenes):

@@ -31,16 +31,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.articulation.choice import Choice, choose
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.misfit import limits, rms, too_much, usual
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.models.revolute import RevoluteMotion
 from modcal_core.articulation.models.screw import ScrewMotion
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
-
-# --- Whether rotations do not follow the handle because they, or the positions, were written in another convention
 
 ORDER, INVERSE, MIRROR = "quaternions", "rotations", "positions"
 _READ = {
@@ -111,9 +109,8 @@ def written(found: Sequence[ReadOtherwise], kind: Kind) -> OtherConvention:
         remedies.append(_AGAINST)
     remedy = "; or ".join(remedies)
     if len(found) == 1:
-        return OtherConvention(
-            offenders[0], f"{_READ[offenders[0]]} they follow no joint, {ways[0]} a {kind} one", remedy
-        )
+        said = f"{_READ[offenders[0]]} they follow no joint, {ways[0]} a {kind} one"
+        return OtherConvention(offenders[0], said, remedy)
     said = f"with rotations they follow no joint, {_either(ways)} a {kind} one; which of these, the track does not tell"
     return OtherConvention("poses" if len(offenders) > 1 else offenders[0], said, f"see which it is: {remedy}")
 
@@ -145,8 +142,6 @@ def require_convention(track: Track, choice: Choice, rng: np.random.Generator | 
     said = written(found, best)
     raise BadRecording(f"track, {said.offender}", said.said, said.remedy)
 
-
-# --- Online
 
 _TURN = 2.0  # times what a hand may sway by and still hold firmly: a smaller turn is no turn
 

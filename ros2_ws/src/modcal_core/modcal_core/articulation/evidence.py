@@ -5,9 +5,9 @@ Nodes of a track depart from the ideal path by a play that is alike nearby and b
     covariance between nodes i, j = s² exp(−d_ij / reach) + D² exp(−d_ij² / 2 far²) + δ_ij σ_w² / n_i
 
 for positions with s the play, for rotations with s the sway, D the distortion of what measures, all of unknown size
-(priors in furniture), and σ_w the noise of one sample. A textbook criterion
-takes residuals as independent, so that a drawer's bow of two millimetres, seen a hundred times, proves a circle twelve
-metres wide. Here it was seen about five times, and such a circle is furniture that nobody builds.
+(priors in furniture), and σ_w the noise of one sample. A textbook criterion takes residuals as independent, so that a
+drawer's bow of two millimetres, seen a hundred times, proves a circle twelve metres wide. Here it was seen about five
+times, and such a circle is furniture that nobody builds.
 
 The evidence of a kind is the integral of likelihood × prior over configurations, parameters, play and sway.
 * Configurations: exactly, flat in metres of path, which is the same for all kinds that move. What is left of a position
@@ -37,9 +37,8 @@ import numpy as np
 
 from modcal_core.articulation import furniture
 from modcal_core.articulation.furniture import DISTORTION, PLAY, RADIUS
-from modcal_core.articulation.joint_motion import Motion
+from modcal_core.articulation.joint_motion import Kind, Motion
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.scene import (
     FIRST_OF_HELD,
@@ -187,8 +186,6 @@ def weigh(rows: Mapping[Kind, list[EvidenceRow]], moved: float, log_priors: Arra
         shares[kind] = (1.0 - rigid) * float(np.exp(logs[kind] - total)) if kind in logs else 0.0
     return shares, best[1], best[2], best[3]
 
-
-# --- Whether an arc proves a hinge that is far away, and whether a line excludes one that is as near as most
 
 FARTHEST = math.exp(RADIUS[0] + 2.0 * RADIUS[1])  # m, 1.6: of 95 % of hinges
 _LEAVES = 0.4 / (48.0 * math.sqrt(7.0))  # of κ L², the RMS that an arc leaves of a bend that changes by its mean

@@ -20,9 +20,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.articulation.joint_motion import Motion
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
 from modcal_core.articulation.joints import PlacedJoint
-from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.registry import axis_model
 from modcal_core.articulation.track import Track, one_way
 from modcal_core.geometry import Array
@@ -86,21 +85,9 @@ class ClimbState:
     cost: float
 
 
-@dataclass(frozen=True)
-class Settled:
-    """What a climb comes to, of any motion: as in ``JointFit``, the configurations as the motion counts them."""
-
-    configurations: Array
-    weights: Array
-    sigma_position: float
-    sigma_rotation: float
-    log_likelihood: float
-    parameters: Array
-
-
 def _dims(motion: Motion, m: int) -> int:
     """Dimensions of a residual that the configuration does not absorb."""
-    return m - (motion.moves)
+    return m - motion.moves
 
 
 def _squared(e: Array, sigma: tuple[float, float]) -> Array:
@@ -180,7 +167,8 @@ def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> Cli
             H, g = H + np.diag(hp), g + gp
         for _ in range(8):
             step = -np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-12 * np.trace(H) * np.eye(len(H)), g)
-            tried = motion.moved(_bounded(step))
+            # no step turns a frame, or scales a radius, by more than half a radian or that share
+            tried = motion.moved(step * min(1.0, 0.5 / max(float(np.abs(step).max()), 0.5)))
             after = _objective(tried, tried.residuals(track, tried.configurations(track, sigma)), sigma, prior)
             if after <= before:
                 motion, damping = tried, max(damping * 0.2, 1e-9)
@@ -189,22 +177,10 @@ def climb(track: Track, motion: Motion, prior: bool, climbs: bool = True) -> Cli
     return ClimbState(motion, sigma, cost)
 
 
-def _bounded(step: Array) -> Array:
-    """No step turns a frame, or scales a radius, by more than half a radian or that share."""
-    largest = float(np.abs(step).max())
-    return step if largest < 0.5 else step * (0.5 / largest)
-
-
 def _told(track: Track, state: ClimbState, prior: bool) -> JointFit:
-    motion, at = state.motion, settled(track, state, prior)
-    first = motion.zero(at.configurations)
-    a = motion.counted(at.configurations - first, at.weights > SOUND)
-    return JointFit(motion.joint(first), a, motion.covariance(at.parameters), at.log_likelihood,
-               at.weights, at.sigma_position, at.sigma_rotation, motion, at.parameters)  # fmt: skip
+    """What a climb comes to: configurations, scales, weights and covariance."""
+    from scipy.special import gammaln
 
-
-def settled(track: Track, state: ClimbState, prior: bool) -> Settled:
-    """Configurations, scales, weights and covariance at the end of a climb."""
     motion, sigma = state.motion, state.sigma
     a = motion.configurations(track, sigma)
     z, J = whitened(motion, track, a, sigma)
@@ -212,24 +188,26 @@ def settled(track: Track, state: ClimbState, prior: bool) -> Settled:
     chi = (z**2).sum(axis=1)
     w = (NU + d) / (NU + chi)
     covariance = _covariance(motion, z, J, w, d, prior)
-    log_likelihood = motion.prior_terms()[0] * prior - state.cost + len(z) * _log_constant(d)
-    spread = _spread(w, chi, d)
+    # logarithm of the density of Student's t in d dimensions at its middle
+    constant = float(gammaln(0.5 * (NU + d)) - gammaln(0.5 * NU) - 0.5 * d * np.log(NU * np.pi))
+    log_likelihood = motion.prior_terms()[0] * prior - state.cost + len(z) * constant
+    # what makes of a scale of Student's t the standard deviation of samples that are no outliers
+    inside = chi < _INSIDE * d
+    spread = float(np.sqrt(chi[inside].sum() / (d * inside.sum()))) if inside.any() else 1.0
     rotation = sigma[1] * spread if z.shape[1] == 6 else np.nan
     weights = np.minimum(w * NU / (NU + d), 1.0)
-    return Settled(a, weights, sigma[0] * spread, rotation, float(log_likelihood), covariance)
-
-
-def _log_constant(d: int) -> float:
-    """Logarithm of the density of Student's t in d dimensions at its middle."""
-    from scipy.special import gammaln
-
-    return float(gammaln(0.5 * (NU + d)) - gammaln(0.5 * NU) - 0.5 * d * np.log(NU * np.pi))
-
-
-def _spread(w: Array, chi: Array, d: int) -> float:
-    """What to multiply a scale of Student's t with to get the standard deviation of samples that are no outliers."""
-    inside = chi < _INSIDE * d
-    return float(np.sqrt(chi[inside].sum() / (d * max(int(inside.sum()), 1)))) if inside.any() else 1.0
+    first = motion.zero(a)
+    return JointFit(
+        model=motion.joint(first),
+        configurations=motion.counted(a - first, weights > SOUND),
+        covariance=motion.covariance(covariance),
+        log_likelihood=float(log_likelihood),
+        weights=weights,
+        sigma_position=sigma[0] * spread,
+        sigma_rotation=rotation,
+        motion=motion,
+        parameters=covariance,
+    )
 
 
 def _covariance(motion: Motion, z: Array, J: Array, w: Array, d: int, prior: bool) -> Array:

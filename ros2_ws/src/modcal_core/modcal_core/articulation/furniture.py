@@ -5,10 +5,9 @@
 * A screw that a person would call one rises by millimetres to decimetres in a radian: a jar 1 to 2, a rising hinge 5
   to 10, a spiral slide 100 and more. log |pitch| is normal about log 20 mm/rad with 1.2, so 95 % lie between 2 and 200.
 * Nothing moves ideally. A handle has play, a hand settles in it, a tracker's bias changes with place, an oven door
-  bends.
-  So what is seen departs from the ideal path by an amount that is alike in neighbouring places. Its size is not known:
-  log-normal about 2 mm with a factor of 2.2 for positions, and about 1.4° with a factor of 2.5 for rotations; how far
-  "neighbouring" reaches is a hand's width, 10 cm of path.
+  bends. So what is seen departs from the ideal path by an amount that is alike in neighbouring places. Its size is not
+  known: log-normal about 2 mm with a factor of 2.2 for positions, and about 1.4° with a factor of 2.5 for rotations;
+  how far "neighbouring" reaches is a hand's width, 10 cm of path.
 * What measures is itself distorted: an arm that is not calibrated, or a camera that sees a marker, errs by about 2
   mm and 0.6°, within a factor of 2.2, alike over some 30 cm. How smooth a departure is says nothing of how large a
   smooth one may be.

@@ -1,4 +1,4 @@
-"""A joint while it is being fitted: what every type of joint must answer, and what all of them share.
+"""A joint type and its motion while it is fitted: what each must answer, and what all of them share.
 
 A motion has minimal parameters, and a latent configuration for each sample. What was seen at configuration a is
 *unwound* to configuration 0 and compared with the start there, so that play and bias of handle and tracker look alike
@@ -7,14 +7,19 @@ wherever on the path they occur.
 Torr and Zisserman, MLESAC (2000): motions through randomly chosen samples are scored by a likelihood that is cut off
 where an outlier begins, and the best are kept. Three positions give a circle, two a line, two poses a screw motion.
 Samples are drawn by their order only, so a track that is moved or mirrored gets the moved or mirrored guesses.
+
+A type is an instance of a class derived from :class:`ArticulationModel`; most packages derive from
+:class:`~modcal_core.articulation.models.parametric.ParametricModel`, for which a function of the configuration is
+enough. The built-in types and a package's are registered, fitted and weighed in the same way.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +33,9 @@ _SINE_AND_TRACE = np.concatenate([0.5 * HAT, EYE.reshape(1, 9)]).T
 
 
 class Motion(ABC):
-    """moves: whether it has a configuration. turns: whether that is an angle. uniform:
-    whether the direction along its path is the same for all samples, once unwound. flat: whether its path is a line or
-    a circle.
-
-    R: rotation (3, 3) of the start or of the grasp, None where only positions were seen.
+    """moves: whether it has a configuration. turns: whether that is an angle. uniform: whether the direction along its
+    path is the same for all samples, once unwound. flat: whether its path is a line or a circle. R: rotation (3, 3) of
+    the start or of the grasp, None where only positions were seen.
     """
 
     R: Array | None
@@ -144,8 +147,6 @@ def scaled(size: float, by: float, limits: tuple[float, float]) -> float:
     return min(max(size * math.exp(min(max(float(by), -1.0), 1.0)), limits[0]), limits[1])
 
 
-# --- First guesses of a motion, robust to any share of gross outliers below a half: MLESAC over few samples
-
 _TRIES = 40  # random triples of samples
 KEEP = 2  # guesses that are fitted
 _SCORED = 50  # samples that a guess is scored on
@@ -168,7 +169,6 @@ def best_of(guesses: Iterable[M], track: Track, keep: int) -> list[M]:
 
 
 def _score(guess: Motion, track: Track) -> float:
-    """Cut-off negative log-likelihood."""
     e = guess.residuals(track, guess.configurations(track, ROUGH))
     z = (e[:, :3] ** 2).sum(axis=1) / ROUGH[0] ** 2
     if e.shape[1] == 6:
@@ -208,3 +208,41 @@ def middle_rotation(rotations: Array) -> Array:
     some = rotations[np.unique(np.linspace(0, len(rotations) - 1, _PAIRS * 3).round().astype(int))]
     apart = np.linalg.norm(some[:, None] - some[None], axis=(2, 3))
     return some[int(np.argmin(np.median(apart, axis=1)))]
+
+
+Kind: TypeAlias = str  # name of a joint type
+
+
+@dataclass(frozen=True)
+class InUrdf:
+    """How URDF writes a joint. type: of its element. reach: configurations either way that are stated where none are
+    known [rad or m]. rises: whether a second joint mimics the first along the same axis.
+    """
+
+    type: str
+    reach: float = 0.0
+    rises: bool = False
+
+
+class ArticulationModel(ABC):
+    """A joint type. name: in reports. share: how often it is met among all that moves.
+
+    moves: whether a handle on it moves at all. usual: whether nothing can be said before it was weighed. slots: which
+    of four rounds of an incremental selection begin with a new guess of it; none: it is weighed on whole tracks only.
+    urdf: how URDF writes it, None where it cannot.
+    """
+
+    name: str
+    share: float
+    moves: ClassVar[bool] = True
+    usual: ClassVar[bool] = False
+    slots: ClassVar[Sequence[int]] = ()
+    urdf: ClassVar[InUrdf | None] = None
+
+    @abstractmethod
+    def guesses(self, track: Track, rng: np.random.Generator) -> Sequence[Motion]:
+        """The best few first guesses, best first, robust to gross outliers. rng: picks samples."""
+
+    def quick_guess(self, track: Track, known: Mapping[Kind, Motion], turn: int) -> Motion | None:
+        """One quick guess, None where there is none. known: results of other types. turn: number of the attempt."""
+        return None

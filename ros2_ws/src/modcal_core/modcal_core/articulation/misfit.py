@@ -9,8 +9,8 @@ Play, a hand that settles and a camera's bias are rough: of what real doors and 
 bend along the path takes some, and about a tenth of the squares stays at least. What a linkage, a cam or a curved rail
 leaves of the nearest line, circle or screw is smooth, and a bend takes all of it.
 
-As for tracks (``bends``), and earlier: a track is judged where a millimetre is left, a handle before much is. So it is
-not asked how much a bend takes, but what it leaves. Play, a hand that settles and a camera's bias go on from one
+A handle that is still moving is judged earlier than a track, before much is left. So it is not asked how much a bend
+takes, but what it leaves. Play, a hand that settles and a camera's bias go on from one
 stretch of the path to the next, with a bend and without. What a cam, a linkage or a curved rail leaves of a joint goes
 on as well, and beside a bend nothing but noise is left, in which neighbours have nothing in common. Of a true joint
 without play, noise is left before.
@@ -22,7 +22,7 @@ joint leaves no more than handles and cameras usually do, no curve is proved.
 A prediction of the next five centimetres says little once half a metre is known: there every smooth path is right. So
 the part that was not used for the fit grows with the path. Models are kept as they were along the path; the one from
 three fifths of it must say all that came since, within the tolerance or the share of the path by which furniture may
-miss (``held_out``), beside noise. Models are thinned out when there are many, so that work and memory stay bounded.
+miss, beside noise. Models are thinned out when there are many, so that work and memory stay bounded.
 
 On a short path a model of another joint type, which has been given up since, says nothing against the one that took its
 place: a door's first decimetre is a slide.
@@ -38,8 +38,8 @@ import numpy as np
 
 from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.furniture import DISTORTION, PLAY, SWAY
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.prediction_check import POSITIONS
 from modcal_core.articulation.track import Track, travelled, white
 from modcal_core.geometry import Array
@@ -144,14 +144,11 @@ def rms(sizes: Array) -> float:
 
 
 def _median(sizes: Array) -> Array:
-    """Along the track, over some neighbours."""
     half = _SMOOTH // 2
     return np.array([np.median(sizes[max(0, i - half) : i + half + 1]) for i in range(len(sizes))])
 
 
-# --- Whether what a joint leaves vanishes by a smooth bend of its path
-
-_DEGREE = 5  # of the bend, a polynomial along the path: two waves, longer than what is alike within a hand's width
+_TRACK_DEGREE = 5  # of the bend of a whole track, a polynomial: two waves, longer than what is alike in a hand's width
 _PARAMETERS = 6  # of a circle in space
 # m: what the joint must leave beside noise for a bend to be considered, half the usual play, as for two motions
 WORTH = 0.5 * float(np.exp(PLAY[0]))
@@ -167,11 +164,11 @@ def bend_explains(track: Track, left: Array, along: Array) -> str:
     """
     near = np.linalg.norm(left, axis=1) < CAP
     e, a = left[near], along[near]
-    n, coefficients = len(e), 2 * (_DEGREE + 1)  # of the two directions across the path
+    n, coefficients = len(e), 2 * (_TRACK_DEGREE + 1)  # of the two directions across the path
     if 2 * n <= 2 * (_PARAMETERS + coefficients) or not float(np.ptp(a)) > 0.0:
         return ""
-    waves = np.polynomial.legendre.legvander(2.0 * (a - a.min()) / float(np.ptp(a)) - 1.0, _DEGREE)
-    rest = e - waves @ np.linalg.lstsq(waves, e, rcond=None)[0]
+    waves = np.polynomial.legendre.legvander(2.0 * (a - a.min()) / float(np.ptp(a)) - 1.0, _TRACK_DEGREE)
+    rest = _beside(waves, e)
     noise = white(track.positions) ** 2
     one = float((e * e).sum()) / (2 * n - _PARAMETERS) - noise
     two = float((rest * rest).sum()) / (2 * n - _PARAMETERS - coefficients) - noise
@@ -184,15 +181,15 @@ def bend_explains(track: Track, left: Array, along: Array) -> str:
     )
 
 
-# --- A path as the means of short stretches, bounded: when there are too many, neighbours are pooled
-
 MAX = 64  # stretches: of a metre some 2 cm each
 _STRETCH = 4e-3  # m, at first; less would be play
-_STRETCHES_NOISE = 4.0  # deviations of noise on an axis that a stretch is long, where that is more
+_LONGER = 4.0  # deviations of noise on an axis that a stretch is long, where that is more
 
 
 class Stretches:
-    """path: how far it goes [m]. k: how many there are."""
+    """A path as the means of short stretches; when there are too many, neighbours are pooled. path: how far it goes
+    [m]. k: how many there are.
+    """
 
     def __init__(self) -> None:
         self.path, self.k = 0.0, 0
@@ -205,7 +202,7 @@ class Stretches:
         if self._begin is None:
             self._begin, self.k = p, 1
         far = math.dist(p, self._begin)
-        if far >= max(self._length, _STRETCHES_NOISE * noise):
+        if far >= max(self._length, _LONGER * noise):
             self._begin = p
             self.path += far
             if self.k == MAX:
@@ -216,7 +213,6 @@ class Stretches:
         self._counts[self.k - 1] += 1.0
 
     def _pool(self) -> None:
-        """Neighbours together."""
         half = MAX // 2
         for each in (self._sums, self._counts):
             each[:half] = each[0::2] + each[1::2]
@@ -240,11 +236,9 @@ class Stretches:
         return self._sums[first : self.k] / self._counts[first : self.k, None]
 
 
-# --- Whether what a joint leaves of the path so far is one smooth bend, asked again as the path grows
-
-_BEND_CHECK_DEGREE = 4  # of the bend, a polynomial along the path
+_DEGREE = 4  # of the bend of a path that grows
 _FITTED = 2  # of the degrees that a joint's own parameters change: no bend is what these leave
-_MIN = 4 * (_BEND_CHECK_DEGREE + 1)  # stretches that are asked
+_MIN = 4 * (_DEGREE + 1)  # stretches that are asked
 _ASKED_EVERY = 0.02  # m of path
 _ALIKE = 3.0  # deviations by which neighbours are more alike than in noise, before
 _NOT_ALIKE = 1.0  # and beside the bend
@@ -276,8 +270,8 @@ def bend_left(left: Array, along: Array) -> bool:
     span = float(np.ptp(a)) if len(a) else 0.0
     if len(e) < _MIN or span <= 0.0:
         return False
-    waves = np.polynomial.legendre.legvander(2.0 * (a - a.min()) / span - 1.0, _BEND_CHECK_DEGREE)
-    before, after = (_beside(waves[:, : degree + 1], e) for degree in (_FITTED, _BEND_CHECK_DEGREE))
+    waves = np.polynomial.legendre.legvander(2.0 * (a - a.min()) / span - 1.0, _DEGREE)
+    before, after = (_beside(waves[:, : degree + 1], e) for degree in (_FITTED, _DEGREE))
     deviation = 1.0 / math.sqrt(2.0 * len(e))  # of the likeness of noise, in two directions across the path
     if _alike(before) > _ALIKE * deviation and _alike(after) < _NOT_ALIKE * deviation:
         return True
@@ -286,7 +280,6 @@ def bend_left(left: Array, along: Array) -> bool:
 
 
 def _beside(waves: Array, e: Array) -> Array:
-    """What waves (n, k) leave of residuals (n, 3) [m]."""
     return np.asarray(e - waves @ np.linalg.lstsq(waves, e, rcond=None)[0])
 
 
@@ -297,15 +290,11 @@ def _alike(e: Array) -> float:
     return 1.0 - float((steps * steps).sum()) / both if both > 0.0 else 0.0
 
 
-# --- Whether a joint predicts travel that it was not fitted to: the far third of its path, from either side
-
-_HELD_OUT_FITTED = 0.7  # of the path
+_NEAR = 0.7  # of the path, to which a joint is fitted to predict the rest
 _MIN_FITTED, _MIN_ASKED = 8, 3  # samples
 MAY_MISS = 0.03  # of the path that was travelled
 _MISSES = 4e-3  # m: twice the usual play, which no prediction does without
-_HELD_OUT_NOISE = 3.0  # deviations of white noise beside it
 _BETTER, _BY = 1.5, 1e-3  # times and m by which another joint type predicts plainly better
-_HELD_OUT_COUNTED = 0.9  # of the samples, those that are predicted best
 
 
 @dataclass(frozen=True)
@@ -329,7 +318,7 @@ class Predicted:
     @property
     def doubt(self) -> str:
         """Why the joint type is not to be relied on, as text; empty where it predicts."""
-        much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _HELD_OUT_NOISE * self.noise))
+        much = float(np.hypot(max(_MISSES, MAY_MISS * self.path), _NOISE * self.noise))
         if self.left > much:
             return f"it leaves {1e3 * self.left:.0f} mm of a path of {1e2 * self.path:.0f} cm"
         if self.loose:
@@ -366,35 +355,27 @@ def predicted(
     errors: dict[Kind, tuple[float, ...]] = {}
     for one in (kind, *rivals):
         off = []
-        for near in (along < _HELD_OUT_FITTED, along > 1.0 - _HELD_OUT_FITTED):
+        for near in (along < _NEAR, along > 1.0 - _NEAR):
             if near.sum() < _MIN_FITTED or (~near).sum() < _MIN_ASKED:
                 continue
             seen = fit(track.part(near), models[one], start=fits[one].motion).motion
             R = None if track.rotations is None else track.rotations[~near]
             asked = Track.trusted(track.positions[~near], R)
             e = seen.residuals(asked, seen.configurations(asked, (1.0, 1e9)))
-            sizes = np.sort(np.linalg.norm(e[:, :3], axis=1))[: int(np.ceil(_HELD_OUT_COUNTED * len(e)))]
-            off.append(float(np.sqrt(np.mean(sizes**2))))
+            off.append(rms(np.linalg.norm(e[:, :3], axis=1)))
         errors[one] = tuple(off)
     fewer = [one for one in rivals if fits[one].motion.size < motion.size]
-    plainer = next((one for one in fewer if _usual(misfit(fits[one], track, left.white))), "")
-    loose = not (motion.flat or _usual(left))
+    lefts = {one: misfit(fits[one], track, left.white) for one in fewer}
+    plainer = next((one for one, m in lefts.items() if usual(m.position, m.rotation, m.white)), "")
+    loose = not (motion.flat or usual(left.position, left.rotation, left.white))
     return Predicted(kind, errors, left.position, float(travelled(track)[-1]), left.white[0], plainer, loose)
 
 
-def _usual(left: Misfit) -> bool:
-    return usual(left.position, left.rotation, left.white)
-
-
-# --- Whether the model of a good half of the path predicts the rest of it, asked again as the path grows
-
-_SHARE_FITTED = 0.6  # of the path: a model from there has as much again to say, less a third
-_SHARE_NOISE = 3.0  # deviations of noise beside what is tolerated, as for tracks
+_KNOWN = 0.6  # of the path: a model from there has as much again to say, less a third
 _KEPT_EVERY = 0.01  # m of path between models that are kept, at first
 _MAX = 64  # of them: on a metre one each 2 cm
-_SHARE_ASKED_EVERY = 0.02  # m of path
 _WHOLE = 0.3  # m of path from which the type must have been right as well
-_SHARE_MIN = 3  # stretches that are asked
+_FEWEST = 3  # stretches that are asked
 
 
 class ShareCheck:
@@ -418,18 +399,18 @@ class ShareCheck:
             if len(self._kept) == _MAX:
                 self._kept, self._every = self._kept[::2], 2.0 * self._every
             self._kept.append((path, motion))
-        if path - self._asked >= _SHARE_ASKED_EVERY:
+        if path - self._asked >= _ASKED_EVERY:
             self._asked = path
             self._ask(path, motion, noise)
 
     def _ask(self, path: float, now: AxisMotion | None, noise: float) -> None:
-        way, motion = next((kept for kept in reversed(self._kept) if kept[0] <= _SHARE_FITTED * path), (0.0, None))
+        way, motion = next((kept for kept in reversed(self._kept) if kept[0] <= _KNOWN * path), (0.0, None))
         points = self.stretches.beyond(way)
-        if motion is None or len(points) < _SHARE_MIN:
+        if motion is None or len(points) < _FEWEST:
             return
         if path < _WHOLE and now is not None and now.kind != motion.kind:
             self.fails = False
             return
         rest = Track.trusted(points)
         off = rms(np.linalg.norm(motion.residuals(rest, motion.configurations(rest, POSITIONS))[:, :3], axis=1))
-        self.fails = off > math.hypot(max(self._tolerance, MAY_MISS * path), _SHARE_NOISE * noise)
+        self.fails = off > math.hypot(max(self._tolerance, MAY_MISS * path), _NOISE * noise)

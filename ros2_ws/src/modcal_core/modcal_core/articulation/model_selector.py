@@ -17,8 +17,8 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.articulation.evidence import EvidenceRow, glance, improved, weigh
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import AXES, STILL, log_shares
 from modcal_core.articulation.scene import FIRST, LOG_PLAYS, LOOSE, PLAYS, SWAYS, NodeScene
 from modcal_core.articulation.track import FEWEST_NODES, Nodes
@@ -85,7 +85,6 @@ class ModelSelector:
         return other
 
     def _improve(self, motion: AxisMotion, nodes: Nodes) -> None:
-        """A step of the selected motion, on the nodes of now, at the play and the sway that it was chosen for."""
         better = improved(self._now(nodes), motion, float(PLAYS[self._play]), self._column)
         assert isinstance(better, AxisMotion)
         self.motion = better
@@ -99,7 +98,6 @@ class ModelSelector:
         return NodeScene.of(track, nodes.apart(), nodes.counts[: nodes.k], self.scale)
 
     def _begin(self, nodes: Nodes) -> None:
-        """A new round, on the nodes of now."""
         self._scene = self._now(nodes)
         self._scene.prepare([float(PLAYS[i]) for i in FEW], float(SWAYS[FIRST]))  # here, where little else is to do
         self.rounds += 1
@@ -124,19 +122,14 @@ class ModelSelector:
         elif stage == "again" and known is not None:
             self._rows[kind, i] = glance(scene, known, play, self.rounds)
         else:
-            guess = self._guessed(kind, i, scene)
+            others = {other: row.motion for (other, j), row in self._rows.items() if j == i}
+            guess = _MODELS[kind].quick_guess(scene.track, others, self.rounds)
             if guess is None:
                 return
             level = np.full(len(SWAYS) if scene.track.oriented else 1, -1e9)
             self._fresh = glance(scene, EvidenceRow(guess, level, FIRST if scene.track.oriented else 0), play, -1)
             climbs: list[tuple[Kind, int, _Stage]] = [(kind, i, "climb")] * _CLIMBS
             self._left += [(kind, i, "judge"), *climbs]
-
-    def _guessed(self, kind: Kind, i: int, scene: NodeScene) -> AxisMotion | None:
-        known = {other: row.motion for (other, j), row in self._rows.items() if j == i}
-        guess = _MODELS[kind].quick_guess(scene.track, known, self.rounds)
-        assert guess is None or isinstance(guess, AxisMotion)
-        return guess
 
     def _conclude(self, scene: NodeScene) -> bool:
         known: dict[Kind, list[EvidenceRow]] = {}
@@ -150,7 +143,9 @@ class ModelSelector:
         won, self._won = self._won, best
         old = None if self.motion is None else self.motion.kind
         if old is not None and best not in (old, won) and old in known:
-            best, (i, j) = old, _best(known[old])  # the old kind, at its own best play
+            best, rows = old, known[old]  # the old kind, at its own best play
+            i = int(np.argmax([row.evidence.max() for row in rows]))
+            j = int(np.argmax(rows[i].evidence))
         self.follows = not (scene.track.oriented and bool(LOOSE[j]))
         chosen = known[best][i]
         self._play, self._column = FEW[i], j
@@ -158,9 +153,3 @@ class ModelSelector:
         assert isinstance(chosen.motion, AxisMotion)
         self.motion = chosen.motion
         return old != best
-
-
-def _best(rows: list[EvidenceRow]) -> tuple[int, int]:
-    """The best play and the best sway."""
-    i = int(np.argmax([row.evidence.max() for row in rows]))
-    return i, int(np.argmax(rows[i].evidence))

@@ -22,19 +22,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation.conventions import ConventionCheck, OtherConvention
+from modcal_core.articulation.joint_motion import Kind
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.misfit import NONE, BendCheck, ShareCheck, rms, too_much, usual
 from modcal_core.articulation.model_selector import ModelSelector
 from modcal_core.articulation.models.axis import AxisMotion
-from modcal_core.articulation.models.model import Kind
 from modcal_core.articulation.models.registry import STILL
 from modcal_core.articulation.prediction_check import POSITIONS, PredictionCheck
 from modcal_core.articulation.track import FARTHEST, FEWEST_NODES, RIGID, Nodes, Track
 from modcal_core.articulation.two_motions import TwoMotions
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array, posed
-
-# --- How far a handle has come, by its poses, and how many steps of computation are due for it
 
 _MARK = 4e-3  # m from mark to mark
 _NOISE = 4.0  # deviations of noise on an axis from mark to mark, where that is more
@@ -285,8 +283,6 @@ class Tracker:
             self._bend.come(motion)
             self._convention.advance()
 
-    # what the selected model says of this pose
-
     def _compare(self, p: Array, R: Array | None) -> tuple[float, float, float, Event | None]:
         """Configuration, distance from the selected path [m], rotation against it [rad], and whether that was left."""
         motion, follows = self._selector.motion, self._selector.follows
@@ -375,7 +371,6 @@ class Tracker:
 
     @property
     def _none(self) -> bool:
-        """Whether the best kind is none."""
         return too_much(*self._left, self._selector.scale)
 
     def _reached(self) -> tuple[float, float]:
@@ -425,6 +420,5 @@ def _went_on(
 
 
 def _between(p: Array, R: Array | None, q: Array, S: Array | None) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two poses."""
     turn = 0.0 if R is None or S is None else math.dist(R.ravel(), S.ravel()) / math.sqrt(2.0)
     return math.dist(p, q), turn

@@ -1,7 +1,7 @@
 """What all kinds of joint must explain: nodes of a track, how they are off together, and the sizes that are tried.
 
 Where the direction along the path is the same for all nodes, as of every motion about one axis, what shares noise is
-whitened together; :mod:`.varying_terms` has the others.
+whitened together; ``VaryingTerms`` has the others.
 
 The path of a parametric model may bend in the frame that it moves along, so the direction t along it [unit vector]
 differs from node to node, and so does the turn ω [rad] per metre of path. The latent place on the path, flat in metres,
@@ -13,8 +13,8 @@ With covariances P and Q of positions and rotations between nodes, as for all mo
 
     x_i x_j: P_ij U_iᵀU_j,   x_i y_j: −P_ij (U_iᵀt_j) ω_jᵀ,   y_i y_j: Q_ij I + P_ij (t_iᵀt_j) ω_i ω_jᵀ
 
-Where t is the same everywhere, that is what ``terms`` has. A node beyond an end of the path pays for
-how far it is beyond.
+Where t is the same everywhere, that is what ``UniformTerms`` has. A node beyond an end of the path pays for how far it
+is beyond.
 """
 
 from __future__ import annotations
@@ -127,8 +127,6 @@ def whitener(C: NDArray[Any]) -> tuple[Array, float]:
     assert not failed, "no covariance"
     return dtrtri(L, lower=1)[0], float(np.log(L.diagonal()).sum()) + 0.5 * len(L) * LOG_2PI
 
-
-# --- How well a motion explains the nodes of a scene
 
 _HOLDS = 0.3  # the longest step of any parameter; the expansion holds no farther
 
@@ -247,7 +245,6 @@ def _solved(H: Array, g: Array) -> tuple[Array, float]:
 
 
 def _lifted(H: Array, share: float) -> Array:
-    """H, its diagonal raised by a share of its trace."""
     H = np.array(H)
     H.ravel()[:: len(H) + 1] += share * float(H.trace())
     return H
@@ -260,8 +257,6 @@ def _squares(W: Array, blocks: Array) -> Array:
     return white.T @ white
 
 
-# --- How well a motion whose path bends in its own frame explains what was seen, in the space and by the rules of all
-
 _AT_END = 1e-9  # of the range of configurations
 
 
@@ -269,9 +264,8 @@ _AT_END = 1e-9  # of the range of configurations
 class VaryingTerms(Terms):
     """position (2 k, 1 + size), rotation (3 k, 1 + size): x and y of all nodes, and derivatives by the parameters.
 
-    beyond: (k, 1 + size) how far nodes lie beyond an end [m], zero for those that do not. U (k, 2, 3), t (k, 3),
-    w (k, 3): directions across and along the path, and the turn per metre. turn: the rotations
-    by node, None without.
+    beyond: (k, 1 + size) how far nodes lie beyond an end [m], zero for those that do not. U (k, 2, 3), t (k, 3), w
+    (k, 3): directions across and along the path, and the turn per metre. turn: the rotations by node, None without.
     """
 
     position: Array

@@ -178,18 +178,16 @@ def _rotations(rotations: ArrayLike, n: int) -> Array:
     return R
 
 
-# --- A track of any length in few nodes: neighbours in space pooled, so that memory and work stay bounded
-
 _LENGTH = 0.1  # m: a turn of 1 rad is as far as this shift
 _FIRST_REACH = 4e-3  # m
 FEWEST_NODES = 6  # while more are coming: a circle in space has six parameters
 
 
 class Nodes:
-    """At most ``most`` pooled samples, in the order of their first sample."""
+    """A track of any length as at most ``most`` pooled samples, in the order of their first sample."""
 
-    def __init__(self, oriented: bool, most: int = 32, reach: float = _FIRST_REACH) -> None:
-        self.oriented, self.most, self.reach = oriented, most, reach
+    def __init__(self, oriented: bool, most: int = 32) -> None:
+        self.oriented, self.most, self.reach = oriented, most, _FIRST_REACH
         self._width = 12 if oriented else 3
         self._rotations = np.zeros((most, 3, 3))
         self._stale = np.ones(most, dtype=bool)  # whose rotation is older than their sum
@@ -258,9 +256,6 @@ class Nodes:
         return Track.trusted(m[:, :3], self._rotations[: self.k].copy())
 
 
-# --- One direction of time for a track and for its reverse, where what is done would depend on it
-
-
 def backwards(positions: Array) -> bool:
     """Whether positions (n, 3) are to be taken from the last to the first: they end nearer to their middle than begin.
 
@@ -280,12 +275,9 @@ def one_way(track: Track) -> Track:
     return Track.trusted(p[::-1], None if R is None else R[::-1])
 
 
-# --- Which samples tell of a track's path: no lone outliers, and of a rest only a few
-
 _NEAR = (-2, -1, 1, 2)  # neighbours in time; an outlier may have one or two that are outliers as well
 _AROUND = 7  # samples either way, whose steps are the usual ones there
 _LEAP = 4.0  # times the usual step, and the usual play of furniture
-_TELLING_LENGTH = 0.1  # m: a turn of 1 rad is as far as this shift
 _PLACE = 3e-3  # m: samples within it, or within three deviations of noise, are in one place
 _CROWD = 2.0  # times as many samples in one place as is usual on this track are enough
 _FEW = 5  # samples of a place that are kept in any case
@@ -345,7 +337,7 @@ def _without_rests(track: Track) -> _Rows:
     for i in range(1, len(p)):
         away = float(np.linalg.norm(p[i] - p[begin]))
         if R is not None:
-            away = max(away, _TELLING_LENGTH * float(_turn(R[i : i + 1], R[begin : begin + 1])[0]))
+            away = max(away, _LENGTH * float(_turn(R[i : i + 1], R[begin : begin + 1])[0]))
         if away > reach:
             places.append(np.arange(begin, i))
             begin = i
@@ -376,8 +368,6 @@ def _way(p: Array) -> Array:
     return np.maximum.accumulate(out)
 
 
-# --- Whether the stamp of a pose follows those before it, or is one of another time
-
 _STAMP_LEAP = 1.0  # s beyond the time that passed between two arrivals
 Order = Literal["next", "late", "alone", "restart"]
 
@@ -397,11 +387,8 @@ class StampOrder:
         to say whether that is the time now; leave it out. restart: time has restarted; forget, and take it.
         """
         gap = stamp - self.last
-        leaps = (
-            not -_STAMP_LEAP <= gap <= _STAMP_LEAP + max(heard - self._heard, 0.0)
-            if math.isfinite(self.last)
-            else False
-        )
+        usual = -_STAMP_LEAP <= gap <= _STAMP_LEAP + max(heard - self._heard, 0.0)
+        leaps = math.isfinite(self.last) and not usual
         if leaps:
             alone, self._alone = self._alone, stamp
             together = alone is not None and stamp >= alone and (stamp > self.last) == (alone > self.last)

@@ -1,10 +1,9 @@
-"""Whether the path so far is two motions, asked while it comes: the rule of ``phases``, with bounded work per pose.
+"""Whether a path is two motions, and where it is cut: of a whole track, or asked while it comes.
 
 A mechanism of two joints looks like one for a stretch, and predicts there. What tells it from furniture is the whole
-path since the start: a cut into two lines or circles leaves nothing of what one leaves. The path is kept as the means
-of short stretches (``stretches``).
-
-Each side of a cut is a line or a circle, fitted in closed form; the best cut is where both together leave least.
+path since the start: a cut into two lines or circles leaves nothing of what one leaves. Each side of a cut is a line or
+a circle, fitted in closed form; the best cut is where both together leave least. While poses come, the path is kept as
+the means of short stretches, and one cut is tried at a time.
 
 What furniture leaves beside its ideal path (play, a bow, what distorts the camera) does not vanish by a cut: two arcs
 leave about as much of it as one. What a mechanism of two joints leaves does vanish, down to the noise.
@@ -21,15 +20,13 @@ from modcal_core.articulation.misfit import Stretches
 from modcal_core.articulation.track import Track, backwards, one_way, travelled, white
 from modcal_core.geometry import Array
 
-# --- Where a pull of two motions is cut
-
 MIN_PATH = 0.03  # m of a motion that is one of its own: a hand's play is less
 MIN = 10  # samples of it
 _TRIED = 24  # places for the cut
 _PARAMETERS = 6  # of a circle in space
 _WORTH = 0.5  # of the usual play: what one motion must leave beside noise for two to be considered
 _VANISHES = 0.1  # of its squares may be left by two
-_CAP = 0.03  # m: a sample farther off costs no more
+_CAP = 0.03  # m: a sample or stretch farther off costs no more
 
 
 def best_cut(track: Track) -> int | None:
@@ -59,7 +56,7 @@ def two_explain(track: Track) -> str:
     if cut is None or 2 * n <= 4 * _PARAMETERS:
         return ""
     noise = white(track.positions) ** 2  # of positions alone: that of a fit has the rotations' in it
-    one = _left(track.positions) / (2 * n - _PARAMETERS) - noise
+    one = squares(track.positions) / (2 * n - _PARAMETERS) - noise
     two = _cost(track.positions, cut) / (2 * n - 2 * _PARAMETERS) - noise
     if not vanishes(one, two):
         return ""
@@ -81,28 +78,13 @@ def vanishes(one: float, two: float) -> bool:
 
 
 def _cost(p: Array, k: int) -> float:
-    return _left(p[:k]) + _left(p[k:])
-
-
-def _left(p: Array) -> float:
-    """Squares that the better of a line and a circle leaves [m²], capped sample by sample."""
-    x = p - p.mean(axis=0)
-    axes = np.linalg.svd(x, full_matrices=False)[2]
-    y = x @ axes.T
-    line = np.hypot(y[:, 1], y[:, 2])
-    A = np.column_stack([2.0 * y[:, :2], np.ones(len(y))])
-    c = np.linalg.lstsq(A, (y[:, :2] ** 2).sum(axis=1), rcond=None)[0]
-    radius = np.sqrt(max(float(c[2] + c[0] ** 2 + c[1] ** 2), 1e-12))
-    circle = np.hypot(np.hypot(y[:, 0] - c[0], y[:, 1] - c[1]) - radius, y[:, 2])
-    return min(float((np.minimum(off, _CAP) ** 2).sum()) for off in (line, circle))
+    return squares(p[:k]) + squares(p[k:])
 
 
 _MIN = 5  # stretches on either side of a cut, more than a circle's parameters have of two residuals each
 _CUTS = 16  # tried along the path
 _FINER = (-0.6, -0.3, 0.3, 0.6)  # of the way from cut to cut, tried beside the best
 _ANEW = 0.02  # m of path after which the question is asked again
-_TWO_MOTIONS_PARAMETERS = 6  # of a circle in space
-_TWO_MOTIONS_CAP = 0.03  # m: a stretch farther off costs no more
 
 
 class TwoMotions:
@@ -132,7 +114,6 @@ class TwoMotions:
             self._ask(noise)
 
     def _ask(self, noise: float) -> None:
-        """Begin to try cuts of the path as it is now."""
         path, k = self._stretches.path, self._stretches.k
         self._snapshot, self._asked, self._fine = self._stretches.points, path, False
         self._noise = noise**2 * float(np.mean(1.0 / self._stretches.counts))
@@ -157,8 +138,8 @@ class TwoMotions:
             self._left = [cut for cut in near if cut not in self._tried and _MIN <= cut <= len(points) - _MIN]
             return
         n, self._snapshot = len(points), None
-        one = squares(points) / (2 * n - _TWO_MOTIONS_PARAMETERS) - self._noise
-        two = self._tried[best] / (2 * n - 2 * _TWO_MOTIONS_PARAMETERS) - self._noise
+        one = squares(points) / (2 * n - _PARAMETERS) - self._noise
+        two = self._tried[best] / (2 * n - 2 * _PARAMETERS) - self._noise
         self.found = vanishes(one, two)
 
 
@@ -177,9 +158,9 @@ def squares(p: Array) -> float:
     b = flat.T @ size
     determinant = M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
     if determinant <= 1e-12 * M[0, 0] ** 2:
-        return float(np.minimum(line, _TWO_MOTIONS_CAP**2).sum())
+        return float(np.minimum(line, _CAP**2).sum())
     c = 0.5 * np.array([M[1, 1] * b[0] - M[0, 1] * b[1], M[0, 0] * b[1] - M[1, 0] * b[0]]) / determinant
     radius = math.sqrt(float(size.mean() + c @ c))  # as the mean of flat is zero
     apart = flat - c
     circle = (np.sqrt((apart * apart).sum(axis=1)) - radius) ** 2 + y[:, 2] ** 2
-    return min(float(np.minimum(off, _TWO_MOTIONS_CAP**2).sum()) for off in (line, circle))
+    return min(float(np.minimum(off, _CAP**2).sum()) for off in (line, circle))

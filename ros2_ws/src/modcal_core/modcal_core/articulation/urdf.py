@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from modcal_core.articulation.joint_motion import InUrdf
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.model import InUrdf
 from modcal_core.articulation.models.registry import AXES, axis_model
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array, se3, so3
@@ -34,7 +34,6 @@ def describe(
     world: str = "world",
     handle: str = "object_handle",
     limits: tuple[float, float] | None = None,
-    name: str = "object",
 ) -> str:
     """URDF text of a joint, from link ``world`` to link ``handle``; ``read`` is its inverse.
 
@@ -44,14 +43,11 @@ def describe(
     written = axis_model(model.kind).urdf or InUrdf("fixed")
     low, high = limits if limits is not None else (-written.reach, written.reach)
     if world == handle or not world or not handle:
-        raise BadRobot(
-            f"links {world!r} and {handle!r}",
-            "are not two different names",
-            "name the frame of the track and the handle",
-        )
+        said = "are not two different names"
+        raise BadRobot(f"links {world!r} and {handle!r}", said, "name the frame of the track and the handle")
     if model.moves and not (np.isfinite([low, high]).all() and low < high):
         raise BadRobot(f"limits {low:g} to {high:g}", "do not rise", "give the lower one first")
-    robot = etree.Element("robot", name=name)
+    robot = etree.Element("robot", name="object")
     etree.SubElement(robot, "link", name=world)
     T, R = model.start, model.start[:3, :3]
     axis = R.T @ model.axis

@@ -62,7 +62,9 @@ def compensate(
     """
     correction.require(at)
     chain = correction.chain
-    goal = _without_effects(correction, desired, target, frame)
+    level = desired if not frame else se3.inverse(correction.base_in(frame)) @ desired
+    # where the tip would be wanted in the base link if geometry were all
+    goal = level if target == "tip" else level @ se3.inverse(correction.model.T_tip_tool)
     if is_serial_arm(chain):
         try:
             q = inverse(chain, goal, seed, rng=rng, restarts=_RESTARTS, tolerance=1e-7)
@@ -75,12 +77,28 @@ def compensate(
         q = _of_delta(chain, goal, seed)
     # which side a joint comes from is settled by the plain way there, and once: play must not flip to and fro
     arriving = at.arriving(q)
-    steps, error, J = 0, *_linearised(correction, desired, q, arriving, target, frame)
+    controlled = correction.controlled(level).T
+
+    def linearised(q: Array) -> tuple[Array, Array]:
+        """The error at a command (n,), seen from the target, and what it loses per unit of each joint.
+
+        (6,) and (6, n); of a Delta only what its joints can do away with.
+        """
+        postures = q + np.concatenate([np.zeros((1, len(q))), _DIFFERENCE * np.eye(len(q))])
+        errors = se3.error(correction.poses(postures, arriving, target, frame), desired) @ controlled
+        return errors[0], -(errors[1:] - errors[0]).T / _DIFFERENCE
+
+    steps, (error, J) = 0, linearised(q)
     while _size(error) > 0.01 * min(tolerance_m, tolerance_rad) and steps < _MAX_STEPS:
-        better = _improved(correction, desired, q, error, J, arriving, target, frame)
-        if better is None:
-            break
-        q, error, J = better
+        step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(error)), error)
+        for share in (1.0, 0.5, 0.25, 0.1):
+            new = np.clip(q + share * step, chain.lower, chain.upper)
+            e, J_new = linearised(new)
+            if _size(e) < _size(error):
+                break
+        else:
+            break  # no shorter step is any better either
+        q, error, J = new, e, J_new
         steps += 1
     position, rotation = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     if not is_serial_arm(chain):
@@ -110,39 +128,6 @@ def _of_delta(chain: Delta, goal: Array, seed: Array) -> Array:
         low, high = sorted(chain.shaft_ratio * np.array([chain.lower[-1], chain.upper[-1]]))
         yaw += 2.0 * np.pi * (int(yaw < low) - int(yaw > high))
     return delta_inverse(chain, goal[:3, 3], yaw if chain.has_shaft else 0.0)
-
-
-def _without_effects(correction: Correction, desired: Array, target: Target, frame: str) -> Array:
-    """Where the tip would be wanted in the base link if geometry were all."""
-    T = desired if not frame else se3.inverse(correction.base_in(frame)) @ desired
-    return T if target == "tip" else T @ se3.inverse(correction.model.T_tip_tool)
-
-
-def _linearised(
-    correction: Correction, desired: Array, q: Array, at: ArmState, target: Target, frame: str
-) -> tuple[Array, Array]:
-    """The error (6,) at a command (n,), seen from the target, and what it loses per unit of each joint, (6, n).
-
-    Of a Delta only what its joints can do away with.
-    """
-    postures = q + np.concatenate([np.zeros((1, len(q))), _DIFFERENCE * np.eye(len(q))])
-    level = desired if not frame else se3.inverse(correction.base_in(frame)) @ desired
-    errors = se3.error(correction.poses(postures, at, target, frame), desired) @ correction.controlled(level).T
-    return errors[0], -(errors[1:] - errors[0]).T / _DIFFERENCE
-
-
-def _improved(
-    correction: Correction, desired: Array, q: Array, error: Array, J: Array, at: ArmState, target: Target, frame: str
-) -> tuple[Array, Array, Array] | None:
-    """The next command, its error and its derivatives; None where no shorter step is any better either."""
-    chain = correction.chain
-    step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(error)), error)
-    for share in (1.0, 0.5, 0.25, 0.1):
-        new = np.clip(q + share * step, chain.lower, chain.upper)
-        e, J_new = _linearised(correction, desired, new, at, target, frame)
-        if _size(e) < _size(error):
-            return new, e, J_new
-    return None
 
 
 def _size(error: Array) -> float:

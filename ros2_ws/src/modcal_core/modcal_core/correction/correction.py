@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -44,8 +45,6 @@ from modcal_core.errors import BadTable, MissingDriver, NotReachable
 from modcal_core.geometry import Array, error_transform, se3, so3
 from modcal_core.measurements import POSE, TRAVEL, Samples, SignalTrack
 from modcal_core.robots import Frames, Mechanism, frames, gravity_wrench, is_serial_arm, tool_frames
-
-# --- Everything beside the posture that an effect may depend on, at one moment
 
 
 @dataclass(frozen=True)
@@ -134,15 +133,14 @@ class Correction:
         self._covariance = _deviations_covariance(calibration)
         # columns of the covariance of an arm at which the values of each effect begin
         self._first = (6 * self.chain.n + np.cumsum([0, *(len(e.values) for e in self.model.effects)])[:-1]).tolist()
-        self._needs, self._needs_effort = self.needs, self.needs_effort
 
-    @property
+    @cached_property
     def needs(self) -> tuple[str, ...]:
         """Names of the temperatures and signals that the effects depend on."""
         parts = (part for e in self.model.effects for part in e.driver.split(","))
         return tuple(dict.fromkeys(part for part in parts if part.startswith(_HEARD)))
 
-    @property
+    @cached_property
     def needs_effort(self) -> bool:
         """Whether the effects depend on what the actuators exert."""
         return any(part.startswith("effort:") for e in self.model.effects for part in e.driver.split(","))
@@ -183,7 +181,6 @@ class Correction:
         return between(T, rows, share[rows], other)
 
     def _poses_outside(self, postures: Array, around: Drivers, target: Target, frame: str = "") -> Array:
-        """Poses (N, 4, 4) by the calibration's other model."""
         bases = self._outside.model.T_frame_base
         base = bases[self.model.frames.index(frame)] if frame else None
         other = self._outside.poses(postures, around, "tool", base)
@@ -323,9 +320,9 @@ class Correction:
         return timed and bool(self.calibration.driver_limits.time(np.array(stamp)) != stamp)
 
     def _around(self, postures: Array, at: ArmState) -> Drivers:
-        signals = tuple(_lasting(track) for track in at.signals) if self._needs else ()
+        signals = tuple(_lasting(track) for track in at.signals) if self.needs else ()
         # efforts must be seen beside the weight that they hold, which takes as long as all the rest
-        effort = at.effort if self._needs_effort else np.full(len(at.effort), np.nan)
+        effort = at.effort if self.needs_effort else np.full(len(at.effort), np.nan)
         samples = replace(at, signals=signals, effort=effort).samples(self.chain, postures, self._arm)
         return Drivers(samples, self._arm)
 

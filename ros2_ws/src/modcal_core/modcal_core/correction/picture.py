@@ -98,7 +98,7 @@ def ellipsoid(covariance: Array, deviations: float = DEVIATIONS) -> tuple[Array,
     return directions, deviations * np.sqrt(np.maximum(variances, 0.0))
 
 
-def tool_ellipsoid(correction: Correction, at: ArmState, deviations: float = DEVIATIONS) -> tuple[Array, Array]:
+def tool_ellipsoid(correction: Correction, at: ArmState) -> tuple[Array, Array]:
     """Pose (4, 4) in the base link, and half axes (3,) [m], of the ellipsoid about the predicted tool.
 
     Raises MissingDriver where an effect depends on what is not known at this moment, BadCommand where it comes out
@@ -107,5 +107,5 @@ def tool_ellipsoid(correction: Correction, at: ArmState, deviations: float = DEV
     correction.require(at)
     position, covariance = correction.pose(at.q, at, "tool")[:3, 3], correction.covariance(at.q, at, "tool")[:3, :3]
     finite(position, covariance)
-    R, half = ellipsoid(covariance, deviations)
+    R, half = ellipsoid(covariance)
     return se3.transform(R, position), half

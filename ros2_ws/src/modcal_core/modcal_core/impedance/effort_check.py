@@ -148,7 +148,6 @@ class EffortCheck:
         return effort is not None and self._arm is not None and bool((np.abs(effort) <= _MOST * self._arm.full).all())
 
     def _look_up(self, J: Array) -> None:
-        """Find what efforts beyond the weight's show here."""
         A = -J.T / self._error[:, None]
         covariance = np.asarray(np.linalg.inv(A.T @ A + _PRIOR), dtype=float)
         self._shows = np.asarray(covariance @ (A.T / self._error), dtype=float)

@@ -134,10 +134,6 @@ class Impedance:
         """Stand still where it is."""
         self.v = np.zeros(6)
 
-    def reset(self) -> None:
-        """Back to rest where it is expected."""
-        self.x, self.v = np.zeros(6), np.zeros(6)
-
     def command(self, expected: Array) -> Array:
         """The commanded pose (4, 4) about an expected one (4, 4)."""
         return tool_from(expected, self.x)

@@ -20,9 +20,8 @@ explains whatever comes. What it cannot teach is a joint that yields more than t
 what it moves by e = l v + τ / k, with its lag l, the measured speed v and the load τ = −Jᵀ w of the wrench w on the
 tool. With a least stiffness k of each joint, known beforehand, the felt wrench takes no more of a lead than τ / k, and
 towards its own side; and a joint that stands takes none by its lag, but for the moment in which it is sent off or
-braked, when its inertia is a load. What a joint leads by beyond all of that is not felt.
-Asked of each joint by itself, what the hand yields by sideways, where levers are long, explains little of what the arm
-is pulled by along itself.
+braked, when its inertia is a load. What a joint leads by beyond all of that is not felt. Asked of each joint by itself,
+what the hand yields by sideways, where levers are long, explains little of what the arm is pulled by along itself.
 """
 
 from __future__ import annotations
@@ -35,8 +34,6 @@ import numpy as np
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
-
-# --- Running maximum over a time window, in constant time per value
 
 
 class RecentMaximum:
@@ -61,16 +58,14 @@ class RecentMaximum:
         return self._falling[0][1] if self._falling else 0.0
 
 
-# --- Whether the joints follow their references as far as the force that is felt explains, were they as soft as may b
-
-_REMEMBERED = 0.5  # s of references
+_REMEMBERED = 0.5  # s of references and setpoints
 _MAX_LAG = 2.0  # times the stated lag may a servo's be, as long as nothing was learned of it
 _LAG_OFF, _SURE = 0.1, 3.0  # of a lag that was learned, and deviations of it, by which a servo's may differ
 _MAX_REST = 3e-4  # rad of a rest that was learned: friction of 0.65 N m in a joint of 2175 N m/rad
 _SPAN = 0.012  # s over which a speed is measured: three readings
 _ON_ITS_WAY = 3.0  # periods that a reference may be now and then, although readings come in time
 _BOTH_WAYS = 2.0  # times as late as readings come may a lead seem to be: references are on their way as well
-_RECALL = 3.0  # servo lags for which a load that has gone still explains a lead: a servo unwinds by its lag
+_RECALL = 3.0  # servo lags for which a load or force that has gone still explains a lead: a servo unwinds by its lag
 _SLOWS = 1.0  # servo lags for which a speed that has gone does: what a servo follows late it leaves late
 _GATHERS = 1.0  # servo lags in which a reference that sets off has taken its joint along
 _SHARE = 0.4  # of the force that may go unfelt, for as much again comes until the arm stands
@@ -207,7 +202,6 @@ def _forget(values: deque[tuple[float, Array]], before: float) -> None:
 
 
 _LAGS = 1.5  # servo lags ago the setpoint may have been where the tool is now
-_LEAD_CHECK_REMEMBERED = 0.5  # s of setpoints
 _MIN_LEAD = 1.5e-3  # m that are not explained, below which nothing is said: servos and measurements are no better
 _MIN_SHARE = 0.4  # of the lead that takes the whole force, where that is less: what is stiff is pulled slowly
 _SAME, _SAME_WAY = 5, 0.2e-3  # readings in a row that are alike to the last digit; m that the setpoint moved meanwhile
@@ -216,17 +210,14 @@ _SAME, _SAME_WAY = 5, 0.2e-3  # readings in a row that are alike to the last dig
 # is coarse says the same as the arm stands
 _DIFFERED, _AS_LONG, _STUCK, _STUCK_WAY = 100, 5, 0.1, 1e-3
 _SOFTER = 3.0  # times softer than a contact may an arm be that is felt
-_LEAD_CHECK_SHARE = 0.5  # of the force that may go unfelt, for as much again comes until the arm stands
-_LEAD_CHECK_LAG_OFF = 0.5  # of the servo's lag by which that may be misstated, in what the setpoint moves meanwhile
-_LEAD_CHECK_IN_A_ROW = 2  # measurements, for one may be late
+_UNFELT = 0.5  # of the force that may go unfelt, for as much again comes until the arm stands
+_MISSTATED = 0.5  # of the servo's lag by which that may be misstated, in what the setpoint moves meanwhile
+_REPEATED = 2  # measurements, for one may be late
 _CHANGES = 0.5  # N by which a force must change to show that the sensor follows: three deviations of a usual noise
 _FALLS = 2.0  # N by which a force must have fallen lately for its lead to be on its way back, and not to be noted
 _STEADY, _GROWS = 1.3, 2.0  # times what was noted may a force take, and one that grew since: joints are not all alike
-_LEAD_CHECK_RECALL = 3.0  # servo lags for which a force that has gone still explains a lead: a servo unwinds by its lag
 _CREEP_SHARE = 0.2  # of the force that may come, in what a misstated lag hides of a setpoint that creeps
-_LEAD_CHECK_SETTLES = (
-    0.15e-3  # m that a setpoint has gone, up to which what it leads by is how the arm sags, and no force
-)
+_STANDS = 0.15e-3  # m that a setpoint has gone, up to which what it leads by is how the arm sags, and no force
 
 
 @dataclass(frozen=True)
@@ -276,7 +267,7 @@ class LeadCheck:
             self._way += step
             self._gone += step
         self._sent.append((now, p.copy()))
-        while self._sent[0][0] < now - _LEAD_CHECK_REMEMBERED:
+        while self._sent[0][0] < now - _REMEMBERED:
             self._sent.popleft()
 
     def felt(self, raw: Array, stamp: float) -> None:
@@ -306,7 +297,7 @@ class LeadCheck:
     def creep(self, most: float) -> float:
         """The speed [m/s] at which what a misstated lag hides is a small share of a force [N]; inf where none is."""
         known = self.stiffness
-        hides = _LEAD_CHECK_LAG_OFF * known.lag * known.stiffest
+        hides = _MISSTATED * known.lag * known.stiffest
         return _CREEP_SHARE * most / hides if hides > 0.0 else math.inf
 
     def unfelt(self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
@@ -320,11 +311,11 @@ class LeadCheck:
         lately = sent_since(self._sent, stamp - _LAGS * known.lag, stamp)
         if not lately:
             return 0.0
-        if known.stiffest and self._gone <= _LEAD_CHECK_SETTLES:
+        if known.stiffest and self._gone <= _STANDS:
             self._sag = tool - lately[-1]
         tool = tool - self._sag
         if known.stiffest:
-            slack = _LEAD_CHECK_LAG_OFF / _LAGS * sum(map(math.dist, lately[1:], lately[:-1]))
+            slack = _MISSTATED / _LAGS * sum(map(math.dist, lately[1:], lately[:-1]))
             left = min(math.dist(p, tool) for p in lately)
             explained = self._explained(left + slack, force, moved or (force, 1.0), stamp)
             return known.stiffest * max(left - explained - slack, 0.0)
@@ -343,7 +334,7 @@ class LeadCheck:
         """
         by, newton = moved
         self._felt.append((stamp, force, by))
-        while self._felt[0][0] < stamp - _LEAD_CHECK_RECALL * self.stiffness.lag:
+        while self._felt[0][0] < stamp - _RECALL * self.stiffness.lag:
             self._felt.popleft()
         if self.repeats:
             return 0.0
@@ -351,17 +342,13 @@ class LeadCheck:
         fell = max(f for _, f, _ in self._felt) > force + _FALLS
         if abs(by - noted) >= _CHANGES * newton and by > 0.0 and not fell:
             self._noted = noted, per = by, min(lead, force / self.stiffness.softest) / by
-        return max(self._takes(noted, per))
-
-    def _takes(self, noted: float, per: float) -> list[float]:
-        """The leads [m] that the forces of the last moments take."""
         softest = self.stiffness.softest
         if not math.isfinite(per):
-            return [force / softest for _, force, _ in self._felt]
-        return [
+            return max(force / softest for _, force, _ in self._felt)
+        return max(
             min(per * (_STEADY * by if by < noted else _STEADY * noted + _GROWS * (by - noted)), force / softest)
             for _, force, by in self._felt
-        ]
+        )
 
     def refused(
         self, tool: Array, force: float, stamp: float, most: float, moved: tuple[float, float] | None = None
@@ -381,8 +368,8 @@ class LeadCheck:
                 f"than {self._longest} before, while the setpoint leads the tool by {1e3 * lead:.1f} mm"
             )
             return BadCommand("wrench", repeats, "check the force sensor and its driver")
-        self._beyond = self._beyond + 1 if hidden > (_LEAD_CHECK_SHARE if stiff else 1.0) * most else 0
-        if self._beyond < (_LEAD_CHECK_IN_A_ROW if stiff else 1):
+        self._beyond = self._beyond + 1 if hidden > (_UNFELT if stiff else 1.0) * most else 0
+        if self._beyond < (_REPEATED if stiff else 1):
             return None
         lead = math.dist(self._sent[-1][1], tool)
         said = (

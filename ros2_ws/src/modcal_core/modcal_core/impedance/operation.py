@@ -31,8 +31,6 @@ from modcal_core.impedance.tool_force import ToolForce
 from modcal_core.impedance.wrench import WrenchSensor
 from modcal_core.robots import Chain
 
-# --- When a release ends
-
 _USUAL, _LONGEST = 0.6, 1.9  # s; after a second the safety monitor forbids what goes beyond its limits, as ever
 _LATELY = 0.1  # s over which it is seen whether the tool still moves
 _STANDS = 2e-5  # m by which it then still moves at most: what 8 N do that unwind within two seconds, on stiff fingers
@@ -182,10 +180,7 @@ class Operation:
         except ModcalError as error:
             return self.stop(str(error))
 
-    # before anything moves
-
     def _wait(self, why: str, now: float) -> Wait | Stop:
-        """Stand until it comes, but not for ever."""
         self._watch.wait(now)
         patience = self.task.input_timeout_s if self.phase != "tare" else tare.PATIENCE
         return self.stop(why) if self._watch.waited(now, patience) else Wait(why)
@@ -205,8 +200,6 @@ class Operation:
         self._watch.start_motion(now)
         self._enter("explore", now)
         return Wait("the wrench is tared")
-
-    # while it moves
 
     def _go_on(
         self, now: float, T: Array, sensor: WrenchSensor, joints: JointPositions, state: ObjectModel
@@ -274,7 +267,6 @@ class Operation:
             self._let_go(f"motion not identified after {100.0 * pull.progress(T):.0f} cm ({said})", now)
 
     def _check(self, h: float, T: Array, state: ObjectModel) -> None:
-        """Stand, and check the whole path ahead."""
         course, now = self.course, self._last + h
         assert course is not None
         self.expected = course.advance(self._go(0.0, h))
@@ -321,7 +313,6 @@ class Operation:
             self._let_go(f"it stopped moving: {self._pushed()}, open to {self._said(T)}", now)
 
     def _arrive(self, h: float, T: Array, state: ObjectModel) -> None:
-        """Stand where the goal was reached."""
         slow = float(np.abs(self.setpoint_filter.velocity).max()) <= _STOOD
         if slow or self._last + h - self._since > _STAND_PATIENCE:
             self._stop = Stop(True, f"open to {self._said(T)}", self._opened(T))
@@ -334,8 +325,6 @@ class Operation:
         """
         if self._letting_go.over(self._last + h - self._since, T[:3, 3]):
             self.stop(self._why)
-
-    # what several of them do
 
     def _go(self, wanted: float, h: float, most: float = math.inf) -> float:
         """The way [m] to go on in h seconds: as fast as wanted [m/s] where nothing forbids it, and never above most."""
@@ -381,7 +370,6 @@ class Operation:
         return done
 
     def _posture(self) -> Array | None:
-        """The posture that was found for where it is expected."""
         if self.phase in ("arrive", "release") or self.reached is None or self.course is None or not self.reached.whole:
             return None
         span = self.course.opened(self.course.goal_at) - self._walked_from
@@ -401,7 +389,6 @@ class Operation:
         return ArmSetpoint(self.chain.base, self.chain.names, follower.pose, q, velocity, none, stiffness, self.phase)
 
     def _opened(self, T: Array | None = None) -> float:
-        """How far it is open [rad or m]."""
         if self.course is None:
             return 0.0
         return self.course.said(self.course.configuration(self.expected if T is None else T))

@@ -211,8 +211,6 @@ def _posed(origin: Array, xi: Array, turns: bool) -> Array:
     return T
 
 
-# --- Whether an arm can lead its tool along a whole path, before it begins: joints for every pose, or where it ends
-
 _METRES, _RADIANS = 1e-4, 1e-3  # met by every pose of the path
 _TRIES = 12  # steps a pose
 _STEP = 0.3  # rad or m, of one joint in one step

@@ -28,7 +28,6 @@ class SetpointFilter:
     """
 
     def __init__(self, chain: Chain, limits: Limits) -> None:
-        """Follows nothing until it has begun."""
         self.chain, self.limits = chain, limits
         self.offset = np.eye(4)
         self.q, self.velocity = np.zeros(chain.n), np.zeros(chain.n)

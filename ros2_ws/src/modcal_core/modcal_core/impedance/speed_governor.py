@@ -1,8 +1,8 @@
 """How fast to go on along a path, and whether anything moves at all.
 
 A force that rises slows the pace down before it becomes too much: full speed up to ``slowdown``, none from ``stop`` on.
-With the damping B of the impedance law, something rigid is then pushed with the force at which B times
-the pace is that force, whatever the arm's stiffness.
+With the damping B of the impedance law, something rigid is then pushed with the force at which B times the pace is that
+force, whatever the arm's stiffness.
 
 At a hard stop that comes too late: there the force grows by K v, stiffness of hand and arm times speed, and goes on
 growing when the pace is cut: for the delay T, until what is felt has been understood, sent and done, and for the way
@@ -65,7 +65,6 @@ class ForcePrediction:
     """Force expected once all motion under way has ended."""
 
     def __init__(self) -> None:
-        """Nothing felt yet."""
         self._past = LowPass(_RATE_HZ)
         self.lag = self._past.lag  # s until it is seen that a force rises
 
@@ -135,8 +134,6 @@ class SpeedGovernor:
         return now - since > (self.settings.still_s if pushed else self.settings.give_up_s)
 
 
-# --- Whether joint states, wrench and object status of a pull are fresh, and how long they are waited for
-
 # s: a driver that is restarted publishes again within that; later somebody may have moved the arm, and must not be met
 # by one that moves by itself
 _RECOVERY_TIME = 5.0
@@ -149,7 +146,6 @@ class InputWatch:
     """
 
     def __init__(self, timeout: float) -> None:
-        """Nothing is late yet."""
         self.timeout = timeout
         self.pending = ""
         self._late_since = math.nan  # s

@@ -28,8 +28,6 @@ from modcal_core.impedance.task import ImpedanceTask, JointPositions
 from modcal_core.impedance.unfelt_force import UnfeltForce
 from modcal_core.impedance.wrench import WrenchSensor
 
-# --- What the force sensor has shown so far of whether it tells the force, and how fast one may go by that
-
 _CREEP, _FREE = 0.01, 8e-3  # m/s for the first m, which no hand goes without what it holds
 _UNTOLD = 0.5  # of the usual speed beyond that, until the force sensor has felt anything
 _TOLD = 2.0  # N that tell that it does: ten times the noise of a usual one
@@ -203,7 +201,6 @@ class ToolForce:
 
 
 def _stiffness(task: ImpedanceTask) -> Stiffness:
-    """What is known of the stack that follows: a stiff one, or one that is as compliant as it is asked to be."""
     if task.mode == "admittance":
         return Stiffness.of(task.governor.contact_stiffness, task.stack[0], task.servo_lag, task.arm_stiffness)
     return Stiffness(task.stiffness[0], task.stiffness[0], task.servo_lag)

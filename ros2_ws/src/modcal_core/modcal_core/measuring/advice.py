@@ -151,7 +151,10 @@ class Advisor:
             stations = first_stations(self.pool, session, self.least(session.kind), self._planned)
             why = f"first stations: {self.least(session.kind)} are needed for the geometry"
             return self._asked(session, stations, why, status, None)
-        view = outlook(refitted, self.pool.where, self._suspected(refitted), np.random.default_rng(self._seed))
+        # a suspect may be as large as what would matter, and as what could hide in what is left
+        view = outlook(
+            refitted, self.pool.where, max(self.goal.rms or 0.0, refitted.spread), np.random.default_rng(self._seed)
+        )
         left = self._left(session, refitted)
         status = self._status(status, session, refitted, view, left)
         if self.goal.rms is not None and (proof := self._look(session, refitted, left)) is not None:
@@ -163,8 +166,6 @@ class Advisor:
             return Advice(session, "", status, spent(self.goal, status.measured, status.expected), refitted)
         return self._next(session, status, refitted, view, left)
 
-    # the model so far
-
     def _refit(self, session: Session, rows: Sequence[int]) -> Refit | None:
         if self._last is None or self._last[0] != tuple(rows):
             try:
@@ -175,10 +176,6 @@ class Advisor:
                 return None
             self._last = tuple(rows), found
         return self._last[1]
-
-    def _suspected(self, refitted: Refit) -> float:
-        """How large a suspect may be [m]: what would matter, and what could hide in what is left."""
-        return max(self.goal.rms or 0.0, refitted.spread)
 
     def _left(self, session: Session, refitted: Refit) -> Array:
         """Errors (n,) [m] of the model at the stations of the proof."""
@@ -196,9 +193,8 @@ class Advisor:
         """The proof of this very model that has been begun, if one has."""
         if not session.looks or session.looks[-1].fitted != len(session.fitted):
             return None
-        version = len(session.looks) - 1
         look = session.looks[-1]
-        return Proof(left, look.expected, share(1.0 - self.goal.confidence, version), look.axes)
+        return Proof(left, look.expected, self._share(len(session.looks) - 1), look.axes)
 
     def _axes(self, refitted: Refit) -> float:
         """Number of directions in which errors vary, from the fit's own residuals."""
@@ -225,8 +221,6 @@ class Advisor:
     def _floor(self, refitted: Refit) -> Floor | None:
         residual = errors(refitted.calibration.calibrated, refitted.samples)
         return floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
-
-    # what next
 
     def _next(self, session: Session, status: Advance, refitted: Refit, view: Outlook, left: Array) -> Advice:
         size = max(self._batch, len(session.fitted) // _GROWING)
@@ -268,7 +262,6 @@ class Advisor:
         return self._as_good_as_can_be(session, status, refitted, view, size, rng)
 
     def _looking(self, session: Session, expected: float, axes: float) -> Session:
-        """The session with a look at this model noted."""
         return replace(session, looks=(*session.looks, Look(len(session.fitted), expected, axes)))
 
     def _share(self, version: int) -> float:
@@ -308,7 +301,9 @@ class Advisor:
             if stations := return_stations(session, count):
                 return self._asked(session, stations, "postures again: what the arm does not repeat", status, refitted)
         fitted, model = len(session.fitted), view.error()
-        gain = self._improvement(refitted, model, fitted)
+        # error now over that which the whole budget of stations would leave: the model's part shrinks
+        best = refitted.spread**2 + model**2 * min(fitted / max(self.goal.stations, 1), 1.0)
+        gain = float(np.sqrt((refitted.spread**2 + model**2) / best))
         spread, repeat = refitted.spread**2, None if floor is None else 1e-6 * floor.interval[1]
         hidden = repeat is None or spread > UNEXPLAINED * repeat
         searching = early or (hidden and self._effects and not self._stalled(session, refitted))
@@ -336,11 +331,6 @@ class Advisor:
         e = errors(half.calibration.calibrated, refitted.samples).position_norm
         before = float(np.sqrt(np.mean(e[~refitted.wrong] ** 2)))
         return refitted.spread > _BROUGHT * before
-
-    def _improvement(self, refitted: Refit, model: float, fitted: int) -> float:
-        """Error now over that which the whole budget of stations would leave: the model's part shrinks."""
-        best = refitted.spread**2 + model**2 * min(fitted / max(self.goal.stations, 1), 1.0)
-        return float(np.sqrt((refitted.spread**2 + model**2) / best))
 
     def _settle_ties(self, session: Session, status: Advance, refitted: Refit, ended: End) -> Advice:
         """The end, after stations that separate explanations where that is asked for."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from modcal_core.planning import (
     ACCURACY,
     CANDIDATES,
     Site,
-    Spheres,
     clearance,
     criterion,
     exchange,
@@ -28,8 +26,6 @@ from modcal_core.planning import (
     visible,
 )
 from modcal_core.robots import Mechanism
-
-# --- Which postures there are to choose from, and which ones count: a robot's own, or those that were recorded
 
 _AHEAD = 400  # postures that stand for where accuracy counts, for time
 _PASSES = 2  # of the exchange that chooses the first stations; later ones take what it missed
@@ -91,14 +87,10 @@ def of_robot(chain: Mechanism, site: Site, kind: str, rng: np.random.Generator, 
         where=drawn[:_AHEAD],
         order=len(there.q) + np.arange(len(drawn)),
         first=first,
-        allowed=partial(_allowed, there.spheres, site),
+        allowed=lambda q: np.asarray((clearance(there.spheres, site, q) >= 0.0) & visible(there.spheres, site, q)),
         lower=np.asarray(limits.lower),
         upper=np.asarray(limits.upper),
     )
-
-
-def _allowed(spheres: Spheres, site: Site, q: Array) -> np.ndarray:
-    return np.asarray((clearance(spheres, site, q) >= 0.0) & visible(spheres, site, q))
 
 
 def of_recording(q: Array, rng: np.random.Generator) -> Pool:
@@ -133,7 +125,6 @@ class Batch:
 
 
 def _taken(pool: Pool, session: Session) -> np.ndarray:
-    """True for postures of the pool that were asked for already, (N,)."""
     if pool.recorded:
         taken = np.zeros(len(pool.q), bool)
         taken[[s.row for s in session.stations]] = True

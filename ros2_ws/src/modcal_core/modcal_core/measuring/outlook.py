@@ -13,7 +13,8 @@ where a tool would be and face, gives the chance that it is seen (a kernel estim
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,14 +27,10 @@ from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.measuring.refit import Refit
 
 # Suspects: smooth ones of each joint; a gear's thousand harmonics have no better postures than random ones
-_PLAIN = (
-    ("compliance", "linear"),
-    ("axis_wobble", "turn"),
-    ("gear_harmonic", "turn"),
-    ("backlash", "sign"),
-    ("gear_ratio", "linear"),
-)
+_TURNING = {("axis_wobble", "turn"), ("gear_harmonic", "turn")}
+_PLAIN = {("compliance", "linear"), ("backlash", "sign"), ("gear_ratio", "linear"), *_TURNING}
 _CYCLES = 2.0  # a turn, at most, of a suspected wobble or harmonic
+_EFFORT = re.compile("(^|,)effort(:|,|$)")  # of a driver: what no posture asks for
 _ROUNDS = 40  # in which stations are chosen, at most; up to as many they are chosen one by one
 _WIDEST = 10.0  # m, rad; a prior beyond it holds nothing
 _NEAR, _FACING = 0.3, 0.7  # m, rad: places and directions that a tracker sees alike
@@ -110,7 +107,10 @@ def outlook(refitted: Refit, where: Array, size: float, rng: np.random.Generator
     model = calibration.calibrated
     here = at_postures(model, where, rng.choice([-1.0, 1.0], where.shape), POINT, samples)
     own = {effect.key for effect in model.effects}
-    suspects = [e for e in (*_plain(model.drivers(here)), *_rivals(calibration.rivals)) if e.key not in own]
+    plain = [e for e in candidates(model.drivers(here)) if (e.family, e.shape.kind) in _PLAIN]
+    suspects = [e for e in plain if e.shape.settings.get("cycles", 0.0) <= _CYCLES]
+    suspects += [e for group in calibration.rivals for e in group if not _EFFORT.search(e.driver)]
+    suspects = [e for e in suspects if e.key not in own]
     G = _rows(model, known, suspects, here)
     M = len(where)
     around = model.drivers(samples)
@@ -159,20 +159,6 @@ def chance_seen(p: Array, facing: Array, tried_p: Array, tried_facing: Array, se
     turned = np.sum((facing[:, None] - tried_facing) ** 2, axis=2) / _FACING**2
     weight = np.exp(-0.5 * (apart + turned))
     return np.asarray((weight @ seen + _SEEN_FIRST) / (weight.sum(axis=1) + 1.0))
-
-
-def _plain(drivers: Drivers) -> Iterator[Effect]:
-    for effect in candidates(drivers):
-        cycles = effect.shape.settings.get("cycles", 0.0)
-        if (effect.family, effect.shape.kind) in _PLAIN and cycles <= _CYCLES:
-            yield effect
-
-
-def _rivals(rivals: Sequence[Sequence[Effect]]) -> Iterator[Effect]:
-    for group in rivals:
-        for effect in group:
-            if not any(part.split(":")[0] == "effort" for part in effect.driver.split(",")):
-                yield effect
 
 
 def _rows(model: Model, known: Uncertainty, suspects: Sequence[Effect], samples: Samples) -> Array:

@@ -110,11 +110,9 @@ class Proof:
         return max(float((missing[good] / each[good]).min()), least)
 
 
-# --- What is asked of a measurement: an error at the tool, how sure it must be, and what it may cost
-
 Statistic = Literal["rms", "p95"]
 # The 95th percentile over the RMS of a squared error that varies from station to station as the square of one normal
-# number does: the widest law that the proof allows for (see proof.py), and the one with the longest tail
+# number does: the widest law that the proof allows for, and the one with the longest tail
 P95_OVER_RMS = 1.96
 MAX_STATIONS = 400  # more than any arm has needed in the benchmarks; without an end a robot would go on for ever
 
@@ -157,8 +155,6 @@ class Goal:
         tool = float(np.sqrt(max(rms**2 - self.instrument**2, 0.0)))
         return tool * (P95_OVER_RMS if self.statistic == "p95" else 1.0)
 
-
-# --- How a measurement ended, in a sentence: proven, out of budget, or that no further station would help, and why
 
 Ending = Literal["proven", "budget", "no_station_helps"]
 UNEXPLAINED = 1.5  # mean square left over the most that the floor may be, from which something is to be found still

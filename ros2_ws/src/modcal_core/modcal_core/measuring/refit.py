@@ -36,10 +36,7 @@ from modcal_core.regimes import find_regimes
 from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import sane_inertias
 
-_EXPLAIN = (
-    3,
-    8,
-)  # of ten stations these judge effects, the others fit: as in calibration/data_split.py without its test
+_EXPLAIN = 3, 8  # of ten stations these judge effects, the others fit: as for a calibration, without its test
 _MIN_FREEDOM = 10  # rows beyond what is fitted, from which effects are looked for: a wrong one costs stations only
 
 

@@ -155,8 +155,6 @@ def samples_of(
     )
 
 
-# --- A session as plain data, in SI units: what its file keeps of it
-
 FORMAT = 1  # of the file
 _NUMBERS = {"type": ["array", "null"], "items": {"type": "number"}}
 _SCHEMA = {
@@ -224,21 +222,17 @@ def to_data(session: Session, goal: Goal, seed: int, robot: str, began: float | 
 
 
 def _station_data(s: Station) -> dict[str, Any]:
-    out: dict[str, Any] = {"role": s.role, "state": s.state, "asked": _list(s.asked)}
+    out: dict[str, Any] = {"role": s.role, "state": s.state, "asked": np.asarray(s.asked, dtype=float).tolist()}
     for name in ("q", "reading", "approach", "effort"):
         value = getattr(s, name)
         if value is not None and np.isfinite(value).all():
-            out[name] = _list(value)
+            out[name] = np.asarray(value, dtype=float).tolist()
     for name in ("stamp", "sigma"):
         if np.isfinite(value := getattr(s, name)):
             out[name] = float(value)
     if s.row >= 0:
         out["row"] = s.row
     return out
-
-
-def _list(values: Array) -> list[float]:
-    return [float(v) for v in values]
 
 
 @refusing

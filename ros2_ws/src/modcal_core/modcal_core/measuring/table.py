@@ -57,7 +57,11 @@ def to_table(session: Session, numbers: Sequence[int], revolute: np.ndarray) -> 
         q = s.asked if s.q is None else s.q
         shown = [f"{v:.5f}" for v in np.where(revolute, np.degrees(q), 1e3 * q)]
         note = s.state if s.state in (UNSEEN, SKIPPED) else ""
-        writer.writerow([i + 1, s.role, *shown, *_written(s.reading, session.kind), note])
+        read = [""] * len(_reading_columns(session.kind))
+        if s.reading is not None:
+            turned = np.degrees(so3.to_rpy(so3.from_quaternion(s.reading[3:]))) if session.kind == POSE else ()
+            read = [f"{v:.5f}" for v in (*(1e3 * s.reading[:3]), *turned)]
+        writer.writerow([i + 1, s.role, *shown, *read, note])
     return out.getvalue()
 
 
@@ -67,13 +71,6 @@ def _joint_columns(names: Sequence[str], revolute: np.ndarray) -> list[str]:
 
 def _reading_columns(kind: str) -> tuple[str, ...]:
     return (*_POINT_COLUMNS, *_POSE_COLUMNS) if kind == POSE else _POINT_COLUMNS
-
-
-def _written(reading: Array | None, kind: str) -> list[str]:
-    if reading is None:
-        return [""] * len(_reading_columns(kind))
-    turned: list[float] = np.degrees(so3.to_rpy(so3.from_quaternion(reading[3:]))).tolist() if kind == POSE else []
-    return [f"{v:.5f}" for v in (*(1e3 * reading[:3]), *turned)]
 
 
 def text_of(data: bytes, source: str) -> str:
@@ -92,7 +89,10 @@ def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -
     passed over. Raises BadTable with the row for what cannot be: a station that is not asked for or stands twice, half
     a reading, joints far from where they were asked to be, a note that says something else.
     """
-    lines = list(csv.reader(io.StringIO(text.lstrip("\ufeff")), delimiter=_separator(text)))
+    first_line = text.partition("\n")[0]  # spreadsheets write semicolons where the comma is a decimal point
+    separator = max((",", "\t"), key=first_line.count)
+    separator = ";" if first_line.count(";") > first_line.count(",") else separator
+    lines = list(csv.reader(io.StringIO(text.lstrip("\ufeff")), delimiter=separator))
     head = [cell.strip() for cell in lines[0]] if lines else []
     joints, read = _joint_columns(session.names, revolute), _reading_columns(session.kind)
     for name in ("station", *joints, *read):
@@ -114,12 +114,6 @@ def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -
         first[number] = row
         filled = _filled(filled, number, cells, joints, read, revolute, at)
     return filled
-
-
-def _separator(text: str) -> str:
-    """Spreadsheets write semicolons where the comma is a decimal point."""
-    first = text.partition("\n")[0]
-    return ";" if first.count(";") > first.count(",") else "\t" if first.count("\t") > first.count(",") else ","
 
 
 def _filled(
@@ -189,8 +183,6 @@ def _number(cell: str, where: str) -> float:
     return value
 
 
-# --- Whether readings that people typed can be readings at all, by what the nominal arm makes of those around them
-
 _MIN = 10  # stations; of fewer, base and tool leave nothing to tell a wrong one by
 _MAX = 2.0 / 3.0  # of the stations that agree; where fewer do it is the arm that is off, or all readings are wrong
 _UNITS = ((1e3, "metres"), (10.0, "centimetres"), (25.4, "inches"), (1e-3, "micrometres"))  # with their size in mm
@@ -220,8 +212,6 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
 
 
 def _require_convention(samples: Samples, chain: Chain, source: str) -> None:
-    """Raises BadTable where all readings are in another unit or in a mirrored frame."""
-
     def missed(other: Array) -> float:
         return points_match(chain, samples.q, other).typical
 

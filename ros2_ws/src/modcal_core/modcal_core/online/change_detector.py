@@ -123,8 +123,6 @@ def all_directions(model: Model) -> tuple[ModelParameter, ...]:
     return (*frames, *places)
 
 
-# --- What it may be that has changed: a first answer from the few samples since, for a person and for the diagnosis
-
 _AS_GOOD = 10.0  # difference of the criterion below which two hypotheses are not told apart
 
 

@@ -1,6 +1,6 @@
 """The running estimate: every sample updates the parameters, the effects' values, and their covariance.
 
-A sample is linearised at the present estimate and taken into the square-root information of :mod:`information`. The
+A sample is linearised at the present estimate and taken into a square-root information. The
 latest samples are kept and linearised again when the estimate has moved, as a batch Gauss–Newton step does, so that on
 an arm that does not change the running estimate is the batch solution. An arm that does change may drift: parameters
 named for it get process noise. Samples that do not fit count less, as in a batch fit, and are counted.
@@ -39,8 +39,6 @@ from modcal_core.effects import place_index
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, SHARED, Samples
 from modcal_core.online.fixed_linearisation import FixedLinearisation
-
-# --- The square-root information form of a linear least-squares estimate, updated row by row
 
 _PANEL = 8  # columns that are eliminated together
 
@@ -214,7 +212,8 @@ class Estimator:
         ``random_walk``, which has an order.
         """
         self.start, self.parameters, self.noise = model, tuple(parameters), noise
-        self.names = (*(p.name for p in parameters), *_effect_names(model))
+        values = [(e, name) for e in model.effects for name in (*range(1, len(e.amplitudes) + 1), *e.refined)]
+        self.names = (*(p.name for p in parameters), *(f"{e.label} / {name}" for e, name in values))
         self._robust = robust
         self._kept_most = 0 if random_walk else kept
         effects = np.concatenate([np.zeros(0), *(e.values for e in model.effects)])
@@ -253,13 +252,16 @@ class Estimator:
 
     def update(self, sample: Samples) -> Update:
         """Take in one sample (a row), and say how well it fitted."""
-        if self._unprimed:
-            self._take_priors(sample)
+        if self._unprimed:  # the priors of a batch fit depend on the drivers at hand, for the effects only
+            centre, prior = priors(self.start.effects, self.parameters, self.start.drivers(sample))
+            self._before = self._now = Information.of(np.diag(1.0 / prior), centre / prior)
+            self._unprimed = False
         self._grow_covariance(float(sample.stamps[0]))
         if self._frozen is None:
             self._frozen = FixedLinearisation(self.start, self.parameters, self._point)
         residual, J = self._frozen(sample)
-        rows = _whitened(residual + J.dot(self._point), J, self._noise(sample, len(residual)))
+        rows = np.concatenate([J, (residual + J.dot(self._point))[:, None]], axis=1)
+        rows /= self._noise(sample, len(residual))[:, None]
         now = self._now.with_rows(rows)
         score, weight = self._judged(now.innovation, len(rows)) if self._now.definite else (0.0, 1.0)
         self.taken += 1
@@ -280,12 +282,6 @@ class Estimator:
                 return done
             self._again()
         return _ROUNDS
-
-    def _take_priors(self, sample: Samples) -> None:
-        """The priors of a batch fit, which depend on the drivers at hand for the effects only."""
-        centre, prior = priors(self.start.effects, self.parameters, self.start.drivers(sample))
-        self._before = self._now = Information.of(np.diag(1.0 / prior), centre / prior)
-        self._unprimed = False
 
     def _grow_covariance(self, stamp: float) -> None:
         passed = stamp - self._stamp
@@ -330,11 +326,9 @@ class Estimator:
         self.values = self._now.mean
 
     def _stand_at(self, values: Array) -> None:
-        """Linearise about these values from now on."""
         self._point, self._frozen = values, None
 
     def _linearised(self) -> list[Rows]:
-        """The kept samples as seen from the present estimate."""
         together = joined(self._kept)
         at = linearise(self.start, self.parameters, self.values, together)
         N, pose = len(together), together.is_pose
@@ -350,7 +344,6 @@ class Estimator:
         return np.split(rows[order], cuts)
 
     def _apart(self, step: Array) -> float:
-        """How many standard deviations a step is long."""
         return float(np.linalg.norm(self._now.R @ step))
 
 
@@ -365,18 +358,5 @@ def joined(samples: Sequence[Samples]) -> Samples:
     return replace(samples[-1], **arrays)
 
 
-def _whitened(b: Array, A: Array, noise: Array) -> Rows:
-    return np.concatenate([A, b[:, None]], axis=1) / noise[:, None]
-
-
 def _known(sigma: float) -> float:
     return float(sigma) if isfinite(sigma) else 0.0
-
-
-def _effect_names(model: Model) -> tuple[str, ...]:
-    out: list[str] = []
-    for effect in model.effects:
-        amplitudes = len(effect.amplitudes)
-        out += [f"{effect.label} / {i + 1}" for i in range(amplitudes)]
-        out += [f"{effect.label} / {name}" for name in effect.refined]
-    return tuple(out)

@@ -77,7 +77,6 @@ class FixedLinearisation:
         return residual, J
 
     def _of_closed(self, sample: Samples) -> tuple[Array, Array]:
-        """The same by all that a fit does."""
         at = self._model.drivers(sample)
         view = RowView.of(self._model, sample, at)
         J = geometry_rows(view, self._start, self._parameters, self._values)

@@ -33,8 +33,6 @@ from modcal_core.measurements import (
 )
 from modcal_core.measurements.kinds import KIND_NAMES, kinds
 
-# --- Recent commands to an arm, to compare with reported positions, in bounded memory
-
 _HELD = 4096  # commands; 4 s at 1 kHz, and any stand at the usual rates
 
 
@@ -125,10 +123,9 @@ class _Ended:
 class SampleStream:
     """Samples of one arm from messages as they arrive. Stamps in seconds, joints in the order of ``names``."""
 
-    def __init__(self, names: tuple[str, ...], frames: tuple[str, ...] = (), rules: StationRules | None = None) -> None:
-        """frames: names of the frames that are expected, in this order; others are added behind them."""
+    def __init__(self, names: tuple[str, ...], rules: StationRules | None = None) -> None:
         self.names = names
-        self.frames = list(frames)
+        self.frames: list[str] = []  # names of the frames that are expected; others are added behind them
         self.counts = Counts()
         self._asked = self._rules = rules or StationRules()
         self._station = 0
@@ -222,15 +219,11 @@ class SampleStream:
                 a[:_STREAM_HELD] = a[keep]
             self._first, self._end = 0, _STREAM_HELD
         self._t[self._end], self._q[self._end] = stamp, q
-        self._effort[self._end] = np.nan if effort is None else self._known(effort)
+        if effort is not None and self._end > self._first:  # a stand's mean must not be lost to one that is not finite
+            effort = np.where(np.isfinite(effort), effort, self._effort[self._end - 1])
+        self._effort[self._end] = np.nan if effort is None else effort
         self._end += 1
         self._first = max(self._first, self._end - _STREAM_HELD)
-
-    def _known(self, effort: Array) -> Array:
-        """The efforts, those that are not finite as they were before: a stand's mean must not be lost to one."""
-        if np.isfinite(effort).all() or self._end == self._first:
-            return effort
-        return np.where(np.isfinite(effort), effort, self._effort[self._end - 1])
 
     def _watch_motion(self, stamp: float, q: Array) -> None:
         if self._end - self._first < 2:
@@ -250,7 +243,9 @@ class SampleStream:
         allowed = np.maximum(self._rules.still, NOISE_FACTOR / SECOND_DIFFERENCE * self._noise)
         if (high - low > allowed).any() or step > self._rules.gap + LATE_STEPS * self._step:
             if stamp - step - self._since >= SHORTEST:
-                self._note_stand(stamp - step)
+                self._stands.append((stamp - step, stamp - step - self._since))
+                times = np.array([length for _, length in self._stands])
+                self._rules = fitted_rules(self._asked, times, stamp - step - self._stands[0][0])
                 self._average_ended(np.inf)
                 self._ended = _Ended(self._since, stamp - step, self._approach.direction)
             self._begin_stand(stamp, q)
@@ -261,12 +256,6 @@ class SampleStream:
                 self._since = stamp - self._rules.settle  # it stands already: nothing to settle
         # last, for a stand that has just ended was approached by the motion before this one
         self._approach.update(q)
-
-    def _note_stand(self, end: float) -> None:
-        """Learn from a stand that has ended how long this arm stands."""
-        self._stands.append((end, end - self._since))
-        times = np.array([length for _, length in self._stands])
-        self._rules = fitted_rules(self._asked, times, end - self._stands[0][0])
 
     def _begin_stand(self, stamp: float, q: Array) -> None:
         self._since, self._low, self._high = stamp, q.copy(), q.copy()

@@ -25,8 +25,6 @@ from modcal_core.online.change_detector import ChangeDetector, ChangeHypothesis,
 from modcal_core.online.estimator import Estimator, RandomWalk
 from modcal_core.plausibility import MIN, MISREAD, ArmMiss, inverse_pose, recognised
 
-# --- Whether what seems to have changed is how readings are written
-
 _UNTOLD = "readings in another unit or convention"
 
 
@@ -52,8 +50,6 @@ def or_misread(change: ChangeHypothesis, model: Model, rows: Sequence[Samples], 
     size = float(np.sqrt(np.mean(off.position_norm**2)))
     return replace(change, place="tracker", direction="convention", size=size, same_as=(), mistake=said)
 
-
-# --- What goes on sample by sample while a calibration is trusted: the running estimate, and the watch on the model
 
 _RIDGE = 1e-12  # of each variance; a covariance that was written down may have lost its last digits
 
@@ -96,11 +92,10 @@ class Live:
         self.since += 1
         # asked again as samples come in: the first answer rests on very few
         if self.hypothesis is None or (self.since & (self.since - 1)) == 0:
-            self.hypothesis = self._asked(min(self.changed, self.detector.seen[-1].stamp))
-
-    def _asked(self, since: float) -> ChangeHypothesis:
-        rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
-        return or_misread(find_change(self.detector, since), self.detector.model, rows, self.calibration.noise)
+            since = min(self.changed, self.detector.seen[-1].stamp)
+            rows = [seen.sample for seen in self.detector.seen if seen.stamp >= since]
+            change = find_change(self.detector, since)
+            self.hypothesis = or_misread(change, self.detector.model, rows, self.calibration.noise)
 
 
 ASKED, BETTER = "asked", "better"

@@ -13,62 +13,43 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import ModcalError
 from modcal_core.robots import LoadedArm, Payload, require_method
 from modcal_msgs_py import JointInput, fill_accelerations
+from modcal_nodes import ros
 from modcal_nodes.cli import numbers_by_joint
-from modcal_nodes.ros import (
-    ACCELERATION_LIMITS,
-    ERROR,
-    FRESH,
-    LATCHED,
-    OK,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    always,
-    declare,
-    follow,
-    run,
-    subscription_status,
-    values,
-)
 
 _DRIVES = {"torque": "torque", "friction": "coulomb", "damping": "viscous", "rotor": "rotor"}
 _REST = 0.004  # s
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
-class AccelerationLimits(GuardedNode):
+class AccelerationLimits(ros.GuardedNode):
     """Publishes upper and lower bounds of every joint's acceleration from joint states and a payload."""
 
     def __init__(self) -> None:
         super().__init__("acceleration_limits")
-        declare(self, ACCELERATION_LIMITS)
-        self._chosen = values(self, ACCELERATION_LIMITS)
+        self._chosen = ros.declare(self, ros.ACCELERATION_LIMITS)
         require_method(self._chosen["method"])
         _payload(self._chosen)
-        follow(self, ACCELERATION_LIMITS, self._chosen, self._check, self._take_parameters)
+        ros.follow(self, ros.ACCELERATION_LIMITS, self._chosen, self._check, self._take_parameters)
         self._described: LoadedArm | None = None
         self._arm: LoadedArm | None = None
         self._joints: JointInput | None = None
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = self._chosen["robot_description"], _NO_ROBOT_YET
         self._last, self._count = -np.inf, 0  # stamp of the last bounds, and how many there were
-        self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
+        self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
 
         self._upper = self.create_publisher(JointTrajectory, "~/upper", 10)
         self._lower = self.create_publisher(JointTrajectory, "~/lower", 10)
         heard = self._refusals.guarded("joint_states", self._take_joints)
         self._inputs = [
-            MonitoredSubscription(
-                self, JointState, "joint_states", heard, FRESH, needed=True, single=True, replaced=always
+            ros.MonitoredSubscription(
+                self, JointState, "joint_states", heard, ros.FRESH, needed=True, single=True, replaced=ros.always
             ),
-            MonitoredSubscription(
-                self, String, "robot_description", self._take_description, LATCHED, needed=not self._urdf
+            ros.MonitoredSubscription(
+                self, String, "robot_description", self._take_description, ros.LATCHED, needed=not self._urdf
             ),
         ]
-        self._health = Health(self, self._report)
+        self._health = ros.Health(self, self._report)
         if self._urdf and self._chosen["tip"]:
             self._recognise()
         # apart from the subscriptions: a machine that is too busy for this rate must not work through old ticks
@@ -76,8 +57,6 @@ class AccelerationLimits(GuardedNode):
         self.create_timer(
             1.0 / self._chosen["rate_hz"], lambda: tick(None), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
-
-    # robot and load
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
@@ -87,7 +66,6 @@ class AccelerationLimits(GuardedNode):
                 self._recognise()
 
     def _recognise(self) -> None:
-        """Read the arm off its description, and take what it carries."""
         chosen = self._chosen
         self._described = self._arm = None
         try:
@@ -102,7 +80,6 @@ class AccelerationLimits(GuardedNode):
         self._health.publish_if_changed()
 
     def _check(self, new: dict[str, Any]) -> None:
-        """Raises BadRobot, BadTable for a payload, share or method that cannot be."""
         require_method(new["method"])
         _payload(new)
         if self._described is not None:
@@ -111,8 +88,6 @@ class AccelerationLimits(GuardedNode):
     def _take_parameters(self) -> None:
         if self._described is not None:
             self._arm, self._refusal = _with(self._described, self._chosen), ""
-
-    # what it hears
 
     def _take_joints(self, message: JointState) -> None:
         new = frozenset(message.name)
@@ -123,7 +98,6 @@ class AccelerationLimits(GuardedNode):
             self._joints.receive(message, self._now(), self._chosen["timeout_s"])
 
     def _tick(self, _: object = None) -> None:
-        """Publish bounds of where the arm stands now, if it has been heard since the last ones."""
         arm, joints = self._arm, self._joints
         if arm is None or joints is None or not joints.complete or (stamp := float(joints.stamps.min())) == self._last:
             return
@@ -136,34 +110,30 @@ class AccelerationLimits(GuardedNode):
         self._last = stamp
         self._count += 1
 
-    # what it says of itself
+    def _report(self) -> list[ros.Status]:
+        return [ros.subscription_status(self._inputs), self._limits_status()]
 
-    def _report(self) -> list[Status]:
-        return [subscription_status(self._inputs), self._limits_status()]
-
-    def _limits_status(self) -> Status:
+    def _limits_status(self) -> ros.Status:
         arm, joints = self._arm, self._joints
         facts: dict[str, object] = {"published": self._count, "refused": self._refusals.counts.total()}
         if arm is None or joints is None:
-            return Status("limits", ERROR, self._refusal, facts)
+            return ros.Status("limits", ros.ERROR, self._refusal, facts)
         facts |= {"payload": f"{arm.payload.mass:g} kg", "method": self._chosen["method"]}
         try:
             joints.require_fresh(self._now(), self._chosen["timeout_s"])
             left = arm.window(joints.position, joints.velocity)
             left.require_held()
         except ModcalError as error:
-            return Status("limits", ERROR, str(error), facts)
+            return ros.Status("limits", ros.ERROR, str(error), facts)
         said = self._refusals.recent()
-        return Status("limits", WARN if said else OK, said or "limits are published", facts)
+        return ros.Status("limits", ros.WARN if said else ros.OK, said or "limits are published", facts)
 
 
 def _payload(chosen: dict[str, Any]) -> Payload:
-    """The payload of these parameters; raises BadRobot."""
     return Payload.checked(chosen["payload_kg"], chosen["payload_centre_m"], chosen["payload_inertia"])
 
 
 def _with(arm: LoadedArm, chosen: dict[str, Any]) -> LoadedArm:
-    """The arm with the payload and the drives of these parameters; raises BadRobot, BadTable."""
     drives = {core: numbers_by_joint(chosen[name], f"parameter {name}") for name, core in _DRIVES.items()}
     loaded = arm.carrying(_payload(chosen)).using(chosen["torque_share"], chosen["gravity"]).with_drives(**drives)
     loaded.drives.require_torque()
@@ -172,4 +142,4 @@ def _with(arm: LoadedArm, chosen: dict[str, Any]) -> LoadedArm:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(AccelerationLimits, rest=_REST)
+    ros.run(AccelerationLimits, rest=_REST)

@@ -29,24 +29,7 @@ from modcal_msgs_py import (
     status_values,
     wrench_numbers,
 )
-from modcal_nodes.ros import (
-    ARTICULATION_ESTIMATOR,
-    ERROR,
-    FRESH,
-    LATCHED,
-    OK,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    declare,
-    follow,
-    run,
-    subscription_status,
-    values,
-)
+from modcal_nodes import ros
 
 _POSES: dict[str, type] = {
     "tool_pose": PoseWithCovarianceStamped,
@@ -61,18 +44,17 @@ _SILENT = 1.0  # s without a pose, after which the estimate is said to be old
 _RESTING = 25  # wrenches whose median is what the sensor shows when nobody pulls
 
 
-class ArticulationEstimator(GuardedNode):
+class ArticulationEstimator(ros.GuardedNode):
     """Publishes the object as a one-joint URDF, its state, its axis, where it will be, and whether to trust it."""
 
     def __init__(self) -> None:
         super().__init__("articulation_estimator")
-        declare(self, ARTICULATION_ESTIMATOR)
-        self._chosen = chosen = values(self, ARTICULATION_ESTIMATOR)
+        self._chosen = chosen = ros.declare(self, ros.ARTICULATION_ESTIMATOR)
         if chosen["input"] not in (_JOINTS, *_POSES):
             raise BadCommand(
                 f"parameter input {chosen['input']!r}", "is not an input", f"use {_JOINTS}, {', '.join(_POSES)}"
             )
-        follow(self, ARTICULATION_ESTIMATOR, chosen)
+        ros.follow(self, ros.ARTICULATION_ESTIMATOR, chosen)
         self._tracker = Tracker(
             TrackerSettings(
                 tolerance_m=chosen["tolerance_m"], still_m=chosen["still_m"], trust_after_m=chosen["trust_after_m"]
@@ -84,13 +66,13 @@ class ArticulationEstimator(GuardedNode):
         self._names: frozenset[str] = frozenset()
         self._urdf, self._refusal = chosen["robot_description"], ""
         self._forget()
-        self._refusals = Refusals(self)
+        self._refusals = ros.Refusals(self)
         self._rest: list[Array] = []
         self._offset = np.zeros(3)
         self._load = Load(chosen["tool_mass"])
         self._force = 0.0
 
-        self._description = self.create_publisher(String, "~/object_description", LATCHED)
+        self._description = self.create_publisher(String, "~/object_description", ros.LATCHED)
         self._object = self.create_publisher(JointState, "~/object_state", 10)
         self._status = self.create_publisher(DiagnosticArray, "~/object_status", 10)
         self._expected = self.create_publisher(PoseStamped, "~/expected_pose", 10)
@@ -98,25 +80,27 @@ class ArticulationEstimator(GuardedNode):
         topic = chosen["input"]
         take = self._refusals.guarded(topic, self._take_joints if topic == _JOINTS else self._take_pose)
         self._inputs = [
-            MonitoredSubscription(
+            ros.MonitoredSubscription(
                 self,
                 JointState if topic == _JOINTS else _POSES[topic],
                 topic,
                 take,
-                FRESH,
+                ros.FRESH,
                 needed=True,
                 single=True,
                 replaced=self._soon,
             ),
-            MonitoredSubscription(
-                self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), FRESH
+            ros.MonitoredSubscription(
+                self, WrenchStamped, "wrench", self._refusals.guarded("wrench", self._take_wrench), ros.FRESH
             ),
         ]
         if topic == _JOINTS:
             needed = not chosen["robot_description"]
             heard = self._refusals.guarded("robot_description", self._take_description)
-            self._inputs.append(MonitoredSubscription(self, String, "robot_description", heard, LATCHED, needed=needed))
-        self._health = Health(self, self._report)
+            self._inputs.append(
+                ros.MonitoredSubscription(self, String, "robot_description", heard, ros.LATCHED, needed=needed)
+            )
+        self._health = ros.Health(self, self._report)
         self.create_service(Trigger, "~/reset", self._reset)
 
     def _forget(self) -> None:
@@ -132,7 +116,6 @@ class ArticulationEstimator(GuardedNode):
         self._way = 1.0
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Forget the object: another one will be gripped."""
         self._forget()
         self._rest.clear()
         self._description.publish(String(data=""))
@@ -140,15 +123,12 @@ class ArticulationEstimator(GuardedNode):
         response.success, response.message = True, "forgotten"
         return response
 
-    # what it hears
-
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
             self._urdf, self._chain, self._refusal = message.data, None, ""
             self._forget()
 
     def _recognise(self, names: frozenset[str]) -> None:
-        """Read the arm off its description, once there is one, or when other joints are received."""
         if not self._urdf or (names <= self._names and (self._chain or self._refusal)):
             return
         self._names |= names
@@ -219,11 +199,9 @@ class ArticulationEstimator(GuardedNode):
         return order != "late" and not self._soon(stamp)
 
     def _soon(self, stamp: float) -> bool:
-        """Whether a pose of this time follows the last that was taken too soon."""
         return 0.0 <= stamp - self._last < 0.999 / self._chosen["rate_hz"]
 
     def _follow(self, p: Array, R: Array | None, stamp: float, frame: str) -> None:
-        """Take one pose, and publish the estimate after it."""
         self._turned = R
         state = self._tracker.update(p, R, stamp, self._force > self._chosen["pull_n"])
         before = None if self._state is None else self._state.written
@@ -241,8 +219,6 @@ class ArticulationEstimator(GuardedNode):
         a = float(self._told.configuration(T if R is not None and state.follows else p))
         self._ends = (min(self._ends[0], a), max(self._ends[1], a))
         self._publish_state(self._told, a, stamp)
-
-    # what it says
 
     def _tell_model(self, state: TrackerState, stamp: float) -> None:
         """Publish the model, when it says something else than the last one that was published."""
@@ -273,7 +249,7 @@ class ArticulationEstimator(GuardedNode):
     def _publish_status(self, state: TrackerState, stamp: float) -> None:
         told = [KeyValue(key=key, value=value) for key, value in status_values(state).items()]
         status = DiagnosticStatus(
-            level=WARN if state.event or state.written else OK,
+            level=ros.WARN if state.event or state.written else ros.OK,
             name=f"{self.get_fully_qualified_name()}: object",
             hardware_id="modcal",
             message=_said(state),
@@ -283,27 +259,30 @@ class ArticulationEstimator(GuardedNode):
         set_seconds(message.header.stamp, stamp)
         self._status.publish(message)
 
-    def _report(self) -> list[Status]:
+    def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
         lines = [
-            subscription_status(self._inputs),
-            Status("inputs", WARN if refused else OK, refused or "nothing was refused"),
+            ros.subscription_status(self._inputs),
+            ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]
         if self._chosen["input"] == _JOINTS and self._chain is None:
             waits = "robot_description: not received yet: publish it (latched), or set the parameter"
             lines.append(
-                Status("object", ERROR, self._refusal or (waits if not self._urdf else "waiting for joint_states"))
+                ros.Status(
+                    "object", ros.ERROR, self._refusal or (waits if not self._urdf else "waiting for joint_states")
+                )
             )
         elif self._state is None:
-            lines.append(Status("object", WARN, "waiting for poses"))
+            lines.append(ros.Status("object", ros.WARN, "waiting for poses"))
         else:
             said, starved = _said(self._state), self._starved(self._state)
-            level = WARN if self._state.event or self._state.written or starved else OK
-            lines.append(Status("object", level, "; ".join(filter(None, (said, starved))), status_values(self._state)))
+            level = ros.WARN if self._state.event or self._state.written or starved else ros.OK
+            lines.append(
+                ros.Status("object", level, "; ".join(filter(None, (said, starved))), status_values(self._state))
+            )
         return lines
 
     def _starved(self, state: TrackerState) -> str:
-        """What is lacking of poses, as text; empty where nothing is."""
         topic, silent = self._chosen["input"], time.monotonic() - self._heard
         if silent > _SILENT:
             return f"{topic}: no usable pose for {silent:.0f} s, what is said of the object is as old"
@@ -319,7 +298,6 @@ class ArticulationEstimator(GuardedNode):
 
 
 def _said(state: TrackerState) -> str:
-    """The estimate, as text."""
     if state.event:
         return state.event
     if state.written is not None:
@@ -342,4 +320,4 @@ def _alike(one: JointModel, other: JointModel) -> bool:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(ArticulationEstimator, rest=_REST)
+    ros.run(ArticulationEstimator, rest=_REST)

@@ -14,31 +14,16 @@ from std_msgs.msg import String
 from modcal_core.camera import BoardView, Lens, read_target
 from modcal_core.errors import BadTable, ModcalError
 from modcal_msgs_py import fill_corners, fill_pose, lens_data, raw_image
-from modcal_nodes.ros import (
-    BOARD_DETECTOR,
-    ERROR,
-    FRESH,
-    OK,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Status,
-    declare,
-    run,
-    subscription_status,
-    values,
-)
+from modcal_nodes import ros
 from modcal_nodes.vision import Coach, annotated, board_pose, detect, grey_of, lens_from_data
 
 
-class BoardDetector(GuardedNode):
+class BoardDetector(ros.GuardedNode):
     """Corners, pose, coaching and an annotated image for each image that it has time for."""
 
     def __init__(self) -> None:
         super().__init__("board_detector")
-        declare(self, BOARD_DETECTOR)
-        chosen = values(self, BOARD_DETECTOR)
+        chosen = ros.declare(self, ros.BOARD_DETECTOR)
         if not chosen["target"]:
             raise BadTable("parameter target", "names no file", "set it to the target.yaml of modcal target")
         self._target = read_target(Path(chosen["target"]))
@@ -53,11 +38,14 @@ class BoardDetector(GuardedNode):
         self._coaching = self.create_publisher(String, "~/coaching", 10)
         self._annotated = self.create_publisher(Image, "~/annotated", 2)
         self._images = [
-            MonitoredSubscription(self, Image, "image", self._image, FRESH, single=True),
-            MonitoredSubscription(self, CompressedImage, "image/compressed", self._image, FRESH, single=True),
+            ros.MonitoredSubscription(self, Image, "image", self._image, ros.FRESH, single=True),
+            ros.MonitoredSubscription(self, CompressedImage, "image/compressed", self._image, ros.FRESH, single=True),
         ]
-        self._inputs = [*self._images, MonitoredSubscription(self, CameraInfo, "camera_info", self._info, FRESH)]
-        self._health = Health(self, self._report)
+        self._inputs = [
+            *self._images,
+            ros.MonitoredSubscription(self, CameraInfo, "camera_info", self._info, ros.FRESH),
+        ]
+        self._health = ros.Health(self, self._report)
 
     def _info(self, message: CameraInfo) -> None:
         """What the camera says of its lens; without it no pose is published, and coaching guesses."""
@@ -72,7 +60,6 @@ class BoardDetector(GuardedNode):
         self._coach = None
 
     def _image(self, message: Any) -> None:
-        """Look at an image, if the last one was long enough ago."""
         now = time.monotonic()
         if now - self._last < self._period:
             return
@@ -122,18 +109,18 @@ class BoardDetector(GuardedNode):
         out.data = picture.tobytes()
         self._annotated.publish(out)
 
-    def _report(self) -> list[Status]:
-        heard = subscription_status(self._inputs)
+    def _report(self) -> list[ros.Status]:
+        heard = ros.subscription_status(self._inputs)
         facts = {"images": self._seen, "with the target": self._found}
         if not any(subscription.count for subscription in self._images):
             topics = " and ".join(subscription.topic for subscription in self._images)
-            return [heard, Status("target", ERROR, f"no image on {topics}: start the camera, or remap", facts)]
-        level = OK if self._said.split(" ")[0].isdigit() else WARN
+            return [heard, ros.Status("target", ros.ERROR, f"no image on {topics}: start the camera, or remap", facts)]
+        level = ros.OK if self._said.split(" ")[0].isdigit() else ros.WARN
         if self._refusal:
-            return [heard, Status("target", WARN, f"{self._said}; camera_info: {self._refusal}", facts)]
-        return [heard, Status("target", level, self._said, facts)]
+            return [heard, ros.Status("target", ros.WARN, f"{self._said}; camera_info: {self._refusal}", facts)]
+        return [heard, ros.Status("target", level, self._said, facts)]
 
 
 def main() -> None:
     """Entry point of the executable."""
-    run(BoardDetector)
+    ros.run(BoardDetector)

@@ -18,47 +18,8 @@ from modcal_core.measurements import Dropped, Samples
 from modcal_core.online import ChangeHypothesis, RandomWalk, Supervisor
 from modcal_core.recalibrate import Job
 from modcal_core.robots import calibrated_urdf, is_serial_arm, read_inertias
-from modcal_nodes.calibrating import (
-    Buffer,
-    ByCamera,
-    CheckService,
-    CommandSubscription,
-    CornerIntake,
-    Intake,
-    KnownArm,
-    Publishers,
-    Solved,
-    SolveWorker,
-    Standing,
-    StateFolder,
-    collected,
-    condense,
-    lacking,
-    listen,
-    model_status,
-    policy,
-    require_policy,
-    sample_status,
-    solve,
-    standing_of_json,
-)
+from modcal_nodes import calibrating, ros
 from modcal_nodes.io import read_cell, read_delta
-from modcal_nodes.ros import (
-    CALIBRATOR,
-    ERROR,
-    OK,
-    Broadcaster,
-    GuardedNode,
-    Health,
-    Status,
-    declare,
-    follow,
-    run,
-    static_frames,
-    subscription_status,
-    tracker_status,
-    values,
-)
 
 _POLL = 0.1  # s
 _REST = 0.005  # s
@@ -67,51 +28,50 @@ _STEP = 10  # stations between two lines in the log
 _NOTHING = "nothing solved yet"
 
 
-class Calibrator(GuardedNode):
+class Calibrator(ros.GuardedNode):
     """``~/solve`` calibrates, ``~/accept`` trusts the result, ``~/save`` keeps it on disk, ``~/reset`` forgets;
     ``~/check`` says by a few stations what has changed since.
     """
 
     def __init__(self) -> None:
         super().__init__("calibrator")
-        declare(self, CALIBRATOR)
-        self._chosen = chosen = values(self, CALIBRATOR)
-        require_policy(chosen)
-        follow(self, CALIBRATOR, chosen, require_policy, self._take_parameters)
+        self._chosen = chosen = ros.declare(self, ros.CALIBRATOR)
+        calibrating.require_policy(chosen)
+        ros.follow(self, ros.CALIBRATOR, chosen, calibrating.require_policy, self._take_parameters)
         self._cell = read_cell(Path(chosen["cell"]) if chosen["cell"] else None, tuple(f for f in chosen["fixed"] if f))
-        self._folder = StateFolder(chosen["state"], self.get_logger())
+        self._folder = calibrating.StateFolder(chosen["state"], self.get_logger())
         state = self._folder.read()
-        self._buffer = Buffer(chosen["buffer_s"])
+        self._buffer = calibrating.Buffer(chosen["buffer_s"])
         self._buffer.samples = state.samples
         self._restored = state if state.calibration else None
         self._files = dict(state.files or {})
-        self._candidate: Solved | None = None
+        self._candidate: calibrating.Solved | None = None
         creeping = tuple(place for place in chosen["process_noise_places"] if place)
         random_walk = RandomWalk(creeping, chosen["process_noise_m"], chosen["process_noise_rad"]) if creeping else None
-        self._supervisor = Supervisor(policy(chosen), random_walk)
+        self._supervisor = Supervisor(calibrating.policy(chosen), random_walk)
         delta = read_delta(Path(chosen["delta"])) if chosen["delta"] else None
-        self._arm = KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"], delta)
+        self._arm = calibrating.KnownArm(chosen["robot_description"], chosen["base"], chosen["tip"], delta)
         self._trouble = ""  # why the saved model is not used
         self._verdict = _NOTHING
-        self._standing: Standing | None = None  # of the trusted model
+        self._standing: calibrating.Standing | None = None  # of the trusted model
         self._said: ChangeHypothesis | None = None
 
-        self._outputs = Publishers(self)
-        self._tf = Broadcaster(self, static=True) if chosen["publish_tf"] else None
+        self._outputs = calibrating.Publishers(self)
+        self._tf = ros.Broadcaster(self, static=True) if chosen["publish_tf"] else None
         self._lacked, self._steps = "", 0
-        corners = CornerIntake.of(chosen)
-        self._camera: ByCamera | None = None
+        corners = calibrating.CornerIntake.of(chosen)
+        self._camera: calibrating.ByCamera | None = None
         if corners is not None:
-            self._camera = ByCamera(corners, chosen, self._outputs, self.get_logger(), self._camera_trusted)
-        self._intake = Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, corners)
+            self._camera = calibrating.ByCamera(corners, chosen, self._outputs, self.get_logger(), self._camera_trusted)
+        self._intake = calibrating.Intake(self, self._buffer, self._arm, self._supervisor, self._recognise, corners)
         described = bool(self._arm.description or self._arm.delta)
         patience = chosen["silence_timeout_s"]
         heard = () if corners is None else corners.topics
-        self._inputs = listen(self, self._intake, self._describe, patience, described, heard)
-        self._commands = CommandSubscription(self, self._intake.command)
-        self._health = Health(self, self._statuses)
-        self._worker = SolveWorker(self.get_logger().error)
-        self._check = CheckService(self, self._worker, self._outputs.check)
+        self._inputs = calibrating.listen(self, self._intake, self._describe, patience, described, heard)
+        self._commands = calibrating.CommandSubscription(self, self._intake.command)
+        self._health = ros.Health(self, self._statuses)
+        self._worker = calibrating.SolveWorker(self.get_logger().error)
+        self._check = calibrating.CheckService(self, self._worker, self._outputs.check)
         self._waiting: Future | None = None
         self._solve_next = False
         # a group of its own: while a solve is awaited, its group takes no other callback
@@ -125,11 +85,9 @@ class Calibrator(GuardedNode):
         self.create_timer(1.0, self._tell, clock=steady)
 
     def _take_parameters(self) -> None:
-        self._supervisor.follow(policy(self._chosen))
+        self._supervisor.follow(calibrating.policy(self._chosen))
         for subscription in self._inputs:
             subscription.patience = self._chosen["silence_timeout_s"]
-
-    # subscriptions
 
     def _describe(self, message: String) -> None:
         self._arm.describe(message.data)
@@ -164,23 +122,18 @@ class Calibrator(GuardedNode):
         self._outputs.model(self._files)
         self._broadcast()
         self._verdict = "continuing with the saved model"
-        self._standing = standing_of_json(self._files.get("report.json"))
+        self._standing = calibrating.standing_of_json(self._files.get("report.json"))
 
     def _broadcast(self) -> None:
-        """Where trackers and tool are by the trusted model, for /tf_static."""
         if self._tf is not None and self._supervisor.trusted is not None:
-            self._tf.publish(static_frames(self._supervisor.trusted), self.get_clock().now().to_msg())
+            self._tf.publish(ros.static_frames(self._supervisor.trusted), self.get_clock().now().to_msg())
 
     def _lacks(self) -> str:
-        """What must come before stations can be cut; empty: nothing."""
-        return lacking(self._arm, self._inputs, self._camera is not None)
+        return calibrating.lacking(self._arm, self._inputs, self._camera is not None)
 
     def _expect_frames(self) -> None:
-        """Number the frames of readings as the trusted model does."""
         if self._arm.stream is not None and self._supervisor.trusted is not None:
             self._arm.stream.frames = list(self._supervisor.trusted.calibrated.frames)
-
-    # solving
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._buffer.clear()
@@ -203,7 +156,6 @@ class Calibrator(GuardedNode):
         return response
 
     def _begin_solve(self) -> str:
-        """Have a solve done by the worker; returns why not, or nothing."""
         if self._solve_next or self._worker.doing == _SOLVE:
             return "a solve is running already"
         self._recognise()
@@ -227,7 +179,7 @@ class Calibrator(GuardedNode):
         )
         done, fail = partial(self._solved, self._buffer.forgotten), partial(self._answer, False)
         page = bool(self._chosen["out"] or self._folder.path)  # without a folder nobody would ever see it
-        self._worker.give(_SOLVE, solve, job, self._arm.description, page, finish=done, fail=fail)
+        self._worker.give(_SOLVE, calibrating.solve, job, self._arm.description, page, finish=done, fail=fail)
         return ""
 
     async def _on_check(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -253,7 +205,7 @@ class Calibrator(GuardedNode):
         self._answer(success, message)
 
     def _camera_trusted(self, files: dict[str, str]) -> None:
-        self._files, self._standing = files, standing_of_json(files.get("report.json"))
+        self._files, self._standing = files, calibrating.standing_of_json(files.get("report.json"))
 
     def _poll(self) -> None:
         """Take what the worker has finished, and give it what is due."""
@@ -272,12 +224,11 @@ class Calibrator(GuardedNode):
             work = self._buffer.finished(), self._arm.chain, self._chosen["clock_limit_s"], most
             now = self._buffer.forgotten
             done, fail = partial(self._condensed, pieces, now), partial(self._left_out, pieces, now)
-            self._worker.give("condensing", condense, *work, finish=done, fail=fail)
+            self._worker.give("condensing", calibrating.condense, *work, finish=done, fail=fail)
         elif self._supervisor.wants_solve() and (refusal := self._begin_solve()):
             self._verdict = refusal
 
     def _left_out(self, pieces: int, then: int, why: str) -> None:
-        """Forget messages that hold no station."""
         self.get_logger().warning(f"some minutes of messages are left out: {why}")
         if then == self._buffer.forgotten:
             self._buffer.left_out(pieces)
@@ -287,8 +238,7 @@ class Calibrator(GuardedNode):
             self._buffer.condensed(pieces, *made)
             self._folder.save_samples(self._buffer.samples)
 
-    def _solved(self, then: int, solved: Solved) -> None:
-        """Publish what a solve has found; trust it, if the policy says so."""
+    def _solved(self, then: int, solved: calibrating.Solved) -> None:
         if then != self._buffer.forgotten:
             self._answer(False, "the data it was solved from have been cleared since")
             return
@@ -317,8 +267,6 @@ class Calibrator(GuardedNode):
             waiting.set_result((success, message))
         self._health.publish()
 
-    # trusting
-
     def _on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._camera is not None and self._camera.accept():
             response.success, response.message = True, "accepted"
@@ -330,8 +278,7 @@ class Calibrator(GuardedNode):
             response.message = "accepted"
         return response
 
-    def _trusted(self, solved: Solved) -> None:
-        """Publish and keep a result that is trusted from now on."""
+    def _trusted(self, solved: calibrating.Solved) -> None:
         self._files, self._candidate, self._standing = solved.files, None, solved.standing
         self._said = None
         self._expect_frames()
@@ -356,13 +303,11 @@ class Calibrator(GuardedNode):
                 heard = self._buffer.collected()
                 if heard.recordings:
                     most, limit = self._chosen["max_stations"], self._chosen["clock_limit_s"]
-                    self._buffer.samples, _ = condense(heard, self._arm.chain, limit, most)
+                    self._buffer.samples, _ = calibrating.condense(heard, self._arm.chain, limit, most)
             except ModcalError as error:
                 self.get_logger().warning(f"the last messages are not kept: {error}")
             self._folder.save_samples(self._buffer.samples)
         self._folder.release()
-
-    # telling
 
     def _tell(self) -> None:
         """Once a second: what is missing, how far collecting is, the running estimate, and what has changed."""
@@ -374,7 +319,7 @@ class Calibrator(GuardedNode):
             self._health.publish()
         if self._supervisor.stations // _STEP != self._steps:
             self._steps = self._supervisor.stations // _STEP
-            self.get_logger().info(collected(self._supervisor))
+            self.get_logger().info(calibrating.collected(self._supervisor))
         if self._camera is not None and self._camera.tell():
             self._health.publish()
         live = self._supervisor.live
@@ -388,9 +333,9 @@ class Calibrator(GuardedNode):
             self._said = live.hypothesis
             self._health.publish()
 
-    def _statuses(self) -> Iterable[Status]:
-        heard = subscription_status(self._inputs)
-        yield heard if self._camera is not None else tracker_status(heard, self._inputs)
+    def _statuses(self) -> Iterable[ros.Status]:
+        heard = ros.subscription_status(self._inputs)
+        yield heard if self._camera is not None else ros.tracker_status(heard, self._inputs)
         if self._camera is not None:
             yield self._camera.intake.status()
         candidate = self._candidate.comparison if self._candidate else None
@@ -398,13 +343,15 @@ class Calibrator(GuardedNode):
         solving = self._worker.doing == _SOLVE
         lacks = self._lacks() if self._standing is None and self._candidate is None else ""
         verdict = f"waiting: {lacks}" if lacks and self._verdict == _NOTHING else self._verdict
-        yield model_status(self._supervisor, verdict, self._standing, trouble, solving, candidate)
+        yield calibrating.model_status(self._supervisor, verdict, self._standing, trouble, solving, candidate)
         if self._tf is not None:
             trouble = self._tf.trouble
-            yield Status("tf", ERROR if trouble else OK, trouble or "frames of the trusted model are published")
-        yield sample_status(self._supervisor, self._intake.refused, self._arm.stream, self._intake.times)
+            yield ros.Status(
+                "tf", ros.ERROR if trouble else ros.OK, trouble or "frames of the trusted model are published"
+            )
+        yield calibrating.sample_status(self._supervisor, self._intake.refused, self._arm.stream, self._intake.times)
 
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Calibrator, rest=_REST)
+    ros.run(Calibrator, rest=_REST)

@@ -26,28 +26,8 @@ from modcal_core.correction import (
 from modcal_core.errors import BadCommand, BadTable, ModcalError
 from modcal_core.measurements import Approach
 from modcal_msgs_py import JointInput, SignalsHeard, desired_pose, fill_pose, require_new, set_seconds
+from modcal_nodes import ros
 from modcal_nodes.io import parse_calibration, read_calibration, read_delta
-from modcal_nodes.ros import (
-    CORRECTOR,
-    ERROR,
-    FRESH,
-    LATCHED,
-    OK,
-    WARN,
-    Broadcaster,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    always,
-    corrected_frame,
-    declare,
-    follow,
-    run,
-    subscription_status,
-    values,
-)
 
 # The newest is all that counts: a queue would only make it old.
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
@@ -56,15 +36,14 @@ _NOTHING_YET = "no calibration yet: set the parameter calibration, or publish th
 _NO_ROBOT_YET = "robot_description: not received yet: publish it (latched), or set the parameter"
 
 
-class Corrector(GuardedNode):
+class Corrector(ros.GuardedNode):
     """Publishes true poses, effective joint states, the corrected URDF, and commands for desired true poses."""
 
     def __init__(self) -> None:
         super().__init__("corrector")
-        declare(self, CORRECTOR)
-        self._chosen = values(self, CORRECTOR)
+        self._chosen = ros.declare(self, ros.CORRECTOR)
         self._commander = Commander(_settings(self._chosen))
-        follow(self, CORRECTOR, self._chosen, _settings, self._take_parameters)
+        ros.follow(self, ros.CORRECTOR, self._chosen, _settings, self._take_parameters)
         self._calibration: Calibration | None = None
         self._text = ""
         self._refusal = _NOTHING_YET
@@ -74,44 +53,42 @@ class Corrector(GuardedNode):
         self._approach, self._signals = Approach(), SignalsHeard()
         self._announced: CalibratedRobot | None = None
         self._last = -np.inf
-        self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
+        self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
         self._counts = {"poses": 0, "commands": 0}
 
         self._pose = self.create_publisher(PoseWithCovarianceStamped, "~/pose", 10)
         self._states = self.create_publisher(JointState, "~/joint_states", 10)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
-        self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
-        self._tf = Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
+        self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)
+        self._tf = ros.Broadcaster(self, static=False) if self._chosen["publish_tf"] else None
         guarded = self._refusals.guarded
         self._inputs = [
-            MonitoredSubscription(
+            ros.MonitoredSubscription(
                 self,
                 JointState,
                 "joint_states",
                 guarded("joint_states", self._take_joints),
-                FRESH,
+                ros.FRESH,
                 needed=True,
-                replaced=always,
+                replaced=ros.always,
             ),
-            MonitoredSubscription(
-                self, Temperature, "temperature", guarded("temperature", self._take_temperature), FRESH
+            ros.MonitoredSubscription(
+                self, Temperature, "temperature", guarded("temperature", self._take_temperature), ros.FRESH
             ),
-            MonitoredSubscription(
+            ros.MonitoredSubscription(
                 self, PoseStamped, "desired_pose", guarded("desired_pose", self._take_desired), _NEWEST, single=True
             ),
-            MonitoredSubscription(self, String, "robot_description", self._take_description, LATCHED),
-            MonitoredSubscription(self, String, "calibration", self._take_calibration, LATCHED),
+            ros.MonitoredSubscription(self, String, "robot_description", self._take_description, ros.LATCHED),
+            ros.MonitoredSubscription(self, String, "calibration", self._take_calibration, ros.LATCHED),
         ]
         if self._chosen["calibration"]:
             self._calibration = read_calibration(Path(self._chosen["calibration"]))
-        self._health = Health(self, self._report)
+        self._health = ros.Health(self, self._report)
         self._meet()
         self.create_service(Trigger, "~/reset", self._reset)
 
     def _take_parameters(self) -> None:
         self._commander.settings = _settings(self._chosen)
-
-    # calibration and robot
 
     def _take_description(self, message: String) -> None:
         if not self._chosen["robot_description"] and message.data != self._urdf:
@@ -169,7 +146,6 @@ class Corrector(GuardedNode):
         self._health.publish()
 
     def _announce(self) -> None:
-        """Publish the corrected URDF of the calibration in use, once."""
         robot = self._commander.robot
         if robot is not None and robot is not self._announced:
             self._announced = robot
@@ -183,9 +159,7 @@ class Corrector(GuardedNode):
         self._announced = None
         # a late listener must not find the URDF of a calibration that is no longer trusted
         self.destroy_publisher(self._corrected)
-        self._corrected = self.create_publisher(String, "~/robot_description", LATCHED)
-
-    # what it hears
+        self._corrected = self.create_publisher(String, "~/robot_description", ros.LATCHED)
 
     def _take_temperature(self, message: Temperature) -> None:
         self._signals.hear_temperature(message, self._now())
@@ -207,7 +181,6 @@ class Corrector(GuardedNode):
             self._last = now
 
     def _correct(self, robot: CalibratedRobot, joints: JointInput, at: ArmState) -> None:
-        """Publish where the arm truly is."""
         correction, target = robot.correction, self._commander.settings.target
         correction.require(at)
         T, C, q = correction.corrected(at, target)
@@ -222,13 +195,12 @@ class Corrector(GuardedNode):
         self._pose.publish(pose)
         if self._tf is not None:
             tip = T if target == "tip" else correction.pose(at.q, at, "tip")
-            frame = corrected_frame(correction.chain.base, correction.chain.tip, tip)
+            frame = ros.corrected_frame(correction.chain.base, correction.chain.tip, tip)
             self._tf.publish([frame], pose.header.stamp)
         self._states.publish(states)
         self._counts["poses"] += 1
 
     def _take_desired(self, message: PoseStamped) -> None:
-        """Command what brings the target to a desired true pose."""
         robot, joints, chosen = self._commander.robot, self._joints, self._chosen
         if robot is None or joints is None:
             raise BadCommand(
@@ -268,20 +240,18 @@ class Corrector(GuardedNode):
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
         return ArmState(now, *at, self._signals.tracks(needs))
 
-    # what it says of itself
-
-    def _report(self) -> list[Status]:
+    def _report(self) -> list[ros.Status]:
         robot, counts = self._commander.robot, self._counts
         commands = {"commands": counts["commands"], "refused": self._refusals.counts["desired_pose"]}
         said = self._refusals.recent("desired_pose", "range")
         return [
-            subscription_status(self._inputs),
-            self._calibration_status(robot) if robot else Status("calibration", ERROR, self._refusal),
-            self._correction_status(robot) if robot else Status("correction", ERROR, "no command is corrected"),
-            Status("commands", WARN if said else OK, said or "no recent refusal", commands),
+            ros.subscription_status(self._inputs),
+            self._calibration_status(robot) if robot else ros.Status("calibration", ros.ERROR, self._refusal),
+            self._correction_status(robot) if robot else ros.Status("correction", ros.ERROR, "no command is corrected"),
+            ros.Status("commands", ros.WARN if said else ros.OK, said or "no recent refusal", commands),
         ]
 
-    def _calibration_status(self, robot: CalibratedRobot) -> Status:
+    def _calibration_status(self, robot: CalibratedRobot) -> ros.Status:
         correction = robot.correction
         facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
         said = self._refusals.recent("calibration")
@@ -291,9 +261,9 @@ class Corrector(GuardedNode):
             said = "has no uncertainty, so poses show scatter only: calibrate again"
         elif not said and correction.unwatched(self._now()):
             said = "was recorded at another time: drifts are held as they were: calibrate again"
-        return Status("calibration", WARN if said else OK, said or "in use", facts)
+        return ros.Status("calibration", ros.WARN if said else ros.OK, said or "in use", facts)
 
-    def _correction_status(self, robot: CalibratedRobot) -> Status:
+    def _correction_status(self, robot: CalibratedRobot) -> ros.Status:
         now, joints, correction = self._now(), self._joints, robot.correction
         facts = {"poses": self._counts["poses"]}
         assert joints is not None
@@ -302,7 +272,7 @@ class Corrector(GuardedNode):
             at = self._conditions(joints, now)
             correction.require(at)
         except ModcalError as error:
-            return Status("correction", ERROR, str(error), facts)
+            return ros.Status("correction", ros.ERROR, str(error), facts)
         said = self._refusals.recent("joint_states", "temperature")
         if not said and self._tf is not None:
             said = self._tf.trouble
@@ -310,11 +280,10 @@ class Corrector(GuardedNode):
             said = f"{', '.join(silent)}: silent, the last value is used"
         elif unseen := correction.unseen(at.q):
             said = f"{', '.join(unseen)}: outside the range that was calibrated; learned curves end before"
-        return Status("correction", WARN if said else OK, said or "poses are corrected", facts)
+        return ros.Status("correction", ros.WARN if said else ros.OK, said or "poses are corrected", facts)
 
 
 def _settings(chosen: dict[str, Any]) -> CommanderSettings:
-    """The core's settings; raises BadTable for a target that there is none of."""
     if chosen["target"] not in ("tip", "tool"):
         raise BadTable(f"target '{chosen['target']}'", "must be tip or tool", "set one of them")
     return CommanderSettings(
@@ -332,4 +301,4 @@ def _settings(chosen: dict[str, Any]) -> CommanderSettings:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Corrector, rest=_REST)
+    ros.run(Corrector, rest=_REST)

@@ -19,20 +19,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadCommand, BadTable
-from modcal_nodes.ros import (
-    DOOR_DEMO,
-    FRESH,
-    LATCHED,
-    LAUNCHES,
-    OK,
-    GuardedNode,
-    Health,
-    NodeEnds,
-    Status,
-    declare,
-    run,
-    values,
-)
+from modcal_nodes import ros
 from modcal_nodes.simulation import PullRecord
 
 _PERIOD, _AGAIN = 0.2, 1.0  # s between two looks, and between two attempts to begin
@@ -40,13 +27,12 @@ _KINDS = ("door", "drawer")
 _PACED = ("publish_clock:=true", "keep_step:=true", "clock_rate_hz:=250.0")
 
 
-class DoorDemo(GuardedNode):
+class DoorDemo(ros.GuardedNode):
     """Opens a simulated door or drawer by the other nodes; ends when it is over, exit code 0 if it is open."""
 
     def __init__(self) -> None:
         super().__init__("door_demo")
-        declare(self, DOOR_DEMO)
-        self._chosen = values(self, DOOR_DEMO)
+        self._chosen = ros.declare(self, ros.DOOR_DEMO)
         if self._chosen["kind"] not in _KINDS:
             raise BadTable(f"kind '{self._chosen['kind']}'", "is neither door nor drawer", "set one of them")
         self._opened, self._pulls, self._over = 0.0, False, False
@@ -57,11 +43,13 @@ class DoorDemo(GuardedNode):
         self.create_subscription(JointState, "simulated_furniture/object_truth", self._hear_truth, 10)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear_health, 50)
         self.create_subscription(WrenchStamped, "simulated_furniture/contact_force", self._hear_force, 10)
-        self.create_subscription(String, "robot_description", self._hear_description, LATCHED)
-        self.create_subscription(JointState, "joint_states", self._hear_joints, FRESH)
+        self.create_subscription(String, "robot_description", lambda m: self._record.describe(m.data), ros.LATCHED)
+        self.create_subscription(JointState, "joint_states", self._hear_joints, ros.FRESH)
         self._setpoint = f"{self.get_namespace().rstrip('/')}/impedance_setpoint: pull"
         self._children = self._start() if self._chosen["start"] else []
-        Health(self, lambda: [Status("demo", OK, "pulls" if self._pulls else "waiting for the pull to begin")])
+        ros.Health(
+            self, lambda: [ros.Status("demo", ros.OK, "pulls" if self._pulls else "waiting for the pull to begin")]
+        )
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _start(self) -> list[subprocess.Popen[bytes]]:
@@ -71,7 +59,7 @@ class DoorDemo(GuardedNode):
         except (LookupError, OSError) as error:
             raise BadTable("package modcal_nodes", "is not found", "source install/setup.bash") from error
         beside = Path(sys.argv[0]).resolve().parent
-        plan, namespace, children = LAUNCHES["door_demo"], self.get_namespace(), []
+        plan, namespace, children = ros.LAUNCHES["door_demo"], self.get_namespace(), []
         for node in plan.nodes:
             if node == "door_demo":
                 continue
@@ -97,9 +85,6 @@ class DoorDemo(GuardedNode):
         force = message.wrench.force
         self._record.feel(np.array([force.x, force.y, force.z]))
 
-    def _hear_description(self, message: String) -> None:
-        self._record.describe(message.data)
-
     def _hear_joints(self, message: JointState) -> None:
         if not self._over:  # before the pull is heard of as well: diagnostics come once a second
             stamp = message.header.stamp
@@ -115,22 +100,25 @@ class DoorDemo(GuardedNode):
                 self._pulls = self._pulls or bool(phase)
 
     def _look(self) -> None:
-        """Ask for the pull until it begins; end when it is over."""
         if self._over:
             unit = "rad" if self._chosen["kind"] == "door" else "m"
             said = f"{self._said}; in truth it is open by {self._opened:.3f} {unit}, "
             said += f"the handle was held with {self._record.force:.0f} N at most"
             if not self._went_well:
-                raise NodeEnds(BadCommand(f"{self._chosen['kind']} {self._chosen['seed']}", said, "try another seed"))
+                raise ros.NodeEnds(
+                    BadCommand(f"{self._chosen['kind']} {self._chosen['seed']}", said, "try another seed")
+                )
             for line in self._learned(said):
                 self.get_logger().info(line)
             raise SystemExit(0)
         now = time.monotonic()
         if now - self._begun > self._chosen["patience_s"]:
             said = f"is not open after {self._chosen['patience_s']:g} s"
-            raise NodeEnds(BadCommand(self._chosen["kind"], said, "check the nodes' output, or allow more patience_s"))
+            raise ros.NodeEnds(
+                BadCommand(self._chosen["kind"], said, "check the nodes' output, or allow more patience_s")
+            )
         if any(child.poll() is not None for child in self._children):
-            raise NodeEnds(BadCommand("door_demo", "one of its nodes has ended", "check its output"))
+            raise ros.NodeEnds(BadCommand("door_demo", "one of its nodes has ended", "check its output"))
         ready = self._record.begun and self._pull.service_is_ready()
         if ready and not self._pulls and now - self._asked > _AGAIN:
             self._asked = now
@@ -156,4 +144,4 @@ class DoorDemo(GuardedNode):
 
 def main() -> None:
     """Entry point of the executable."""
-    run(DoorDemo)
+    ros.run(DoorDemo)

@@ -24,26 +24,7 @@ from modcal_core.articulation import frames, read
 from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.impedance import ArmSetpoint, Operation, Stop, Wait
 from modcal_msgs_py import ObjectInput
-from modcal_nodes.ros import (
-    ERROR,
-    FRESH,
-    IMPEDANCE_SETPOINT,
-    LATCHED,
-    OK,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    always,
-    declare,
-    follow,
-    noted,
-    run,
-    subscription_status,
-    values,
-)
+from modcal_nodes import ros
 from modcal_nodes.setpoint import (
     ArmInputs,
     JointEfforts,
@@ -62,30 +43,29 @@ _REST = 0.004  # s, while nothing is pulled
 _LATE = 1.5  # periods between two ticks
 
 
-class ImpedanceSetpoint(GuardedNode, LifecycleNode):
+class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
     """Publishes what an arm is to do while it pulls; nothing while it is inactive, and nothing that it should not."""
 
     def __init__(self) -> None:
         super().__init__("impedance_setpoint")
-        declare(self, IMPEDANCE_SETPOINT)
-        self._chosen = values(self, IMPEDANCE_SETPOINT)
+        self._chosen = ros.declare(self, ros.IMPEDANCE_SETPOINT)
         self._active = self._configured = False
         self._urdf = ""
         self._arm: ArmInputs | None = None
         self._object = ObjectInput(read, frames)
         self._operation: Operation | None = None
         self._said = "nothing was pulled yet"
-        self._level = OK
+        self._level = ros.OK
         self._judged_by, self._efforts = "", JointEfforts(None)
-        self._inputs: list[MonitoredSubscription] = []
+        self._inputs: list[ros.MonitoredSubscription] = []
         self._outputs: SetpointPublishers | None = None
         self._timer: Timer | None = None
-        self._refusals = Refusals(self)
+        self._refusals = ros.Refusals(self)
         self._counts = {"setpoints": 0, "late ticks": 0}
         self._took: deque[float] = deque(maxlen=_TICKS)
         self._before = 0.0
-        self._health = Health(self, self._report)
-        follow(self, IMPEDANCE_SETPOINT, self._chosen, self._check, self._restrict)
+        self._health = ros.Health(self, self._report)
+        ros.follow(self, ros.IMPEDANCE_SETPOINT, self._chosen, self._check, self._restrict)
         changes = self._service_change_state
         self._change_state = changes.callback.callback  # without its guard: what is illegal is no fault
         changes.callback = self.guarded_service("change_state", self._transit)
@@ -97,8 +77,6 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
     def hurried(self) -> bool:
         """Whether something is being pulled."""
         return self._operation is not None
-
-    # lifecycle
 
     def _start_itself(self) -> None:
         if self._auto is not None:
@@ -130,13 +108,13 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._operation is not None and self._arm is not None:
             self._operation.restrict(task(self._chosen), limits(self._arm.chain, self._chosen), self._now())
 
-    @noted
+    @ros.noted
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters and begin to listen. Fails for parameters that make no sense."""
         try:
             task(self._chosen)
         except ModcalError as error:
-            self._tell(ERROR, str(error))
+            self._tell(ros.ERROR, str(error))
             return TransitionCallbackReturn.FAILURE
         self._outputs = SetpointPublishers(self)
         try:
@@ -151,47 +129,47 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def _listen(self) -> None:
         heard: list[tuple[type, str, Callable[[Any], None], QoSProfile, bool]] = [
-            (JointState, "joint_states", self._take_joints, FRESH, True),
-            (WrenchStamped, "wrench", self._take_wrench, FRESH, True),
-            (String, "robot_description", self._take_description, LATCHED, not self._chosen["robot_description"]),
-            (String, "object_description", self._take_object, LATCHED, False),
-            (DiagnosticArray, "object_status", self._take_status, FRESH, False),
-            (PoseWithCovarianceStamped, "tool_pose", self._take_tool, FRESH, self._chosen["calibrated"]),
+            (JointState, "joint_states", self._take_joints, ros.FRESH, True),
+            (WrenchStamped, "wrench", self._take_wrench, ros.FRESH, True),
+            (String, "robot_description", self._take_description, ros.LATCHED, not self._chosen["robot_description"]),
+            (String, "object_description", self._object.hear_description, ros.LATCHED, False),
+            (DiagnosticArray, "object_status", lambda m: self._object.hear_status(m, self._now()), ros.FRESH, False),
+            (PoseWithCovarianceStamped, "tool_pose", self._take_tool, ros.FRESH, self._chosen["calibrated"]),
         ]
-        hear, guarded = partial(MonitoredSubscription, self, replaced=always), self._refusals.guarded
+        hear, guarded = partial(ros.MonitoredSubscription, self, replaced=ros.always), self._refusals.guarded
         self._inputs = [
             hear(kind, topic, guarded(topic, callback), qos, needed=needed, single=needed)
             for kind, topic, callback, qos, needed in heard
         ]
 
-    @noted
+    @ros.noted
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Be ready to pull."""
         self._active = True
         self._timer = self.create_timer(1.0 / self._chosen["rate_hz"], self._tick)
-        self._tell(OK, "ready")
+        self._tell(ros.OK, "ready")
         return super().on_activate(state)
 
-    @noted
+    @ros.noted
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop whatever is going on; nothing is published any more."""
         self._end("deactivated")
         return super().on_deactivate(state)
 
-    @noted
+    @ros.noted
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen no more, and forget what was received."""
         self._forget()
         return super().on_cleanup(state)
 
-    @noted
+    @ros.noted
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """The end of it."""
         self._end("shut down")
         self._forget()
         return super().on_shutdown(state)
 
-    @noted
+    @ros.noted
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """After a fault in a transition: as before it was configured."""
         self._end("a transition failed")
@@ -243,10 +221,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
             self._outputs.close()
         self._arm = None
 
-    # what it is asked
-
     def _pull(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Begin to pull, from where the arm stands."""
         try:
             self._begin()
             response.success, response.message = True, "weighing the tool, then pulling"
@@ -265,7 +240,6 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         return response
 
     def _begin(self) -> None:
-        """Raises BadCommand unless everything that a pull needs is there."""
         if not self._active:
             raise BadCommand("pull", "the node is not active", "configure and activate it first")
         if self._object.elsewhere:
@@ -282,7 +256,7 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         self._judged_by = softness.said
         if softness.unknown:
             self.get_logger().warning(f"a force that the sensor does not tell is judged by {softness.said}")
-        self._tell(OK, "tare")
+        self._tell(ros.OK, "tare")
 
     def _softness(self, arm: ArmInputs) -> JointSoftness:
         held = ""
@@ -291,8 +265,6 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         elif self._outputs is not None and self._outputs.stiffness_taken:
             held = "a controller listens to ~/target_stiffness: it holds the tool's axes"
         return JointSoftness.of(arm.arm.urdf, arm.chain, self._chosen["max_joint_lead_rad"], held)
-
-    # what it hears
 
     def _take_description(self, message: String) -> None:
         self._urdf = message.data
@@ -316,17 +288,9 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         if self._arm is not None:
             self._arm.take_wrench(message, self._now())
 
-    def _take_object(self, message: String) -> None:
-        self._object.hear_description(message)
-
-    def _take_status(self, message: DiagnosticArray) -> None:
-        self._object.hear_status(message, self._now())
-
     def _take_tool(self, message: PoseWithCovarianceStamped) -> None:
         if self._arm is not None:
             self._arm.take_tool(message)
-
-    # what it does
 
     def _tick(self) -> None:
         """One setpoint; a fault in the middle of a pull ends it."""
@@ -352,9 +316,9 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         answer = operation.tick(now, T, arm.sensor, arm.positions(stamp), self._object.at(now))
         if isinstance(answer, ArmSetpoint):
             self._send(answer, arm.chain.tip, now)
-            self._tell(OK, operation.phase)
+            self._tell(ros.OK, operation.phase)
         elif isinstance(answer, Wait):
-            self._tell(OK if operation.phase == "tare" else WARN, answer.why)
+            self._tell(ros.OK if operation.phase == "tare" else ros.WARN, answer.why)
         else:
             self._finish(answer)
         self._took.append(time.perf_counter() - begun)
@@ -366,23 +330,21 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
 
     def _finish(self, stop: Stop) -> None:
         self._operation = None
-        self._tell(OK if stop.done else ERROR, stop.why)
+        self._tell(ros.OK if stop.done else ros.ERROR, stop.why)
         self._health.publish()
-
-    # what it says of itself
 
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):
             log = self.get_logger()  # of one severity a line: rclpy remembers each caller's
-            if level == OK:
+            if level == ros.OK:
                 log.info(said)
-            elif level == WARN:
+            elif level == ros.WARN:
                 log.warning(said, throttle_duration_sec=1.0)
             else:
                 log.error(said)
         self._level, self._said = level, said
 
-    def _report(self) -> list[Status]:
+    def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
         took = np.percentile(self._took, [50.0, 99.0]) * 1e3 if self._took else (0.0, 0.0)
         facts = {
@@ -399,12 +361,12 @@ class ImpedanceSetpoint(GuardedNode, LifecycleNode):
         model = self._object.kind if self._object.model is not None else "none"
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
         return [
-            subscription_status(self._inputs),
-            Status("inputs", WARN if refused else OK, refused or "no recent refusal", trusted),
-            Status("pull", self._level, self._said, facts),
+            ros.subscription_status(self._inputs),
+            ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
+            ros.Status("pull", self._level, self._said, facts),
         ]
 
 
 def main() -> None:
     """Entry point of the executable."""
-    run(ImpedanceSetpoint, rest=_REST)
+    ros.run(ImpedanceSetpoint, rest=_REST)

@@ -13,24 +13,7 @@ from std_srvs.srv import Trigger
 
 from modcal_core.errors import BadRecording, ModcalError
 from modcal_msgs_py import FLUSH_SECONDS, READINGS, BagWriter
-from modcal_nodes.ros import (
-    ERROR,
-    OK,
-    RECORDER,
-    UNHEARD,
-    WARN,
-    Complaint,
-    GuardedNode,
-    Health,
-    NodeEnds,
-    Status,
-    Taken,
-    TopicRecorder,
-    declare,
-    follow,
-    run,
-    values,
-)
+from modcal_nodes import ros
 
 _LOOK_SECONDS = 0.1
 _REST = 0.01  # s; the middleware stamps what comes meanwhile, only simulated time is read after it
@@ -40,20 +23,19 @@ _MB = 1e6
 _ROOM = "make room on the disk, or lower min_free_mb"
 
 
-class Recorder(GuardedNode):
+class Recorder(ros.GuardedNode):
     """Subscribes to topics as they appear, with every QoS that their publishers offer."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        declare(self, RECORDER)
-        self._chosen = chosen = values(self, RECORDER)
-        follow(self, RECORDER, chosen, take=self._take_parameters)
+        self._chosen = chosen = ros.declare(self, ros.RECORDER)
+        ros.follow(self, ros.RECORDER, chosen, take=self._take_parameters)
         optional = {self.resolve_topic_name(name) for name in chosen["optional"] if name}
         self._recorders = [
-            TopicRecorder(self, topic, self._take, topic not in optional, chosen["patience_s"])
+            ros.TopicRecorder(self, topic, self._take, topic not in optional, chosen["patience_s"])
             for topic in dict.fromkeys(self.resolve_topic_name(name) for name in chosen["topics"] if name)
         ]
-        self._early: list[Taken] = []
+        self._early: list[ros.Taken] = []
         self._early_since = 0.0
         self._trouble: ModcalError | None = None
         self._said: dict[str, str] = {}
@@ -66,7 +48,7 @@ class Recorder(GuardedNode):
         if (shortage := self._shortage()) is not None:
             raise shortage
         self._bag = BagWriter(self._base) if chosen["out"] else _next_bag(self._base)
-        self._health = Health(self, self._report)
+        self._health = ros.Health(self, self._report)
         # a simulation that stands still must not keep messages from the disk
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_SECONDS, self._tick, clock=steady)
@@ -80,7 +62,6 @@ class Recorder(GuardedNode):
             recorder.patience = self._chosen["patience_s"]
 
     def _tick(self) -> None:
-        """Subscribe to what is published now, and let no message wait."""
         if self._trouble is not None:
             self._end(self._trouble)
         for recorder in self._recorders:
@@ -95,7 +76,7 @@ class Recorder(GuardedNode):
         except ModcalError as error:
             self._end(error)
 
-    def _take(self, taken: Taken) -> None:
+    def _take(self, taken: ros.Taken) -> None:
         if self._trouble is not None:
             return
         try:
@@ -134,12 +115,11 @@ class Recorder(GuardedNode):
         self._health.publish_if_changed()
 
     def _complain(self) -> None:
-        """Say what is newly wrong, in the log and on /diagnostics."""
         news = False
         for topic, complaint in self._complaints():
             if self._said.get(topic) != complaint.kind:
                 self._said[topic], news = complaint.kind, True
-                self._unheard |= {topic} if complaint.kind == UNHEARD else set()
+                self._unheard |= {topic} if complaint.kind == ros.UNHEARD else set()
                 self.get_logger().warn(complaint.text)
         for recorder in self._recorders:
             if recorder.waited is not None and recorder.topic in self._unheard:
@@ -160,13 +140,12 @@ class Recorder(GuardedNode):
         )
 
     def _end(self, error: ModcalError) -> None:
-        """Say aloud why the recording ends, and end it."""
         self._trouble = error
         self.get_logger().fatal(str(error))
         self._health.publish_last()
-        raise NodeEnds(error)
+        raise ros.NodeEnds(error)
 
-    def _complaints(self) -> Iterator[tuple[str, Complaint]]:
+    def _complaints(self) -> Iterator[tuple[str, ros.Complaint]]:
         for recorder in self._recorders:
             if (complaint := recorder.complaint()) is not None:
                 yield recorder.topic, complaint
@@ -182,10 +161,10 @@ class Recorder(GuardedNode):
             names = ", ".join(recorder.topic for recorder in trackers)
             yield (
                 "tracker",
-                Complaint(WARN, "nobody", f"no message from a tracker ({names}): start it, or remap its topic"),
+                ros.Complaint(ros.WARN, "nobody", f"no message from a tracker ({names}): start it, or remap its topic"),
             )
 
-    def _report(self) -> Iterator[Status]:
+    def _report(self) -> Iterator[ros.Status]:
         yield self._bag_status()
         complaints = [complaint for _, complaint in self._complaints()]
         said = "; ".join(c.text for c in complaints) or "everything that is needed is recorded"
@@ -195,9 +174,9 @@ class Recorder(GuardedNode):
             facts[f"rate of {recorder.topic} [Hz]"] = f"{recorder.rate:.1f}"
             facts[f"bytes of {recorder.topic}"] = recorder.bytes
             facts[f"lost of {recorder.topic}"] = recorder.lost
-        yield Status("topics", max((c.level for c in complaints), default=OK), said, facts)
+        yield ros.Status("topics", max((c.level for c in complaints), default=ros.OK), said, facts)
 
-    def _bag_status(self) -> Status:
+    def _bag_status(self) -> ros.Status:
         minutes = self._free / self._bytes_per_second / 60.0 if self._bytes_per_second else float("inf")
         facts = {
             "folder": self._bag.folder,
@@ -209,13 +188,15 @@ class Recorder(GuardedNode):
         }
         least = float(self._chosen["min_free_mb"])
         if self._trouble is not None:
-            return Status("bag", ERROR, str(self._trouble), facts)
+            return ros.Status("bag", ros.ERROR, str(self._trouble), facts)
         if self._free < 2 * least * _MB or minutes < _FEW_MINUTES:
             text = f"{self._free / _MB:.0f} MB free, {minutes:.0f} minutes at this rate; ends at {least:g} MB: {_ROOM}"
-            return Status("bag", WARN, text, facts)
+            return ros.Status("bag", ros.WARN, text, facts)
         if self.get_clock().ros_time_is_active and not self._now():
-            return Status("bag", WARN, "simulated time has not begun: no node publishes /clock; stamps are 0", facts)
-        return Status("bag", OK, f"{self._bag.count} messages in {self._bag.folder}", facts)
+            return ros.Status(
+                "bag", ros.WARN, "simulated time has not begun: no node publishes /clock; stamps are 0", facts
+            )
+        return ros.Status("bag", ros.OK, f"{self._bag.count} messages in {self._bag.folder}", facts)
 
     def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
@@ -278,4 +259,4 @@ def _free_bytes(place: Path) -> int:
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Recorder, rest=_REST)
+    ros.run(Recorder, rest=_REST)

@@ -14,21 +14,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from modcal_core.errors import BadTable, ModcalError
-from modcal_nodes.ros import LATCHED, SIMULATED_CELL, GuardedNode, Health, declare, run, values
-from modcal_nodes.simulation import (
-    SWITCHES,
-    TRACKER,
-    TRACKER_PHASE,
-    Beat,
-    CellTime,
-    Grid,
-    Plant,
-    Poses,
-    Rates,
-    States,
-    legs,
-    stamp,
-)
+from modcal_nodes import ros, simulation
 
 _MIN_PERIOD = 1e-3  # s between beats; what falls due in between is sent together
 _MAX_AT_ONCE = 0.2  # s of wall time that one beat makes up for, so that services are answered in between
@@ -36,19 +22,20 @@ _LOST = 10.0  # s that are not made up for: the node's clock was set
 _DEPTH = 2000  # messages a publisher keeps for a subscriber that is behind
 
 
-class SimulatedCell(GuardedNode):
+class SimulatedCell(ros.GuardedNode):
     """Publishes joint_states, tracker/pose or tracker/point and robot_description; follows joint_trajectory."""
 
     def __init__(self) -> None:
         super().__init__("simulated_cell")
-        declare(self, SIMULATED_CELL)
-        chosen = values(self, SIMULATED_CELL)
-        self._plant = Plant(chosen)
+        chosen = ros.declare(self, ros.SIMULATED_CELL)
+        self._plant = simulation.Plant(chosen)
         self._switches = self._plant.switches
         self._speak(chosen)
         if chosen["stations"]:
             self.get_logger().info(f"visiting {self._plant.stops} postures in {self._plant.end:.0f} s")
-        self._settle_parameters()
+        # from here on the switches may be changed, to values that make sense
+        self.add_on_set_parameters_callback(self._judge)
+        self.add_post_set_parameters_callback(self._take)
         self._beat.start()
 
     def close(self) -> None:
@@ -58,19 +45,21 @@ class SimulatedCell(GuardedNode):
         self.get_logger().info("published " + ", ".join(f"{count} {topic}" for topic, count in counts.items()))
 
     def _speak(self, chosen: dict[str, Any]) -> None:
-        """Open every topic, service and timer."""
         text, chain = self._plant.text, self._plant.chain
         simulated, factor = chosen["publish_clock"], chosen["time_factor"] if chosen["publish_clock"] else 1.0
         if simulated and self.get_parameter("use_sim_time").value:
             raise BadTable("publish_clock with use_sim_time", "the cell would wait for itself", "leave one of them out")
-        self._time = CellTime(self, chosen["start_delay_s"], simulated, chosen["clock_start_s"], factor)
+        self._time = simulation.CellTime(self, chosen["start_delay_s"], simulated, chosen["clock_start_s"], factor)
         self._begun, self._done, self._factor = False, -chosen["start_delay_s"], factor
         self._least = chosen["min_subscribers"]
         fast, slow = chosen["joint_rate_hz"], chosen["tracker_rate_hz"]
-        self._joint_grid, self._tracker_grid = Grid(fast), Grid(slow, TRACKER_PHASE * slow / fast)
-        self._clock_grid, self._temperature_grid = Grid(chosen["clock_rate_hz"]), Grid(1.0)
+        self._joint_grid, self._tracker_grid = (
+            simulation.Grid(fast),
+            simulation.Grid(slow, simulation.TRACKER_PHASE * slow / fast),
+        )
+        self._clock_grid, self._temperature_grid = simulation.Grid(chosen["clock_rate_hz"]), simulation.Grid(1.0)
         self._clock_grid.start(self._done)
-        self._rates = Rates({"joint_states": self._joint_grid, "tracker": self._tracker_grid}, factor)
+        self._rates = simulation.Rates({"joint_states": self._joint_grid, "tracker": self._tracker_grid}, factor)
 
         points = chosen["measurement"] == "point"
         kind, topic = (PointStamped, "tracker/point") if points else (PoseStamped, "tracker/pose")
@@ -80,23 +69,22 @@ class SimulatedCell(GuardedNode):
         self._true_in_base = self.create_publisher(PoseStamped, "~/true_tool_in_base", _DEPTH)
         self._temperature = self.create_publisher(Temperature, "temperature", 10)
         self._time_topic = self.create_publisher(ClockMessage, "/clock", _DEPTH) if simulated else None
-        self._description = self.create_publisher(String, "robot_description", LATCHED)
+        self._description = self.create_publisher(String, "robot_description", ros.LATCHED)
         if text:
             self._description.publish(String(data=text))
-        self._states, self._readings = States(chain.names), Poses(TRACKER, points)
-        self._truths, self._truths_in_base = Poses(TRACKER), Poses(chain.base)
+        self._states, self._readings = simulation.States(chain.names), simulation.Poses(simulation.TRACKER, points)
+        self._truths, self._truths_in_base = simulation.Poses(simulation.TRACKER), simulation.Poses(chain.base)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._follow, 10)
         self.create_service(Trigger, "~/restart", self._restart)
-        Health(self, lambda: [self._rates.status()])
+        ros.Health(self, lambda: [self._rates.status()])
         period = max(_MIN_PERIOD, 1.0 / (max(fast, slow) * factor))
-        self._beat = Beat(period, self.guarded("beat", self._send_due), self.context.ok)
-
-    # time
+        self._beat = simulation.Beat(period, self.guarded("beat", self._send_due), self.context.ok)
 
     def _send_due(self) -> None:
         """Send what a busy machine held up as well, late and with the stamps that it should have had."""
         if not self._begun:
-            self._begun = self._heard() and self._time.begin()
+            heard = all(t.get_subscription_count() >= self._least for t in (self._joints, self._tracker))
+            self._begun = heard and self._time.begin()
             if not self._begun:
                 return
         now = self._time.now()
@@ -113,16 +101,12 @@ class SimulatedCell(GuardedNode):
                 self._time_topic.publish(message)
         self._plant.keep_going(self._done, until)
         for t in self._joint_grid.take(until):
-            self._send_joints(t)
+            self._joints.publish(self._states.fill(self._time.stamp(t), *self._plant.joints(t)))
         for t in self._tracker_grid.take(until):
             self._send_reading(t)
         for t in self._temperature_grid.take(until):
             self._send_temperature(t)
         self._done = until
-
-    def _heard(self) -> bool:
-        """Whether as many listen as it is to wait for."""
-        return all(topic.get_subscription_count() >= self._least for topic in (self._joints, self._tracker))
 
     def _jump(self, now: float) -> None:
         """Go on at another time, the arm as it is; postures of its own restart when time moves backwards."""
@@ -143,20 +127,14 @@ class SimulatedCell(GuardedNode):
         return answer
 
     def _follow(self, trajectory: JointTrajectory) -> None:
-        """Go through the points of a trajectory from where the arm is, or refuse the whole of it."""
         try:
-            wanted = legs(self._plant.chain, trajectory, self._plant.posture(self._done))
+            wanted = simulation.legs(self._plant.chain, trajectory, self._plant.posture(self._done))
         except ModcalError as error:
             self.get_logger().error(f"not followed: {error}")
             return
         if wanted:
             with self._beat.lock:
                 self._plant.go(wanted, self._done)
-
-    # what it says
-
-    def _send_joints(self, t: float) -> None:
-        self._joints.publish(self._states.fill(self._time.stamp(t), *self._plant.joints(t)))
 
     def _send_reading(self, t: float) -> None:
         when, T_base_tool = self._time.stamp(t), self._plant.tool(t)
@@ -172,18 +150,11 @@ class SimulatedCell(GuardedNode):
             return
         message = Temperature(temperature=felt[1])
         message.header.frame_id = felt[0]
-        stamp(message, self._time.stamp(t))
+        simulation.stamp(message, self._time.stamp(t))
         self._temperature.publish(message)
 
-    # parameters
-
-    def _settle_parameters(self) -> None:
-        """From here on the switches may be changed, to values that make sense."""
-        self.add_on_set_parameters_callback(self._judge)
-        self.add_post_set_parameters_callback(self._take)
-
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
-        wanted = {p.name: p.value for p in parameters if p.name in SWITCHES}
+        wanted = {p.name: p.value for p in parameters if p.name in simulation.SWITCHES}
         reason = self._switches.refusal(wanted)
         if reason is not None:
             self.get_logger().warning(f"{', '.join(wanted)} refused: {reason}")
@@ -191,7 +162,7 @@ class SimulatedCell(GuardedNode):
 
     def _take(self, parameters: list[Parameter]) -> None:
         for parameter in parameters:
-            if parameter.name in SWITCHES:
+            if parameter.name in simulation.SWITCHES:
                 before = self._switches.value(parameter.name)
                 with self._beat.lock:
                     self._switches.set(parameter.name, parameter.value, self._done)
@@ -201,4 +172,4 @@ class SimulatedCell(GuardedNode):
 
 def main() -> None:
     """Entry point of the executable."""
-    run(SimulatedCell)
+    ros.run(SimulatedCell)

@@ -17,20 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.robots import read_chain
-from modcal_nodes.ros import LATCHED, SIMULATED_FURNITURE, GuardedNode, Health, declare, run, values
-from modcal_nodes.simulation import (
-    Beat,
-    CellTime,
-    Grid,
-    Pulling,
-    Rates,
-    Servo,
-    States,
-    draw,
-    effort_limits,
-    legs,
-    stamp,
-)
+from modcal_nodes import ros, simulation
 
 _MAX_AT_ONCE = 0.1  # s of physics between two looks at what came in
 _LOST = 5.0  # s that are not made up for: the node's clock was set
@@ -44,52 +31,61 @@ HANDLE = "handle"  # frame of the true grasp
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
-class SimulatedFurniture(GuardedNode):
+class SimulatedFurniture(ros.GuardedNode):
     """Publishes joint_states, wrench, robot_description and the truth; follows joint_references, joint_trajectory."""
 
     def __init__(self) -> None:
         super().__init__("simulated_furniture")
-        declare(self, SIMULATED_FURNITURE)
-        chosen = values(self, SIMULATED_FURNITURE)
+        chosen = ros.declare(self, ros.SIMULATED_FURNITURE)
         file = Path(chosen["urdf"])
         if not file.is_file():
             raise BadTable(f"urdf '{file}'", "is not a file", "set the parameter urdf")
         text = file.read_text(encoding="utf-8")
         chain = read_chain(text, chosen["base"] or None, chosen["tip"] or None)
-        scene = draw(chain, np.random.default_rng(chosen["seed"]), chosen)
-        servo = Servo(effort_limits(text, chain.names), chosen["servo_stiffness"], chosen["servo_lag_s"])
+        scene = simulation.draw(chain, np.random.default_rng(chosen["seed"]), chosen)
+        servo = simulation.Servo(
+            simulation.effort_limits(text, chain.names), chosen["servo_stiffness"], chosen["servo_lag_s"]
+        )
         noise = np.random.default_rng(chosen["seed"] + 1)
-        self._world = Pulling.of(text, chain, scene, noise, servo, chosen["noise_n"], chosen["noise_nm"])
+        self._world = simulation.Pulling.of(text, chain, scene, noise, servo, chosen["noise_n"], chosen["noise_nm"])
         self._refused, self._reports_effort = "", chosen["publish_effort"]
 
         self._joints = self.create_publisher(JointState, "joint_states", _DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "wrench", _DEPTH)
         self._contact = self.create_publisher(WrenchStamped, "~/contact_force", _DEPTH)
         self._truth = self.create_publisher(JointState, "~/object_truth", _DEPTH)
-        self._description = self.create_publisher(String, "robot_description", LATCHED)
+        self._description = self.create_publisher(String, "robot_description", ros.LATCHED)
         self._description.publish(String(data=text))
-        self._states, self._truths = States(chain.names), States(self._world.object_joints)
+        self._states, self._truths = simulation.States(chain.names), simulation.States(self._world.object_joints)
         self._felt, self._grasp = WrenchStamped(), WrenchStamped()
         self._felt.header.frame_id, self._grasp.header.frame_id = chain.tip, HANDLE
         simulated, self._factor = chosen["publish_clock"], chosen["time_factor"]
         if simulated and self.get_parameter("use_sim_time").value:
             raise BadTable("publish_clock with use_sim_time", "it would wait for itself", "leave one of them out")
         self._clock_topic = self.create_publisher(ClockMessage, "/clock", _DEPTH) if simulated else None
-        self._speakers: list[tuple[Grid, Callable[[tuple[int, int]], None]]] = [
-            (Grid(chosen["joint_rate_hz"]), self._send_joints),
-            (Grid(chosen["wrench_rate_hz"]), self._send_wrench),
-            (Grid(chosen["truth_rate_hz"]), self._send_truth),
+        self._speakers: list[tuple[simulation.Grid, Callable[[tuple[int, int]], None]]] = [
+            (simulation.Grid(chosen["joint_rate_hz"]), self._send_joints),
+            (
+                simulation.Grid(chosen["wrench_rate_hz"]),
+                lambda when: self._wrench.publish(_filled(self._felt, when, self._world.wrench())),
+            ),
+            (simulation.Grid(chosen["truth_rate_hz"]), self._send_truth),
         ]
-        self._rates = Rates({"joint_states": self._speakers[0][0], "wrench": self._speakers[1][0]}, 1.0)
+        self._rates = simulation.Rates({"joint_states": self._speakers[0][0], "wrench": self._speakers[1][0]}, 1.0)
         if simulated:
-            self._speakers.insert(0, (Grid(chosen["clock_rate_hz"]), self._send_clock))
-        self._time, self._begun, self._done, self._offset = CellTime(self, 0.0, simulated, _START), False, 0.0, 0.0
+            self._speakers.insert(0, (simulation.Grid(chosen["clock_rate_hz"]), self._send_clock))
+        self._time, self._begun, self._done, self._offset = (
+            simulation.CellTime(self, 0.0, simulated, _START),
+            False,
+            0.0,
+            0.0,
+        )
         self._wall, self._own = time.monotonic(), 0.0
         self._keeps_step = bool(simulated and chosen["keep_step"])
         self._referred = (-_SILENCE, 0.0)  # wall and own time of the last reference
-        Health(self, lambda: [self._rates.status()])
+        ros.Health(self, lambda: [self._rates.status()])
         fastest = max(chosen["joint_rate_hz"], chosen["wrench_rate_hz"])
-        self._beat = Beat(
+        self._beat = simulation.Beat(
             1.0 / (fastest * (self._factor if simulated else 1.0)), self.guarded("beat", self._go_on), self.context.ok
         )
         self.create_subscription(JointTrajectoryPoint, "joint_references", self._refer, _NEWEST)
@@ -102,8 +98,6 @@ class SimulatedFurniture(GuardedNode):
         """Stand still, and say how far the object came."""
         self._beat.stop()
         self.get_logger().info(f"opened {self._world.opened:.4f}")
-
-    # time
 
     def _now(self) -> float:
         """Seconds since it began: the clock's, or simulated ones, which wait for a machine that is busy."""
@@ -136,8 +130,6 @@ class SimulatedFurniture(GuardedNode):
             speak(self._time.stamp(t))
         self._done = max(until, self._done)
 
-    # what it is told
-
     def _refer(self, point: JointTrajectoryPoint) -> None:
         with self._beat.lock:
             self._referred = time.monotonic(), self._done
@@ -145,10 +137,9 @@ class SimulatedFurniture(GuardedNode):
 
     def _follow(self, trajectory: JointTrajectory) -> None:
         with self._beat.lock:
-            self._obey(lambda: self._world.follow(legs(self._world.chain, trajectory)))
+            self._obey(lambda: self._world.follow(simulation.legs(self._world.chain, trajectory)))
 
     def _obey(self, act: Callable[[], None]) -> None:
-        """Do as told, or say once why not."""
         try:
             act()
             self._refused = ""
@@ -156,8 +147,6 @@ class SimulatedFurniture(GuardedNode):
             if error.limit != self._refused:
                 self.get_logger().error(f"not followed: {error}")
             self._refused = error.limit
-
-    # what it says
 
     def _send_clock(self, when: tuple[int, int]) -> None:
         assert self._clock_topic is not None
@@ -169,9 +158,6 @@ class SimulatedFurniture(GuardedNode):
         q, v = self._world.joints()
         self._joints.publish(self._states.fill(when, q, v, self._world.efforts() if self._reports_effort else None))
 
-    def _send_wrench(self, when: tuple[int, int]) -> None:
-        self._wrench.publish(_filled(self._felt, when, self._world.wrench()))
-
     def _send_truth(self, when: tuple[int, int]) -> None:
         self._contact.publish(_filled(self._grasp, when, self._world.peak()))
         self._world.forget()
@@ -179,7 +165,7 @@ class SimulatedFurniture(GuardedNode):
 
 
 def _filled(message: WrenchStamped, when: tuple[int, int], wrench: Array) -> WrenchStamped:
-    stamp(message, when)
+    simulation.stamp(message, when)
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench.tolist()
     return message
@@ -187,4 +173,4 @@ def _filled(message: WrenchStamped, when: tuple[int, int], wrench: Array) -> Wre
 
 def main() -> None:
     """Entry point of the executable."""
-    run(SimulatedFurniture)
+    ros.run(SimulatedFurniture)

@@ -18,50 +18,30 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from modcal_core.errors import ModcalError
 from modcal_core.measuring import TimedMotion
 from modcal_msgs_py import seconds, set_seconds
+from modcal_nodes import ros
 from modcal_nodes.measuring import StationSequence
-from modcal_nodes.ros import (
-    ERROR,
-    FRESH,
-    LATCHED,
-    OK,
-    STATION_RUNNER,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    declare,
-    follow,
-    run,
-    subscription_status,
-    values,
-)
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)  # a simulated time that stands must not keep an arm from being held
 
 
-class StationRunner(GuardedNode, LifecycleNode):
+class StationRunner(ros.GuardedNode, LifecycleNode):
     """Moves an arm from station to station. Nothing moves at launch, and nothing before a dry run was accepted."""
 
     def __init__(self) -> None:
         super().__init__("station_runner")
-        declare(self, STATION_RUNNER)
-        self._chosen = values(self, STATION_RUNNER)
+        self._chosen = ros.declare(self, ros.STATION_RUNNER)
         self._sequence = StationSequence(self._chosen, self._send, self._tell, self._now)
-        self._said, self._level = "not configured", OK
+        self._said, self._level = "not configured", ros.OK
         self._timer: Timer | None = None
-        self._inputs: list[MonitoredSubscription] = []
-        self._refusals = Refusals(self)
+        self._inputs: list[ros.MonitoredSubscription] = []
+        self._refusals = ros.Refusals(self)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
-        self._health = Health(self, self._report)
-        follow(self, STATION_RUNNER, self._chosen)
+        self._health = ros.Health(self, self._report)
+        ros.follow(self, ros.STATION_RUNNER, self._chosen)
         self.create_service(Trigger, "~/dry_run", self._show_dry_run)
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/stop", self._stop)
         self._auto: Timer | None = self.create_timer(0.0, self._begin_itself, clock=_STEADY)
-
-    # lifecycle
 
     def _begin_itself(self) -> None:
         """Configure and activate: it listens and makes its dry run, and moves nothing."""
@@ -77,18 +57,20 @@ class StationRunner(GuardedNode, LifecycleNode):
             pose = self._chosen["measurement"] == "pose"
             kind, topic = (PoseStamped, "tracker/pose") if pose else (PointStamped, "tracker/point")
             heard: list[tuple[type, str, Callable[[Any], None], Any, bool]] = [
-                (JointState, "joint_states", self._take_joints, FRESH, True),
-                (kind, topic, self._take_reading, FRESH, True),
+                (JointState, "joint_states", self._sequence.take_joints, ros.FRESH, True),
+                (kind, topic, self._take_reading, ros.FRESH, True),
             ]
             if self._chosen["robot_description"]:
                 self._sequence.describe(self._chosen["robot_description"])
             else:
-                heard.append((String, "robot_description", self._take_description, LATCHED, True))
+                heard.append(
+                    (String, "robot_description", lambda m: self._sequence.describe(m.data), ros.LATCHED, True)
+                )
             self._inputs = [
-                MonitoredSubscription(self, k, t, self._refusals.guarded(t, f), qos, needed=needed, single=True)
+                ros.MonitoredSubscription(self, k, t, self._refusals.guarded(t, f), qos, needed=needed, single=True)
                 for k, t, f, qos, needed in heard
             ]
-        self._tell(OK, "waiting for the robot description and joint states")
+        self._tell(ros.OK, "waiting for the robot description and joint states")
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -123,15 +105,12 @@ class StationRunner(GuardedNode, LifecycleNode):
             self.destroy_timer(self._timer)
             self._timer = None
 
-    # what it is asked
-
     def _show_dry_run(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """What the arm would do first; calling ~/start after this accepts it."""
         response.success, response.message = self._sequence.show(self._said)
         return response
 
     def _start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Begin, or go on after a hold."""
         try:
             self._sequence.start(self._said)
             response.success, response.message = True, "measuring"
@@ -140,17 +119,8 @@ class StationRunner(GuardedNode, LifecycleNode):
         return response
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Hold the arm where it is, at once."""
         response.success, response.message = True, "held" if self._sequence.stop() else "nothing moved"
         return response
-
-    # what it hears
-
-    def _take_description(self, message: String) -> None:
-        self._sequence.describe(message.data)
-
-    def _take_joints(self, message: JointState) -> None:
-        self._sequence.take_joints(message)
 
     def _take_reading(self, message: Any) -> None:
         if isinstance(message, PointStamped):
@@ -161,8 +131,6 @@ class StationRunner(GuardedNode, LifecycleNode):
             reading = np.array([p.x, p.y, p.z, r.x, r.y, r.z, r.w])
         self._sequence.take_reading(reading, seconds(message.header.stamp) or self._now())
 
-    # what it does and says
-
     def _tick(self) -> None:
         """One look at everything; a fault holds the arm."""
         try:
@@ -172,7 +140,7 @@ class StationRunner(GuardedNode, LifecycleNode):
                 raise
             said = self.faults.note("tick", error)
             self._sequence.halt(said)
-            self._tell(ERROR, said)
+            self._tell(ros.ERROR, said)
 
     def _send(self, motion: TimedMotion) -> None:
         message = JointTrajectory(joint_names=list(self._sequence.names))  # without a stamp: from now on
@@ -185,23 +153,23 @@ class StationRunner(GuardedNode, LifecycleNode):
     def _tell(self, level: bytes, said: str) -> None:
         if (level, said) != (self._level, self._said):
             log = self.get_logger()
-            if level == OK:
+            if level == ros.OK:
                 log.info(said)
-            elif level == WARN:
+            elif level == ros.WARN:
                 log.warning(said)
             else:
                 log.error(said)
         self._level, self._said = level, said
 
-    def _report(self) -> list[Status]:
+    def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
         return [
-            subscription_status(self._inputs),
-            Status("measuring", self._level, self._said, self._sequence.facts),
-            Status("inputs", WARN if refused else OK, refused or "nothing was refused"),
+            ros.subscription_status(self._inputs),
+            ros.Status("measuring", self._level, self._said, self._sequence.facts),
+            ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]
 
 
 def main() -> None:
     """Entry point of the executable."""
-    run(StationRunner)
+    ros.run(StationRunner)

@@ -14,33 +14,17 @@ from modcal_core.errors import BadCommand, BadTable
 from modcal_core.files import read_yaml
 from modcal_core.planning import Trajectory, trajectory_from_data
 from modcal_msgs_py import JointInput, set_seconds
-from modcal_nodes.ros import (
-    FRESH,
-    OK,
-    TRAJECTORY_SENDER,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    NodeEnds,
-    Refusals,
-    Status,
-    declare,
-    run,
-    subscription_status,
-    values,
-)
+from modcal_nodes import ros
 
 _PERIOD = 0.1  # s
 
 
-class TrajectorySender(GuardedNode):
+class TrajectorySender(ros.GuardedNode):
     """Waits for joint states and for a controller, sends the trajectory once to ``~/joint_trajectory``, and ends."""
 
     def __init__(self) -> None:
         super().__init__("trajectory_sender")
-        declare(self, TRAJECTORY_SENDER)
-        self._chosen = chosen = values(self, TRAJECTORY_SENDER)
+        self._chosen = chosen = ros.declare(self, ros.TRAJECTORY_SENDER)
         file = Path(chosen["trajectory"])
         if not file.is_file():
             raise BadTable(
@@ -51,11 +35,13 @@ class TrajectorySender(GuardedNode):
         self._at = self._begun = time.monotonic()
         unlimited = np.full(len(self._planned.names), np.inf)
         self._joints = JointInput(self._planned.names, -unlimited, unlimited)
-        self._refusals = Refusals(self)
+        self._refusals = ros.Refusals(self)
         self._trajectory = self.create_publisher(JointTrajectory, "~/joint_trajectory", 10)
         heard = self._refusals.guarded("joint_states", self._take_joints)
-        self._inputs = [MonitoredSubscription(self, JointState, "joint_states", heard, FRESH, needed=True, single=True)]
-        self._health = Health(self, self._report)
+        self._inputs = [
+            ros.MonitoredSubscription(self, JointState, "joint_states", heard, ros.FRESH, needed=True, single=True)
+        ]
+        self._health = ros.Health(self, self._report)
         self.create_timer(_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _take_joints(self, message: JointState) -> None:
@@ -67,14 +53,14 @@ class TrajectorySender(GuardedNode):
         if self._sent is None:
             if lacks := self._lacks():
                 if now - self._begun > patience:
-                    raise NodeEnds(
+                    raise ros.NodeEnds(
                         BadCommand("trajectory", f"was not sent: {lacks}", "clear the cause, and start again")
                     )
                 return
             try:
                 self._send()
             except BadCommand as error:
-                raise NodeEnds(error) from error
+                raise ros.NodeEnds(error) from error
             return
         off = np.abs(self._joints.position - self._sent.q[-1])
         if now - self._at < self._sent.t[-1]:
@@ -86,7 +72,7 @@ class TrajectorySender(GuardedNode):
         if now - self._at > self._sent.t[-1] + patience:
             worst = int(np.argmax(off))
             said = f"{off[worst]:.3g} from the last point" if fresh else "is no longer received"
-            raise NodeEnds(BadCommand(f"joint {self._sent.names[worst]}", said, "check the controller's log"))
+            raise ros.NodeEnds(BadCommand(f"joint {self._sent.names[worst]}", said, "check the controller's log"))
 
     def _lacks(self) -> str:
         if missing := self._joints.missing():
@@ -109,14 +95,16 @@ class TrajectorySender(GuardedNode):
         self._sent, self._at = ready, time.monotonic()
         self.get_logger().info(f"{len(ready.t)} points sent to {self._trajectory.topic_name}, {ready.t[-1]:.1f} s")
 
-    def _report(self) -> list[Status]:
+    def _report(self) -> list[ros.Status]:
         if self._sent is None:
-            line = Status("trajectory", WARN, f"waiting: {self._lacks() or 'to send'}")
+            line = ros.Status("trajectory", ros.WARN, f"waiting: {self._lacks() or 'to send'}")
         else:
-            line = Status("trajectory", OK, f"sent, {time.monotonic() - self._at:.0f} of {self._sent.t[-1]:.0f} s ago")
-        return [subscription_status(self._inputs), line]
+            line = ros.Status(
+                "trajectory", ros.OK, f"sent, {time.monotonic() - self._at:.0f} of {self._sent.t[-1]:.0f} s ago"
+            )
+        return [ros.subscription_status(self._inputs), line]
 
 
 def main() -> None:
     """Entry point of the executable."""
-    run(TrajectorySender)
+    ros.run(TrajectorySender)

@@ -20,27 +20,9 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE, Approach
 from modcal_msgs_py import JointInput, SignalsHeard
+from modcal_nodes import ros
 from modcal_nodes.calibrating import KnownArm
 from modcal_nodes.io import parse_calibration
-from modcal_nodes.ros import (
-    ERROR,
-    LATCHED,
-    OK,
-    SENSOR,
-    VIEWER,
-    WARN,
-    GuardedNode,
-    Health,
-    MonitoredSubscription,
-    Refusals,
-    Status,
-    declare,
-    follow,
-    run,
-    subscription_status,
-    tracker_status,
-    values,
-)
 from modcal_nodes.viewing import JudgedStations, Stations, drawing
 
 _REST = 0.003  # s
@@ -49,13 +31,12 @@ _NOTHING_YET = "no calibration yet: run a calibrator beside this node, or remap 
 _NO_ARM_YET = "publish robot_description (latched) and joint_states"
 
 
-class Viewer(GuardedNode):
+class Viewer(ros.GuardedNode):
     """Publishes pictures of residuals, stations, joint axes and uncertainty in the arm's base link."""
 
     def __init__(self) -> None:
         super().__init__("viewer")
-        declare(self, VIEWER)
-        self._chosen = chosen = values(self, VIEWER)
+        self._chosen = chosen = ros.declare(self, ros.VIEWER)
         self._urdf, self._names = chosen["robot_description"], frozenset[str]()
         self._calibration: Calibration | None = None
         self._text = self._change = self._missing = self._unseen = self._frame = ""
@@ -67,46 +48,54 @@ class Viewer(GuardedNode):
         self._shapes: dict[float, tuple[Array, Array]] = {}  # ellipsoids at the last stations, by their stamps
         self._around_stations: list[Marker] = []
         self._look_at(chosen["base"], chosen["tip"])
-        follow(self, VIEWER, chosen, take=self._take_parameters)
-        self._refusals = Refusals(self, lambda: self._health.publish_if_changed())
+        ros.follow(self, ros.VIEWER, chosen, take=self._take_parameters)
+        self._refusals = ros.Refusals(self, lambda: self._health.publish_if_changed())
 
-        self._residuals = self.create_publisher(MarkerArray, "~/residuals", LATCHED)
-        self._dots = self.create_publisher(MarkerArray, "~/stations", LATCHED)
+        self._residuals = self.create_publisher(MarkerArray, "~/residuals", ros.LATCHED)
+        self._dots = self.create_publisher(MarkerArray, "~/stations", ros.LATCHED)
         self._axes = self.create_publisher(MarkerArray, "~/axes", 10)
         self._ellipsoids = self.create_publisher(MarkerArray, "~/uncertainty", 10)
         self._inputs = self._listen()
-        self._health = Health(self, self._report)
+        self._health = ros.Health(self, self._report)
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_timer(1.0 / chosen["rate_hz"], self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _listen(self) -> list[MonitoredSubscription]:
+    def _listen(self) -> list[ros.MonitoredSubscription]:
         guarded = self._refusals.guarded
         readings = {"tracker/pose": (PoseStamped, POSE), "tracker/point": (PointStamped, POINT)}
         inputs = [
-            MonitoredSubscription(self, JointState, "joint_states", self._take_joints, SENSOR, needed=True, single=True)
+            ros.MonitoredSubscription(
+                self, JointState, "joint_states", self._take_joints, ros.SENSOR, needed=True, single=True
+            )
         ]
         for topic, (message, kind) in readings.items():
             inputs.append(
-                MonitoredSubscription(self, message, topic, guarded(topic, partial(self._take_reading, kind)), SENSOR)
+                ros.MonitoredSubscription(
+                    self, message, topic, guarded(topic, partial(self._take_reading, kind)), ros.SENSOR
+                )
             )
         heat = guarded("temperature", lambda m: self._signals.hear_temperature(m, self._now()))
-        inputs.append(MonitoredSubscription(self, Temperature, "temperature", heat, SENSOR))
+        inputs.append(ros.MonitoredSubscription(self, Temperature, "temperature", heat, ros.SENSOR))
         inputs.append(
-            MonitoredSubscription(self, String, "calibrator/calibration", self._take_calibration, LATCHED, single=True)
+            ros.MonitoredSubscription(
+                self, String, "calibrator/calibration", self._take_calibration, ros.LATCHED, single=True
+            )
         )
         inputs.append(
-            MonitoredSubscription(self, String, "calibrator/change", guarded("change", self._take_change), LATCHED)
+            ros.MonitoredSubscription(
+                self, String, "calibrator/change", guarded("change", self._take_change), ros.LATCHED
+            )
         )
         needed = not self._chosen["robot_description"]
         inputs.append(
-            MonitoredSubscription(self, String, "robot_description", self._take_description, LATCHED, needed=needed)
+            ros.MonitoredSubscription(
+                self, String, "robot_description", self._take_description, ros.LATCHED, needed=needed
+            )
         )
         return inputs
 
     def _take_parameters(self) -> None:
         self._dirty = True
-
-    # arm and calibration
 
     def _look_at(self, base: str, tip: str) -> None:
         """Start over with the arm between these links; what was seen of another one is forgotten."""
@@ -168,13 +157,10 @@ class Viewer(GuardedNode):
         self._change, self._dirty = said if isinstance(said, str) else "", True
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Forget the stations that are shown."""
         self._stations.clear()
         self._dirty = True
         response.success, response.message = True, "stations forgotten"
         return response
-
-    # what it hears
 
     def _take_joints(self, message: JointState) -> None:
         if not self._names.issuperset(message.name):
@@ -203,17 +189,13 @@ class Viewer(GuardedNode):
         for sample in self._arm.stream.take() if self._arm.stream else ():
             self._dirty = self._stations.add(sample) or self._dirty
 
-    # what it shows
-
     def _tick(self) -> None:
-        """Draw what is new, and the arm as it stands."""
         if self._dirty:
             self._dirty = False
             self._draw_stations()
         self._draw_posture()
 
     def _draw_stations(self) -> None:
-        """Publish residuals and stations, of the calibration in use."""
         chain, robot, chosen = self._arm.serial, self._robot, self._chosen
         self._judged, self._around_stations, self._missing = None, [], ""
         self._frame = chain.base if chain else self._frame
@@ -265,26 +247,21 @@ class Viewer(GuardedNode):
         at = joints.position.copy(), joints.velocity.copy(), came.copy(), joints.effort.copy()
         return ArmState(now, *at, self._signals.tracks(needs))
 
-    # what it says of itself
+    def _report(self) -> list[ros.Status]:
+        heard = ros.tracker_status(ros.subscription_status(self._inputs), self._inputs)
+        return [heard, self._calibration_status(), self._view_status()]
 
-    def _report(self) -> list[Status]:
-        return [
-            tracker_status(subscription_status(self._inputs), self._inputs),
-            self._calibration_status(),
-            self._view_status(),
-        ]
-
-    def _calibration_status(self) -> Status:
+    def _calibration_status(self) -> ros.Status:
         if self._robot is None:
-            level = WARN if self._calibration is None else ERROR
-            return Status("calibration", level, self._refusals.recent("calibration") or self._refusal)
+            level = ros.WARN if self._calibration is None else ros.ERROR
+            return ros.Status("calibration", level, self._refusals.recent("calibration") or self._refusal)
         calibration = self._robot.correction.calibration
         said = self._refusals.recent("calibration") or self._missing
         if not said and calibration.uncertainty is None:
             said = "has no uncertainty, so ellipsoids show scatter only: calibrate again"
-        return Status("calibration", WARN if said else OK, said or "in use", {"robot": calibration.robot})
+        return ros.Status("calibration", ros.WARN if said else ros.OK, said or "in use", {"robot": calibration.robot})
 
-    def _view_status(self) -> Status:
+    def _view_status(self) -> ros.Status:
         facts: dict[str, object] = {"stations": len(self._stations), "refused": self._refusals.counts.total()}
         if self._judged is not None:
             calibrated, nominal = self._judged.calibrated, self._judged.nominal
@@ -296,9 +273,9 @@ class Viewer(GuardedNode):
             known = ", ".join(self._robot.correction.model.frames) if self._robot else ""
             strange = ", ".join(f"'{name}'" for name in self._judged.strangers)
             said = f"readings in frame {strange} are not shown: the calibration knows {known}: calibrate with them"
-        return Status("view", WARN if said else OK, said or "is drawn", facts)
+        return ros.Status("view", ros.WARN if said else ros.OK, said or "is drawn", facts)
 
 
 def main() -> None:
     """Entry point of the executable."""
-    run(Viewer, rest=_REST)
+    ros.run(Viewer, rest=_REST)

@@ -5,13 +5,12 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.ros.declaring import declare, follow, values
+    from modcal_nodes.ros.declaring import declare, follow
     from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, Refusals, noted
     from modcal_nodes.ros.launch_files import LAUNCHES
-    from modcal_nodes.ros.parameter import Parameter
     from modcal_nodes.ros.parameters import ACCELERATION_LIMITS, ARTICULATION_ESTIMATOR, BOARD_DETECTOR, CALIBRATOR
     from modcal_nodes.ros.parameters import CORRECTOR, DOOR_DEMO, IMPEDANCE_SETPOINT, RECORDER, SIMULATED_CELL
-    from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, STATION_RUNNER, TRAJECTORY_SENDER, VIEWER
+    from modcal_nodes.ros.parameters import SIMULATED_FURNITURE, STATION_RUNNER, TRAJECTORY_SENDER, VIEWER, Parameter
     from modcal_nodes.ros.running import FRESH, LATCHED, SENSOR, run, settle_in
     from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Health, MonitoredSubscription, Status, always
     from modcal_nodes.ros.subscriptions import subscription_status, tracker_status
@@ -27,4 +26,4 @@ __all__ += ["ERROR", "FRESH", "IMPEDANCE_SETPOINT", "LATCHED", "LAUNCHES", "OK",
 __all__ += ["SIMULATED_CELL", "SIMULATED_FURNITURE", "STATION_RUNNER", "TRAJECTORY_SENDER", "UNHEARD", "VIEWER"]
 __all__ += ["WARN", "Broadcaster", "Complaint", "GuardedNode", "Health", "MonitoredSubscription", "NodeEnds"]
 __all__ += ["Parameter", "Refusals", "Status", "Taken", "TopicRecorder", "always", "corrected_frame", "declare"]
-__all__ += ["follow", "noted", "run", "settle_in", "static_frames", "subscription_status", "tracker_status", "values"]
+__all__ += ["follow", "noted", "run", "settle_in", "static_frames", "subscription_status", "tracker_status"]

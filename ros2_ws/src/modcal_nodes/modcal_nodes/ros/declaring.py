@@ -11,12 +11,11 @@ from rclpy.node import Node
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.guarded import GuardedNode
-from modcal_nodes.ros.parameter import Parameter
-from modcal_nodes.ros.parameters import NODES
+from modcal_nodes.ros.parameters import NODES, Parameter
 
 
-def declare(node: Node, parameters: dict[str, Parameter]) -> None:
-    """Declare these parameters on a node, with their bounds; a value outside them is refused by rclpy."""
+def declare(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
+    """Declare these parameters on a node, with their bounds; returns their values. rclpy refuses one outside them."""
     for name, parameter in parameters.items():
         descriptor = ParameterDescriptor(description=parameter.description, read_only=not parameter.live)
         if parameter.low is not None and parameter.high is not None:
@@ -28,6 +27,7 @@ def declare(node: Node, parameters: dict[str, Parameter]) -> None:
                 descriptor.floating_point_range = [span]
         node.declare_parameter(name, parameter.default, descriptor)
     _warn_of_unknown(node, parameters)
+    return {name: node.get_parameter(name).value for name in parameters}
 
 
 def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
@@ -47,11 +47,6 @@ def _warn_of_unknown(node: Node, parameters: dict[str, Parameter]) -> None:
         text = f"parameters without effect: {'; '.join(said)}: correct the name, or leave it out"
         node.get_logger().warning(text)
         node.parameters_without_effect = text
-
-
-def values(node: Node, parameters: dict[str, Parameter]) -> dict[str, Any]:
-    """The present values of these parameters."""
-    return {name: node.get_parameter(name).value for name in parameters}
 
 
 def follow(

@@ -29,8 +29,6 @@ from rclpy.subscription import Subscription
 
 from modcal_core.errors import ModcalError
 
-# --- Messages that wait behind the one a callback was given
-
 
 def waiting(subscription: Subscription, most: int, raw: bool = False) -> list[tuple[Any, dict[str, Any]]]:
     """(message, info) of at most so many messages that have arrived; raw: as CDR bytes.
@@ -174,7 +172,6 @@ class GuardedNode(Node):
         return False
 
     def _now(self) -> float:
-        """The time of its clock [s]."""
         return 1e-9 * self.get_clock().now().nanoseconds
 
     def take_time(self) -> None:
@@ -296,8 +293,6 @@ def _refusal(request: Any, response: Any, said: str) -> Any:
     return answer
 
 
-# --- What a node has refused: said in the log, counted, and told on ``/diagnostics`` for a while
-
 _SAID_FOR = 5.0  # s that diagnostics go on telling of a refusal
 _REFUSALS_THROTTLE = 2.0  # s between two lines in the log
 
@@ -340,9 +335,6 @@ class Refusals:
         """What was refused of late of these parts, or of all; nothing if nothing was."""
         since = time.monotonic() - _SAID_FOR
         return "; ".join(said for part, (at, said) in self._said.items() if at >= since and part in (parts or [part]))
-
-
-# --- Transitions of a lifecycle node whose exceptions are said and counted; rclpy would keep them to itself
 
 
 def noted(transition: Callable[[Any, LifecycleState], TransitionCallbackReturn]) -> Callable[..., Any]:

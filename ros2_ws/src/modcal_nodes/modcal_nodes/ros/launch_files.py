@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +37,8 @@ class Launch:
 
     nodes: tuple[str, ...]
     arguments: tuple[Argument, ...]
-    fixed: Mapping[str, Mapping[str, Any]]
-    remaps: Mapping[str, tuple[tuple[str, str], ...]]
+    fixed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    remaps: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
 
 def _sets(name: str, about: str, *nodes: str, parameter: str = "", default: str = "") -> Argument:
@@ -83,8 +83,6 @@ LAUNCHES: dict[str, Launch] = {
             _sets("bag", "folder of the bag; must not exist; empty: modcal_ and the time", "recorder", parameter="out"),
             *_heard("calibrator"),
         ),
-        {},
-        {},
     ),
     "correct": Launch(
         ("corrector",),
@@ -96,8 +94,7 @@ LAUNCHES: dict[str, Launch] = {
             _topic("command", "~/joint_trajectory", "topic that commands are sent to", "corrector"),
             *_heard("corrector", topics=_JOINTS),
         ),
-        {},
-        {"corrector": (("calibration", "calibrator/calibration"),)},
+        remaps={"corrector": (("calibration", "calibrator/calibration"),)},
     ),
     "limits": Launch(
         ("acceleration_limits",),
@@ -106,8 +103,6 @@ LAUNCHES: dict[str, Launch] = {
             _sets("payload_kg", "mass that the arm carries [kg]", "acceleration_limits"),
             *_heard("acceleration_limits", topics=_JOINTS),
         ),
-        {},
-        {},
     ),
     "articulate": Launch(
         _PULL,
@@ -129,8 +124,6 @@ LAUNCHES: dict[str, Launch] = {
     "view": Launch(
         ("viewer",),
         (*_arm("viewer"), _sets("arrow_scale", "magnification of errors", "viewer"), *_heard("viewer")),
-        {},
-        {},
     ),
     "cell": Launch(
         ("simulated_cell",),
@@ -144,7 +137,6 @@ LAUNCHES: dict[str, Launch] = {
             ),
         ),
         {"simulated_cell": {"urdf": "robots/panda.urdf"}},
-        {},
     ),
     "door_demo": Launch(
         ("simulated_furniture", *_PULL, "door_demo"),
@@ -218,7 +210,6 @@ def _boolean(name: str, text: str) -> bool:
 
 
 def _typed(node: str, name: str, text: str) -> Any:
-    """A launch argument as the type that its parameter has."""
     default = NODES[node][name].default
     try:
         if isinstance(default, bool):

@@ -24,7 +24,6 @@ from rclpy.executors import (
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.task import Task
-from rclpy.timer import Timer
 
 from modcal_nodes.ros.guarded import GuardedNode
 
@@ -79,14 +78,15 @@ class RestingExecutor(SingleThreadedExecutor):
                     if not timer.callback_group.can_execute(timer):
                         continue
                     ran = True
-                    _call(timer)
+                    with timer.handle:
+                        timer.handle.call_timer()
+                    timer.callback()
                     wait = timer.time_until_next_call()
                 if wait is not None:
                     until = min(until, 1e-9 * wait)
         return ran, time.monotonic() + until
 
     def _answer(self) -> None:
-        """Answer the requests that have come."""
         for service in list(self._node.services):
             if not service.callback_group.can_execute(service):
                 continue
@@ -106,13 +106,6 @@ class RestingExecutor(SingleThreadedExecutor):
         return True
 
 
-def _call(timer: Timer) -> None:
-    """Run a timer's callback, and raise what it raises."""
-    with timer.handle:
-        timer.handle.call_timer()
-    timer.callback()
-
-
 def _answering(request: Any, header: Any) -> Any:
     """What rclpy makes of a request that was taken: from its service a coroutine function that answers it."""
 
@@ -127,7 +120,6 @@ def _answering(request: Any, header: Any) -> Any:
 
 
 def _run(handler: Task[Any]) -> None:
-    """Run a callback, and raise what it raises."""
     handler()
     if (error := handler.exception()) is not None:
         raise error

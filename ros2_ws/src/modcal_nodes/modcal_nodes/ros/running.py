@@ -28,11 +28,8 @@ from rclpy.utilities import remove_ros_args
 
 from modcal_core.errors import ModcalError
 from modcal_nodes.ros.guarded import GuardedNode, NodeEnds, described
-from modcal_nodes.ros.parameter import Parameter
 from modcal_nodes.ros.parameters import NODES
 from modcal_nodes.ros.resting import RestingExecutor
-
-# --- Signals that ask a process to end
 
 _PATIENCE = 10.0  # s after the first signal, from which another one interrupts what hangs
 
@@ -71,8 +68,6 @@ class SignalGuard:
         threading.Thread(target=listen, name="signals", daemon=True).start()
 
 
-# --- What ``--help`` says of an executable, and what is said of arguments that none of them has
-
 _WIDTH = 120
 _ROS = (
     "  --ros-args -p NAME:=VALUE          a parameter",
@@ -109,19 +104,16 @@ def help_text(name: str, make: Callable[[], Any]) -> str:
     lines = [f"usage: ros2 run modcal_nodes {name} [--ros-args ...]", "", *about, "", *_ROS]
     if parameters := NODES.get(name):
         lines += ["", "Parameters (those marked * may be changed while it runs):"]
-        lines += [line for key, parameter in parameters.items() for line in _told(key, parameter)]
+        for key, parameter in parameters.items():
+            default = parameter.default if parameter.default != "" else '""'
+            bounds = "" if parameter.low is None else f", {parameter.low:g} to {parameter.high:g}"
+            lines += [f" {'*' if parameter.live else ' '}{key} ({default}{bounds})"]
+            lines += [f"      {parameter.description}"[:_WIDTH]]
     lines += [
         "",
         "Exit code 0: stopped on request. 2: unusable parameters, files or disk, one line on stderr. 1: a fault.",
     ]
     return "\n".join(lines)
-
-
-def _told(name: str, parameter: Parameter) -> list[str]:
-    default = parameter.default if parameter.default != "" else '""'
-    bounds = "" if parameter.low is None else f", {parameter.low:g} to {parameter.high:g}"
-    star = "*" if parameter.live else " "
-    return [f" {star}{name} ({default}{bounds})", f"      {parameter.description}"[:_WIDTH]]
 
 
 RCLError = rclpy_implementation.RCLError
@@ -208,9 +200,6 @@ def _close(node: Node | None) -> int:
     finally:
         node.destroy_node()
     return 0
-
-
-# --- Processes of our own: what each does first
 
 
 def settle_in(yielding: int = 0) -> None:

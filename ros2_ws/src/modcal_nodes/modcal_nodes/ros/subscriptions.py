@@ -22,8 +22,6 @@ from sensor_msgs.msg import JointState
 from modcal_msgs_py import JointStateBytes
 from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, is_latched, waiting
 
-# --- What a node reports on ``/diagnostics``, once a second and at once when it gets better or worse
-
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
 
@@ -164,18 +162,14 @@ class MonitoredSubscription:
         return self.count - before
 
     def _take_all(self, told: list[Any]) -> None:
-        """Hand on what is needed of messages that came together."""
         messages = told
         if len(told) > 1 and self._read is not None and self._replaced is not None:
             messages = self._read.needed(told, self._replaced)
             self.count += len(told) - len(messages)
         for message in messages:
-            self._take(message)
-
-    def _take(self, message: Any) -> None:
-        self.count += 1
-        self._last = time.monotonic()
-        self._callback(message if self._read is None else self._read(message))
+            self.count += 1
+            self._last = time.monotonic()
+            self._callback(message if self._read is None else self._read(message))
 
     def _mismatch(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         try:
@@ -194,7 +188,6 @@ class MonitoredSubscription:
             self._node.get_logger().error(f"{self.topic}: {self.incompatible}")
 
     def _settle_for_less(self, kind: QoSPolicyKind) -> None:
-        """Subscribe so that this publisher is received as well."""
         assert self._less is not None
         self._less.cancel()
         qos = QoSProfile(

@@ -83,9 +83,6 @@ class Parents:
                 raise BadTable(f"frame {frame.child}", f"is above {frame.parent} already", "set publish_tf: false")
 
 
-# --- Frames to /tf and /tf_static, where tf2_msgs is installed, which it is not from wheels
-
-
 class Broadcaster:
     """Publishes frames, unless they belong to somebody else already. trouble: why they are not published."""
 

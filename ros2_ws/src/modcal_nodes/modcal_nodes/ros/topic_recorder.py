@@ -223,10 +223,9 @@ class TopicRecorder:
 
     def poll(self) -> int:
         """Take what has arrived, without an executor; how many messages that were."""
-        return sum(self._take_behind(offer, subscription) for offer, subscription in self._subscriptions())
-
-    def _subscriptions(self) -> list[tuple[Offer, Subscription]]:
-        return [*self._inputs.items(), *self._spares]
+        return sum(
+            self._take_behind(offer, subscription) for offer, subscription in [*self._inputs.items(), *self._spares]
+        )
 
     def _take_behind(self, offer: Offer, subscription: Subscription, more: int = 0) -> int:
         for behind in waiting(subscription, self._node.most_at_once, raw=True):
@@ -254,7 +253,6 @@ class TopicRecorder:
         self._take(taken)
 
     def _known(self, published: int, cdr: bytes) -> bool:
-        """Whether this message came before; it is remembered."""
         key = (published, hash(cdr))
         if key in self._seen:
             return True
@@ -278,7 +276,6 @@ class TopicRecorder:
 
 
 def _message_class(name: str) -> Any:
-    """The class of a message type; None when it is not installed."""
     package, _, message = name.partition("/msg/")
     try:
         return getattr(import_module(f"{package}.msg"), message, None)

@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_nodes.setpoint.arm import JointEfforts, JointSoftness, limits, task
-    from modcal_nodes.setpoint.arm_inputs import ArmInputs, require_changeable
-    from modcal_nodes.setpoint.publishers import SetpointPublishers
+    from modcal_nodes.setpoint.arm_inputs import ArmInputs, SetpointPublishers, require_changeable
 else:
     from modcal_core.lazy import lazy_face
 

@@ -62,7 +62,8 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
     """The task that parameters ask for. Raises ModcalError for values that make no sense together."""
     if chosen["mode"] not in ("expected", "admittance"):
         raise BadTable(f"mode '{chosen['mode']}'", "is neither expected nor admittance", "set one of them")
-    chosen = {**chosen, **_forces(chosen)}
+    for name, share in (("slowdown_force_n", _SLOWS), ("stop_force_n", _STANDS)):  # as asked, or shares of the most
+        chosen = {**chosen, name: chosen[name] or share * chosen["max_force_n"]}
     for what in ("force_n", "moment_nm"):
         names = [f"{name}_{what}" for name in ("slowdown", "stop", "max")]
         slow, stop, most = (chosen[name] for name in names)
@@ -105,12 +106,6 @@ def task(chosen: dict[str, Any]) -> ImpedanceTask:
     return out
 
 
-def _forces(chosen: dict[str, Any]) -> dict[str, float]:
-    """From which force on the pull slows down, and at which it stands [N]: as asked, or shares of the most."""
-    shares = {"slowdown_force_n": _SLOWS, "stop_force_n": _STANDS}
-    return {name: chosen[name] or share * chosen["max_force_n"] for name, share in shares.items()}
-
-
 def _require_damping(asked: ImpedanceTask) -> None:
     """Raises BadTable for a damping with which contact would swing: below the servo's stiffness times its lag."""
     along, across, turning = asked.damping
@@ -150,9 +145,6 @@ def _three(name: str, chosen: dict[str, Any]) -> tuple[float, float, float]:
     return a, b, c
 
 
-# --- What is known of an arm's joints by which their efforts show a force; or why nothing tells
-
-
 @dataclass(frozen=True)
 class JointEfforts:
     """arm: what is known, None where that is not enough. unknown: why not, as text."""
@@ -180,8 +172,6 @@ class JointEfforts:
         check = operation.tool_force.efforts
         return (self.unknown or check.unusable) or f"{check.force:.1f}"
 
-
-# --- How soft the servos of an arm's joints may be, by which a force that is not felt is judged; or why nothing tells
 
 _FEW = 3  # joints of one effort are made alike; all of more than that, from shoulder to wrist, are a placeholder
 

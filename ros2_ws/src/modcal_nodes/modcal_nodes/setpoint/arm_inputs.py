@@ -1,4 +1,4 @@
-"""Inputs of ``impedance_setpoint`` from one arm: its joints, the wrench at its wrist, and where its tool is."""
+"""What ``impedance_setpoint`` hears of one arm (joints, wrench, tool) and the topics on which it says what to do."""
 
 from __future__ import annotations
 
@@ -6,14 +6,25 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
+from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array
-from modcal_core.impedance import JointPositions
+from modcal_core.impedance import ArmSetpoint, JointPositions
 from modcal_core.robots import pose_and_jacobian
-from modcal_msgs_py import JointInput, desired_pose, seconds, wrench_numbers
+from modcal_msgs_py import (
+    JointInput,
+    desired_pose,
+    fill_point,
+    fill_target,
+    fill_wrench,
+    seconds,
+    set_seconds,
+    wrench_numbers,
+)
 from modcal_nodes.setpoint.arm import SensedArm
 
 
@@ -74,8 +85,6 @@ class ArmInputs:
         self.measured(now)
 
 
-# --- Which parameters of ``impedance_setpoint`` may change, and when: some at once, some between pulls, some never
-
 _AT_CONFIGURE = (
     "base", "tip", "calibrated", "tool_mass", "tool_centre", "wrench_frame", "wrench_by_tool", "cutoff_hz", "timeout_s",
     "rate_hz",
@@ -101,3 +110,43 @@ def require_changeable(new: Mapping[str, Any], now: Mapping[str, Any], configure
     for name in changed:
         if name in _AT_CONFIGURE and configured:
             raise BadCommand(f"parameter {name}", "is read when the node is configured", "clean it up first")
+
+
+class SetpointPublishers:
+    """One setpoint in the forms that controllers take: pose, wrench and stiffness, or joint references."""
+
+    def __init__(self, node: LifecycleNode) -> None:
+        self._node = node
+        self._pose = node.create_lifecycle_publisher(PoseStamped, "~/target_pose", 1)
+        self._wrench = node.create_lifecycle_publisher(WrenchStamped, "~/target_wrench", 1)
+        self._stiffness = node.create_lifecycle_publisher(WrenchStamped, "~/target_stiffness", 1)
+        self._references = node.create_lifecycle_publisher(JointTrajectoryPoint, "~/joint_references", 1)
+        self._trajectory = node.create_lifecycle_publisher(JointTrajectory, "~/joint_trajectory", 1)
+
+    @property
+    def stiffness_taken(self) -> bool:
+        """Whether somebody listens to the stiffness that is asked for, as a stack that holds the tool's axes does."""
+        return bool(self._stiffness.get_subscription_count())
+
+    def send(self, setpoint: ArmSetpoint, tip: str, now: float, period: float, horizon: float) -> None:
+        """Publish a setpoint of the frame tip at this time [s]. period: until the next [s]. horizon: of a trajectory's
+        point [s].
+        """
+        self._references.publish(fill_point(JointTrajectoryPoint(), setpoint, period))
+        # a stack listens to one or two of these; a message that nobody hears costs as much as one that is heard
+        if self._trajectory.get_subscription_count():
+            trajectory = JointTrajectory(joint_names=list(setpoint.names))
+            set_seconds(trajectory.header.stamp, now)
+            trajectory.points = [fill_point(JointTrajectoryPoint(), setpoint, horizon, with_speed=False)]
+            self._trajectory.publish(trajectory)
+        if self._pose.get_subscription_count():
+            self._pose.publish(fill_target(PoseStamped(), setpoint, now))
+        if self._wrench.get_subscription_count():
+            self._wrench.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.wrench))
+        if self._stiffness.get_subscription_count():
+            self._stiffness.publish(fill_wrench(WrenchStamped(), tip, now, setpoint.stiffness))
+
+    def close(self) -> None:
+        """Take the topics away."""
+        for publisher in (self._pose, self._wrench, self._stiffness, self._references, self._trajectory):
+            self._node.destroy_lifecycle_publisher(publisher)

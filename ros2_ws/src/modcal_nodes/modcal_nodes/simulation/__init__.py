@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_nodes.simulation.furniture import draw
-    from modcal_nodes.simulation.furniture_mjcf import Servo
+    from modcal_nodes.simulation.mjcf import Servo
     from modcal_nodes.simulation.plant import SWITCHES, TRACKER, TRACKER_PHASE, Beat, CellTime, Grid, Plant, Rates
     from modcal_nodes.simulation.program import legs
     from modcal_nodes.simulation.pulling import PullRecord, Pulling, effort_limits

@@ -32,8 +32,6 @@ from modcal_core.robots import (
 from modcal_nodes.simulation.machine import Machine, tracker_and_tool
 from modcal_nodes.simulation.mjcf import NO_MASS, PAYLOAD, placed, text
 
-# --- MJCF text of a Delta as it is built: six rods with ball joints at both ends, a free platform, a shaft in it
-
 PLATFORM_RADIUS = 0.05  # m; it may be anything, for only the difference of the radii shows
 ROD_SPACING = 0.04  # m, from the middle of an elbow to a rod
 PLATFORM_KG = 2.0
@@ -99,7 +97,6 @@ def delta_mjcf(true: Delta, T_tip_tool: Array, at: float, unequal: ArrayLike = 0
 
 
 def _along(way: Array) -> Array:
-    """A rotation (3, 3) whose first column points along a way (3,)."""
     x = way / np.linalg.norm(way)
     z = np.cross(x, [0.0, 1.0, 0.0])
     z /= np.linalg.norm(z)

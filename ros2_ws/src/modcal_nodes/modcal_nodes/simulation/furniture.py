@@ -20,8 +20,6 @@ from modcal_core.errors import BadTable, NotReachable
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import Chain, body_jacobian, inverse
 
-# --- What holds furniture back beside dry friction, damping and a spring
-
 _AT_REST = 2e-3  # m/s of the handle: below it, dry friction is as if it stood
 _ENGAGES = 1e-3  # m: a preload does not act through a closed stop
 _CREEPS = 0.05  # m/s up to which what sticks does more than what slides, roughly
@@ -231,7 +229,6 @@ def _character(kind: str, rng: np.random.Generator) -> dict[str, float]:
 def _place(
     kind: str, grasp: str, wish: Mapping[str, Any], character: Mapping[str, float], rng: np.random.Generator
 ) -> Furniture:
-    """A random place in front of the arm, which may be out of reach."""
     yaw, tilt, roll = rng.uniform([-0.6, -0.3, -0.6], [0.6, 0.3, 0.6])
     forward = so3.exp([0.0, 0.0, yaw]) @ so3.exp([0.0, np.pi / 2 + tilt, 0.0]) @ so3.exp([0.0, 0.0, np.pi + roll])
     handle = se3.transform(forward, rng.uniform([0.40, -0.35, 0.20], [0.70, 0.35, 0.70]))

@@ -1,13 +1,15 @@
-"""MJCF text of a chain: the true arm as MuJoCo simulates it."""
+"""MJCF text: of a chain, the true arm as MuJoCo simulates it, and of an arm with joint servos that holds a handle."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
-from modcal_core.geometry import Array, so3
+from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots import STANDARD_GRAVITY, Chain, Inertias
+from modcal_nodes.simulation.furniture import FOLDS_AT, Furniture
 
 PAYLOAD = "payload"
 NO_MASS = 1e-9  # kg and kg m²; MuJoCo moves no body without either
@@ -62,3 +64,142 @@ def placed(T: Array) -> str:
 def text(values: Array) -> str:
     """Numbers as MJCF writes them, no digit lost."""
     return " ".join(f"{v:.17g}" for v in values)
+
+
+OBJECT = "object_joint"
+SECOND = "object_joint_2"  # the slide of a screw, the second hinge of a folding door
+TIMESTEP = 1e-3  # s
+
+_WIDEST = (np.radians(110.0), 0.6)  # where doors and drawers end [rad, m]
+_HANDLE_MASS = 1e-3  # kg, so that the sensor behind it feels the grasp and nothing else
+_SECOND_FRICTION = 4.0  # of a folding door, times that of the first hinge
+_STIFF = 'solref="0.004 1" solimp="0.95 0.99 0.001"'  # of grasp, stops, couplings; 4 ms is as hard as 1 kHz allows
+# fingers, their pads and the panel behind a handle deflect before that does
+GRASP_STIFFNESS, GRASP_TURNING = 20e3, 200.0  # N/m, N m/rad
+_FINGERS, _FINGERS_GYRATION, _GRASP_DAMPING = 0.15, 0.08, 0.3  # kg, m, share of critical
+
+_STIFF_LIMIT = _STIFF.replace("solref", "solreflimit").replace("solimp", "solimplimit")
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Position servos of the joints: torque = stiffness (reference − position) − stiffness lag · velocity.
+
+    stiffness: of the stronger joints [N m/rad]; those whose torque is limited below 20 N m have a quarter of it. lag_s:
+    how far a steadily moving reference is ahead [s]. effort: limits of the torque (n,) [N m]; inf where there is none.
+    integral_s: time in which an integral part adds as much again to a lead that stays [s]; 0 where there is none.
+    cascaded: whether it sums up errors of speed, in a loop within that of position: no steady motion leaves any there.
+    """
+
+    effort: Array
+    stiffness: float = 4000.0
+    lag_s: float = 0.03
+    integral_s: float = 0.0
+    cascaded: bool = False
+
+    @property
+    def gains(self) -> Array:
+        """Stiffness of every joint (n,) [N m/rad]."""
+        return np.where(self.effort < 20.0, 0.25, 1.0) * self.stiffness
+
+
+def furniture_mjcf(chain: Chain, inertias: Inertias, servo: Servo, scene: Furniture) -> str:
+    """MJCF text of the whole scene: gravity along −z of the arm's base, whose weight the servos need not carry.
+
+    The grasp couples *sites*: that of the fingers, which sit on springs at the tool's origin, and the handle's. It, the
+    stops and the coupling of a screw are as stiff as the time step allows. Sensors: ``force`` and ``torque`` of the
+    wrist, at the tool; ``grasp_force`` and ``grasp_torque`` behind the handle.
+    """
+    return (
+        '<mujoco model="furniture"><compiler angle="radian" autolimits="true" balanceinertia="true"/>'
+        f'<option timestep="{TIMESTEP}" gravity="0 0 {-STANDARD_GRAVITY}" integrator="implicitfast">'
+        f'<flag contact="disable"/></option><worldbody>{_arm(chain, inertias, scene)}{_object(scene)}</worldbody>'
+        f"<actuator>{_servos(chain, servo)}</actuator><equality>{_couplings(scene)}</equality><sensor>"
+        '<force name="force" site="tool"/><torque name="torque" site="tool"/>'
+        '<force name="grasp_force" site="handle"/><torque name="grasp_torque" site="handle"/></sensor></mujoco>'
+    )
+
+
+def _arm(chain: Chain, inertias: Inertias, scene: Furniture) -> str:
+    """Bodies of the arm, then of the tool, which hangs on the wrist by nothing but the sensor."""
+    out = []
+    for k, name in enumerate(chain.names):
+        kind = "hinge" if chain.revolute[k] else "slide"
+        limits = f'range="{chain.lower[k]:.17g} {chain.upper[k]:.17g}"' if np.isfinite(chain.lower[k]) else ""
+        # what a motor's rotor adds through its gear, and the friction of bearings
+        out.append(
+            f'<body gravcomp="1" {placed(chain.origins[k])}><joint name={quoted(name)} type="{kind}" '
+            f'axis="{text(chain.axes[k])}" armature="0.1" damping="0.5" frictionloss="0.1" {limits}/>'
+            + inertial(inertias, k)
+        )
+    rest = scene.tool_mass - _FINGERS
+    tool = _inertial(rest, scene.tool_mass / rest * scene.tool_com, 0.03) + '<site name="tool"/>'
+    out.append(f'<body gravcomp="1" {placed(chain.origins[-1])}>{tool}{_fingers()}</body>')
+    return "".join(out) + "</body>" * chain.n
+
+
+def _fingers() -> str:
+    joints = []
+    for kind, stiffness, inertia in (
+        ("slide", GRASP_STIFFNESS, _FINGERS),
+        ("hinge", GRASP_TURNING, _FINGERS * _FINGERS_GYRATION**2),
+    ):
+        damping = 2.0 * _GRASP_DAMPING * np.sqrt(stiffness * inertia)
+        joints += [
+            f'<joint name="fingers_{kind}_{axis}" type="{kind}" axis="{text(direction)}" stiffness="{stiffness:.17g}" '
+            f'damping="{damping:.17g}"/>'
+            for axis, direction in zip("xyz", np.eye(3), strict=True)
+        ]
+    mass = _inertial(_FINGERS, np.zeros(3), _FINGERS_GYRATION)
+    return f'<body gravcomp="1">{"".join(joints)}{mass}<site name="fingers"/></body>'
+
+
+def _object(scene: Furniture) -> str:
+    """The moving part, whose weight is balanced, and its handle."""
+    at, reach = scene.point, scene.T_base_handle[:3, 3] - scene.point
+    T_object_handle = se3.transform(scene.T_base_handle[:3, :3], reach)
+    size = scene.radius if scene.turns else 0.3
+    body = _inertial(scene.mass, 0.5 * reach if scene.turns else reach, size / np.sqrt(12.0))
+    widest = FOLDS_AT if scene.kind == "folding" else _WIDEST[0 if scene.turns else 1]
+    stop = widest if scene.stop < 0.0 else min(scene.stop, widest)
+    first = _joint(OBJECT, scene, "hinge" if scene.turns else "slide", f"-0.0001 {max(stop, 1e-4):.17g}")
+    handle = f'<body {placed(T_object_handle)}>{_inertial(_HANDLE_MASS, np.zeros(3), 0.02)}<site name="handle"/></body>'
+    if scene.kind == "screw":
+        first += f'<joint name="{SECOND}" type="slide" axis="{text(scene.axis)}"/>'
+    if scene.kind == "folding":
+        second = _joint(SECOND, scene, "hinge", f"-0.0001 {_WIDEST[0]:.17g}", _SECOND_FRICTION)
+        T_half = se3.transform(np.eye(3), 0.5 * reach)
+        light = _inertial(0.3 * scene.mass, 0.25 * reach, 0.5 * size / np.sqrt(12.0))
+        T_half_handle = se3.transform(scene.T_base_handle[:3, :3], 0.5 * reach)
+        handle = handle.replace(placed(T_object_handle), placed(T_half_handle))
+        handle = f'<body gravcomp="1" {placed(T_half)}>{second}{light}{handle}</body>'
+    return f'<body gravcomp="1" {placed(se3.transform(np.eye(3), at))}>{first}{body}{handle}</body>'
+
+
+def _joint(name: str, scene: Furniture, kind: str, limits: str, resists: float = 1.0) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}" axis="{text(scene.axis)}" frictionloss="{resists * scene.friction:.17g}" '
+        f'damping="{scene.damping:.17g}" stiffness="{scene.spring:.17g}" range="{limits}" '
+        f"{_STIFF_LIMIT}/>"
+    )
+
+
+def _servos(chain: Chain, servo: Servo) -> str:
+    return "".join(
+        f'<position joint={quoted(name)} kp="{gain:.17g}" kv="{servo.lag_s * gain:.17g}"'
+        + (f' forcerange="{-limit:.17g} {limit:.17g}"/>' if np.isfinite(limit) else "/>")
+        for name, gain, limit in zip(chain.names, servo.gains, servo.effort, strict=True)
+    )
+
+
+def _couplings(scene: Furniture) -> str:
+    kind = "weld" if scene.grasp == "weld" else "connect"
+    grasp = f'<{kind} name="grasp" site1="fingers" site2="handle" {_STIFF}/>'
+    if scene.kind != "screw":
+        return grasp
+    return grasp + f'<joint joint1="{SECOND}" joint2="{OBJECT}" polycoef="0 {scene.pitch:.17g} 0 0 0" {_STIFF}/>'
+
+
+def _inertial(mass: float, com: Array, gyration: float) -> str:
+    about = mass * gyration**2
+    return f'<inertial pos="{text(com)}" mass="{mass:.17g}" diaginertia="{about:.17g} {about:.17g} {about:.17g}"/>'

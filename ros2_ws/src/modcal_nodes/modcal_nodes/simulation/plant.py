@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-# --- Effects of the simulated cell that are switched on and off while it runs
-
 AMBIENT = 20.0  # °C
 EXPANSION = 23e-6  # 1/K, aluminium
 _VECTORS = {"tool_bump_m": 1.0, "tool_turn_rad": math.pi, "tracker_move_m": 10.0}  # longest that is taken
@@ -182,8 +180,6 @@ class Plant:
         """When the last posture is reached [s]."""
         return self._program.end
 
-    # where it goes
-
     def begin_own(self, start: float) -> None:
         """Visit the postures of its own from this time on."""
         self._repeat = self._chosen["repeat"]
@@ -241,8 +237,6 @@ class Plant:
             q[j] += self._chosen["gear_amplitude_rad"] * np.sin(self._chosen["gear_cycles"] * reported[j])
         return q
 
-    # what is seen of it
-
     def posture(self, t: float) -> Array:
         """What the joints report (n,)."""
         return self._program.at(t)
@@ -288,7 +282,6 @@ def make_world(
 
 
 def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
-    """The URDF's text, empty for a Delta, and the robot."""
     if chosen["measurement"] not in ("pose", "point"):
         raise BadTable(f"measurement '{chosen['measurement']}'", "pose and point are simulated", "set one of them")
     kind = "delta" if chosen["delta"] else "urdf"
@@ -310,15 +303,12 @@ def _arm(chosen: dict[str, Any]) -> tuple[str, Mechanism]:
 
 
 def _compliance(given: ArrayLike, chain: Mechanism) -> Array:
-    """Compliance of every joint (n,) from one number for all, or one per joint."""
     compliance = np.asarray(given, dtype=float)
     if len(compliance) not in (1, chain.n) or not ((compliance >= 0.0) & (compliance <= 1e-3)).all():
         said = f"1 or {chain.n} numbers from 0 to 0.001 are understood"
         raise BadTable(f"joint_compliance_rad_per_nm {compliance.tolist()}", said, "set as many")
     return np.broadcast_to(compliance, (chain.n,))
 
-
-# --- When the simulated cell speaks: on a grid of times, whatever the machine does meanwhile
 
 NANO = 1_000_000_000
 
@@ -413,8 +403,6 @@ class Beat:
             due = max(due + self._period, time.monotonic() - self._period)
             time.sleep(max(due - time.monotonic(), 0.0))
 
-
-# --- How fast the simulated cell really speaks
 
 LATE = 0.1  # s of wall time that the cell may lag behind its own clock
 

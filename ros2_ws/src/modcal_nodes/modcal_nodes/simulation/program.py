@@ -125,9 +125,6 @@ def tour(
     return legs
 
 
-# --- A JointTrajectory as legs of a program, or a refusal of the whole of it
-
-
 def legs(chain: Mechanism, trajectory: JointTrajectory, start: Array | None = None) -> list[tuple[float, Array]]:
     """Seconds after the start, and postures (n,) in the chain's order; velocities and efforts are not read.
 
@@ -161,8 +158,6 @@ def legs(chain: Mechanism, trajectory: JointTrajectory, start: Array | None = No
         last, start = after, q
     return out
 
-
-# --- Travel slowed down to what an arm's drives can do: the speeds and efforts that its URDF states
 
 _PLACES = np.linspace(0.0, 1.0, 17)  # of a leg; between two of them a quintic's acceleration changes by a tenth
 _PEAK = 1.875  # of a quintic's speed, times its mean

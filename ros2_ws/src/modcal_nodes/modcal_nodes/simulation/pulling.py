@@ -22,7 +22,7 @@ from modcal_core.report import Articulation
 from modcal_core.robots import Chain, Inertias, chain_forward, read_chain, read_inertias
 from modcal_nodes.io import write_articulation
 from modcal_nodes.simulation.furniture import Furniture
-from modcal_nodes.simulation.furniture_mjcf import OBJECT, SECOND, TIMESTEP, Servo, furniture_mjcf
+from modcal_nodes.simulation.mjcf import OBJECT, SECOND, TIMESTEP, Servo, furniture_mjcf
 
 _SETTLE = 0.3  # s before time zero, for the grasp to take up what is left of the start posture's rounding
 _LONGEST_JUMP = 0.3  # rad; a driver refuses a reference further from the last one
@@ -38,8 +38,8 @@ class Pulling:
         servo: Servo,
         scene: Furniture,
         rng: np.random.Generator,
-        noise_n: float = 0.2,
-        noise_nm: float = 0.01,
+        noise_n: float,
+        noise_nm: float,
     ) -> None:
         """Let the arm take hold. noise: of the wrist sensor, one standard deviation per axis [N, N m]."""
         self.chain, self.scene = chain, scene
@@ -122,8 +122,6 @@ class Pulling:
         force = self._resistance.force(lever * self.data.qpos[at], lever * self.data.qvel[moved])
         self.data.qfrc_applied[moved] = -lever * force
 
-    # what it is told
-
     def refer(self, q: ArrayLike) -> None:
         """Send the servos to a posture (n,) at once. Raises BadCommand for none, or one that is a jump away."""
         q = np.asarray(q, dtype=float)
@@ -143,8 +141,6 @@ class Pulling:
         """Go through postures (n,) by their seconds from now, straight from one to the next."""
         times = self.data.time + np.array([0.0, *(after for after, _ in legs)])
         self._way = times, np.array([self._reference, *(q for _, q in legs)])
-
-    # what may be known of it
 
     def joints(self) -> tuple[Array, Array]:
         """Positions and velocities of the arm's joints, (n,) each."""
@@ -170,8 +166,6 @@ class Pulling:
         # MuJoCo's sensor tells what the wrist does to the tool, which balances all the rest
         felt = -self.data.sensordata[self._wrist : self._wrist + 6]
         return felt + self.scene.tool_bias + self._noise * self._rng.standard_normal(6)
-
-    # the truth
 
     def contact(self) -> Array:
         """True force and torque (6,) of the hand on the handle, in the handle and about its origin [N, N m]."""
@@ -224,8 +218,6 @@ def effort_limits(urdf_xml: str, names: Sequence[str]) -> Array:
     efforts = np.array([0.0 if limit is None else float(limit.get("effort", 0.0)) for limit in limits])
     return np.where(efforts > 0.0, efforts, np.inf)
 
-
-# --- What a pull has shown of an object: the way of the hand, how hard it was held, and how far it opened
 
 _PERIOD = 0.04  # s between two poses of the hand that are kept: some millimetres of the way
 _STILL = 2e-4  # rad or m by which some joint must have gone since the last one: waiting says nothing of the way

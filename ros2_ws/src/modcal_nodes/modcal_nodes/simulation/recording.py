@@ -63,12 +63,11 @@ def recorded(
 
 
 def _switch(plant: Plant, when: float, name: str, value: Any) -> None:
+    at = f"--at {when:g} {name}"
     if name not in SWITCHES:
-        raise BadTable(f"--at {when:g} {name}", "cannot change in time", f"use one of {', '.join(SWITCHES)}, or -p")
+        raise BadTable(at, "cannot change in time", f"use one of {', '.join(SWITCHES)}, or -p")
     if when >= plant.end:
-        raise BadTable(
-            f"--at {when:g} {name}", f"the last posture is reached at {plant.end:.0f} s", "change it earlier"
-        )
+        raise BadTable(at, f"the last posture is reached at {plant.end:.0f} s", "change it earlier")
     if (reason := plant.switches.refusal({name: value})) is not None:
-        raise BadTable(f"--at {when:g} {name}", reason, "set another value")
+        raise BadTable(at, reason, "set another value")
     plant.switches.set(name, value, when)

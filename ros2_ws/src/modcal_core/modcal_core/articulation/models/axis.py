@@ -12,8 +12,7 @@ The direction along which the latent configuration a absorbs play and bias is th
 
 Parameters are small changes: G exp(δ), p + G β with β across the path only (along it, the configurations absorb it),
 R_start turned by γ in G's axes, log r, and log |h|. So prismatic has 4 (7 with rotations), revolute 6 (9), screw 7
-(10).
-As log r grows without end, a revolute motion becomes the prismatic one with the same G.
+(10). As log r grows without end, a revolute motion becomes the prismatic one with the same G.
 """
 
 from __future__ import annotations
@@ -30,6 +29,7 @@ import numpy as np
 from modcal_core.articulation.joint_motion import (
     EYE,
     KEEP,
+    ArticulationModel,
     Motion,
     best_of,
     frame,
@@ -38,7 +38,6 @@ from modcal_core.articulation.joint_motion import (
     quick_log,
 )
 from modcal_core.articulation.joints import JointModel
-from modcal_core.articulation.models.model import ArticulationModel
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import Array, posed, rotation_vector, so3, turned
 
@@ -159,7 +158,6 @@ class AxisMotion(Motion):
         """Write what positions leave into both and by_a; Rz(−a) (n, 3, 3) where it turns."""
 
     def _turned(self, track: Track, C: Array | None, both: Array, by_a: Array, derivatives: bool) -> None:
-        """Write what rotations leave, and how it changes with a and with the parameters."""
         Q = self.against_start(track)
         if not derivatives:
             both[:, 3:, 0] = quick_log(Q if C is None else C @ Q)[0]

@@ -31,13 +31,18 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from modcal_core.articulation.joint_motion import ROUGH, Motion, best_of, few, middle_rotation, quick_log
-from modcal_core.articulation.models.model import ArticulationModel
+from modcal_core.articulation.joint_motion import (
+    ROUGH,
+    ArticulationModel,
+    Motion,
+    best_of,
+    few,
+    middle_rotation,
+    quick_log,
+)
 from modcal_core.articulation.track import Track
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3, turned
-
-# --- The shape of a path along which a handle moves, as a function of the configuration, in a frame of the object's o
 
 FARTHEST = 5.0  # standard deviations of its prior: no value is tried beyond
 REMEDY = "fix the package that provides it, or uninstall it"
@@ -156,8 +161,6 @@ class PathShape(ABC):
         )  # fmt: skip
         return BadTable(f"{self.offender}, {method}{at}", said, REMEDY)
 
-
-# --- A joint that goes along a shape, while it is being fitted
 
 _GRID = 128  # configurations among which the nearest is looked for first
 _NEWTON = 3  # steps from there

@@ -9,10 +9,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.articulation.joint_motion import Motion, far_apart, few, frame, some_three
+from modcal_core.articulation.joint_motion import InUrdf, Kind, Motion, far_apart, few, frame, some_three
 from modcal_core.articulation.joints import JointModel, placed, span
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion, robust
-from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import Array
 
@@ -22,16 +21,8 @@ class PrismaticJoint(JointModel):
     """ξ = (axis, 0)."""
 
     kind: ClassVar[str] = "prismatic"
-
-    @property
-    def radius(self) -> float:
-        """Its axis lies infinitely far away."""
-        return np.inf
-
-    @property
-    def length_per_unit(self) -> float:
-        """A metre is a metre."""
-        return 1.0
+    radius: ClassVar[float] = np.inf
+    length_per_unit: ClassVar[float] = 1.0
 
     def twist(self) -> Array:
         """(axis, 0) (6,)."""
@@ -54,11 +45,7 @@ class PrismaticMotion(AxisMotion):
     flat: ClassVar[bool] = True
     made: ClassVar[type[JointModel]] = PrismaticJoint
     frame_turns: ClassVar[int] = 2
-
-    @property
-    def length_per_unit(self) -> float:
-        """A metre is a metre."""
-        return 1.0
+    length_per_unit: ClassVar[float] = 1.0
 
     def along(self, y: Array, track: Track, sigma: tuple[float, float]) -> Array:
         """How far along (n,) [m]."""

@@ -3,7 +3,7 @@
     [project.entry-points."modcal.articulation"]
     folding_door = "my_package.folding_door:MODEL"
 
-names an instance of a class derived from :class:`~modcal_core.articulation.models.model.ArticulationModel`. From then
+names an instance of a class derived from :class:`~modcal_core.articulation.joint_motion.ArticulationModel`. From then
 on ``choose`` and ``modcal articulate`` weigh it against the others.
 """
 
@@ -14,10 +14,10 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
 
+from modcal_core.articulation.joint_motion import ArticulationModel, Kind
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models import prismatic, revolute, rigid, screw
 from modcal_core.articulation.models.axis import AxisModel
-from modcal_core.articulation.models.model import ArticulationModel, Kind
 from modcal_core.articulation.models.parametric import REMEDY, PathShape
 from modcal_core.errors import BadRobot, BadTable
 from modcal_core.geometry import Array

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.joint_motion import Motion, best_of, far_apart, few, scaled, some_three
+from modcal_core.articulation.joint_motion import InUrdf, Kind, Motion, best_of, far_apart, few, scaled, some_three
 from modcal_core.articulation.joints import JointModel, followed, placed, span, wrapped
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion, robust
-from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.models.prismatic import line
 from modcal_core.articulation.scene import LOG_2PI
 from modcal_core.articulation.track import Track
@@ -245,7 +244,6 @@ def best_circles(track: Track, rng: np.random.Generator, keep: int) -> list[Revo
 
 
 def _of_points(a: Array, b: Array, c: Array, R: Array | None) -> RevoluteMotion | None:
-    """The circle through three points, beginning at the middle one."""
     u, v = a - b, c - b
     w = crossed(u, v)
     ww = float(w @ w)
@@ -256,7 +254,6 @@ def _of_points(a: Array, b: Array, c: Array, R: Array | None) -> RevoluteMotion 
 
 
 def _of_poses(p1: Array, R1: Array, p2: Array, R2: Array) -> RevoluteMotion | None:
-    """The circle that brings one pose to another, beginning at the first."""
     w = rotation_vector(R2 @ R1.T)
     angle = math.sqrt(w @ w)
     if angle < 0.02:
@@ -276,7 +273,6 @@ def _circle(p: Array, arm: Array, axis: Array, R: Array | None) -> RevoluteMotio
 
 
 def _unwinding(a: Array) -> Array:
-    """Rz(−a) (n, 3, 3)."""
     C = np.zeros((len(a), 3, 3))
     C[:, 0, 0] = C[:, 1, 1] = np.cos(a)
     C[:, 0, 1] = np.sin(a)

@@ -9,10 +9,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.articulation.joint_motion import Motion, middle_rotation
+from modcal_core.articulation.joint_motion import InUrdf, Motion, middle_rotation
 from modcal_core.articulation.joints import JointModel, placed
 from modcal_core.articulation.models.axis import AxisModel, AxisMotion
-from modcal_core.articulation.models.model import InUrdf
 from modcal_core.articulation.track import Track
 from modcal_core.geometry import Array
 
@@ -23,16 +22,8 @@ class RigidJoint(JointModel):
 
     kind: ClassVar[str] = "rigid"
     moves: ClassVar[bool] = False
-
-    @property
-    def radius(self) -> float:
-        """Nothing moves."""
-        return 0.0
-
-    @property
-    def length_per_unit(self) -> float:
-        """Nothing moves."""
-        return 0.0
+    radius: ClassVar[float] = 0.0
+    length_per_unit: ClassVar[float] = 0.0
 
     def twist(self) -> Array:
         """Zeros (6,)."""
@@ -56,11 +47,7 @@ class RigidMotion(AxisMotion):
     made: ClassVar[type[JointModel]] = RigidJoint
     frame_turns: ClassVar[int] = 0
     shifts: ClassVar[int] = 3
-
-    @property
-    def length_per_unit(self) -> float:
-        """Nothing moves."""
-        return 0.0
+    length_per_unit: ClassVar[float] = 0.0
 
     @property
     def across(self) -> Array:

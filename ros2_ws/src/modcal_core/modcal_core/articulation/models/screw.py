@@ -10,10 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from modcal_core.articulation import furniture
-from modcal_core.articulation.joint_motion import KEEP, ROUGH, Motion, best_of, few, scaled
+from modcal_core.articulation.joint_motion import KEEP, ROUGH, InUrdf, Kind, Motion, best_of, few, scaled
 from modcal_core.articulation.joints import JointModel
 from modcal_core.articulation.models.axis import AxisModel, or_fallback
-from modcal_core.articulation.models.model import InUrdf, Kind
 from modcal_core.articulation.models.revolute import Revolute, RevoluteJoint, RevoluteMotion, best_circles
 from modcal_core.articulation.scene import LOG_2PI
 from modcal_core.articulation.track import Track
@@ -73,7 +72,11 @@ class ScrewMotion(RevoluteMotion):
         far = len(a) > 1 and float(np.abs(a[1:] - a[:-1]).max()) > np.pi
         a0 = np.unwrap(a) if far else a
         # Which turn of the thread: the same for all samples, as they were unwrapped one after the other.
-        a = a0 - 2.0 * np.pi * np.round(np.median(a0 - x[:, 2] / self.h) / (2.0 * np.pi)) if _many(a0) else a0
+        a = (
+            a0 - 2.0 * np.pi * np.round(np.median(a0 - x[:, 2] / self.h) / (2.0 * np.pi))
+            if np.ptp(a0) > 2.0 * np.pi
+            else a0
+        )
         angle, v = a, (self.h / sigma) ** 2
         for _ in range(3):
             slope = (w + u) * np.sin(a - angle) - self.h * (x[:, 2] - self.h * a) / sigma**2
@@ -135,11 +138,6 @@ class Screw(AxisModel):
         """A thread along the circle that is known, with a rise whose sign and size change with turn."""
         circle = known.get(Revolute.name)
         return _thread(circle, _SLOPES[turn % len(_SLOPES)]) if isinstance(circle, RevoluteMotion) else None
-
-
-def _many(a: Array) -> bool:
-    """Whether a thread was followed for more than a turn."""
-    return bool(np.ptp(a) > 2.0 * np.pi)
 
 
 def _thread(circle: RevoluteMotion, slope: float) -> ScrewMotion:
