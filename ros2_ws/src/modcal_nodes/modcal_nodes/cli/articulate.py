@@ -56,13 +56,7 @@ class _Read:
 @click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
 @click.option("--tip", metavar="LINK", help="The link that holds the handle.")
 @click.option("--points", is_flag=True, help="Ignore rotations.")
-@click.option(
-    "--seed",
-    type=Whole(min=0),
-    default=0,
-    show_default=True,
-    help="Seed for choosing the samples of the first guesses.",
-)
+@click.option("--seed", type=Whole(min=0), default=0, help="Seed for choosing the samples of the first guesses.")
 @click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
 def articulate_command(

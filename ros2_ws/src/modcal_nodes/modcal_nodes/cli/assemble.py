@@ -35,7 +35,7 @@ from modcal_core.modules import (
 )
 from modcal_core.preprocess import prepare
 from modcal_msgs_py import Topics, read_recording
-from modcal_nodes.cli.console import Output, explain, speaking, table, with_options, written
+from modcal_nodes.cli.console import Output, explain, speaking, table, with_options
 from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN
 from modcal_nodes.io import read_assembly
 
@@ -90,7 +90,6 @@ def assemble_command(
         "assembly.yaml": to_yaml(stated),
         "assembly.svg": picture(assembly, library),
     }
-    write_folder(out, files)
     strangers = [] if errors is None else [s for s in named if s not in known]
     matrix = incidence_of(assembly, library)
     data = {
@@ -104,14 +103,14 @@ def assemble_command(
     def show(console: Console) -> None:
         console.print(_table(assembly, library))
         explain(_MODULES, console)
-        console.print("assembly incidence matrix:", highlight=False)
-        console.print(str(matrix), highlight=False)
+        console.print("assembly incidence matrix:")
+        console.print(str(matrix))
         if errors is not None:
             console.print(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
         if strangers:
-            console.print(f"not known: {', '.join(strangers)}", style="yellow", highlight=False)
+            console.print(f"not known: {', '.join(strangers)}", style="yellow")
 
-    output.result(data, show, written(out, files, "Robot", "robot.urdf"))
+    output.saved(data, show, out, files, "Robot", "robot.urdf")
 
 
 @click.group("modules")
@@ -190,18 +189,16 @@ def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:
 
 def _show_learned(found: dict[str, Any], console: Console) -> None:
     for note in found["notes"]:
-        console.print(note, style="yellow", highlight=False)
+        console.print(note, style="yellow")
     console.print(_known(found["parts"]))
     explain(_PARTS, console)
-    console.print(
-        f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit", highlight=False
-    )
+    console.print(f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit")
     if not found["as_known"]:
         said = (
             f"Learned although this assembly is not as its modules were known (p = {found['p_value']:.1g}): a serial "
             "number is wrong, a module or a flange has changed, or the library's tolerances are too tight."
         )
-        console.print(said, style="yellow", highlight=False)
+        console.print(said, style="yellow")
 
 
 def _table(assembly: Assembly, library: Library) -> Table:

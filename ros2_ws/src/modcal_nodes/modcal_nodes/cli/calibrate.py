@@ -10,7 +10,6 @@ import click
 from rich.console import Console
 
 from modcal_core.calibration import Calibration, Stated
-from modcal_core.files import write_folder
 from modcal_core.measurements import Samples
 from modcal_core.public import evaluate
 from modcal_core.report import Report, report_files, to_json_data
@@ -18,7 +17,7 @@ from modcal_core.verdict import STATISTICS
 from modcal_msgs_py import Topics
 from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, speaking, tell, with_options, written
+from modcal_nodes.cli.console import Output, speaking, tell, with_options
 from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, arm_line, chain_line
 from modcal_nodes.cli.numbers import Decimal, Whole
 from modcal_nodes.cli.show import show_report
@@ -40,9 +39,9 @@ _SPLITS = click.option(
     type=Whole(min=1),
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
-SEED_OPTION = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
+SEED_OPTION = click.option("--seed", type=SEED, default=0, help="Seed of the split.")
 CLOCK = click.option(
-    "--clock-limit", type=Decimal(min=0.0), default=0.5, show_default=True, metavar="S",
+    "--clock-limit", type=Decimal(min=0.0), default=0.5, metavar="S",
     help="Largest offset between tracker and joint clocks that is corrected.",
 )  # fmt: skip
 CELL = click.option(
@@ -71,13 +70,9 @@ _ROBOT = (
 
 _POSITIVE = Decimal(min=0.0, min_open=True)
 STATED = (
+    click.option("--repeatability-mm", type=_POSITIVE, metavar="MM", help="Repeatability of the arm, RMS over space."),
     click.option(
-        "--repeatability-mm", type=_POSITIVE, metavar="MM",
-        help="Repeatability of the arm, RMS over space.",
-    ),
-    click.option(
-        "--repeatability-iso", type=_POSITIVE, metavar="MM",
-        help="The same as RP of ISO 9283, as data sheets give it.",
+        "--repeatability-iso", type=_POSITIVE, metavar="MM", help="The same as RP of ISO 9283, as data sheets give it."
     ),
     click.option(
         "--repeatability-deg", type=_POSITIVE, metavar="DEG",
@@ -97,7 +92,7 @@ TOLERANCE = (
         help="Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.",
     ),
     click.option(
-        "--tolerance-of", type=click.Choice(STATISTICS), default="p95", show_default=True,
+        "--tolerance-of", type=click.Choice(STATISTICS), default="p95",
         help="Which error of the held-out stations is compared with the tolerance.",
     ),
 )  # fmt: skip
@@ -159,8 +154,7 @@ def calibrate_command(
             stated = stated_of(asked.cell_file, done.result.samples, options)
             files |= certificate_files(done.result.report, stated, said, hashes)
     out = out or Path(f"{bag.resolve().stem}_calibration")
-    write_folder(out, files)
-    return _say(done.result.report, arm_line(done.result.robot), written(out, files), output)
+    return _say(done.result.report, arm_line(done.result.robot), out, files, output)
 
 
 @click.command("evaluate")
@@ -201,9 +195,8 @@ def evaluate_command(
             stated = stated_of(options["cell_file"], samples, options)
             files |= certificate_files(report, stated, said, hashes, is_made_from(frozen, samples))
     out = out or Path(f"{bag.resolve().stem}_evaluation")
-    write_folder(out, files)
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
-    return _say(report, arm, written(out, files), output)
+    return _say(report, arm, out, files, output)
 
 
 def frozen_samples(frozen: Calibration, bag: Path, options: Mapping[str, Any], watch: Watch) -> Samples:
@@ -224,12 +217,12 @@ def stated_of(cell_file: Path | None, samples: Samples, options: Mapping[str, An
     return read_cell(cell_file, stated=stated_from(options)).stated.over(own)
 
 
-def _say(report: Report, arm: str, where: str, output: Output) -> int:
-    """Show the report; returns the exit code."""
+def _say(report: Report, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
+    """Write the files and show the report; returns the exit code."""
 
     def show(console: Console) -> None:
         tell([arm], console)
         show_report(report, console)
 
-    output.result(to_json_data(report), show, where)
+    output.saved(to_json_data(report), show, out, files)
     return exit_code(report.tolerance)

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 CERTIFICATE = (
     click.option(
-        "--certificate", is_flag=True,
-        help="Write certificate.html, one page to print and sign. Needs --tolerance-mm.",
+        "--certificate", is_flag=True, help="Write certificate.html, one page to print and sign. Needs --tolerance-mm."
     ),
     click.option("--serial", metavar="TEXT", help="Serial number of the robot, for the certificate."),
 )  # fmt: skip

@@ -14,7 +14,7 @@ from modcal_core.calibration import Calibration
 from modcal_core.checking import pattern_of
 from modcal_core.checkup import Checked
 from modcal_core.errors import BadTable
-from modcal_core.files import read_json, to_json, write_folder
+from modcal_core.files import read_json, to_json
 from modcal_core.public import check
 from modcal_core.report import (
     calibration_files,
@@ -28,7 +28,7 @@ from modcal_core.report import (
 from modcal_core.robots import is_serial_arm
 from modcal_nodes.cli.calibrate import FROZEN, calibration_name, frozen_samples, stated_of
 from modcal_nodes.cli.certificate import certificate_files, certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, speaking, with_options, written
+from modcal_nodes.cli.console import Output, speaking, with_options
 from modcal_nodes.cli.inputs import EXISTING
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io import of_cell, read_cell, stated_from
@@ -68,11 +68,11 @@ def check_command(
             stated = stated_of(options["cell_file"], samples, options)
             files |= certificate_files(found.report, stated, said, hashes, is_made_from(frozen, samples))
     name = calibration_name(calibration)
-    files["check.html"] = checkup_html(found, f"{name}, checked by {bag.resolve().stem}", [n for n in files])
+    files["check.html"] = checkup_html(found, f"{name}, checked by {bag.resolve().stem}", list(files))
     out = out or Path(f"{bag.resolve().stem}_check")
-    write_folder(out, files)
-    where = written(out, files, "Check", "check.html")
-    output.result(checkup_data(found, name), partial(show_blocks, checkup_summary(found)), where)
+    output.saved(
+        checkup_data(found, name), partial(show_blocks, checkup_summary(found)), out, files, "Check", "check.html"
+    )
     return exit_code(found.report.tolerance)
 
 

@@ -10,11 +10,11 @@ import click
 
 from modcal_core.calibration import Calibration
 from modcal_core.errors import BadTable
-from modcal_core.files import read_json, to_json, write_folder
+from modcal_core.files import read_json, to_json
 from modcal_core.measurements import require
 from modcal_core.report import Side, compare, comparison_data, comparison_summary
 from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN
 from modcal_nodes.cli.numbers import Decimal
 from modcal_nodes.cli.show import show_blocks
@@ -40,12 +40,10 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: 
         watch("comparing")
         sides = [_side(path, name) for path, name in zip((first, second), names, strict=True)]
         found = compare(sides[0], sides[1], tolerance_mm)
-        data = comparison_data(found)
-        out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
-        files = {"comparison.json": to_json(data)}
-        write_folder(out, files)
-    where = written(out, files, "Comparison", "comparison.json")
-    output.result(data, partial(show_blocks, comparison_summary(found)), where)
+    data = comparison_data(found)
+    out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
+    files = {"comparison.json": to_json(data)}
+    output.saved(data, partial(show_blocks, comparison_summary(found)), out, files, "Comparison", "comparison.json")
     judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
     return UNMET if judged else 0
 

@@ -22,15 +22,11 @@ _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots u
 
 
 @click.command("door")
-@click.option("--kind", type=click.Choice(["door", "drawer"]), default="door", show_default=True, help="What to open.")
+@click.option("--kind", type=click.Choice(["door", "drawer"]), default="door", help="What to open.")
+@click.option("--seed", type=Whole(0, 2**31 - 1), default=0, help="Seed of the object, its place and the noise.")
 @click.option(
-    "--seed", type=Whole(0, 2**31 - 1), default=0, show_default=True,
-    help="Seed of the object, its place and the noise.",
-)  # fmt: skip
-@click.option(
-    "--patience", type=Decimal(5.0, 3600.0), default=90.0, show_default=True, metavar="S",
-    help="Time after which it is given up.",
-)  # fmt: skip
+    "--patience", type=Decimal(5.0, 3600.0), default=90.0, metavar="S", help="Time after which it is given up."
+)
 @click.option("--domain", type=Whole(0, 232), help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
 @click.option("--out", type=WRITTEN, help="Folder of the results. Default: KIND_demo.")
 @speaking

@@ -58,21 +58,17 @@ class _Source:
 @click.option(
     "--to", "form", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF]), required=True, help="Format to write."
 )
-@click.option(
-    "--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Model of a calibration."
-)
+@click.option("--which", type=click.Choice(_MODELS), default="calibrated", help="Model of a calibration.")
 @click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
 @click.option("--base", metavar="LINK", help="For a URDF: link where the arm begins.")
 @click.option("--tip", metavar="LINK", help="For a URDF: link where it ends.")
-@click.option("--largest-offset", type=float, default=10.0, show_default=True, help="Largest offset in a DH row [m].")
+@click.option("--largest-offset", type=float, default=10.0, help="Largest offset in a DH row [m].")
 @click.option(
     "--nearest",
     is_flag=True,
     help="For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.",
 )
-@click.option(
-    "--unit", type=click.Choice([*UNITS]), default="m rad", show_default=True, help="Of a table that is written as CSV."
-)
+@click.option("--unit", type=click.Choice([*UNITS]), default="m rad", help="Of a table that is written as CSV.")
 @click.option(
     "--factory-kinematics", "factory", type=EXISTING, help="For kinematics: the maker's own file of this arm."
 )

@@ -31,7 +31,7 @@ _COLUMNS = {
 
 @click.command("fleet")
 @click.argument("bags", nargs=-1, required=True)
-@click.option("--out", type=WRITTEN, default=Path("fleet"), show_default=True, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, default=Path("fleet"), help="Folder of the results.")
 @click.option("--csv", "as_csv", is_flag=True, help="Write fleet.csv in place of fleet.parquet.")
 @click.option("--jobs", type=Whole(min=1), metavar="N", help="Processes of this machine. Default: one per core.")
 @click.option("--dask", "address", metavar="ADDRESS", help="Address of a Dask scheduler, in place of this machine.")
@@ -63,7 +63,7 @@ def fleet_command(
         shown = table(_COLUMNS, words=2)
         for row in rows:
             shown.add_row(*_shown(row))
-        page.print(shown, highlight=False)
+        page.print(shown)
         explain(_COLUMNS, page)
         click.echo(plain(written(out, [name, "a folder for each recording"], "Table", name)))
     if left:

@@ -15,9 +15,9 @@ import click
 from modcal_core.calibration import Calibration, fingerprint
 from modcal_core.checking import Values, series_of, values_of
 from modcal_core.errors import BadTable
-from modcal_core.files import read_json, to_json, write_folder
+from modcal_core.files import read_json, to_json
 from modcal_core.report import History, HistoryEntry, history_data, history_summary, offsets_of
-from modcal_nodes.cli.console import Output, speaking, written
+from modcal_nodes.cli.console import Output, speaking
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN
 from modcal_nodes.cli.show import show_blocks
 
@@ -29,7 +29,7 @@ _DEPTH = 3  # folders below the one that is given
 @click.argument("folder", type=EXISTING)
 @click.option("--out", type=WRITTEN, help="Folder of history.json. Default: FOLDER.")
 @speaking
-def history_command(folder: Path, out: Path | None, output: Output) -> int:
+def history_command(folder: Path, out: Path | None, output: Output) -> None:
     """Show how a robot changes over time, by all calibrations and checks below FOLDER.
 
     FOLDER holds what modcal calibrate and modcal check wrote, for each robot in a folder of its own. Joint zeros,
@@ -38,12 +38,10 @@ def history_command(folder: Path, out: Path | None, output: Output) -> int:
     with output.working() as watch:
         watch("reading")
         found = read_history(folder)
-        files = {"history.json": to_json(history_data(found))}
-        out = out or folder
-        write_folder(out, files)
-    where = written(out, files, "History", "history.json")
-    output.result(history_data(found), partial(show_blocks, history_summary(found)), where)
-    return 0
+    data = history_data(found)
+    files = {"history.json": to_json(data)}
+    show = partial(show_blocks, history_summary(found))
+    output.saved(data, show, out or folder, files, "History", "history.json")
 
 
 def read_history(folder: Path) -> tuple[History, ...]:

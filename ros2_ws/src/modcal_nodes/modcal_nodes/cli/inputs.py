@@ -20,7 +20,7 @@ _OTHERS = 3  # tips that are named
 BASE = click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
 TIP = click.option("--tip", metavar="LINK", help="Link where it ends. Default: the link behind most joints.")
 TOOL = click.option(
-    "--tool", type=float, nargs=3, default=(0.05, 0.0, 0.1), show_default=True, metavar="X Y Z",
+    "--tool", type=float, nargs=3, default=(0.05, 0.0, 0.1), metavar="X Y Z",
     help="Position of the tracked target in the tip link [m].",
 )  # fmt: skip
 
@@ -87,8 +87,7 @@ TOPICS = (
     ),
     click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable."),
     click.option(
-        "--tf", "tf", metavar="PARENT:CHILD",
-        help="The tracker's readings are these frames in /tf, e.g. tracker:tool.",
+        "--tf", "tf", metavar="PARENT:CHILD", help="The tracker's readings are these frames in /tf, e.g. tracker:tool."
     ),
 )  # fmt: skip
 

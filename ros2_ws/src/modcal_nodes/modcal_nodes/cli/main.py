@@ -101,7 +101,9 @@ class _Verbs(click.Group):
         return [*(CompletionItem(verb, help=VERBS[verb][2]) for verb in verbs), *own]
 
 
-@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True}
+)
 @click.version_option(modcal_core.__version__, prog_name="modcal")
 def modcal() -> None:
     """Calibrate robot arms from joint positions and tracker readings.

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.table import Table
 
 from modcal_msgs_py import Repair, repair_bag
-from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.console import Output, speaking, table
 from modcal_nodes.cli.inputs import WRITTEN
 
 
@@ -40,14 +39,12 @@ def repair_command(bag: Path, out: Path | None, output: Output) -> None:
 def _show(bag: Path, done: Repair, console: Console) -> None:
     count = sum(done.saved.values())
     if done.folder is None:
-        console.print(f"{bag} is whole ({count} messages): nothing to repair", highlight=False)
+        console.print(f"{bag} is whole ({count} messages): nothing to repair")
         return
     for reason in done.reasons:
-        console.print(reason, style="yellow", highlight=False)
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("topic", overflow="fold")
-    table.add_column("messages saved", justify="right")
+        console.print(reason, style="yellow")
+    shown = table({"topic": "", "messages saved": ""})
     for topic, saved in done.saved.items():
-        table.add_row(topic, str(saved))
-    console.print(table)
-    console.print(f"{done.folder}: {count} messages saved", style="bold", highlight=False)
+        shown.add_row(topic, str(saved))
+    console.print(shown)
+    console.print(f"{done.folder}: {count} messages saved", style="bold")

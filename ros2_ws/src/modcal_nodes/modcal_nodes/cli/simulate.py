@@ -43,7 +43,7 @@ _STATIONS = 60
     help="The same, from the given second on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
 )  # fmt: skip
 @click.option(
-    "--returns", type=Whole(0, 1000), default=RETURNS, show_default=True,
+    "--returns", type=Whole(0, 1000), default=RETURNS,
     help="Number of these postures that are visited twice, so that the noise floor is known.",
 )  # fmt: skip
 @speaking
