@@ -18,8 +18,7 @@ from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
 from modcal_nodes.cli.console import Output, say, speaking, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, arm_line, chain_line, described
-from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole, arm_line, chain_line, described
 from modcal_nodes.io import read_calibration, write_articulation
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same

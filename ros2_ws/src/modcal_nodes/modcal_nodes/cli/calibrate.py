@@ -18,8 +18,7 @@ from modcal_msgs_py import Topics
 from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
 from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, exit_code, particulars
 from modcal_nodes.cli.console import Output, speaking, tell, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, arm_line, chain_line
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, Decimal, Whole, arm_line, chain_line
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.io import (
     Options,

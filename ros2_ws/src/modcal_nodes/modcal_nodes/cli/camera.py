@@ -14,8 +14,7 @@ from modcal_core.robot import Robot
 from modcal_nodes.cli.camera_input import read_input, stated_lenses
 from modcal_nodes.cli.certificate import camera_certificate_files, certified_hashes, exit_code
 from modcal_nodes.cli.console import Output, tell
-from modcal_nodes.cli.inputs import EXISTING, arm_line
-from modcal_nodes.cli.numbers import Decimal
+from modcal_nodes.cli.inputs import EXISTING, Decimal, arm_line
 from modcal_nodes.io import Watch
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ import click
 
 from modcal_core.errors import BadCommand
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import WRITTEN
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import WRITTEN, Decimal, Whole
 
 _NODE, _LOG, _RESULT = "door_demo", "nodes.log", "pull.json"
 _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots usually speak in

@@ -15,8 +15,7 @@ from modcal_core.files import to_json
 from modcal_core.report import STATUS_WORDS
 from modcal_nodes.cli.calibrate import calibration_options
 from modcal_nodes.cli.console import console, explain, table, written
-from modcal_nodes.cli.inputs import WRITTEN
-from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.cli.inputs import WRITTEN, Whole
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, write_table
 from modcal_nodes.io import Options

@@ -1,4 +1,4 @@
-"""``modcal info``."""
+"""``modcal info`` and ``modcal repair``: what is in a bag, and what can be saved of a broken one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rich.console import Console
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Recording, inspect
 from modcal_core.robot import Robot
-from modcal_msgs_py import Topics, read_recording
+from modcal_msgs_py import Repair, Topics, read_recording, repair_bag
 from modcal_nodes.cli.console import Output, speaking, table, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, chain_line, described
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, chain_line, described
 
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 
@@ -112,3 +112,40 @@ def _show(data: dict[str, Any], console: Console) -> None:
 def _said(role: str) -> str:
     """A role as a person asks for it."""
     return "the tracker, by --tf PARENT:CHILD" if role == "tf" else f"{role}, by --topic"
+
+
+@click.command("repair")
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.option("--out", type=WRITTEN, help="The new bag. Default: BAG_repaired.")
+@speaking
+def repair_command(bag: Path, out: Path | None, output: Output) -> None:
+    """Repair BAG, which was truncated: killed recorder, full disk, power failure.
+
+    Every whole message is kept as it is. BAG itself is not changed; if it is intact, nothing is written.
+    """
+    if out is None:
+        place = bag.resolve()
+        out = place.parent / f"{place.stem if place.is_file() else place.name}_repaired"
+    with output.working() as watch:
+        done = repair_bag(bag, out, watch)
+    data = {
+        "bag": str(bag),
+        "repaired": None if done.folder is None else str(done.folder),
+        "reasons": list(done.reasons),
+        "messages": dict(done.saved),
+    }
+    output.result(data, partial(_show_saved, bag, done))
+
+
+def _show_saved(bag: Path, done: Repair, console: Console) -> None:
+    count = sum(done.saved.values())
+    if done.folder is None:
+        console.print(f"{bag} is whole ({count} messages): nothing to repair")
+        return
+    for reason in done.reasons:
+        console.print(reason, style="yellow")
+    shown = table({"topic": "", "messages saved": ""})
+    for topic, saved in done.saved.items():
+        shown.add_row(topic, str(saved))
+    console.print(shown)
+    console.print(f"{done.folder}: {count} messages saved", style="bold")

@@ -19,8 +19,7 @@ from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_ht
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, Topics, read_recording
 from modcal_nodes.cli.console import Output, explain, speaking, table, tell, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, arm_line, described, file_line
-from modcal_nodes.cli.numbers import Whole, numbers_by_joint
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, Whole, arm_line, described, file_line, numbers_by_joint
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough

@@ -27,7 +27,7 @@ VERBS = {
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
     "check": ("check", "check_command", "Tell what has changed since CALIBRATION, from ten new stations."),
     "history": ("history", "history_command", "Show what grows over a robot's calibrations and checks."),
-    "compare": ("compare", "compare_command", "Compare two calibrations or reports: what differs, does it matter?"),
+    "compare": ("history", "compare_command", "Compare two calibrations or reports: what differs, does it matter?"),
     "sensitivity": ("sensitivity", "sensitivity_command", "Report which parameters of an arm matter most."),
     "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
     "measure": ("measure", "measure_command", "Measure station after station until an accuracy is proven."),
@@ -37,7 +37,7 @@ VERBS = {
     "target": ("target", "target_command", "Write a board to print for calibrating with a camera."),
     "import": ("import_tables", "import_command", "Convert CSV tables into a bag, or a kinematic table into a URDF."),
     "export": ("export", "export_command", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
-    "repair": ("repair", "repair_command", "Repair a truncated bag."),
+    "repair": ("info", "repair_command", "Repair a truncated bag."),
     "assemble": ("assemble", "assemble_command", "Build a robot description from a list of modules."),
     "modules": ("assemble", "modules_command", "Learn the errors of physical modules over several assemblies."),
     "synthesize": ("synthesize", "synthesize_command", "Find an assembly of modules for a task."),
@@ -45,7 +45,7 @@ VERBS = {
     "articulate": ("articulate", "articulate_command", "Identify how the handle in BAG moves, and write it as a URDF."),
     "door": ("door", "door_command", "Open a simulated door or drawer with the nodes, and report."),
     "examples": ("examples", "examples_command", "Copy the examples that the documentation uses into a folder."),
-    "completion": ("completion", "completion_command", "Print the script for completion in bash, zsh or fish."),
+    "completion": ("examples", "completion_command", "Print the script for completion in bash, zsh or fish."),
 }
 # The same in the order of work, as the list shows them
 GROUPS = {

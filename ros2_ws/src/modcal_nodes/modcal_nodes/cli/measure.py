@@ -36,8 +36,7 @@ from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, arm_line
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, arm_line
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io import Watch, opened, read_cell
 from modcal_nodes.measuring import (

@@ -30,9 +30,7 @@ from modcal_core.planning import (
 )
 from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
 from modcal_nodes.cli.console import Output, console, say, speaking
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, file_line, read_robot
-from modcal_nodes.cli.numbers import Decimal, Whole
-from modcal_nodes.cli.stations import read_stations
+from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, file_line, read_robot, read_stations
 from modcal_nodes.io import read_calibration
 
 # --- ``modcal plan --decide``: the stations that tell two explanations of the same error apart

@@ -29,9 +29,18 @@ from modcal_core.planning import (
 from modcal_core.report import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences, single_csv, to_text
 from modcal_core.robots import Mechanism, is_serial_arm, vector
 from modcal_nodes.cli.console import Output, explain, say, speaking, table
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, TOOL, WRITTEN, file_line, read_robot
-from modcal_nodes.cli.numbers import Decimal, Whole
-from modcal_nodes.cli.stations import read_stations
+from modcal_nodes.cli.inputs import (
+    BASE,
+    EXISTING,
+    TIP,
+    TOOL,
+    WRITTEN,
+    Decimal,
+    Whole,
+    file_line,
+    read_robot,
+    read_stations,
+)
 
 _SHOWN = 12  # parameters in the terminal
 _COLUMNS = {

@@ -15,8 +15,7 @@ from modcal_core.planning import RETURNS
 from modcal_core.robots import other_tips
 from modcal_msgs_py import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, chain_line
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Decimal, Whole, chain_line
 from modcal_nodes.ros import SIMULATED_CELL, Parameter
 from modcal_nodes.simulation import Plant, recorded
 

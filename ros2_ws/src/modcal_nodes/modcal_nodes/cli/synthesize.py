@@ -30,8 +30,7 @@ from modcal_core.modules import (
     to_markdown,
 )
 from modcal_nodes.cli.console import console, explain, table, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN
-from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole
 from modcal_nodes.io import read_library
 
 _COLUMNS = {

@@ -14,8 +14,7 @@ import click
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import WRITTEN
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import WRITTEN, Decimal, Whole
 
 _PAPERS = ("A4", "A3", "A2", "letter")
 _MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
