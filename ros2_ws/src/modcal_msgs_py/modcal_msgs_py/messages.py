@@ -17,7 +17,6 @@ from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import PART, Listed, Recording
 from modcal_core.measurements.kinds import kinds
-from modcal_msgs_py.commanded import Commands
 from modcal_msgs_py.descriptions import Descriptions, is_link
 from modcal_msgs_py.layout import Bytes, MessageLayout, numeric_paths
 from modcal_msgs_py.mcap_walk import Block
@@ -41,7 +40,7 @@ from modcal_msgs_py.topics import (
     preferred,
     role_of,
 )
-from modcal_msgs_py.track_rows import TrackRows, joint_track, reading_track, signal_track
+from modcal_msgs_py.track_rows import Commands, TrackRows, joint_track, reading_track, signal_track
 from modcal_msgs_py.transforms import Transforms
 
 NO_POSITIONS = "it holds names without positions"

@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.files import to_yaml
 from modcal_msgs_py.tables.fitted import Fitted
 from modcal_msgs_py.tables.propose import Findings, zeros_of
-from modcal_msgs_py.tables.sheet import Form
+from modcal_msgs_py.tables.table import Form
 
 _WIDTH = 116  # of comments
 

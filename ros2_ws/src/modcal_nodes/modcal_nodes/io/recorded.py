@@ -16,8 +16,7 @@ from modcal_core.robot import Robot
 from modcal_msgs_py import Bag, Topics, read_bag
 from modcal_nodes.cli import described
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
-from modcal_nodes.io.options import Options
-from modcal_nodes.io.progress import Watch, silent
+from modcal_nodes.io.options import Options, Watch, silent
 
 
 @dataclass(frozen=True)
