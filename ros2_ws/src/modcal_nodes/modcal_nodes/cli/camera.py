@@ -12,7 +12,7 @@ import numpy as np
 
 from modcal_core.robot import Robot
 from modcal_nodes.cli.camera_input import read_input, stated_lenses
-from modcal_nodes.cli.certificate import camera_certificate_files, certified_hashes, exit_code
+from modcal_nodes.cli.certificate import certified_hashes, exit_code
 from modcal_nodes.cli.console import Output, tell
 from modcal_nodes.cli.inputs import EXISTING, Decimal, arm_line
 from modcal_nodes.io import Watch
@@ -117,7 +117,14 @@ def calibrate_images(
     said: what is stated for a certificate, None where none is asked for. Returns the exit code.
     """
     # OpenCV, which other verbs can do without
-    from modcal_core.report import camera_files, camera_report, camera_tolerance, lines
+    from modcal_core.report import (
+        camera_certificate,
+        camera_files,
+        camera_report,
+        camera_tolerance,
+        certificate_html,
+        lines,
+    )
 
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
@@ -130,7 +137,8 @@ def calibrate_images(
             watch("writing the certificate")
             calibration = str(files["calibration.yaml"])
             hashes = certified_hashes(options["urdf"] or robot.description, calibration, [source, camera["joints"]])
-            files |= camera_certificate_files(solution, robot.name or "", met, said, hashes, images)
+            page = camera_certificate(solution, robot.name or "", met, said, hashes, images)
+            files["certificate.html"] = certificate_html(page)
     out = out or Path(f"{source.resolve().stem}_calibration")
     data = camera_report(solution, robot, images, found.left_out, met)
     told = [arm_line(robot), *lines(solution, images, found.left_out)]

@@ -13,8 +13,8 @@ from rich.text import Text
 from modcal_core.errors import BadCommand, plain
 from modcal_core.files import to_json
 from modcal_core.report import STATUS_WORDS
-from modcal_nodes.cli.calibrate import calibration_options
-from modcal_nodes.cli.console import console, explain, table, written
+from modcal_nodes.cli.calibrate import CALIBRATION
+from modcal_nodes.cli.console import console, explain, table, with_options, written
 from modcal_nodes.cli.inputs import WRITTEN, Whole
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, write_table
@@ -35,7 +35,7 @@ _COLUMNS = {
 @click.option("--jobs", type=Whole(min=1), metavar="N", help="Processes of this machine. Default: one per core.")
 @click.option("--dask", "address", metavar="ADDRESS", help="Address of a Dask scheduler, in place of this machine.")
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON in place of the summary.")
-@calibration_options
+@with_options(CALIBRATION)
 def fleet_command(
     bags: tuple[str, ...], out: Path, as_csv: bool, jobs: int | None, address: str | None, as_json: bool, **options: Any
 ) -> int:

@@ -41,16 +41,12 @@ _COLUMNS = {
 _CORE = {"friction": "coulomb", "damping": "viscous"}  # what the core calls them
 
 
-def _by_joint(command: click.Command) -> click.Command:
-    """The options that are given joint by joint."""
-    for name, text in reversed(_BY_JOINT.items()):
-        command.params.append(
-            click.Option([f"--{name}"], multiple=True, metavar="JOINT=VALUE", help=f"{text} Repeat for more joints.")
-        )
-    return command
+_OPTIONS = [
+    click.option(f"--{name}", multiple=True, metavar="JOINT=VALUE", help=f"{text} Repeat for more joints.")
+    for name, text in reversed(_BY_JOINT.items())
+]
 
 
-@_by_joint
 @click.command("limits")
 @click.argument("source", type=EXISTING)
 @click.option("--urdf", type=EXISTING, help="Robot description, for a bag. Default: the one in it.")
@@ -90,6 +86,7 @@ def _by_joint(command: click.Command) -> click.Command:
 @click.option("--out", type=WRITTEN, help="Folder of limits.json, joint_limits.yaml and report.html.")
 @with_options(TOPICS)
 @speaking
+@with_options(_OPTIONS)
 def limits_command(source: Path, out: Path | None, output: Output, **options: Any) -> None:
     """Compute how fast each joint may accelerate within the torque of its drive.
 

@@ -124,7 +124,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, click.exceptions.NoArgsIsHelpError):
             click.echo(error.format_message())
             return 0
-        return _refuse(error.format_message() + _remedy(error))
+        where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx is not None else ""
+        return _refuse(error.format_message() + (f" See: {where} --help" if where else ""))
     except OSError as error:
         where = error.filename or "file system"
         return _refuse(f"{where}: {error.strerror or error}: check the path, its permissions and the space left")
@@ -134,7 +135,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         missing = (error.name or "").partition(".")[0]
         if (remedy := _source_of(missing)) is None:
             return _fault()
-        return _refuse(f"{_asked(arguments)}: needs {missing}, which is not installed: {remedy}")
+        words = sys.argv[1:] if arguments is None else arguments
+        verb = next((word for word in words if word in VERBS), "modcal")
+        return _refuse(f"{verb}: needs {missing}, which is not installed: {remedy}")
     except Exception:
         return _fault()
 
@@ -164,19 +167,6 @@ def _source_of(module: str) -> str | None:
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
         return "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only door and watch need one"
     return None
-
-
-def _asked(arguments: Sequence[str] | None) -> str:
-    """The verb that was asked for."""
-    words = sys.argv[1:] if arguments is None else arguments
-    return next((word for word in words if word in VERBS), "modcal")
-
-
-def _remedy(error: click.ClickException) -> str:
-    """What to do about a call that cannot be understood."""
-    if not isinstance(error, click.UsageError) or error.ctx is None:
-        return ""
-    return f" See: {error.ctx.command_path} --help"
 
 
 def _refuse(line: str) -> int:

@@ -19,7 +19,6 @@ from modcal_core.planning import (
     RETURNS,
     STARTS,
     DecidingStations,
-    Plan,
     PlanRequest,
     Site,
     allowed,
@@ -48,7 +47,8 @@ def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site 
     page = console()
     proposals = []
     for i, j in ties:
-        page.print(_tie(calibration, i, j))
+        effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
+        page.print(f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?")
         if instead := undecided_by_posture(calibration, i, j):
             page.print(f"  postures cannot decide this: {instead}")
             continue
@@ -61,11 +61,6 @@ def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site 
     out = out or folder.with_name(f"{folder.name}_plan")
     write_folder(out, {"plan.yaml": to_yaml(_data(calibration, deciding))})
     click.echo(f"Stations: {out / 'plan.yaml'}")
-
-
-def _tie(calibration: Calibration, i: int, j: int) -> str:
-    effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
-    return f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?"
 
 
 def _worth(proposal: DecidingStations) -> str:
@@ -195,10 +190,17 @@ def plan_command(robot: Path | None, out: Path | None, output: Output, **options
         watch("choosing stations")
         found = plan(chain, site or Site(), request, np.random.default_rng(options["seed"]))
         watch("writing the plan")
-        files = _files(found, options["speed"], options["dwell"], robot.stem)
+        data = to_plan_data(found)
+        files = {
+            "plan.yaml": to_yaml(data),
+            "stations.csv": to_csv(found),
+            "trajectory.yaml": to_yaml(to_trajectory_data(found, options["speed"], options["dwell"])),
+            "stations.svg": figure(found),
+            "report.html": planning_html(found, robot.stem),
+        }
     said = [file_line(robot, chain, options["tip"]), *plan_sentences(found)]
     out = out or Path(f"{robot.stem}_plan")
-    output.saved(to_plan_data(found), partial(say, said), out, files, "Stations", "plan.yaml")
+    output.saved(data, partial(say, said), out, files, "Stations", "plan.yaml")
 
 
 def _by_camera(robot: Path | None, options: dict[str, Any], out: Path | None, output: Output) -> None:
@@ -218,13 +220,3 @@ def _by_camera(robot: Path | None, options: dict[str, Any], out: Path | None, ou
     asked = {name: options[name] for name in ("base", "tip", "fixed", "seed")}
     asked |= {"urdf": robot, "geometry_only": True, "topic": (), "ignore": (), "clock_limit": 0.5}
     plan_next_images(chosen, asked, options["stations"] or _NEXT, out, output)
-
-
-def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any]:
-    return {
-        "plan.yaml": to_yaml(to_plan_data(found)),
-        "stations.csv": to_csv(found),
-        "trajectory.yaml": to_yaml(to_trajectory_data(found, speed, dwell)),
-        "stations.svg": figure(found),
-        "report.html": planning_html(found, title),
-    }
