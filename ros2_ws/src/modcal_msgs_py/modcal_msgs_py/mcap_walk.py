@@ -292,7 +292,6 @@ def _heads(content: Content, places: NDArray[np.int64]) -> NDArray[np.void]:
 
 
 def _placed(content: Content, places: list[int]) -> tuple[NDArray[np.int64], NDArray[np.void]]:
-    """These places of messages, and their heads."""
     where = np.array(places, np.int64)
     return where, _heads(content, where)
 

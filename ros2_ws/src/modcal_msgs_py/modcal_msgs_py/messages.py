@@ -232,7 +232,6 @@ class RecordingBuilder:
         )
 
     def _listed(self) -> tuple[Listed, ...]:
-        """The topics that there are, with what they are used as and what they could be."""
         return tuple(
             Listed(
                 one.topic,

@@ -102,7 +102,6 @@ def _joint_states(track: JointTrack, topic: str) -> Iterator[tuple[int, str, str
 
 
 def _reading_messages(reading: ReadingTrack, with_covariance: bool) -> Iterator[tuple[int, str, str, Any]]:
-    """Messages of a track."""
     role = _TOPIC_OF[reading.kind]
     for i, (stamp, values) in enumerate(zip(reading.stamps, reading.values, strict=True)):
         ns = _ns(stamp)

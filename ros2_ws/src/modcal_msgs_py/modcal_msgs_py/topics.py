@@ -22,8 +22,6 @@ from modcal_core.measurements import Listed, added
 from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.track_rows import JOINT_STATE, STATE_OF_CONTROLLER, TRAJECTORY
 
-# --- Topics that installed packages add: what a message of a maker's own says, in the words of a recording
-
 GROUP = "modcal.topics"
 
 

@@ -129,8 +129,6 @@ def signal_track(name: str, rows: TrackRows, topic: str) -> SignalTrack:
     return SignalTrack(name, stamps, values, topic)
 
 
-# --- A JointState from its bytes, without a Python object for each of its numbers
-
 _PLAIN = b"\0\1"  # little-endian CDR, as DDS sends it on every machine that ROS 2 runs on
 _BODY = 4  # bytes that say how the rest is encoded; alignment counts from there
 _STAMP = struct.Struct("<iI")

@@ -38,7 +38,7 @@ from modcal_msgs_py.tables.moments import RowTimes, find_time
 from modcal_msgs_py.tables.readings import rigid_bodies, rigid_poses
 from modcal_msgs_py.tables.sighted import SightColumns, Sighted, find_sights, is_sight, sight_columns
 from modcal_msgs_py.tables.sniff import Sniffed, sniff
-from modcal_msgs_py.tables.table import Faults, Form, Sheet, Table, join
+from modcal_msgs_py.tables.table import Faults, Sheet, Table, join
 
 NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm
 _ORDERS = 6  # of columns without labels that are judged in full
@@ -175,7 +175,6 @@ def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Seque
 
 
 def _covers(known: Body, body: Body) -> bool:
-    """Whether another body already uses this body's columns."""
     return (
         (known.away, known.sign) == (body.away, body.sign)
         and bool(set(known.position) & set(body.position))
@@ -186,9 +185,9 @@ def _covers(known: Body, body: Body) -> bool:
 
 
 def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[JointColumns]) -> Fitted | None:
-    used = [*columns_of(body), *(k for j in joint_columns for k in j.columns)]
+    used = [*body.columns, *(k for j in joint_columns for k in j.columns)]
     rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
-    rows = rows[~(numbers.values[np.ix_(rows, zeros_of(body))] == 0.0).all(axis=1)]
+    rows = rows[~(numbers.values[np.ix_(rows, np.array(body.zeros))] == 0.0).all(axis=1)]
     if len(rows) < MIN_ROWS:
         return None
     values = numbers.values[rows]
@@ -246,18 +245,6 @@ def _sure(body: Body) -> bool:
     return body.turned is not None and len(body.turned) > 3
 
 
-def columns_of(body: Body) -> list[int]:
-    """All columns of a body."""
-    return [k for _, triple in body.points for k in triple] or [
-        *body.position, *(body.turned or ()), *body.away,
-    ]  # fmt: skip
-
-
-def zeros_of(body: Body) -> np.ndarray:
-    """Columns that are all zero where an instrument read nothing: no orientation is written so but as angles."""
-    return np.array(body.turned if body.turned is not None and len(body.turned) > 3 else columns_of(body))
-
-
 def _decided(
     numbers: Numbers, chain: Chain, time: RowTimes, fits: list[Fitted], labelled: Sequence[JointColumns]
 ) -> Findings:
@@ -309,7 +296,6 @@ def _decided(
 
 
 def _alike(one: Fitted, other: Fitted) -> bool:
-    """Whether two places of columns say the same poses."""
     if one.body.position != other.body.position or (one.body.turned is None) != (other.body.turned is None):
         return False
     if len(one.best.R) != len(other.best.R) or one.body.turned is None:
@@ -367,7 +353,7 @@ def _joined(known: Together, path: Path) -> Together:
         said = f"shares no column of station numbers or times with {known.sniffed.path.name}"
         raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/import.md")
     a, b, within = found
-    form = {name: value for name, value in vars(theirs.sniffed.form).items() if value != getattr(Form(), name)}
+    form = theirs.sniffed.form.entry()
     stated: dict[str, Any] = {"files": path.name, **form, "by": {ours.key(a): theirs.key(b)}}
     if within is not None:
         stated["within"] = within

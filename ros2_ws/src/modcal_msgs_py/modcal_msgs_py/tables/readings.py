@@ -17,8 +17,6 @@ from modcal_core.measurements import BEARING, POINT, POSE, RANGE, RAY, TOUCH, Jo
 from modcal_msgs_py.tables.candidates import Body, Numbers
 from modcal_msgs_py.tables.table import Table
 
-# --- The pose of several targets on one tool
-
 _ROUNDS = 3  # of the mean shape
 
 
@@ -183,8 +181,6 @@ _READ: dict[str, Callable[[Table, Mapping[str, Any], str], _Read]] = {
     "ray": _length(RAY),
 }
 
-
-# --- Several targets on one tool: points of a table that keep their distances while they move
 
 _MOVES = 0.05  # of what the liveliest point moves; less is a target that stands
 _RIGID = 2e-3  # of what the points move, by which their distance may scatter

@@ -117,7 +117,6 @@ def _width(rows: list[list[str]], sign: str, least: int) -> int:
 
 
 def _block(rows: list[list[str]], sign: str, least: int) -> int:
-    """Numbers in rows of the usual width."""
     width = _width(rows, sign, least)
     return sum(
         sum(is_number(cell, sign) for cell in cells)

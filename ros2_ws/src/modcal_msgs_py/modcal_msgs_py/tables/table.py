@@ -34,6 +34,10 @@ class Form:
         """The form that an entry of a mapping states."""
         return cls(**{name: entry[name] for name in cls.__dataclass_fields__ if name in entry})
 
+    def entry(self) -> dict[str, Any]:
+        """What an entry of a mapping states of it: what is not as by default."""
+        return {name: value for name, value in vars(self).items() if value != getattr(Form, name)}
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -92,8 +96,6 @@ def cells_of(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
         yield before + 1, cells
         before = reader.line_num
 
-
-# --- What is wrong with rows of a table, collected, so that one message names them all
 
 _MAX_LINES, _MAX_KINDS = 20, 12  # that a message lists; more are counted
 

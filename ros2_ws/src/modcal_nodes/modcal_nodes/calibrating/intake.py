@@ -215,9 +215,6 @@ class Intake:
         self._log.warning(str(error), throttle_duration_sec=5.0)
 
 
-# --- What the calibrator subscribes to
-
-
 def listen(
     node: GuardedNode,
     intake: Intake,
@@ -270,8 +267,6 @@ def policy(chosen: dict[str, Any]) -> Policy:
     """When results are trusted, and when a solve starts by itself."""
     return Policy(chosen["accept"], chosen["first_solve"], chosen["after_change"])
 
-
-# --- Commanded joints, whichever of two types of messages they come as: heard once somebody publishes them
 
 _KINDS = {"sensor_msgs/msg/JointState": JointState, "trajectory_msgs/msg/JointTrajectory": JointTrajectory}
 _LOOK = 1.0  # s between looks at who publishes

@@ -142,9 +142,6 @@ def _read_samples(path: Path) -> Samples | None:
         return Samples(names, frames, signals=signals, sockets=sockets, clock=clock, **arrays)
 
 
-# --- The folder in which the calibrator keeps what it trusts and what it has heard; without one nothing is kept
-
-
 class StateFolder:
     """path: of the folder, None where nothing is kept."""
 

@@ -130,15 +130,7 @@ def modules_command() -> None:
 @with_options(TOPICS)
 @speaking
 def learn_command(
-    spec: Path,
-    bag: Path,
-    store: Path,
-    accept: bool,
-    library_file: Path | None,
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
-    output: Output,
+    spec: Path, bag: Path, store: Path, accept: bool, library_file: Path | None, output: Output, **said: Any
 ) -> None:
     """Learn from BAG, a recording of the assembly SPEC, the errors of its modules (by serial number)."""
     assembly, library = read_assembly(spec, library_file)
@@ -147,7 +139,10 @@ def learn_command(
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
     with output.working() as watch:
         watch(f"reading {bag.name}")
-        prepared = prepare(read_recording(bag, topics=Topics.of(topic, ignore, tf)), chain_of(assembly, library))
+        prepared = prepare(
+            read_recording(bag, topics=Topics.of(topics["topic"], topics["ignore"], topics["tf"])),
+            chain_of(assembly, library),
+        )
         watch("fitting the modules")
         new = recording_evidence(assembly, library, prepared.samples)
         others = [w for w in known.recordings if w.assembly.name != assembly.name]
@@ -202,7 +197,6 @@ def _show_learned(found: dict[str, Any], console: Console) -> None:
 
 
 def _table(assembly: Assembly, library: Library) -> Table:
-    """Every module in its place, joints at zero."""
     shown = table(_MODULES, words=3)
     joints = iter(assembly.joint_names)
     frames = module_frames(assembly, library)
@@ -218,7 +212,6 @@ def _table(assembly: Assembly, library: Library) -> Table:
 
 
 def _known(parts: list[dict[str, Any]]) -> Table:
-    """What is known of every part: sizes of its errors, and how surely."""
     shown = table(_PARTS, words=3)
     for known in parts:
         twist, std = np.array(known["twist"]), np.array(known["std"])

@@ -192,7 +192,6 @@ def plan_next_images(
 def _solved(
     camera: dict[str, Any], options: dict[str, Any], bag: Path | None, watch: Watch
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
-    """The robot, its images, and what they lead to."""
     from modcal_core.camera import read_any_target, solve_camera
 
     target = read_any_target(camera["target"])

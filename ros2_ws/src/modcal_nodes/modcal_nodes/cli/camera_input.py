@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from modcal_nodes.vision import ImageFolder
 
 
-# --- The arm that images are of: between two links of a URDF, also from the tip of one arm to that of another
-
-
 def arm_of_file(
     urdf: Path, base: str | None, tip: str | None, recorded: Collection[str]
 ) -> tuple[Robot, tuple[str, ...]]:

@@ -174,7 +174,6 @@ def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: 
 
 
 def _side(path: Path, name: str) -> Side:
-    """What is at a path: a calibration with the report beside it, or a report alone. Raises BadTable."""
     if path.suffix == ".json":
         return Side(name, report=_report(path))
     folder = path if path.is_dir() else path.parent

@@ -110,7 +110,6 @@ def _show(data: dict[str, Any], console: Console) -> None:
 
 
 def _said(role: str) -> str:
-    """A role as a person asks for it."""
     return "the tracker, by --tf PARENT:CHILD" if role == "tf" else f"{role}, by --topic"
 
 

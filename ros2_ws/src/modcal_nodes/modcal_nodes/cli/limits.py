@@ -209,7 +209,6 @@ def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) 
 
 
 def _table(data: dict[str, Any]) -> Table:
-    """For every joint its inertia, what holding takes of its drive, and its bounds."""
     shown = table(_COLUMNS)
     for joint in data["joints"]:
         least, most = (f"{joint['inertia'][end]:.3g}" for end in ("least", "most"))

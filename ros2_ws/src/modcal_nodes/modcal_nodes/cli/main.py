@@ -143,7 +143,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fault() -> int:
-    """The exit code of a fault of ours, its traceback being printed."""
     import traceback
 
     traceback.print_exc()

@@ -187,7 +187,6 @@ def _cell(robot: Path, base: str | None, tip: str | None, given: tuple[str, ...]
 
 
 def _whole(place: Folder, kept: StoredSession, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:
-    """Measure to the end, the session being kept after every station."""
     session = kept.session
     while True:
         watch("fitting and choosing")
@@ -221,7 +220,6 @@ def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch)
 
 
 def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -> None:
-    """Say what to measure next."""
     session = advice.session
     lines = [*_nothing_new(place, filled), *left_out(advice)]
     lines.append(f"{counted(len(session.rows()), 'station')} measured; {_standing(advice)}".rstrip("; "))

@@ -32,8 +32,6 @@ from modcal_nodes.cli.console import Output, console, say, speaking
 from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, file_line, read_robot, read_stations
 from modcal_nodes.io import read_calibration
 
-# --- ``modcal plan --decide``: the stations that tell two explanations of the same error apart
-
 
 def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site | None = None) -> None:
     """Propose the stations that tell explanations apart, print them, and write plan.yaml."""
@@ -204,7 +202,6 @@ def plan_command(robot: Path | None, out: Path | None, output: Output, **options
 
 
 def _by_camera(robot: Path | None, options: dict[str, Any], out: Path | None, output: Output) -> None:
-    """The images to take after those that there are."""
     from modcal_nodes.cli.camera import plan_next_images
 
     camera, joints, target = (options[name] for name in ("camera", "joints", "target"))

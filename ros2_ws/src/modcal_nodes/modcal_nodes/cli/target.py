@@ -131,7 +131,6 @@ def target_command(
 
 
 def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> None:
-    """Put the measured lengths of the rulers into a target file."""
     from modcal_core.camera import target_from_data
 
     path = out / "target.yaml" if out.is_dir() else out

@@ -98,7 +98,6 @@ def _go_on(
 
 
 def _nothing(domain: int, namespace: str, seconds: float) -> tuple[str, str, str]:
-    """What to check when nobody speaks: offender, limit, remedy."""
     where = f"/diagnostics of domain {domain}" + (f" below /{namespace.strip('/')}" if namespace else "")
     return (
         where,

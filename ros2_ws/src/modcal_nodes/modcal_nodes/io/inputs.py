@@ -36,8 +36,6 @@ from modcal_core.report import Particulars
 from modcal_core.robots import Delta, delta_from_data
 from modcal_msgs_py import Topics
 
-# --- The cell file, as a schema: what it may say, key by key
-
 _NUMBER = {"type": "number"}
 _TEXT = {"type": "string", "minLength": 1}
 _TEXTS = {"type": ["array", "null"], "items": {"type": "string"}}
@@ -262,7 +260,6 @@ def _payload(data: Mapping[str, Any]) -> StatedPayload:
 
 
 def _tool(data: Mapping[str, Any]) -> StatedTool:
-    """Where the tool is in the tip, and how well that is known."""
     if ("quaternion" in data) != ("std_deg" in data):
         raise ValueError("an orientation needs quaternion and std_deg, both")
     std_m, std_rad = _deviations({"std_deg": np.inf, **data})
