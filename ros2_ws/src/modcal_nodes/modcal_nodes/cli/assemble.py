@@ -140,7 +140,7 @@ def learn_command(
     with output.working() as watch:
         watch(f"reading {bag.name}")
         prepared = prepare(
-            read_recording(bag, topics=Topics.of(topics["topic"], topics["ignore"], topics["tf"])),
+            read_recording(bag, topics=Topics.of(said["topic"], said["ignore"], said["tf"])),
             chain_of(assembly, library),
         )
         watch("fitting the modules")
