@@ -7,7 +7,6 @@ import importlib
 from pathlib import Path
 
 import pytest
-
 from structure.test_layers import MODCAL, SRC, files, imports_of
 
 # A distribution's own files (modcal_core.loop, modcal_core.errors, …) are faces themselves.
