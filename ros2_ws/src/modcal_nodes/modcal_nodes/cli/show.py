@@ -29,7 +29,7 @@ def show_blocks(blocks: Sequence[SummaryTable | SummaryLine], console: Console) 
     """Print tables and sentences, each in the colour of its meaning."""
     for block in blocks:
         if isinstance(block, SummaryLine):
-            console.print(block.text, style=STYLES[block.tone], markup=False)
+            console.print(block.text, style=STYLES[block.tone], highlight=False, markup=False)
         else:
             console.print(_table(block))
 
