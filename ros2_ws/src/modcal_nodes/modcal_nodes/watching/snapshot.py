@@ -1,4 +1,4 @@
-"""What the nodes of a cell say of themselves: a node that only listens, what it heard, and a snapshot of that."""
+"""What is heard of the nodes of a cell, by a node that only listens, and a snapshot of it: plain data out."""
 
 from __future__ import annotations
 
