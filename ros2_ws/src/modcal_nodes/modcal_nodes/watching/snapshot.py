@@ -1,4 +1,4 @@
-"""What is heard of the nodes of a cell, by a node that only listens, and a snapshot of it: plain data out."""
+"""The nodes of a cell: one node that only listens to them, and a snapshot of what it received, as plain data."""
 
 from __future__ import annotations
 
