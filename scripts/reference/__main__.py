@@ -21,7 +21,7 @@ import settings
 import verbs
 
 from modcal_core.files import to_json
-from modcal_msgs_py.tables.schema import json_schema
+from modcal_msgs_py.tables.convert import json_schema
 
 ROOT = Path(__file__).resolve().parents[2]
 TRACKED: dict[str, Callable[[], str]] = {

@@ -42,7 +42,7 @@ def page() -> str:
             for i, verb in enumerate(verbs)
         ),
     )
-    root = click.Context(modcal, info_name="modcal")
+    root = click.Context(modcal, info_name="modcal", **modcal.context_settings)
     parts = [INTRODUCTION, listing]
     for verb in modcal.list_commands(root):
         command = modcal.get_command(root, verb)

@@ -23,7 +23,7 @@ from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
-from modcal_nodes.io.assemblies import read_assembly
+from modcal_nodes.io.inputs import read_assembly
 from modcal_nodes.simulation.world import World
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "modules"

@@ -16,7 +16,7 @@ from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml
 from modcal_core.measurements.schema import require
 from modcal_msgs_py.recording_write import write_recording
-from modcal_msgs_py.tables.schema import SCHEMA
+from modcal_msgs_py.tables.convert import SCHEMA
 from modcal_nodes.cli.main import run
 
 ROWS = "t;a;b;x;y;z;r;p;w\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3\n" for t in range(1, 9))

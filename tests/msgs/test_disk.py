@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modcal_msgs_py.disk import DiskFile
+from modcal_msgs_py.mcap_write import DiskFile
 
 
 def test_what_is_handed_over_is_in_the_file(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -77,7 +77,7 @@ def test_nobody_waits_for_a_disk_that_takes_nothing(tmp_path: Path, monkeypatch:
 _REFUSED = """
 import errno, resource, sys
 from pathlib import Path
-from modcal_msgs_py.disk import DiskFile
+from modcal_msgs_py.mcap_write import DiskFile
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 file = DiskFile(Path(sys.argv[1]))
 file.write(bytes(600))

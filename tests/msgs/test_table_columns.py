@@ -198,7 +198,7 @@ def test_what_was_not_decided_is_refused(tmp_path: Path) -> None:
 
 
 def test_examples_are_what_the_schema_says() -> None:
-    from modcal_msgs_py.tables.schema import require_mapping
+    from modcal_msgs_py.tables.convert import require_mapping
 
     for path in sorted((Path(__file__).parents[2] / "examples" / "import").glob("*.yaml")):
         data = yaml.safe_load(path.read_text())

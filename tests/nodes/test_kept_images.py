@@ -12,7 +12,7 @@ from camera.boards import BOARD, facing, views
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.target_file import scale_of_rulers
 from modcal_core.errors import BadTable
-from modcal_nodes.calibrating.kept_images import forget_images, read_images, write_images
+from modcal_nodes.calibrating.state import forget_images, read_images, write_images
 
 
 def test_images_come_back_as_they_were(tmp_path: Path) -> None:

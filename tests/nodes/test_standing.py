@@ -12,8 +12,7 @@ from report.reports import points
 from modcal_core.online.supervisor import Policy, Supervisor
 from modcal_core.report.as_json import to_json_data
 from modcal_core.verdict.verdict import Verdict
-from modcal_nodes.calibrating.diagnostics import model_status
-from modcal_nodes.calibrating.standing import Standing, standing_of, standing_of_json
+from modcal_nodes.calibrating.diagnostics import Standing, model_status, standing_of, standing_of_json
 from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Status
 from modcal_nodes.watching.snapshot import OURS, Changes, Heard
 

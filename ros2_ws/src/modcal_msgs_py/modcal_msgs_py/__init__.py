@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from modcal_msgs_py.bag import Bag, read_bag
     from modcal_msgs_py.bag_files import SUFFIXES, qos_profile
-    from modcal_msgs_py.commanded import Commands
+    from modcal_msgs_py.track_rows import Commands
     from modcal_msgs_py.commands import JointInput, ObjectInput, desired_pose, fill_accelerations, fill_point
     from modcal_msgs_py.commands import fill_pose, fill_target, fill_wrench, require_new, wrench_numbers
     from modcal_msgs_py.images import CLOUD, TAGS, RawImage, chosen_topic, corner_topics, fill_corners, image_topics

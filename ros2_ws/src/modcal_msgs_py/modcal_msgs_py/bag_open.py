@@ -19,8 +19,6 @@ import zstandard
 from modcal_core.errors import BadRecording
 from modcal_msgs_py.mcap_walk import HEAD, PADDING, ZSTD, Block, McapFile, read_index
 
-# --- Walking through the SQLite file of a bag, as ``mcap_walk`` walks through MCAP: the same blocks of messages
-
 _MAX_BYTES, _MAX_MESSAGES = 1 << 22, 10_000  # of a block
 
 

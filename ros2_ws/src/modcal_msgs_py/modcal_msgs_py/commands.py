@@ -42,14 +42,14 @@ def desired_pose(message: Any, farthest: float) -> Array:
 
 def require_new(message: Any, now: float, stale: float) -> None:
     """Raises BadCommand for a stamped wish that is too old, or from another clock; one without a stamp is of now."""
-    stamp = seconds(message.header.stamp)
-    if stamp and not abs(now - stamp) <= stale:
+    stamp = seconds(message.header.stamp) or now
+    _require_recent("desired_pose", stamp, now, stale, "stamp it with this clock when it is sent")
+
+
+def _require_recent(what: str, stamp: float, now: float, stale: float, remedy: str) -> None:
+    if not abs(now - stamp) <= stale:
         when = "old" if stamp < now else "ahead"
-        raise BadCommand(
-            "desired_pose",
-            f"its stamp is {abs(now - stamp):.3g} s {when}, {stale:g} s is the limit",
-            "stamp it with this clock when it is sent",
-        )
+        raise BadCommand(what, f"its stamp is {abs(now - stamp):.3g} s {when}, {stale:g} s is the limit", remedy)
 
 
 class JointInput:
@@ -74,13 +74,8 @@ class JointInput:
         Joints of other arms are passed over; a message without a stamp counts as sent when it was received.
         """
         stamp = seconds(message.header.stamp) or now
-        if not abs(now - stamp) <= stale:
-            when = "old" if stamp < now else "ahead"
-            raise BadCommand(
-                "joint_states",
-                f"its stamp is {abs(now - stamp):.3g} s {when}, {stale:g} s is the limit",
-                "make the driver stamp with this clock, or check why it is late",
-            )
+        remedy = "make the driver stamp with this clock, or check why it is late"
+        _require_recent("joint_states", stamp, now, stale, remedy)
         names = tuple(message.name)
         if names != self._told:
             self._told = None
@@ -180,8 +175,7 @@ def fill_target(message: Any, setpoint: ArmSetpoint, stamp: float) -> Any:
     """A PoseStamped of where the tool shall be, in the base link."""
     message.header.frame_id = setpoint.frame
     set_seconds(message.header.stamp, stamp)
-    p, q = message.pose.position, message.pose.orientation
-    p.x, p.y, p.z, q.x, q.y, q.z, q.w = (float(x) for x in se3.to_pose(setpoint.pose))
+    fill_pose(message.pose, setpoint.pose)
     return message
 
 

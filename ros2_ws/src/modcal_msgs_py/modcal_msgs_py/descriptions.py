@@ -49,8 +49,6 @@ def is_link(frame: str, description: str) -> bool:
     return bool(frame) and re.search(rf"<link\b[^>]*\bname\s*=\s*[\"']{re.escape(frame)}[\"']", description) is not None
 
 
-# --- What a report is traced back to, taken from a bag
-
 _MAX_NAMED = 4  # instruments; a cell of many anchors would fill the line
 _CHUNK = 1 << 20
 

@@ -282,8 +282,6 @@ def _store_with(type_name: str, text: str) -> Typestore:
     return store
 
 
-# --- The fields of message types, as ``layout`` reads them
-
 _HEADER: Fields = [("stamp", [("sec", "i4"), ("nanosec", "u4")]), ("frame_id", "string")]
 _XYZ: Fields = [("x", "f8"), ("y", "f8"), ("z", "f8")]
 _XYZW: Fields = [*_XYZ, ("w", "f8")]

@@ -292,7 +292,6 @@ def _heads(content: Content, places: NDArray[np.int64]) -> NDArray[np.void]:
 
 
 def _placed(content: Content, places: list[int]) -> tuple[NDArray[np.int64], NDArray[np.void]]:
-    """These places of messages, and their heads."""
     where = np.array(places, np.int64)
     return where, _heads(content, where)
 
@@ -369,8 +368,6 @@ def _other_format(path: Path, start: bytes) -> str:
 
 # --- The index at the end of an MCAP file: which topics there are, and what the file says of its own size
 
-_MAGIC = b"\x89MCAP0\r\n"
-_MCAP_INDEX_RECORD = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<BQQQI")
 _MAX_RECORDS = 1_000_000
 
@@ -403,23 +400,23 @@ def read_index(path: Path) -> Index | None:
 
 
 def _index(data: mmap.mmap) -> Index | None:
-    end = len(data) - len(_MAGIC) - _FOOTER.size
-    if end < len(_MAGIC) or data[-len(_MAGIC) :] != _MAGIC:
+    end = len(data) - len(MAGIC) - _FOOTER.size
+    if end < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
         raise ValueError("the file does not end correctly")
     opcode, length, at, _, _ = _FOOTER.unpack_from(data, end)
-    if opcode != Opcode.FOOTER or length != _FOOTER.size - _MCAP_INDEX_RECORD.size:
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size:
         raise ValueError("the file does not end correctly")
     if at == 0:
         return None
-    if not len(_MAGIC) <= at <= end:
+    if not len(MAGIC) <= at <= end:
         raise ValueError("it begins outside of the file")
     out, schemas, channels = Index(), {0: ""}, {}
     counts: dict[int, int] = {}
     for _ in range(_MAX_RECORDS):
-        if at + _MCAP_INDEX_RECORD.size > end:
+        if at + _RECORD.size > end:
             break
-        opcode, length = _MCAP_INDEX_RECORD.unpack_from(data, at)
-        body, at = at + _MCAP_INDEX_RECORD.size, at + _MCAP_INDEX_RECORD.size + length
+        opcode, length = _RECORD.unpack_from(data, at)
+        body, at = at + _RECORD.size, at + _RECORD.size + length
         if at > end:
             raise ValueError("a record goes beyond its end")
         if opcode == Opcode.CHUNK_INDEX:

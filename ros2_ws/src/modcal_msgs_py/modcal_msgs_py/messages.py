@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.measurements import PART, Listed, Recording
 from modcal_core.measurements.kinds import kinds
-from modcal_msgs_py.commanded import Commands
 from modcal_msgs_py.descriptions import Descriptions, is_link
 from modcal_msgs_py.layout import Bytes, MessageLayout, numeric_paths
 from modcal_msgs_py.mcap_walk import Block
@@ -41,9 +40,10 @@ from modcal_msgs_py.topics import (
     preferred,
     role_of,
 )
-from modcal_msgs_py.track_rows import TrackRows, joint_track, reading_track, signal_track
+from modcal_msgs_py.track_rows import Commands, TrackRows, joint_track, reading_track, signal_track
 from modcal_msgs_py.transforms import Transforms
 
+Key = TypeVar("Key", bound=tuple[Any, ...])  # of a track; the topic comes first
 NO_POSITIONS = "it holds names without positions"
 
 
@@ -93,7 +93,7 @@ class RecordingBuilder:
         if type_name == TRANSFORMS:
             self._add_transforms(topic, message, received)
         elif role == JOINT_STATES:
-            self._add_joint_state(topic, message, received)
+            self._add_joints(topic, message, self._stamp(topic, message, received), received)
         elif role in COMMANDS:
             self._commanded.setdefault(topic, _rank(topic, role))
             self._commands.add(topic, type_name, message, self._stamp(topic, message, received), received)
@@ -144,7 +144,9 @@ class RecordingBuilder:
             kind = READINGS[role]
             values = columns_of(kind, type_name, layout, column)
             own = stated_in(type_name, len(stamps), column)
-            self._reading_rows(topic, kind, frame).extend(stamps, received, *values, own)
+            self._rows(self._readings, (topic, kind, frame), kinds()[kind].width + 2).extend(
+                stamps, received, *values, own
+            )
         elif role == ROBOT_DESCRIPTION:
             self._descriptions.add(topic, layout.texts["data"])
         elif role == NOTES:
@@ -201,9 +203,10 @@ class RecordingBuilder:
                 continue
             if topic in by_type and description is not None and is_link(frame, description):
                 found = [note for note in found if not note.startswith(f"{topic} ")]
+                role = next(role for role, name in READINGS.items() if name == kind)
                 warnings.append(
                     f"{topic} is in {frame}, a link of the robot: it looks computed from the joints and is not used; "
-                    f"if it was measured, state --topic {self._role_of_kind(kind)}={topic}."
+                    f"if it was measured, state --topic {role}={topic}."
                 )
                 continue
             readings.append(reading_track(kind, frame, rows, topic, topic in by_type))
@@ -229,39 +232,34 @@ class RecordingBuilder:
         )
 
     def _listed(self) -> tuple[Listed, ...]:
-        """The topics that there are, with what they are used as and what they could be."""
         return tuple(
-            Listed(one.topic, one.type_name, one.count, self.role(one.topic, one.type_name), _could(one))
+            Listed(
+                one.topic,
+                one.type_name,
+                one.count,
+                self.role(one.topic, one.type_name),
+                could_be(one.topic, one.type_name),
+            )
             for one in (() if self._roles is None else self._roles.listed)
         )
-
-    def _role_of_kind(self, kind: str) -> str:
-        return next(role for role, name in READINGS.items() if name == kind)
-
-    def _add_joint_state(self, topic: str, message: Any, received: float) -> None:
-        self._add_joints(topic, message, self._stamp(topic, message, received), received)
 
     def _add_joints(self, topic: str, message: Any, stamp: float, received: float) -> None:
         names = tuple(message.name)
         rows = self._joints.get((topic, names))
         if rows is None or len(message.position) != len(names):  # else there was one with these names before
-            rows = self._joint_rows(topic, names, _require_joints(topic, names, len(message.position), stamp))
+            n = _require_joints(topic, names, len(message.position), stamp)
+            rows = self._rows(self._joints, (topic, names), 3 * n)
         n = len(names)
         # a column that was not sent, or not for every joint, is unknown for all of them
         sent = (message.velocity, message.effort)
         rest = [values if len(values) == n else np.full(n, np.nan) for values in sent]
         rows.append(stamp, received, np.concatenate([message.position, *rest]))
 
-    def _joint_rows(self, topic: str, names: tuple[str, ...], n: int) -> TrackRows:
-        """The rows of a track of n joints."""
-        rows = self._joints.get((topic, names))
-        if rows is None:
-            rows = self._joints[topic, names] = self._rows(topic, 3 * n)
-        return rows
-
-    def _rows(self, topic: str, width: int) -> TrackRows:
-        """Rows of a new track of this topic."""
-        return TrackRows(width, self._expected.get(topic, 0))
+    def _rows(self, tracks: dict[Key, TrackRows], key: Key, width: int) -> TrackRows:
+        """The rows of a track, which begins here where there is none. Of readings, the last two numbers are stated."""
+        if key not in tracks:
+            tracks[key] = TrackRows(width, self._expected.get(key[0], 0))
+        return tracks[key]
 
     def _add_joint_rows(
         self, topic: str, layout: MessageLayout, stamps: Array, received: Array, columns: list[Array]
@@ -269,19 +267,13 @@ class RecordingBuilder:
         names = tuple(layout.texts[f"name[{i}]"] for i in range(layout.counts["name"]))
         n = _require_joints(topic, names, columns[0].shape[1], float(stamps[0]))
         known = [c if c.shape[1] == n else np.full((len(c), n), np.nan) for c in columns]
-        self._joint_rows(topic, names, n).extend(stamps, received, *known)
+        self._rows(self._joints, (topic, names), 3 * n).extend(stamps, received, *known)
 
     def _add_reading(self, topic: str, kind: str, message: Any, received: float) -> None:
-        rows = self._reading_rows(topic, kind, str(message.header.frame_id))
         values = (*READING[kind](message), *stated_by(message))
+        key = topic, kind, str(message.header.frame_id)
+        rows = self._rows(self._readings, key, kinds()[kind].width + 2)
         rows.append(self._stamp(topic, message, received), received, values)
-
-    def _reading_rows(self, topic: str, kind: str, frame: str) -> TrackRows:
-        """The rows of a track: its numbers, and what is stated of the error of position and orientation."""
-        rows = self._readings.get((topic, kind, frame))
-        if rows is None:
-            rows = self._readings[topic, kind, frame] = self._rows(topic, kinds()[kind].width + 2)
-        return rows
 
     def _add_transforms(self, topic: str, message: Any, received: float) -> None:
         if self._transforms is None:
@@ -310,7 +302,7 @@ class RecordingBuilder:
         elif isinstance(said, Joints):
             self._add_joints(topic, said, stamp, received)
         elif isinstance(said, Reading) and said.kind in kinds() and len(said.values) == kinds()[said.kind].width:
-            rows = self._reading_rows(topic, said.kind, said.frame)
+            rows = self._rows(self._readings, (topic, said.kind, said.frame), kinds()[said.kind].width + 2)
             rows.append(stamp, received, (*map(float, said.values), math.nan, math.nan))
         else:
             raise BadTable(
@@ -318,16 +310,10 @@ class RecordingBuilder:
             )
 
     def _signals_at(self, topic: str, name: str, stamps: Array, received: Array, values: Array) -> None:
-        self._signal_rows(topic, name, 1).extend(stamps, received, values[:, None])
+        self._rows(self._signals, (topic, name), 1).extend(stamps, received, values[:, None])
 
     def _signal(self, topic: str, name: str, stamp: float, received: float, values: list[float]) -> None:
-        self._signal_rows(topic, name, len(values)).append(stamp, received, values)
-
-    def _signal_rows(self, topic: str, name: str, width: int) -> TrackRows:
-        rows = self._signals.get((topic, name))
-        if rows is None:
-            rows = self._signals[topic, name] = self._rows(topic, width)
-        return rows
+        self._rows(self._signals, (topic, name), len(values)).append(stamp, received, values)
 
     def _stamp(self, topic: str, message: Any, received: float) -> float:
         header = getattr(message, "header", None)
@@ -367,10 +353,6 @@ def _of_robot(topic: str, joint_topics: set[str]) -> bool:
 def _rank(topic: str, role: str) -> int:
     """Which topic of commands is asked first: the contract's own name, then by role."""
     return 2 * COMMANDS.index(role) + (topic != f"/{role}")
-
-
-def _could(one: Listed) -> tuple[str, ...]:
-    return could_be(one.topic, one.type_name)
 
 
 def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, float]]:

@@ -29,7 +29,6 @@ _PATHS = {
 
 
 def _parts(message: Any) -> tuple[Any, Any]:
-    """Position and orientation of a message with a pose."""
     if hasattr(message, "transform"):
         return message.transform.translation, message.transform.rotation
     pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
@@ -91,9 +90,6 @@ def deviations(covariance: Array) -> Array:
         return np.where(good, np.sqrt(np.where(good[:, :, None], variances, 0.0).sum(axis=2)), np.nan)
 
 
-# --- Stamps and durations of messages as seconds, and back
-
-
 def seconds(stamp: Any) -> float:
     """A builtin_interfaces/Time or Duration in seconds."""
     return float(stamp.sec + 1e-9 * stamp.nanosec)
@@ -104,8 +100,6 @@ def set_seconds(stamp: Any, value: float) -> None:
     nanoseconds = round(value * 1e9)
     stamp.sec, stamp.nanosec = nanoseconds // 10**9, nanoseconds % 10**9
 
-
-# --- Temperatures as they come over the wire, as the tracks that effects are driven by
 
 _STEP = 1.0  # s between values that are kept
 _MAX = 3600  # values; an effect may follow with a lag of many minutes

@@ -102,14 +102,12 @@ def _joint_states(track: JointTrack, topic: str) -> Iterator[tuple[int, str, str
 
 
 def _reading_messages(reading: ReadingTrack, with_covariance: bool) -> Iterator[tuple[int, str, str, Any]]:
-    """Messages of a track."""
     role = _TOPIC_OF[reading.kind]
-    make = _MAKERS[TYPES[role]]
     for i, (stamp, values) in enumerate(zip(reading.stamps, reading.values, strict=True)):
         ns = _ns(stamp)
         numbers = [float(v) for v in values]
         if not with_covariance:
-            yield ns, f"/{role}", TYPES[role], make(_header(ns, reading.frame), numbers)
+            yield ns, f"/{role}", TYPES[role], _reading_message(TYPES[role], _header(ns, reading.frame), numbers)
             continue
         own = np.full(2, np.nan) if reading.stated is None else reading.stated[i]
         pose = numbers if reading.kind == POSE else [*numbers, 0.0, 0.0, 0.0, 1.0]
@@ -140,10 +138,6 @@ def _pose(values: list[float]) -> Any:
     return message_class("geometry_msgs/msg/Pose")(position=_point(values), orientation=orientation)
 
 
-def _pose_stamped(header: Any, values: list[float]) -> Any:
-    return message_class("geometry_msgs/msg/PoseStamped")(header=header, pose=_pose(values))
-
-
 def _pose_with_covariance(header: Any, values: list[float], deviations: np.ndarray) -> Any:
     """deviations: RMS over space of position [m] and angle [rad], spread evenly over the axes; NaN: unknown, zeros."""
     variance = np.repeat(np.where(np.isfinite(deviations), deviations, 0.0) ** 2 / 3.0, 3)
@@ -153,27 +147,26 @@ def _pose_with_covariance(header: Any, values: list[float], deviations: np.ndarr
     return message_class(_WITH_COVARIANCE)(header=header, pose=pose)
 
 
-def _point_stamped(header: Any, values: list[float]) -> Any:
-    return message_class("geometry_msgs/msg/PointStamped")(header=header, point=_point(values))
-
-
-def _vector_stamped(header: Any, values: list[float]) -> Any:
-    vector = message_class("geometry_msgs/msg/Vector3")(x=values[0], y=values[1], z=values[2])
-    return message_class("geometry_msgs/msg/Vector3Stamped")(header=header, vector=vector)
+def _vector(values: list[float]) -> Any:
+    return message_class("geometry_msgs/msg/Vector3")(x=values[0], y=values[1], z=values[2])
 
 
 def _range(header: Any, values: list[float]) -> Any:
     make = message_class("sensor_msgs/msg/Range")
     # of a gauge nothing is known but what it reads; the message has no type for one
-    return make(
-        header=header, radiation_type=make.INFRARED, field_of_view=0.0, min_range=0.0, max_range=0.0, range=values[0],
-        variance=0.0,
-    )  # fmt: skip
+    unknown = dict.fromkeys(("field_of_view", "min_range", "max_range", "variance"), 0.0)
+    return make(header=header, radiation_type=make.INFRARED, range=values[0], **unknown)
 
 
-_MAKERS = {
-    "geometry_msgs/msg/PoseStamped": _pose_stamped,
-    "geometry_msgs/msg/PointStamped": _point_stamped,
-    "geometry_msgs/msg/Vector3Stamped": _vector_stamped,
-    "sensor_msgs/msg/Range": _range,
+_STAMPED: dict[str, tuple[str, Callable[[list[float]], Any]]] = {
+    "geometry_msgs/msg/PoseStamped": ("pose", _pose),
+    "geometry_msgs/msg/PointStamped": ("point", _point),
+    "geometry_msgs/msg/Vector3Stamped": ("vector", _vector),
 }
+
+
+def _reading_message(type_name: str, header: Any, values: list[float]) -> Any:
+    if type_name not in _STAMPED:
+        return _range(header, values)
+    name, make = _STAMPED[type_name]
+    return message_class(type_name)(header=header, **{name: make(values)})

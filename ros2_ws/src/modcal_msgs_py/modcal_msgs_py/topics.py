@@ -20,10 +20,7 @@ from typing import Any, TypeAlias
 from modcal_core.errors import BadRecording, BadTable
 from modcal_core.measurements import Listed, added
 from modcal_core.measurements.kinds import kinds
-from modcal_msgs_py import commanded
-from modcal_msgs_py.commanded import JOINT_STATE, TRAJECTORY
-
-# --- Topics that installed packages add: what a message of a maker's own says, in the words of a recording
+from modcal_msgs_py.track_rows import JOINT_STATE, STATE_OF_CONTROLLER, TRAJECTORY
 
 GROUP = "modcal.topics"
 
@@ -100,7 +97,7 @@ TYPES = {
     JOINT_STATES: JOINT_STATE,
     ROBOT_DESCRIPTION: "std_msgs/msg/String",
     JOINT_COMMANDS: JOINT_STATE,
-    CONTROLLER_STATE: commanded.CONTROLLER_STATE,
+    CONTROLLER_STATE: STATE_OF_CONTROLLER,
     TEMPERATURE: "sensor_msgs/msg/Temperature",
     WRENCH: "geometry_msgs/msg/WrenchStamped",
     NOTES: "std_msgs/msg/String",
@@ -148,7 +145,7 @@ def role_of(topic: str, type_name: str) -> str | None:
     for role, types in _ACCEPTED.items():
         if (topic == f"/{role}" or topic.endswith(f"/{role}")) and type_name in types:
             return role
-    return CONTROLLER_STATE if type_name == commanded.CONTROLLER_STATE else None
+    return CONTROLLER_STATE if type_name == STATE_OF_CONTROLLER else None
 
 
 def preferred(topics: set[str], role: str) -> set[str]:

@@ -1,16 +1,15 @@
 """Tables of measurements, as instruments export them: to a recording by a mapping, and to a mapping by what fits.
 
-``convert`` does what a mapping states (``schema`` has its keys) with the columns that ``sheet`` and ``table`` read;
+``convert`` has the keys of a mapping, and does what it states with the columns that ``table`` reads;
 ``propose`` finds a mapping for a table that has none, and proves it on the data.
 """
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_msgs_py.tables.convert import Tables, import_tables, read_tables
+    from modcal_msgs_py.tables.convert import Tables, import_tables, json_schema, read_tables
     from modcal_msgs_py.tables.propose import find
     from modcal_msgs_py.tables.proposed import Proposal, proposal
-    from modcal_msgs_py.tables.schema import json_schema
     from modcal_msgs_py.tables.tracks import read_track
 else:
     from modcal_core.lazy import lazy_face

@@ -17,11 +17,10 @@ from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_gravity_wrench
 from modcal_msgs_py.tables.candidates import JointColumns, Numbers, is_counter
 from modcal_msgs_py.tables.fitted import ColumnChoice, Fitted, scales
-from modcal_msgs_py.tables.joints import EFFORTS, UNITS
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, OTHER, VELOCITY, angle_triples, matrices, quaternions
 from modcal_msgs_py.tables.moments import RowTimes, stamps_of
-from modcal_msgs_py.tables.sheet import Sheet
-from modcal_msgs_py.tables.table import Faults, Table
+from modcal_msgs_py.tables.readings import EFFORTS, UNITS
+from modcal_msgs_py.tables.table import Faults, Sheet, Table
 
 # --- Standard deviations that an instrument states of every reading: which columns, of what, in which unit
 

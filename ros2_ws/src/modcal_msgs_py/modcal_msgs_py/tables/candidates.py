@@ -101,6 +101,17 @@ class Body:
         """Whether the body has an orientation."""
         return self.turned is not None or bool(self.points)
 
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """All columns of the readings."""
+        of_points = tuple(k for _, triple in self.points for k in triple)
+        return of_points or (*self.position, *(self.turned or ()), *self.away)
+
+    @property
+    def zeros(self) -> tuple[int, ...]:
+        """Columns that are all zero where an instrument read nothing: no orientation is written so but as angles."""
+        return self.turned if self.turned is not None and len(self.turned) > 3 else self.columns
+
 
 @dataclass(frozen=True)
 class JointColumns:
@@ -229,7 +240,6 @@ def joints(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
 
 
 def _by_name(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
-    """Columns whose labels hold the joints' own names."""
     wanted = [Label.of(name).words for name in names]
     common = set(wanted[0]).intersection(*map(set, wanted)) if len(wanted) > 1 else set()
     out = []
@@ -258,7 +268,6 @@ def _by_name(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
 
 
 def _exact(own: tuple[str, ...], label: Label) -> bool:
-    """Whether a label holds a joint's whole name."""
     return any(label.words[i : i + len(own)] == own for i in range(len(label.words) - len(own) + 1))
 
 

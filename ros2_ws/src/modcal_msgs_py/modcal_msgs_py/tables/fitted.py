@@ -20,8 +20,6 @@ from modcal_core.robots import Chain
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers
 
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
-
-
 MAX_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
 
 
@@ -76,8 +74,7 @@ class Fitted:
     @property
     def columns(self) -> tuple[int, ...]:
         """Columns of the readings."""
-        of_points = tuple(k for _, triple in self.body.points for k in triple)
-        return of_points or (*self.body.position, *(self.body.turned or ()), *self.body.away)
+        return self.body.columns
 
     def entry(self, numbers: Numbers) -> dict[str, Any]:
         """The readings as a mapping states them: pose, point or targets."""
@@ -116,7 +113,7 @@ class Fitted:
         said = "; ".join((turning_words(numbers, self.body, best), direction, _positions(best)))
         rows = f"the nominal arm misses {len(self.rows)} rows by {missed(best)} (median)"
         out = [f"{said}; joints in {joints}: {rows}"]
-        if (other := second(self)) is not None:
+        for other in self.found[1:2]:
             pairs = differences(numbers, self, best, other)
             instead = "; ".join(f"{two} instead of {one}" for one, two in pairs)
             out.append(f"second best, {worse(best, other)}: {instead}")
@@ -187,11 +184,6 @@ def worse(best: Judged, other: Judged) -> str:
     return f"worse by {gap:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; it leaves {missed(other)}"
 
 
-def second(fitted: Fitted) -> Judged | None:
-    """The meaning that fits second best."""
-    return fitted.found[1] if len(fitted.found) > 1 else None
-
-
 # --- Readings that a table holds as a goal and a deviation from it, as reports of accuracy tests do
 
 _GOAL = 0.1  # of what goal plus or minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be
@@ -233,7 +225,7 @@ def decided(numbers: Numbers, fits: Sequence[Fitted]) -> tuple[list[Fitted], tup
     out = [f for f in fits if not f.body.away]
     for plain in [f for f in fits if not f.body.away and f.body.turned is None]:
         sums = [f for f in fits if f.body.away and f.body.position == plain.body.position]
-        if len(sums) == 2 and _left(plain) < _GOAL * min(map(_left, sums)):
+        if len(sums) == 2 and plain.best.match.typical < _GOAL * min(f.best.match.typical for f in sums):
             minus = min(sums, key=lambda f: f.body.sign)
             goal = ", ".join(numbers.shown(k) for k in plain.body.position)
             question = (
@@ -244,7 +236,3 @@ def decided(numbers: Numbers, fits: Sequence[Fitted]) -> tuple[list[Fitted], tup
             rest = [f for f in out if set(f.body.position) != set(plain.body.position)]
             return [minus, *(f for f in rest if f.computed)], (question,)
     return out, ()
-
-
-def _left(fitted: Fitted) -> float:
-    return fitted.best.match.typical

@@ -16,8 +16,6 @@ from modcal_core.measurements import ORDER_ONLY
 from modcal_msgs_py.tables.candidates import Numbers
 from modcal_msgs_py.tables.table import Table
 
-# --- When the rows of a table were taken: seconds, dates in a stated format, or their order only
-
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LAST = 2.0**31  # s; stamps of messages end in 2038
 _ORDER_STEP = 1e-3  # s between rows that a table stamps alike

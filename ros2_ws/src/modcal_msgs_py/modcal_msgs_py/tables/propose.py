@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.geometry import se3
+from modcal_core.geometry import Array, se3
 from modcal_core.plausibility import MATRIX, MIN_ROWS, Postures, Turning, judge, likely_orders, rivals, same_poses
 from modcal_core.robots import Chain, Inertias
 from modcal_msgs_py.tables.beside import OtherColumns, find_beside
@@ -36,7 +37,8 @@ from modcal_msgs_py.tables.labels import MEASURED, turn_labels
 from modcal_msgs_py.tables.moments import RowTimes, find_time
 from modcal_msgs_py.tables.readings import rigid_bodies, rigid_poses
 from modcal_msgs_py.tables.sighted import SightColumns, Sighted, find_sights, is_sight, sight_columns
-from modcal_msgs_py.tables.together import Together, together
+from modcal_msgs_py.tables.sniff import Sniffed, sniff
+from modcal_msgs_py.tables.table import Faults, Sheet, Table, join
 
 NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm
 _ORDERS = 6  # of columns without labels that are judged in full
@@ -173,7 +175,6 @@ def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Seque
 
 
 def _covers(known: Body, body: Body) -> bool:
-    """Whether another body already uses this body's columns."""
     return (
         (known.away, known.sign) == (body.away, body.sign)
         and bool(set(known.position) & set(body.position))
@@ -184,9 +185,9 @@ def _covers(known: Body, body: Body) -> bool:
 
 
 def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[JointColumns]) -> Fitted | None:
-    used = [*columns_of(body), *(k for j in joint_columns for k in j.columns)]
+    used = [*body.columns, *(k for j in joint_columns for k in j.columns)]
     rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
-    rows = rows[~(numbers.values[np.ix_(rows, zeros_of(body))] == 0.0).all(axis=1)]
+    rows = rows[~(numbers.values[np.ix_(rows, np.array(body.zeros))] == 0.0).all(axis=1)]
     if len(rows) < MIN_ROWS:
         return None
     values = numbers.values[rows]
@@ -244,18 +245,6 @@ def _sure(body: Body) -> bool:
     return body.turned is not None and len(body.turned) > 3
 
 
-def columns_of(body: Body) -> list[int]:
-    """All columns of a body."""
-    return [k for _, triple in body.points for k in triple] or [
-        *body.position, *(body.turned or ()), *body.away,
-    ]  # fmt: skip
-
-
-def zeros_of(body: Body) -> np.ndarray:
-    """Columns that are all zero where an instrument read nothing: no orientation is written so but as angles."""
-    return np.array(body.turned if body.turned is not None and len(body.turned) > 3 else columns_of(body))
-
-
 def _decided(
     numbers: Numbers, chain: Chain, time: RowTimes, fits: list[Fitted], labelled: Sequence[JointColumns]
 ) -> Findings:
@@ -307,7 +296,6 @@ def _decided(
 
 
 def _alike(one: Fitted, other: Fitted) -> bool:
-    """Whether two places of columns say the same poses."""
     if one.body.position != other.body.position or (one.body.turned is None) != (other.body.turned is None):
         return False
     if len(one.best.R) != len(other.best.R) or one.body.turned is None:
@@ -317,3 +305,119 @@ def _alike(one: Fitted, other: Fitted) -> bool:
 
 def _names(numbers: Numbers, body: Body) -> str:
     return ", ".join(numbers.shown(k) for k in body.position)
+
+
+_MIN_COLUMNS = 2  # of a further file: the shared one, and one more
+_SHARED = 0.5  # of the rows must have a partner
+_KEYS = {
+    "station",
+    "id",
+    "pose",
+    "index",
+    "nr",
+    "no",
+    "number",
+    "point",
+    "frame",
+    "time",
+    "timestamp",
+    "stamp",
+    "t",
+    "sample",
+}
+_STEP = 0.5  # of the usual step of the finer file, by which times may differ
+
+
+@dataclass(frozen=True)
+class Together:
+    """A file with the columns of others beside its own. stated: the entries under joined. said: how."""
+
+    sniffed: Sniffed
+    stated: tuple[dict[str, Any], ...] = ()
+    said: tuple[str, ...] = ()
+
+
+def together(paths: Sequence[Path]) -> Together:
+    """The first file with the others joined to it. Raises BadTable where no column tells which rows belong together."""
+    first = sniff(paths[0])
+    out = Together(first)
+    for path in paths[1:]:
+        out = _joined(out, path)
+    return out
+
+
+def _joined(known: Together, path: Path) -> Together:
+    ours, theirs = Numbers.of(known.sniffed), Numbers.of(sniff(path, _MIN_COLUMNS))
+    found = _keys(ours, theirs)
+    if found is None:
+        said = f"shares no column of station numbers or times with {known.sniffed.path.name}"
+        raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/import.md")
+    a, b, within = found
+    form = theirs.sniffed.form.entry()
+    stated: dict[str, Any] = {"files": path.name, **form, "by": {ours.key(a): theirs.key(b)}}
+    if within is not None:
+        stated["within"] = within
+    sniffed = known.sniffed
+    form = {k: v for k, v in form.items() if k != "decimal"}
+    sheet = Sheet(sniffed.path, sniffed.labels, sniffed.rows, list(range(len(sniffed.rows))), sniffed.form.decimal)
+    table = Table(sheet, Faults(sniffed.path.name))
+    # as the mapping will do it, so that names and rows are the same
+    join(table, {**stated, "decimal": theirs.sniffed.form.decimal}, path.parent, sniffed.path.name)
+    stated.setdefault("decimal", theirs.sniffed.form.decimal)
+    width = sniffed.width
+    new = list(table.joined.items())
+    rows = [[*row, *[""] * (width - len(row)), *(cells[i] for _, cells in new)] for i, row in enumerate(sniffed.rows)]
+    pad = [""] * (width - len(sniffed.full))
+    full = {
+        label: theirs.sniffed.full[k] for k, label in enumerate(theirs.sniffed.labels) if k < len(theirs.sniffed.full)
+    }
+    units = dict(zip(theirs.sniffed.labels, theirs.sniffed.units, strict=False))
+
+    def plain(name: str) -> str:
+        return name.removeprefix(f"{path.stem}.")
+
+    whole = replace(
+        sniffed,
+        labels=(*sniffed.labels, *[""] * (width - len(sniffed.labels)), *(name for name, _ in new)),
+        full=(*sniffed.full, *pad, *(full.get(plain(name), name) for name, _ in new)),
+        units=(*sniffed.units, *[""] * (width - len(sniffed.units)), *(units.get(plain(name), "") for name, _ in new)),
+        rows=rows,
+    )
+    how = f"{ours.shown(a)} of {sniffed.path.name} is {theirs.shown(b)} of {path.name}"
+    how += f", the nearest within {within:g}" if within is not None else ""
+    return Together(whole, (*known.stated, stated), (*known.said, how))
+
+
+def _keys(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
+    """Columns by which rows belong together: same numbers, else times that are near; and how near."""
+    best: tuple[float, int, int, float | None] | None = None
+    for a in ours.usable():
+        for b in theirs.usable():
+            if not isinstance(ours.key(a), str) or not isinstance(theirs.key(b), str):
+                continue
+            named = bool(_KEYS & set(ours.labels[a].words)) and bool(_KEYS & set(theirs.labels[b].words))
+            if not named:
+                continue
+            share, within = _share(ours.values[:, a], theirs.values[:, b])
+            alike = ours.labels[a].words == theirs.labels[b].words
+            score = share + 0.2 * alike + 0.1 * (within is None)
+            if share >= _SHARED and (best is None or score > best[0]):
+                best = (score, a, b, within)
+    return None if best is None else best[1:]
+
+
+def _share(a: Array, b: Array) -> tuple[float, float | None]:
+    """Share of the rows with a partner, and how near partners are where their numbers are not the same."""
+    a, b = a[np.isfinite(a)], np.sort(b[np.isfinite(b)])
+    if len(a) < 3 or len(b) < 3:
+        return 0.0, None
+    if len(np.unique(b)) == len(b):
+        same = float(np.isin(a, b).mean())
+        if same >= _SHARED:
+            return same, None
+    if (np.diff(a) < 0.0).any():
+        return 0.0, None
+    step = min(float(np.median(np.diff(x))) for x in (np.unique(a), np.unique(b)))
+    within = float(f"{_STEP * step:.2g}")
+    gap = np.abs(a[:, None] - b[np.clip(np.searchsorted(b, a)[:, None] + np.array([-1, 0]), 0, len(b) - 1)]).min(axis=1)
+    return (float((gap <= within).mean()), within) if within > 0.0 else (0.0, None)

@@ -10,8 +10,7 @@ import numpy as np
 
 from modcal_core.files import to_yaml
 from modcal_msgs_py.tables.fitted import Fitted
-from modcal_msgs_py.tables.propose import Findings, zeros_of
-from modcal_msgs_py.tables.sheet import Form
+from modcal_msgs_py.tables.propose import Findings
 
 _WIDTH = 116  # of comments
 
@@ -37,7 +36,7 @@ def proposal(found: Findings, urdf: str | None) -> Proposal:
     """The mapping that findings make."""
     numbers, chain, fitted = found.numbers, found.chain, found.fitted
     choice, beside = fitted.choice, found.beside
-    entry: dict[str, Any] = {"files": numbers.sniffed.path.name, **_form(numbers.sniffed.form)}
+    entry: dict[str, Any] = {"files": numbers.sniffed.path.name, **numbers.sniffed.form.entry()}
     used = {*choice.joints.columns, *fitted.columns, *beside.used}
     lacking = len(numbers.values) - len(fitted.rows)
     if lacking:
@@ -74,13 +73,8 @@ def _zeros(found: Findings) -> list[int]:
     """Columns that are all zero in rows in which nothing was read; none where there are no such rows."""
     if not isinstance(found.fitted, Fitted):
         return []
-    columns = [int(k) for k in zeros_of(found.fitted.body)]
+    columns = list(found.fitted.body.zeros)
     return columns if (found.numbers.values[:, columns] == 0.0).all(axis=1).any() else []
-
-
-def _form(form: Form) -> dict[str, Any]:
-    default = Form()
-    return {name: value for name, value in vars(form).items() if value != getattr(default, name)}
 
 
 def _by_joint(found: Findings, columns: tuple[int, ...]) -> dict[str, Any]:

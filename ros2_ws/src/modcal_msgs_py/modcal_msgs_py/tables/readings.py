@@ -1,23 +1,21 @@
-"""What the instruments of a table read: poses, points, distances, directions, planes; several targets are one pose."""
+"""Joints and readings of a table: positions, velocities, efforts and commands; poses, points, distances, directions."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.measurements import BEARING, POINT, POSE, RANGE, RAY, TOUCH, ReadingTrack
+from modcal_core.measurements import BEARING, POINT, POSE, RANGE, RAY, TOUCH, JointTrack, ReadingTrack
 from modcal_msgs_py.tables.candidates import Body, Numbers
-from modcal_msgs_py.tables.joints import UNITS
-from modcal_msgs_py.tables.orientation import orientation
 from modcal_msgs_py.tables.table import Table
-
-# --- The pose of several targets on one tool
 
 _ROUNDS = 3  # of the mean shape
 
@@ -184,8 +182,6 @@ _READ: dict[str, Callable[[Table, Mapping[str, Any], str], _Read]] = {
 }
 
 
-# --- Several targets on one tool: points of a table that keep their distances while they move
-
 _MOVES = 0.05  # of what the liveliest point moves; less is a target that stands
 _RIGID = 2e-3  # of what the points move, by which their distance may scatter
 _APART = 20.0  # times that scatter, that points and the line through them must be apart
@@ -253,3 +249,136 @@ def _names(numbers: Numbers, group: Sequence[tuple[int, int, int]]) -> list[str]
         name = stem or f"target_{i + 1}"
         out.append(name if name not in out else f"{name}_{i + 1}")
     return out
+
+
+UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "gon": np.pi / 200.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+SPEEDS = {f"{unit}/s": scale for unit, scale in UNITS.items()}
+EFFORTS = {"N m": 1.0, "N": 1.0, "N mm": 1e-3, "kN m": 1e3}
+COMMANDS = "/joint_commands"
+
+
+def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[JointTrack, JointTrack | None]:
+    """Joint states of a table, and the commanded positions if it has any; rows that lack one are left out."""
+    names = tuple(joints["columns"])
+    position = _scaled(table, joints, UNITS, names)
+    velocity = _beside(table, joints, "velocity", SPEEDS, names)
+    effort = _beside(table, joints, "effort", EFFORTS, names)
+    if joints.get("effort", {}).get("of_load"):
+        effort = -effort
+    keep = np.isfinite(stamps) & table.present(list(joints["columns"].values()))
+    track = JointTrack(names, stamps, position, velocity, effort, stamps)
+    if "commanded" not in joints:
+        return _rows(track, keep), None
+    wanted = joints["commanded"]
+    known = tuple(wanted["columns"])
+    position = _scaled(table, {"unit": joints["unit"], **wanted}, UNITS, known)
+    unknown = np.full_like(position, np.nan)
+    sent = np.isfinite(stamps) & np.isfinite(position).all(axis=1)
+    return _rows(track, keep), _rows(JointTrack(known, stamps, position, unknown, unknown, stamps, COMMANDS), sent)
+
+
+def merged_joints(tracks: list[JointTrack]) -> JointTrack | None:
+    """One track of several with the same joints; None for none. Raises BadTable where they are not the same."""
+    if not tracks:
+        return None
+    names = tracks[0].names
+    if any(track.names != names for track in tracks):
+        raise BadTable("tables", "have different joints", "import them into bags of their own")
+    columns: dict[str, Any] = {
+        what: np.concatenate([getattr(t, what) for t in tracks])
+        for what in ("stamps", "position", "velocity", "effort", "received")
+    }
+    return replace(tracks[0], **columns)
+
+
+def _scaled(table: Table, part: Mapping[str, Any], units: Mapping[str, float], names: tuple[str, ...]) -> Array:
+    own = part.get("units") or {}
+    scale = np.array([units[own.get(name, part["unit"])] for name in names])
+    return scale * table.numbers([part["columns"][name] for name in names])
+
+
+def _beside(
+    table: Table, joints: Mapping[str, Any], what: str, units: Mapping[str, float], names: tuple[str, ...]
+) -> Array:
+    """A quantity of the joints (N, n), NaN where it is not stated."""
+    out = np.full((len(table), len(names)), np.nan)
+    if what in joints:
+        part = {"unit": "N m", **joints[what]}
+        known = tuple(name for name in names if name in part["columns"])
+        out[:, [names.index(name) for name in known]] = _scaled(table, part, units, known)
+    return out
+
+
+def _rows(track: JointTrack, keep: np.ndarray) -> JointTrack:
+    columns = {what: getattr(track, what)[keep] for what in ("stamps", "position", "velocity", "effort", "received")}
+    return replace(track, **columns)
+
+
+FORMS = ("euler", "quaternion", "rotvec", "matrix")
+_ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
+_MAX_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
+_MIN_LENGTH = 1e-6  # of a quaternion
+_NOT_A_ROTATION = 0.02  # by which an element of RᵀR may be off; exports have three digits and more
+
+
+def orientation(table: Table, reading: Mapping[str, Any], there: np.ndarray, where: str) -> tuple[Array, np.ndarray]:
+    """Rotations (N, 3, 3) of a table as a reading states them, and in which rows there is one (N,).
+
+    there: rows in which the reading has a position. Rows without a rotation are noted; of them it is the identity.
+    """
+    form = next(name for name in FORMS if name in reading)
+    stated = reading[form]
+    values = table.numbers(stated["columns"])
+    there = there & table.present(stated["columns"])
+    rows = np.flatnonzero(there)
+    if form == "quaternion":
+        length = np.linalg.norm(values[rows], axis=1)
+        said = "a quaternion of zeros is not an orientation"
+        rows = _without(table, rows, length > _MIN_LENGTH, stated["columns"][0], said)
+        return _of(len(table), rows, Rotation.from_quat(_signed(values[rows], stated)).as_matrix())
+    if form == "matrix":
+        R = values[rows].reshape(-1, 3, 3)
+        size = np.abs(R).max(axis=(1, 2), initial=0.0)
+        rows, R = (
+            _without(table, rows, size > 0.0, stated["columns"][0], "a matrix of zeros is not an orientation"),
+            R[size > 0.0],
+        )
+        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        proper = (off < _NOT_A_ROTATION) & (np.linalg.det(R) > 0.0)
+        for i in rows[~proper]:
+            said = "the nine numbers are not a rotation"
+            table.bad(int(i), stated["columns"][0], said, said)
+        return _of(len(table), rows[proper], so3.nearest_rotation(R[proper]) if proper.any() else R[proper])
+    scale = _ANGLES[stated["unit"]]
+    angles = scale * values[rows]
+    if stated["unit"] == "rad" and (largest := float(np.abs(angles).max(initial=0.0))) > _MAX_RAD:
+        raise BadTable(where, f"angles reach {largest:.0f} rad: they look like degrees", "state unit: deg")
+    if form == "rotvec":
+        return _of(len(table), rows, Rotation.from_rotvec(angles).as_matrix())
+    sequence = str(stated["sequence"])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return _of(len(table), rows, Rotation.from_euler(sequence, angles).as_matrix())
+    except ValueError as error:
+        raise BadTable(where, f"sequence '{sequence}': {error}", "three axes: XYZ turning along, xyz fixed") from error
+
+
+def _signed(values: Array, stated: Mapping[str, Any]) -> Array:
+    return values * np.array([-1.0, -1.0, -1.0, 1.0]) if stated.get("conjugate") else values
+
+
+def _without(table: Table, rows: np.ndarray, good: np.ndarray, column: object, said: str) -> np.ndarray:
+    """The good ones of these rows; the others are lost readings where those are skipped, else faulty."""
+    for i in rows[~good]:
+        if table.faults.skip:
+            table.lack([int(i)], "the orientation (all zeros)")
+        else:
+            table.bad(int(i), column, said, said)
+    return rows[good]
+
+
+def _of(count: int, rows: np.ndarray, R: Array) -> tuple[Array, np.ndarray]:
+    out, there = np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, bool)
+    out[rows], there[rows] = R, True
+    return out, there

@@ -15,8 +15,8 @@ from modcal_core.plausibility import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, 
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.candidates import JointColumns, Numbers
 from modcal_msgs_py.tables.fitted import ColumnChoice, scales, units
-from modcal_msgs_py.tables.joints import UNITS
 from modcal_msgs_py.tables.labels import Label
+from modcal_msgs_py.tables.readings import UNITS
 
 _DISTANCE = {"distance", "dist", "range", "rng", "length", "wire", "slope", "laenge", "abstand"}
 _HEIGHT = {"height", "plane", "dial", "indicator", "gap", "clearance", "gauge", "standoff"}

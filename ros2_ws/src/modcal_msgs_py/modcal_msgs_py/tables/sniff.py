@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modcal_core.errors import BadTable
-from modcal_msgs_py.tables.sheet import BLANKS, Form, cells_of, labels
-from modcal_msgs_py.tables.table import MISSING
+from modcal_msgs_py.tables.table import BLANKS, MISSING, Form, cells_of, labels
 
 _SEPARATORS = (";", "\t", ",", "|", BLANKS)  # where two read as much, the first: blanks also stand inside cells
 _LINES = 300  # that are looked at to find out how a file is written
@@ -118,7 +117,6 @@ def _width(rows: list[list[str]], sign: str, least: int) -> int:
 
 
 def _block(rows: list[list[str]], sign: str, least: int) -> int:
-    """Numbers in rows of the usual width."""
     width = _width(rows, sign, least)
     return sum(
         sum(is_number(cell, sign) for cell in cells)

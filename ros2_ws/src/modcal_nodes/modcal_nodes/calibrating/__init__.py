@@ -5,15 +5,14 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.calibrating.arm import KnownArm
     from modcal_nodes.calibrating.buffer import Buffer
     from modcal_nodes.calibrating.by_camera import ByCamera
-    from modcal_nodes.calibrating.check_service import CheckService
+    from modcal_nodes.calibrating.check import CheckService
     from modcal_nodes.calibrating.corners import CornerIntake
-    from modcal_nodes.calibrating.diagnostics import collected, model_status, sample_status
-    from modcal_nodes.calibrating.intake import CommandSubscription, Intake, lacking, listen, policy, require_policy
+    from modcal_nodes.calibrating.diagnostics import Standing, collected, model_status, sample_status, standing_of_json
+    from modcal_nodes.calibrating.intake import CommandSubscription, Intake, KnownArm, lacking, listen, policy
+    from modcal_nodes.calibrating.intake import require_policy
     from modcal_nodes.calibrating.publishers import Publishers
-    from modcal_nodes.calibrating.standing import Standing, standing_of_json
     from modcal_nodes.calibrating.state import StateFolder
     from modcal_nodes.calibrating.worker import SolveWorker, Solved, condense, solve
 else:

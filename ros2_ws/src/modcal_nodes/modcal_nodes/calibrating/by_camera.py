@@ -5,24 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from modcal_core.camera import BoardView, Moved
 from modcal_core.files import write_folder
 from modcal_core.geometry import Array
 from modcal_core.online import BETTER
-from modcal_nodes.calibrating.arm import KnownArm
 from modcal_nodes.calibrating.buffer import Buffer
 from modcal_nodes.calibrating.corners import MIN, CameraSolved, CornerIntake, solve_corners
-from modcal_nodes.calibrating.kept_images import forget_images, read_images, write_images
+from modcal_nodes.calibrating.intake import KnownArm
 from modcal_nodes.calibrating.publishers import Publishers
+from modcal_nodes.calibrating.state import forget_images, read_images, write_images
 from modcal_nodes.calibrating.worker import SolveWorker
-
-
-class _InfoLog(Protocol):
-    def info(self, message: str) -> Any: ...
-
-    def warning(self, message: str) -> Any: ...
 
 
 class ByCamera:
@@ -33,7 +29,7 @@ class ByCamera:
         intake: CornerIntake,
         chosen: dict[str, Any],
         outputs: Publishers,
-        log: _InfoLog,
+        log: RcutilsLogger,
         trusted: Callable[[dict[str, str]], None],
     ) -> None:
         """chosen: the node's parameters."""

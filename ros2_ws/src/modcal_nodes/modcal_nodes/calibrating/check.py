@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
+from rclpy.node import Node
+from rclpy.task import Future
 
 from modcal_core.calibration import Calibration
 from modcal_core.errors import NotEnoughData
@@ -14,6 +19,7 @@ from modcal_core.public import check
 from modcal_core.recalibrate import SampleMemory
 from modcal_core.report import checkup_data
 from modcal_core.robots import Mechanism
+from modcal_nodes.calibrating.worker import SolveWorker
 
 
 @dataclass(frozen=True)
@@ -54,3 +60,37 @@ def newest_of(samples: Samples, count: int, since: float | None) -> Samples:
             f"{len(kept)} stations{where}", f"a check looks at {count}", "drive to more, or set check_stations"
         )
     return samples.select(np.flatnonzero(np.isin(samples.station, kept)))
+
+
+_CHECK = "check"
+
+
+class CheckService:
+    """Checks of the trusted model. publish: takes the text of check.json."""
+
+    def __init__(self, node: Node, worker: SolveWorker, publish: Callable[[str], None]) -> None:
+        self._node, self._worker, self._publish = node, worker, publish
+        self._waiting: Future | None = None
+
+    @property
+    def busy(self) -> str:
+        """What the worker is doing; empty: nothing."""
+        return self._worker.doing or (_CHECK if self._waiting is not None else "")
+
+    async def answered(self, *work: Any) -> tuple[bool, str]:
+        """Whether the check was done, and its sentence. work: the arguments of :func:`live_check`."""
+        self._waiting = Future(executor=self._node.executor)
+        self._worker.give(_CHECK, live_check, *work, finish=self._found, fail=partial(self._answer, False))
+        success, message = await self._waiting
+        return success, message
+
+    def _found(self, check: LiveCheck) -> None:
+        self._publish(check.data)
+        log = self._node.get_logger()
+        (log.warning if check.changed else log.info)(f"check: {check.sentence}")
+        self._answer(True, check.sentence)
+
+    def _answer(self, success: bool, message: str) -> None:
+        if self._waiting is not None:
+            waiting, self._waiting = self._waiting, None
+            waiting.set_result((success, message))

@@ -189,7 +189,6 @@ class CornerIntake:
             self._take_due()
 
     def _take_due(self) -> None:
-        """Take the images for which joint states have come, before and after."""
         while self._joints and self._waiting and self._waiting[0].stamp + _AROUND_S <= self._joints[-1][0]:
             self._take(self._waiting.popleft())
 

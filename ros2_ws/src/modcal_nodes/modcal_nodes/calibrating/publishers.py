@@ -61,8 +61,7 @@ class Publishers:
             "same_as": list(hypothesis.same_as),
             "sentence": hypothesis.sentence,
         }
-        self._texts["~/change"].publish(String(data=json.dumps(data, allow_nan=False)))
-        self._trusted.publish(Bool(data=False))
+        self._suspect(data)
 
     def check(self, data: str) -> None:
         """Publish what a check has found: the text of check.json."""
@@ -80,7 +79,10 @@ class Publishers:
             "same_as": [],
             "sentence": moved.sentence,
         }
-        self._texts["~/change"].publish(String(data=json.dumps(data, allow_nan=False)))
+        self._suspect(data)
+
+    def _suspect(self, change: dict[str, object]) -> None:
+        self._texts["~/change"].publish(String(data=json.dumps(change, allow_nan=False)))
         self._trusted.publish(Bool(data=False))
 
     def no_change(self) -> None:

@@ -1,20 +1,27 @@
-"""What the calibrator keeps on disk, to go on where it was after a restart."""
+"""What the calibrator keeps on disk, to go on where it was after a restart: model, samples, and corners of images.
+
+A fit of images and what watches it are not kept: both follow from the corners in a second or two, and are the same.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from modcal_core.calibration import Calibration
+from modcal_core.camera import BoardView, PrintedTarget, target_to_data
 from modcal_core.errors import BadTable, ModcalError
 from modcal_core.files import write_folder
+from modcal_core.geometry import Array
 from modcal_core.measurements import SHARED, Samples, SignalTrack
 from modcal_nodes.io import read_calibration
 
@@ -80,7 +87,6 @@ def write_state(folder: Path, state: State) -> None:
     if state.files:
         write_folder(folder, state.files)
     if state.samples is not None:
-        folder.mkdir(parents=True, exist_ok=True)
         _write_samples(folder / _SAMPLES, state.samples)
 
 
@@ -95,47 +101,51 @@ def _write_samples(path: Path, samples: Samples) -> None:
     }
     for i, track in enumerate(samples.signals):
         arrays[f"signal_{i}_stamps"], arrays[f"signal_{i}_values"] = track.stamps, track.values
+    _write_arrays(path, about, arrays)
+
+
+def _write_arrays(path: Path, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays and what JSON can say of them; the file is replaced as a whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     stage = path.with_name(f".{path.name}")
     with stage.open("wb") as stream:
-        np.savez_compressed(stream, about=np.array(json.dumps(about)), **arrays)
+        np.savez_compressed(stream, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
     os.replace(stage, path)
+
+
+@contextmanager
+def _arrays(path: Path, again: str) -> Iterator[tuple[dict[str, Any], Mapping[str, Any]]]:
+    """What was written, while the block lasts. again: what is collected again. Raises BadTable for damage."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            yield json.loads(str(stored["about"])), stored
+    except ModcalError:
+        raise
+    except Exception as error:  # zip, NumPy and JSON each have their own way to say that bytes are missing
+        said = f"is damaged ({type(error).__name__})"
+        raise BadTable(str(path), said, f"remove it; {again} are collected again") from error
 
 
 def _read_samples(path: Path) -> Samples | None:
     if not path.is_file():
         return None
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            about = json.loads(str(stored["about"]))
-            signals = tuple(
-                SignalTrack(name, stored[f"signal_{i}_stamps"], stored[f"signal_{i}_values"], topic)
-                for i, (name, topic) in enumerate(about["signals"])
-            )
-            arrays = {f.name: stored[f.name] for f in fields(Samples) if f.name not in SHARED and f.name in stored}
+    with _arrays(path, "stations") as (about, stored):
+        signals = tuple(
+            SignalTrack(name, stored[f"signal_{i}_stamps"], stored[f"signal_{i}_values"], topic)
+            for i, (name, topic) in enumerate(about["signals"])
+        )
+        arrays: dict[str, Any] = {
+            f.name: stored[f.name] for f in fields(Samples) if f.name not in SHARED and f.name in stored
+        }
         names, frames, sockets = (tuple(about.get(name, ())) for name in ("names", "frames", "sockets"))
         clock = bool(about.get("clock", True))
         return Samples(names, frames, signals=signals, sockets=sockets, clock=clock, **arrays)
-    except ModcalError:
-        raise
-    except Exception as error:  # zip, NumPy and JSON each have their own way to say that bytes are missing
-        raise BadTable(
-            str(path), f"is damaged ({type(error).__name__})", "remove it; stations are collected again"
-        ) from error
-
-
-# --- The folder in which the calibrator keeps what it trusts and what it has heard; without one nothing is kept
-
-
-class _WarningLog(Protocol):
-    def warning(self, message: str) -> Any: ...
-
-    def error(self, message: str) -> Any: ...
 
 
 class StateFolder:
     """path: of the folder, None where nothing is kept."""
 
-    def __init__(self, folder: str, log: _WarningLog) -> None:
+    def __init__(self, folder: str, log: RcutilsLogger) -> None:
         """Lock the folder. Raises BadTable where another calibrator uses it."""
         self.path = Path(folder) if folder else None
         self._log = log
@@ -180,3 +190,71 @@ class StateFolder:
         """Let others have it."""
         if self._lock is not None:
             self._lock.release()
+
+
+_FILES = "images*.npz"
+
+
+@dataclass(frozen=True)
+class KeptImages:
+    """images: views with the joints at each, (n,). size: [px]. trusted: whether what they led to was trusted."""
+
+    images: list[tuple[BoardView, Array]]
+    size: tuple[int, int]
+    trusted: bool
+
+
+def write_images(
+    folder: Path,
+    images: Sequence[tuple[BoardView, Array]],
+    size: tuple[int, int],
+    target: PrintedTarget,
+    trusted: bool,
+    camera: int = 1,
+) -> None:
+    """Keep images in a folder; the file is replaced as a whole. camera: number of a further one, from 2."""
+    about = {"size": size, "target": _form(target), "trusted": trusted, "names": [view.name for view, _ in images]}
+    views = [view for view, _ in images]
+    arrays = {
+        "count": np.array([len(view) for view in views]),
+        "ids": np.concatenate([view.ids for view in views]),
+        "pixels": np.concatenate([view.pixels for view in views]),
+        "cov": np.concatenate([view.cov for view in views]),
+        "stamp": np.array([view.stamp for view in views]),
+        "q": np.array([q for _, q in images]),
+    }
+    _write_arrays(folder / _file(camera), about, arrays)
+
+
+def read_images(folder: Path, target: PrintedTarget, camera: int = 1) -> KeptImages | None:
+    """The images of a folder, None where it holds none, or those of another target. camera: as written. Raises BadTable
+    for damage.
+    """
+    path = folder / _file(camera)
+    if not path.is_file():
+        return None
+    with _arrays(path, "images") as (about, stored):
+        of_views = (stored[name] for name in ("ids", "pixels", "cov"))
+        ids, pixels, cov = (np.split(values, np.cumsum(stored["count"])[:-1]) for values in of_views)
+        views = map(BoardView, map(str, about["names"]), ids, pixels, cov)
+        stamped = zip(views, stored["stamp"], stored["q"], strict=True)
+        images = [(replace(view, stamp=float(stamp)), q) for view, stamp, q in stamped]
+        width, height = (int(side) for side in about["size"])
+    if about.get("target") != _form(target):
+        return None
+    return KeptImages(images, (width, height), bool(about.get("trusted")))
+
+
+def forget_images(folder: Path) -> None:
+    """Keep none any more, of any camera."""
+    for path in folder.glob(_FILES):
+        path.unlink(missing_ok=True)
+
+
+def _file(camera: int) -> str:
+    return "images.npz" if camera == 1 else f"images_{camera}.npz"
+
+
+def _form(target: PrintedTarget) -> str:
+    """What images of another target differ in: the sheet's size may have been measured since."""
+    return json.dumps(target_to_data(target), sort_keys=True)

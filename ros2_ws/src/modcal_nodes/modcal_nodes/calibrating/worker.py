@@ -18,7 +18,7 @@ from modcal_core.measurements import Dropped, Samples
 from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
 from modcal_core.report import calibration_files, delta_files
 from modcal_core.robots import Mechanism, is_serial_arm
-from modcal_nodes.calibrating.standing import Standing, standing_of
+from modcal_nodes.calibrating.diagnostics import Standing, standing_of
 from modcal_nodes.ros import settle_in
 
 _YIELDING = 5  # of niceness: what nodes do within milliseconds goes before what takes seconds

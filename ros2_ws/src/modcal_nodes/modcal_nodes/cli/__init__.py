@@ -1,11 +1,12 @@
 """The modcal command: one file per verb, gathered in main."""
 
+# ruff: noqa: I001
+
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.cli.inputs import described
+    from modcal_nodes.cli.inputs import described, numbers_by_joint
     from modcal_nodes.cli.main import run
-    from modcal_nodes.cli.numbers import numbers_by_joint
 else:
     from modcal_core.lazy import lazy_face
 

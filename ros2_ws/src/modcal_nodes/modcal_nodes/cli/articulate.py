@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -18,8 +19,7 @@ from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
 from modcal_nodes.cli.console import Output, say, speaking, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, arm_line, chain_line, described
-from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole, arm_line, chain_line, described
 from modcal_nodes.io import read_calibration, write_articulation
 
 _MAX = 2000  # samples; of more, evenly chosen ones say the same
@@ -56,29 +56,10 @@ class _Read:
 @click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
 @click.option("--tip", metavar="LINK", help="The link that holds the handle.")
 @click.option("--points", is_flag=True, help="Ignore rotations.")
-@click.option(
-    "--seed",
-    type=Whole(min=0),
-    default=0,
-    show_default=True,
-    help="Seed for choosing the samples of the first guesses.",
-)
+@click.option("--seed", type=Whole(min=0), default=0, help="Seed for choosing the samples of the first guesses.")
 @click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
-def articulate_command(
-    bag: Path,
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
-    urdf: Path | None,
-    calibration: Path | None,
-    base: str | None,
-    tip: str | None,
-    points: bool,
-    seed: int,
-    out: Path | None,
-    output: Output,
-) -> None:
+def articulate_command(bag: Path, out: Path | None, output: Output, **options: Any) -> None:
     """Identify how the handle in BAG moves: fixed, sliding, turning, a screw, or none of these; and write it as a URDF.
 
     Models of installed packages are compared too; they have no URDF.
@@ -90,18 +71,16 @@ def articulate_command(
         text = read_track(bag)
         read = _Read(text.values, text.stamps, "", left_out=text.left_out, unread=text.unread)
     else:
-        handle = next((name for name in topic if "=" not in name), None)
-        topics = Topics.of([name for name in topic if "=" in name], ignore, tf)
-        read = _of_bag(
-            read_recording(bag, topics=_with_handle(bag, topics, handle)), handle, urdf, calibration, base, tip
-        )
+        handle = next((name for name in options["topic"] if "=" not in name), None)
+        topics = Topics.of([name for name in options["topic"] if "=" in name], options["ignore"], options["tf"])
+        read = _of_bag(read_recording(bag, topics=_with_handle(bag, topics, handle)), handle, options)
     rows = np.unique(np.linspace(0, len(read.values) - 1, _MAX).round().astype(int))  # first and last pose too
-    values = read.values[rows]
+    values = read.values[rows][:, : 3 if options["points"] else None]
     with about(str(bag)):
-        track = Track.of_poses(values[:, :3] if points else values, None if read.stamps is None else read.stamps[rows])
+        track = Track.of_poses(values, None if read.stamps is None else read.stamps[rows])
     with output.working() as watch:
         watch("weighing the kinds of joint")
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(options["seed"])
         choice = choose(track, rng)
         if not read.arm:  # else the poses are the arm's by its joints, which nobody else wrote
             with about(str(bag)):
@@ -128,15 +107,9 @@ def _with_handle(bag: Path, topics: Topics, handle: str | None) -> Topics:
     return topics
 
 
-def _of_bag(
-    recording: Recording,
-    topic: str | None,
-    urdf: Path | None,
-    calibration: Path | None,
-    base: str | None,
-    tip: str | None,
-) -> _Read:
+def _of_bag(recording: Recording, topic: str | None, options: dict[str, Any]) -> _Read:
     """What a bag shows of the handle: the named topic, else poses, else points, else the arm's joints."""
+    urdf, calibration = options["urdf"], options["calibration"]
     wanted = None if topic is None else "/" + topic.strip("/")
     shown = [r for kind in (POSE, POINT) for r in recording.readings if r.kind == kind and len(r.stamps)]
     of_arm = wanted is not None and any(track.topic == wanted for track in recording.joints)
@@ -156,7 +129,7 @@ def _of_bag(
         chain = read_calibration(calibration).calibrated.serial
         arm = chain_line(chain.base, chain.tip, chain.n)
     else:
-        robot = described(recording, None, urdf, base, tip)
+        robot = described(recording, None, urdf, options["base"], options["tip"])
         chain, arm = robot.chain, arm_line(robot)
     stamps, q = joint_stamps_and_positions(recording, chain.names)
     good = np.isfinite(q).all(axis=1)
@@ -169,7 +142,6 @@ def _of_bag(
 
 
 def _reading(reading: ReadingTrack) -> _Read:
-    """A track without the readings that say nothing."""
     (reading,) = cleaned(Recording(readings=(reading,)), ()).recording.readings
     order = np.argsort(reading.stamps, kind="stable")
     return _Read(reading.values[order], reading.stamps[order], reading.frame)

@@ -35,7 +35,7 @@ from modcal_core.modules import (
 )
 from modcal_core.preprocess import prepare
 from modcal_msgs_py import Topics, read_recording
-from modcal_nodes.cli.console import Output, explain, speaking, table, with_options, written
+from modcal_nodes.cli.console import Output, explain, speaking, table, with_options
 from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN
 from modcal_nodes.io import read_assembly
 
@@ -90,7 +90,6 @@ def assemble_command(
         "assembly.yaml": to_yaml(stated),
         "assembly.svg": picture(assembly, library),
     }
-    write_folder(out, files)
     strangers = [] if errors is None else [s for s in named if s not in known]
     matrix = incidence_of(assembly, library)
     data = {
@@ -104,14 +103,14 @@ def assemble_command(
     def show(console: Console) -> None:
         console.print(_table(assembly, library))
         explain(_MODULES, console)
-        console.print("assembly incidence matrix:", highlight=False)
-        console.print(str(matrix), highlight=False)
+        console.print("assembly incidence matrix:")
+        console.print(str(matrix))
         if errors is not None:
             console.print(f"{len(data['known'])} of {len(assembly.modules)} modules are known from {store}")
         if strangers:
-            console.print(f"not known: {', '.join(strangers)}", style="yellow", highlight=False)
+            console.print(f"not known: {', '.join(strangers)}", style="yellow")
 
-    output.result(data, show, written(out, files, "Robot", "robot.urdf"))
+    output.saved(data, show, out, files, "Robot", "robot.urdf")
 
 
 @click.group("modules")
@@ -131,15 +130,7 @@ def modules_command() -> None:
 @with_options(TOPICS)
 @speaking
 def learn_command(
-    spec: Path,
-    bag: Path,
-    store: Path,
-    accept: bool,
-    library_file: Path | None,
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
-    output: Output,
+    spec: Path, bag: Path, store: Path, accept: bool, library_file: Path | None, output: Output, **said: Any
 ) -> None:
     """Learn from BAG, a recording of the assembly SPEC, the errors of its modules (by serial number)."""
     assembly, library = read_assembly(spec, library_file)
@@ -148,7 +139,10 @@ def learn_command(
     known = store_from_data(read_yaml(store), library, str(store)) if store.exists() else ModuleErrors()
     with output.working() as watch:
         watch(f"reading {bag.name}")
-        prepared = prepare(read_recording(bag, topics=Topics.of(topic, ignore, tf)), chain_of(assembly, library))
+        prepared = prepare(
+            read_recording(bag, topics=Topics.of(said["topic"], said["ignore"], said["tf"])),
+            chain_of(assembly, library),
+        )
         watch("fitting the modules")
         new = recording_evidence(assembly, library, prepared.samples)
         others = [w for w in known.recordings if w.assembly.name != assembly.name]
@@ -190,22 +184,19 @@ def _part(serial: str, part: str, error: ModuleError) -> dict[str, Any]:
 
 def _show_learned(found: dict[str, Any], console: Console) -> None:
     for note in found["notes"]:
-        console.print(note, style="yellow", highlight=False)
+        console.print(note, style="yellow")
     console.print(_known(found["parts"]))
     explain(_PARTS, console)
-    console.print(
-        f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit", highlight=False
-    )
+    console.print(f"{found['stations']} stations, {1e3 * found['residual_m']:.3f} mm RMS left by the fit")
     if not found["as_known"]:
         said = (
             f"Learned although this assembly is not as its modules were known (p = {found['p_value']:.1g}): a serial "
             "number is wrong, a module or a flange has changed, or the library's tolerances are too tight."
         )
-        console.print(said, style="yellow", highlight=False)
+        console.print(said, style="yellow")
 
 
 def _table(assembly: Assembly, library: Library) -> Table:
-    """Every module in its place, joints at zero."""
     shown = table(_MODULES, words=3)
     joints = iter(assembly.joint_names)
     frames = module_frames(assembly, library)
@@ -221,7 +212,6 @@ def _table(assembly: Assembly, library: Library) -> Table:
 
 
 def _known(parts: list[dict[str, Any]]) -> Table:
-    """What is known of every part: sizes of its errors, and how surely."""
     shown = table(_PARTS, words=3)
     for known in parts:
         twist, std = np.array(known["twist"]), np.array(known["std"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +10,15 @@ import click
 from rich.console import Console
 
 from modcal_core.calibration import Calibration, Stated
-from modcal_core.files import write_folder
 from modcal_core.measurements import Samples
 from modcal_core.public import evaluate
-from modcal_core.report import Report, report_files, to_json_data
+from modcal_core.report import Hashes, Particulars, Report, report_files, to_json_data
 from modcal_core.verdict import STATISTICS
 from modcal_msgs_py import Topics
 from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
-from modcal_nodes.cli.certificate import CERTIFICATE, certificate_files, certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, speaking, tell, with_options, written
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, arm_line, chain_line
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.certificate import CERTIFICATE, certified_hashes, exit_code, particulars
+from modcal_nodes.cli.console import Output, speaking, tell, with_options
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, Decimal, Whole, arm_line, chain_line
 from modcal_nodes.cli.show import show_report
 from modcal_nodes.io import (
     Options,
@@ -40,9 +38,9 @@ _SPLITS = click.option(
     type=Whole(min=1),
     help="Stations that the split keeps together; 1 splits by station. Default: blocks for dense recordings.",
 )
-SEED_OPTION = click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the split.")
+SEED_OPTION = click.option("--seed", type=SEED, default=0, help="Seed of the split.")
 CLOCK = click.option(
-    "--clock-limit", type=Decimal(min=0.0), default=0.5, show_default=True, metavar="S",
+    "--clock-limit", type=Decimal(min=0.0), default=0.5, metavar="S",
     help="Largest offset between tracker and joint clocks that is corrected.",
 )  # fmt: skip
 CELL = click.option(
@@ -71,13 +69,9 @@ _ROBOT = (
 
 _POSITIVE = Decimal(min=0.0, min_open=True)
 STATED = (
+    click.option("--repeatability-mm", type=_POSITIVE, metavar="MM", help="Repeatability of the arm, RMS over space."),
     click.option(
-        "--repeatability-mm", type=_POSITIVE, metavar="MM",
-        help="Repeatability of the arm, RMS over space.",
-    ),
-    click.option(
-        "--repeatability-iso", type=_POSITIVE, metavar="MM",
-        help="The same as RP of ISO 9283, as data sheets give it.",
+        "--repeatability-iso", type=_POSITIVE, metavar="MM", help="The same as RP of ISO 9283, as data sheets give it."
     ),
     click.option(
         "--repeatability-deg", type=_POSITIVE, metavar="DEG",
@@ -97,7 +91,7 @@ TOLERANCE = (
         help="Allowed error: PASS, FAIL or CANNOT TELL; exit code 3 unless PASS.",
     ),
     click.option(
-        "--tolerance-of", type=click.Choice(STATISTICS), default="p95", show_default=True,
+        "--tolerance-of", type=click.Choice(STATISTICS), default="p95",
         help="Which error of the held-out stations is compared with the tolerance.",
     ),
 )  # fmt: skip
@@ -107,9 +101,8 @@ TOLERANCE = (
 FROZEN = (CELL, *TOPICS, *STATED, SEED_OPTION, CLOCK, *TOLERANCE, *CERTIFICATE, OUT)
 
 
-def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with the options of a calibration, one for each field of :class:`Options`."""
-    return with_options((*_ROBOT, CELL, *TOPICS, *STATED, _SPLITS, SEED_OPTION, CLOCK))(command)
+# What is asked of a calibration, one for each field of :class:`Options` but those of its tolerance
+CALIBRATION = (*_ROBOT, CELL, *TOPICS, *STATED, _SPLITS, SEED_OPTION, CLOCK)
 
 
 @click.command("calibrate")
@@ -124,8 +117,7 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     metavar="FILE",
     help="What the manufacturer's tool took from this arm: kinematics.yaml keeps its form and hash.",
 )
-@calibration_options
-@with_options((*TOLERANCE, *CERTIFICATE, *OPTIONS))
+@with_options((*CALIBRATION, *TOLERANCE, *CERTIFICATE, *OPTIONS))
 @OUT
 @speaking
 @click.pass_context
@@ -156,11 +148,9 @@ def calibrate_command(
             watch("writing the certificate")
             described = asked.delta or asked.urdf or done.result.robot.description
             hashes = certified_hashes(described, done.files["calibration.yaml"])
-            stated = stated_of(asked.cell_file, done.result.samples, options)
-            files |= certificate_files(done.result.report, stated, said, hashes)
+            files |= certified(done.result.report, done.result.samples, options, said, hashes)
     out = out or Path(f"{bag.resolve().stem}_calibration")
-    write_folder(out, files)
-    return _say(done.result.report, arm_line(done.result.robot), written(out, files), output)
+    return _say(done.result.report, arm_line(done.result.robot), out, files, output)
 
 
 @click.command("evaluate")
@@ -194,16 +184,12 @@ def evaluate_command(
             )
         files = report_files(report, calibration=calibration_name(calibration))
         if said is not None:
-            from modcal_core.report import is_made_from
-
             watch("writing the certificate")
             hashes = certified_hashes(samples.origin.description, calibration)
-            stated = stated_of(options["cell_file"], samples, options)
-            files |= certificate_files(report, stated, said, hashes, is_made_from(frozen, samples))
+            files |= certified(report, samples, options, said, hashes, frozen)
     out = out or Path(f"{bag.resolve().stem}_evaluation")
-    write_folder(out, files)
     arm = chain_line(frozen.nominal.chain.base, frozen.nominal.chain.tip, frozen.nominal.chain.n)
-    return _say(report, arm, written(out, files), output)
+    return _say(report, arm, out, files, output)
 
 
 def frozen_samples(frozen: Calibration, bag: Path, options: Mapping[str, Any], watch: Watch) -> Samples:
@@ -218,18 +204,30 @@ def calibration_name(calibration: Path) -> str:
     return path.parent.name if path.name == "calibration.yaml" else path.stem if path.is_file() else path.name
 
 
-def stated_of(cell_file: Path | None, samples: Samples, options: Mapping[str, Any]) -> Stated:
-    """What options, cell file and instruments state of arm and instrument, in this order."""
+def certified(
+    report: Report,
+    samples: Samples,
+    options: Mapping[str, Any],
+    said: Particulars,
+    hashes: Hashes,
+    frozen: Calibration | None = None,
+) -> dict[str, str]:
+    """Name and text of the certificate's file. frozen: the calibration that is scored, where it is not a new one."""
+    from modcal_core.report import certificate, certificate_html, is_made_from
+
+    # options go before the cell file, and that before what instruments state
     own = Stated(instrument_mm=samples.origin.instrument_mm, instrument_deg=samples.origin.instrument_deg)
-    return read_cell(cell_file, stated=stated_from(options)).stated.over(own)
+    stated = read_cell(options["cell_file"], stated=stated_from(options)).stated.over(own)
+    made_from = frozen is not None and is_made_from(frozen, samples)
+    return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
 
 
-def _say(report: Report, arm: str, where: str, output: Output) -> int:
-    """Show the report; returns the exit code."""
+def _say(report: Report, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
+    """Write the files and show the report; returns the exit code."""
 
     def show(console: Console) -> None:
         tell([arm], console)
         show_report(report, console)
 
-    output.result(to_json_data(report), show, where)
+    output.saved(to_json_data(report), show, out, files)
     return exit_code(report.tolerance)

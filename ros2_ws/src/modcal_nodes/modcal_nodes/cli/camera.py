@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from modcal_core.files import write_folder
 from modcal_core.robot import Robot
 from modcal_nodes.cli.camera_input import read_input, stated_lenses
-from modcal_nodes.cli.certificate import camera_certificate_files, certified_hashes, exit_code
-from modcal_nodes.cli.console import Output, tell, written
-from modcal_nodes.cli.inputs import EXISTING, arm_line
-from modcal_nodes.cli.numbers import Decimal
+from modcal_nodes.cli.certificate import certified_hashes, exit_code
+from modcal_nodes.cli.console import Output, tell
+from modcal_nodes.cli.inputs import EXISTING, Decimal, arm_line
 from modcal_nodes.io import Watch
 
 if TYPE_CHECKING:
@@ -54,7 +52,7 @@ OPTIONS = (
         help="Intrinsics, of a camera of several by its name. Default: from the images.",
     ),
     click.option(
-        "--intrinsics", type=click.Choice(["free", "tolerance", "fixed"]), default="tolerance", show_default=True,
+        "--intrinsics", type=click.Choice(["free", "tolerance", "fixed"]), default="tolerance",
         help="What becomes of those in --camera-info.",
     ),
     click.option(
@@ -119,7 +117,14 @@ def calibrate_images(
     said: what is stated for a certificate, None where none is asked for. Returns the exit code.
     """
     # OpenCV, which other verbs can do without
-    from modcal_core.report import camera_files, camera_report, camera_tolerance, lines
+    from modcal_core.report import (
+        camera_certificate,
+        camera_files,
+        camera_report,
+        camera_tolerance,
+        certificate_html,
+        lines,
+    )
 
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
@@ -132,13 +137,13 @@ def calibrate_images(
             watch("writing the certificate")
             calibration = str(files["calibration.yaml"])
             hashes = certified_hashes(options["urdf"] or robot.description, calibration, [source, camera["joints"]])
-            files |= camera_certificate_files(solution, robot.name or "", met, said, hashes, images)
+            page = camera_certificate(solution, robot.name or "", met, said, hashes, images)
+            files["certificate.html"] = certificate_html(page)
     out = out or Path(f"{source.resolve().stem}_calibration")
-    write_folder(out, files)
     data = camera_report(solution, robot, images, found.left_out, met)
     told = [arm_line(robot), *lines(solution, images, found.left_out)]
     told += [] if met is None else [f"{met.result}: {met.because}"]
-    output.result(data, partial(tell, told), written(out, files))
+    output.saved(data, partial(tell, told), out, files)
     return exit_code(met)
 
 
@@ -159,7 +164,6 @@ def plan_next_images(
     rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in found.q)
     files = {"stations.csv": ",".join(robot.names) + "\n" + rows}
     out = out or Path(f"{source.resolve().stem}_plan")
-    write_folder(out, files)
     tilts, away = np.degrees(found.tilt), found.distance
     reach = f"from {away.min():.2f} to {away.max():.2f} m"
     if found.markers is not None:
@@ -182,13 +186,12 @@ def plan_next_images(
         "distance_m": away.tolist(),
         **({} if found.markers is None else {"markers": found.markers.tolist()}),
     }
-    output.result(data, partial(tell, said), written(out, files, "Images to take", "stations.csv"))
+    output.saved(data, partial(tell, said), out, files, "Images to take", "stations.csv")
 
 
 def _solved(
     camera: dict[str, Any], options: dict[str, Any], bag: Path | None, watch: Watch
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
-    """The robot, its images, and what they lead to."""
     from modcal_core.camera import read_any_target, solve_camera
 
     target = read_any_target(camera["target"])

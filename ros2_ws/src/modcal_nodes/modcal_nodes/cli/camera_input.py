@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from modcal_nodes.vision import ImageFolder
 
 
-# --- The arm that images are of: between two links of a URDF, also from the tip of one arm to that of another
-
-
 def arm_of_file(
     urdf: Path, base: str | None, tip: str | None, recorded: Collection[str]
 ) -> tuple[Robot, tuple[str, ...]]:
@@ -138,8 +135,14 @@ def read_input(
             sizes = {name: lens.size for name, (lens, _) in stated.items()}
             by_name = read_corner_tables(camera["images"], camera["joints"], robot.names, target, sizes)
             (first, found), *others = by_name.items()
-            further = tuple(_of_table(name, one, target, camera, stated) for name, one in others)
-            notes += tuple(f"{name}: {said}" for name, one in others for said in (*one.notes, *_out(one)))
+            on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
+            further = tuple(
+                _seen(name or "images", one, target, camera, stated.get(camera_key(name), (None, "")), on_tip)
+                for name, one in others
+            )
+            for name, one in others:
+                out = (f"left out: {image}: {why}." for image, why in one.left_out.items())
+                notes += tuple(f"{name}: {said}" for said in (*one.notes, *out))
         else:
             found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
     else:
@@ -180,66 +183,44 @@ def read_input(
     return CameraInput(robot, found, readings, further, lens, notes)
 
 
-def _out(found: ImageFolder) -> tuple[str, ...]:
-    """What was left out of the images of a camera, in sentences."""
-    return tuple(f"left out: {name}: {why}." for name, why in found.left_out.items())
-
-
-def _of_table(
-    name: str,
-    found: ImageFolder,
-    target: PrintedTarget | MarkerBundle,
-    camera: dict[str, Any],
-    stated: dict[str, tuple[Lens, str]],
-) -> CameraImages:
-    """What a further camera of a table of corners saw."""
-    from modcal_core.camera import CameraImages
-    from modcal_nodes.vision import camera_key, require_size
-
-    lens, source = stated.get(camera_key(name)) or (None, "")
-    if lens is not None:
-        require_size(lens, found.size, source)
-    on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
-    return CameraImages(
-        *(found.q, found.views, target, found.size, found.velocity, lens, camera["intrinsics"], on_tip),
-        flat=camera["flat_target"],
-        moments=found.moments,
-        fisheye=camera["fisheye"],
-        name=name or "images",
-    )
-
-
 def _further(
-    said: str,
-    bag: Path,
-    recording: Recording,
-    robot: Robot,
-    target: PrintedTarget | MarkerBundle,
-    camera: dict[str, Any],
-    stated: dict[str, tuple[Lens, str]],
-    watch: Watch,
-) -> CameraImages:
-    """What a further camera saw. said: its topic, and after = the file of its target, where that is another. stated:
-    lenses by camera_key.
-    """
-    from modcal_core.camera import CameraImages, read_any_target
-    from modcal_nodes.vision import camera_key, read_bag_images, require_size
+    said: str, bag: Path, recording: Recording, robot: Robot, target: PrintedTarget | MarkerBundle,
+    camera: dict[str, Any], stated: dict[str, tuple[Lens, str]], watch: Watch,
+) -> CameraImages:  # fmt: skip
+    """What a further camera saw. said: its topic, and after = the file of its target, where that is another."""
+    from modcal_core.camera import read_any_target
+    from modcal_nodes.vision import camera_key, read_bag_images
 
     topic, _, file = said.partition("=")
     if file and not Path(file).exists():
         raise BadTable(f"--also-camera {said}", f"names no file {file}", "give TOPIC, or TOPIC=target.yaml")
     own = read_any_target(Path(file)) if file else target
-    lens, source = stated.get(camera_key(topic)) or (None, "")
-    found = read_bag_images(bag, recording, robot.names, own, topic, watch, None if lens is None else lens.size)
-    lens, source = (found.lens, found.lens_of) if lens is None else (lens, source)
-    if lens is not None:
-        require_size(lens, found.size, source)
+    lens = stated.get(camera_key(topic))
+    size = None if lens is None else lens[0].size
+    found = read_bag_images(bag, recording, robot.names, own, topic, watch, size)
+    return _seen(topic, found, own, camera, lens or (found.lens, found.lens_of), None)
+
+
+def _seen(
+    name: str,
+    found: ImageFolder,
+    target: PrintedTarget | MarkerBundle,
+    camera: dict[str, Any],
+    lens: tuple[Lens | None, str],
+    on_tip: bool | None,
+) -> CameraImages:
+    """What a further camera saw. lens: where known, and its source. on_tip: whether the arm carries the camera."""
+    from modcal_core.camera import CameraImages
+    from modcal_nodes.vision import require_size
+
+    if lens[0] is not None:
+        require_size(lens[0], found.size, lens[1])
     return CameraImages(
-        *(found.q, found.views, own, found.size, found.velocity, lens, camera["intrinsics"], None),
+        *(found.q, found.views, target, found.size, found.velocity, lens[0], camera["intrinsics"], on_tip),
         flat=camera["flat_target"],
         moments=found.moments,
         fisheye=camera["fisheye"],
-        name=topic,
+        name=name,
     )
 
 

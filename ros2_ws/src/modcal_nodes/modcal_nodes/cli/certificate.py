@@ -10,21 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from modcal_core.calibration import Stated
 from modcal_core.errors import BadTable
-from modcal_core.report import Particulars, Report
+from modcal_core.report import Particulars
 from modcal_nodes.io import read_particulars
 
 if TYPE_CHECKING:
-    from modcal_core.camera import CameraSolution
     from modcal_core.report import Hashes
     from modcal_core.verdict import Tolerance
 
 UNMET = 3  # exit code: done, but the tolerance is not met or cannot be told
 CERTIFICATE = (
     click.option(
-        "--certificate", is_flag=True,
-        help="Write certificate.html, one page to print and sign. Needs --tolerance-mm.",
+        "--certificate", is_flag=True, help="Write certificate.html, one page to print and sign. Needs --tolerance-mm."
     ),
     click.option("--serial", metavar="TEXT", help="Serial number of the robot, for the certificate."),
 )  # fmt: skip
@@ -49,24 +46,6 @@ def particulars(options: Mapping[str, Any]) -> Particulars | None:
 def exit_code(met: Tolerance | None) -> int:
     """0 where no tolerance was asked for, or it is met."""
     return 0 if met is None or met.result == "PASS" else UNMET
-
-
-def certificate_files(
-    report: Report, stated: Stated, said: Particulars, hashes: Hashes, made_from: bool = False
-) -> dict[str, str]:
-    """Name and text of the certificate's file; the arguments are those of the certificate."""
-    from modcal_core.report import certificate, certificate_html
-
-    return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
-
-
-def camera_certificate_files(
-    solution: CameraSolution, robot: str, met: Tolerance | None, said: Particulars, hashes: Hashes, images: int
-) -> dict[str, str]:
-    """The same of a calibration by camera; the arguments are those of its certificate."""
-    from modcal_core.report import camera_certificate, certificate_html
-
-    return {"certificate.html": certificate_html(camera_certificate(solution, robot, met, said, hashes, images))}
 
 
 def certified_hashes(

@@ -10,11 +10,11 @@ from typing import Any
 
 import click
 
-from modcal_core.calibration import Calibration
+from modcal_core.calibration import Calibration, to_data
 from modcal_core.checking import pattern_of
 from modcal_core.checkup import Checked
-from modcal_core.errors import BadTable
-from modcal_core.files import read_json, to_json, write_folder
+from modcal_core.errors import BadTable, ModcalError
+from modcal_core.files import read_json, to_json, to_yaml
 from modcal_core.public import check
 from modcal_core.report import (
     calibration_files,
@@ -22,13 +22,12 @@ from modcal_core.report import (
     checkup_html,
     checkup_summary,
     delta_files,
-    is_made_from,
     report_files,
 )
-from modcal_core.robots import is_serial_arm
-from modcal_nodes.cli.calibrate import FROZEN, calibration_name, frozen_samples, stated_of
-from modcal_nodes.cli.certificate import certificate_files, certified_hashes, exit_code, particulars
-from modcal_nodes.cli.console import Output, speaking, with_options, written
+from modcal_core.robots import is_serial_arm, read_chain
+from modcal_nodes.cli.calibrate import FROZEN, calibration_name, certified, frozen_samples
+from modcal_nodes.cli.certificate import certified_hashes, exit_code, particulars
+from modcal_nodes.cli.console import Output, speaking, with_options
 from modcal_nodes.cli.inputs import EXISTING
 from modcal_nodes.cli.show import show_blocks
 from modcal_nodes.io import of_cell, read_cell, stated_from
@@ -65,14 +64,13 @@ def check_command(
             watch("writing the certificate")
             model: str | Path = files.get("calibration.yaml", calibration)
             hashes = certified_hashes(files.get("calibrated.urdf", samples.origin.description), model)
-            stated = stated_of(options["cell_file"], samples, options)
-            files |= certificate_files(found.report, stated, said, hashes, is_made_from(frozen, samples))
+            files |= certified(found.report, samples, options, said, hashes, frozen)
     name = calibration_name(calibration)
-    files["check.html"] = checkup_html(found, f"{name}, checked by {bag.resolve().stem}", [n for n in files])
+    files["check.html"] = checkup_html(found, f"{name}, checked by {bag.resolve().stem}", list(files))
     out = out or Path(f"{bag.resolve().stem}_check")
-    write_folder(out, files)
-    where = written(out, files, "Check", "check.html")
-    output.result(checkup_data(found, name), partial(show_blocks, checkup_summary(found)), where)
+    output.saved(
+        checkup_data(found, name), partial(show_blocks, checkup_summary(found)), out, files, "Check", "check.html"
+    )
     return exit_code(found.report.tolerance)
 
 
@@ -81,7 +79,11 @@ def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: 
     name = calibration_name(calibration)
     files: dict[str, str] = {"check.json": to_json(checkup_data(found, name))}
     if len(found.advice.stations):
-        files["stations.csv"] = _table(found)
+        stations = io.StringIO()
+        writer = csv.writer(stations, lineterminator="\n")
+        writer.writerow(found.joints)
+        writer.writerows([f"{x:.6f}" for x in q] for q in found.advice.stations)
+        files["stations.csv"] = stations.getvalue()
     repaired = found.repaired
     if repaired is None:
         return files | report_files(found.report, calibration=name)
@@ -89,9 +91,6 @@ def check_files(found: Checked, calibration: Path, urdf: Path | None, recorded: 
         return files | delta_files(repaired, found.report)
     text, chain = _description(calibration, urdf, recorded, repaired)
     if text is None:
-        from modcal_core.calibration import to_data
-        from modcal_core.files import to_yaml
-
         return files | {"calibration.yaml": to_yaml(to_data(repaired))} | report_files(found.report, calibration=name)
     return files | calibration_files(repaired, found.report, chain, text)
 
@@ -100,9 +99,6 @@ def _description(
     calibration: Path, urdf: Path | None, recorded: str | None, repaired: Calibration
 ) -> tuple[str | None, Any]:
     """The robot description to write into, and the arm as it stands there; None where there is none of this arm."""
-    from modcal_core.errors import ModcalError
-    from modcal_core.robots import read_chain
-
     nominal = repaired.nominal.serial
     beside = (calibration if calibration.is_dir() else calibration.parent) / "calibrated.urdf"
     texts = [urdf.read_text(encoding="utf-8")] if urdf is not None else []
@@ -132,11 +128,3 @@ def _pattern(calibration: Path) -> float | None:
         return None if share is None else pattern_of(float(share["share"]))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BadTable(str(beside), "is not a report of modcal", remedy) from error
-
-
-def _table(found: Checked) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(found.joints)
-    writer.writerows([f"{x:.6f}" for x in q] for q in found.advice.stations)
-    return text.getvalue()

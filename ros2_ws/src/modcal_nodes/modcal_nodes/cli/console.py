@@ -39,24 +39,24 @@ class Terminal(Console):
             yield segment if segment.control else Segment(plain(segment.text), segment.style)
 
 
-def say(lines: Iterable[str], console: Console) -> None:
-    """Print these lines."""
-    for line in lines:
-        console.print(line, highlight=False)
-
-
 def console(stderr: bool = False) -> Console:
     """A console as wide as the terminal; where there is none, wide enough for every table (COLUMNS, if set)."""
-    made = Terminal(stderr=stderr, emoji=False, markup=False)
+    made = Terminal(stderr=stderr, emoji=False, markup=False, highlight=False)
     if not made.is_terminal and "COLUMNS" not in os.environ:
         made.width = _WIDE
     return made
 
 
+def say(lines: Iterable[str], console: Console) -> None:
+    """Print these lines."""
+    for line in lines:
+        console.print(line)
+
+
 def tell(lines: Iterable[str], console: Console) -> None:
     """Print these lines as they are, paths whole, however narrow the console is."""
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
 
 
 def written(folder: Path, names: Iterable[str], what: str = "Report", first: str = "report.html") -> str:
@@ -82,6 +82,21 @@ class Output:
         show(self._out)
         if where:
             click.echo(plain(where))
+
+    def saved(
+        self,
+        data: Any,
+        show: Callable[[Console], None],
+        folder: Path,
+        files: Mapping[str, str | bytes],
+        what: str = "Report",
+        first: str = "report.html",
+    ) -> None:
+        """Write files into a folder, and say the result and where it is. what, first: as ``written`` has them."""
+        from modcal_core.files import write_folder
+
+        write_folder(folder, files)
+        self.result(data, show, written(folder, files, what, first))
 
     @contextmanager
     def working(self) -> Iterator[Watch]:
@@ -155,8 +170,6 @@ def with_options(options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
     return decorate
 
 
-# --- What the columns of a table mean, said below it
-
 Columns = Mapping[str, str]  # heading: its meaning; empty where the heading says it all
 
 
@@ -173,4 +186,4 @@ def explain(columns: Columns, console: Console) -> None:
     """Print what each heading means, a line each."""
     for heading, meaning in columns.items():
         if meaning:
-            console.print(f"  {heading}: {meaning}", style="dim", highlight=False)
+            console.print(f"  {heading}: {meaning}", style="dim")

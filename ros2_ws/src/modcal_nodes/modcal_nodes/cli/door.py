@@ -14,23 +14,18 @@ import click
 
 from modcal_core.errors import BadCommand
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import WRITTEN
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import WRITTEN, Decimal, Whole
 
 _NODE, _LOG, _RESULT = "door_demo", "nodes.log", "pull.json"
 _DOMAINS = 100  # of them every system has ports for; 0 is the one that robots usually speak in
 
 
 @click.command("door")
-@click.option("--kind", type=click.Choice(["door", "drawer"]), default="door", show_default=True, help="What to open.")
+@click.option("--kind", type=click.Choice(["door", "drawer"]), default="door", help="What to open.")
+@click.option("--seed", type=Whole(0, 2**31 - 1), default=0, help="Seed of the object, its place and the noise.")
 @click.option(
-    "--seed", type=Whole(0, 2**31 - 1), default=0, show_default=True,
-    help="Seed of the object, its place and the noise.",
-)  # fmt: skip
-@click.option(
-    "--patience", type=Decimal(5.0, 3600.0), default=90.0, show_default=True, metavar="S",
-    help="Time after which it is given up.",
-)  # fmt: skip
+    "--patience", type=Decimal(5.0, 3600.0), default=90.0, metavar="S", help="Time after which it is given up."
+)
 @click.option("--domain", type=Whole(0, 232), help="ROS_DOMAIN_ID of the nodes. Default: one of its own.")
 @click.option("--out", type=WRITTEN, help="Folder of the results. Default: KIND_demo.")
 @speaking

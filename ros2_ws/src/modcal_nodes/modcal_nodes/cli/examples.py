@@ -1,7 +1,8 @@
-"""``modcal examples``: the example files of the documentation, out of the installation into a folder."""
+"""``modcal examples`` and ``modcal completion``: what an installation brings beside the verbs of work."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import tomllib
 from collections import Counter
@@ -10,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
 import click
+from click.shell_completion import get_completion_class
 
 from modcal_core.errors import BadCommand
 from modcal_nodes.cli.console import Output, speaking, tell
@@ -74,3 +76,24 @@ def _of_checkout(root: Path) -> dict[str, Path]:
         for pattern in patterns
         for file in sorted(root.glob(pattern))
     }
+
+
+_SHELLS = ("bash", "zsh", "fish")
+
+
+@click.command("completion")
+@click.argument("shell", type=click.Choice(_SHELLS), required=False)
+@click.pass_context
+def completion_command(ctx: click.Context, shell: str | None) -> None:
+    """Print the script by which SHELL completes verbs, options, choices and files. Default: the shell of $SHELL.
+
+    \b
+    bash   modcal completion bash >> ~/.bashrc
+    zsh    modcal completion zsh >> ~/.zshrc       (after compinit)
+    fish   modcal completion fish > ~/.config/fish/completions/modcal.fish
+    """  # noqa: D301  # Click takes this backspace for "leave the lines as they are"
+    chosen = shell or Path(os.environ.get("SHELL", "")).name
+    made = get_completion_class(chosen) if chosen in _SHELLS else None
+    if made is None:
+        raise BadCommand(f"shell '{chosen}'", "has no completion script", f"give one of {', '.join(_SHELLS)}")
+    click.echo(made(ctx.find_root().command, {}, "modcal", "_MODCAL_COMPLETE").source())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,15 +42,9 @@ from modcal_nodes.io import read_calibration
 
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
-_FORMS = (*CONVENTIONS, "urdf", *_OF_URDF)
 
 
-@dataclass(frozen=True)
-class _Source:
-    """An arm, and what of it no table can hold."""
-
-    chain: Chain
-    left_out: tuple[str, ...] = ()
+_Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can hold
 
 
 @click.command("export")
@@ -58,40 +52,23 @@ class _Source:
 @click.option(
     "--to", "form", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF]), required=True, help="Format to write."
 )
-@click.option(
-    "--which", type=click.Choice(_MODELS), default="calibrated", show_default=True, help="Model of a calibration."
-)
+@click.option("--which", type=click.Choice(_MODELS), default="calibrated", help="Model of a calibration.")
 @click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
 @click.option("--base", metavar="LINK", help="For a URDF: link where the arm begins.")
 @click.option("--tip", metavar="LINK", help="For a URDF: link where it ends.")
-@click.option("--largest-offset", type=float, default=10.0, show_default=True, help="Largest offset in a DH row [m].")
+@click.option("--largest-offset", type=float, default=10.0, help="Largest offset in a DH row [m].")
 @click.option(
     "--nearest",
     is_flag=True,
     help="For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.",
 )
-@click.option(
-    "--unit", type=click.Choice([*UNITS]), default="m rad", show_default=True, help="Of a table that is written as CSV."
-)
+@click.option("--unit", type=click.Choice([*UNITS]), default="m rad", help="Of a table that is written as CSV.")
 @click.option(
     "--factory-kinematics", "factory", type=EXISTING, help="For kinematics: the maker's own file of this arm."
 )
 @click.option("--out", type=WRITTEN, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
 @speaking
-def export_command(
-    source: Path,
-    form: str,
-    which: str,
-    tool: bool,
-    base: str | None,
-    tip: str | None,
-    largest_offset: float,
-    nearest: bool,
-    unit: str,
-    factory: Path | None,
-    out: Path | None,
-    output: Output,
-) -> None:
+def export_command(source: Path, form: str, out: Path | None, output: Output, **options: Any) -> None:
     """Write the kinematics of SOURCE as a table, as a URDF without bodies, or for a maker's description.
 
     SOURCE is a calibration (folder or calibration.yaml), a URDF, or a table (.yaml or .csv) of any convention. Tables
@@ -101,23 +78,24 @@ def export_command(
     kinematics as the makers' descriptions (Universal Robots, Franka) or xacro.load_yaml read them, xacro as a property
     for a description of your own.
     """
+    largest_offset, nearest, unit = options["largest_offset"], options["nearest"], options["unit"]
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
     if form in _OF_URDF:
-        output.result(*_written_origins(source, form, base, tip, factory, out))
+        output.result(*_written_origins(source, form, options, out))
         return
-    arm = _read(source, which, tool, base, tip)
+    chain, left_out = _read(source, options)
     if form == "urdf":
         out = out or Path(f"{source.resolve().stem}_chain.urdf")
-        text, off = chain_urdf(arm.chain), None
+        text, off = chain_urdf(chain), None
     else:
         if nearest and form != "cpc":
-            found = nearest_dh(arm.chain, form, largest_offset)
-            table, arm = found.table, _without(arm, found)
+            found = nearest_dh(chain, form, largest_offset)
+            table, left_out = found.table, (*left_out, _lost(found))
         else:
-            table = to_table(arm.chain, form, largest_offset)
+            table = to_table(chain, form, largest_offset)
         out = out or Path(f"{source.resolve().stem}_{form}.{'yaml' if unit == 'm rad' else 'csv'}")
-        notes = [f"left out: {note}" for note in arm.left_out]
+        notes = [f"left out: {note}" for note in left_out]
         if out.suffix.lower() == ".csv":
             text = to_csv(table, notes, unit)
             again = from_csv(text, out.name)
@@ -126,9 +104,9 @@ def export_command(
         else:
             text = "".join(f"# {note}\n" for note in notes) + to_yaml(table)
             again = yaml.safe_load(text)
-        off = float(loss(arm.chain if not nearest else from_table(table), again))
+        off = float(loss(chain if not nearest else from_table(table), again))
     write_file(out, text)
-    output.result(*told(out, arm.chain, off, arm.left_out))
+    output.result(*told(out, chain, off, left_out))
 
 
 def told(
@@ -162,26 +140,26 @@ def read_table(path: Path) -> dict[str, Any] | None:
     return dict(data) if isinstance(data, Mapping) and "convention" in data else None
 
 
-def _without(arm: _Source, found: NearestTable) -> _Source:
-    """The arm, what its nearest table cannot hold being said too."""
+def _lost(found: NearestTable) -> str:
+    """What the nearest table of an arm cannot hold."""
     pairs = "; ".join(f"{a} and {b}" for a, b in found.parallel) or "none"
-    said = (
+    return (
         f"tilts of nearly parallel axes across their common normal ({pairs}): the tip is off by "
         f"{1e3 * found.rms:.3g} mm RMS, {1e3 * found.largest:.3g} mm and {math.degrees(found.angle):.2g}° at most"
     )
-    return replace(arm, left_out=(*arm.left_out, said))
 
 
 def _written_origins(
-    source: Path, form: str, base: str | None, tip: str | None, factory: Path | None, out: Path | None
+    source: Path, form: str, options: dict[str, Any], out: Path | None
 ) -> tuple[dict[str, Any], Callable[[Console], None]]:
     """Write the origins of a URDF's joints between base and tip, and say so."""
+    base, tip, factory = options["base"], options["tip"], options["factory"]
     left_out: tuple[str, ...] = ()
     if source.is_dir():
         calibration = read_calibration(source)
         whole = calibration.calibrated.chain
         base, tip = base or whole.base, tip or whole.tip
-        left_out = _of_calibration(calibration, "calibrated", False).left_out[:-1]
+        left_out = _of_calibration(calibration, "calibrated", False)[1][:-1]
         urdf = source / "calibrated.urdf"
     else:
         urdf = source
@@ -208,16 +186,18 @@ def _written_origins(
     return told(out, chain, None, left_out)
 
 
-def _read(source: Path, which: str, tool: bool, base: str | None, tip: str | None) -> _Source:
+def _read(source: Path, options: dict[str, Any]) -> _Source:
+    which, tool = options["which"], options["tool"]
     if source.is_dir():
         return _of_calibration(read_calibration(source), which, tool)
     if source.suffix.lower() != ".csv" and source.read_bytes().lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         with about(str(source)):
-            return _Source(read_chain(source.read_text(encoding="utf-8", errors="replace"), base, tip))
+            text = source.read_text(encoding="utf-8", errors="replace")
+            return read_chain(text, options["base"], options["tip"]), ()
     table = read_table(source)
     if table is not None:
         with about(str(source)):
-            return _Source(from_table(table))
+            return from_table(table), ()
     data = read_yaml(source)
     if not isinstance(data, Mapping) or "modcal_calibration" not in data:
         said = "is neither a calibration, a URDF, nor a table that states its convention"
@@ -235,4 +215,4 @@ def _of_calibration(calibration: Calibration, which: str, tool: bool) -> _Source
     left = [f"{effect.family} of {effect.label}" for effect in model.effects]
     if left:
         left.append("geometry alone does best with --which geometric")
-    return _Source(chain, tuple(left))
+    return chain, tuple(left)

@@ -13,10 +13,9 @@ from rich.text import Text
 from modcal_core.errors import BadCommand, plain
 from modcal_core.files import to_json
 from modcal_core.report import STATUS_WORDS
-from modcal_nodes.cli.calibrate import calibration_options
-from modcal_nodes.cli.console import console, explain, table, written
-from modcal_nodes.cli.inputs import WRITTEN
-from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.cli.calibrate import CALIBRATION
+from modcal_nodes.cli.console import console, explain, table, with_options, written
+from modcal_nodes.cli.inputs import WRITTEN, Whole
 from modcal_nodes.cli.show import STYLES
 from modcal_nodes.fleet import DONE, Row, calibrate_all, find_bags, names_of, write_table
 from modcal_nodes.io import Options
@@ -31,12 +30,12 @@ _COLUMNS = {
 
 @click.command("fleet")
 @click.argument("bags", nargs=-1, required=True)
-@click.option("--out", type=WRITTEN, default=Path("fleet"), show_default=True, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, default=Path("fleet"), help="Folder of the results.")
 @click.option("--csv", "as_csv", is_flag=True, help="Write fleet.csv in place of fleet.parquet.")
 @click.option("--jobs", type=Whole(min=1), metavar="N", help="Processes of this machine. Default: one per core.")
 @click.option("--dask", "address", metavar="ADDRESS", help="Address of a Dask scheduler, in place of this machine.")
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON in place of the summary.")
-@calibration_options
+@with_options(CALIBRATION)
 def fleet_command(
     bags: tuple[str, ...], out: Path, as_csv: bool, jobs: int | None, address: str | None, as_json: bool, **options: Any
 ) -> int:
@@ -63,7 +62,7 @@ def fleet_command(
         shown = table(_COLUMNS, words=2)
         for row in rows:
             shown.add_row(*_shown(row))
-        page.print(shown, highlight=False)
+        page.print(shown)
         explain(_COLUMNS, page)
         click.echo(plain(written(out, [name, "a folder for each recording"], "Table", name)))
     if left:

@@ -1,4 +1,4 @@
-"""``modcal history``: the calibrations and checks of a robot over time, and what grows."""
+"""``modcal history`` and ``modcal compare``: what grows over many calibrations, and how two of them differ."""
 
 from __future__ import annotations
 
@@ -15,11 +15,24 @@ import click
 from modcal_core.calibration import Calibration, fingerprint
 from modcal_core.checking import Values, series_of, values_of
 from modcal_core.errors import BadTable
-from modcal_core.files import read_json, to_json, write_folder
-from modcal_core.report import History, HistoryEntry, history_data, history_summary, offsets_of
-from modcal_nodes.cli.console import Output, speaking, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN
+from modcal_core.files import read_json, to_json
+from modcal_core.measurements import require
+from modcal_core.report import (
+    History,
+    HistoryEntry,
+    Side,
+    compare,
+    comparison_data,
+    comparison_summary,
+    history_data,
+    history_summary,
+    offsets_of,
+)
+from modcal_nodes.cli.certificate import UNMET
+from modcal_nodes.cli.console import Output, speaking
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Decimal
 from modcal_nodes.cli.show import show_blocks
+from modcal_nodes.io import SCHEMA
 
 _DATED = re.compile(r"(\d{4}-\d{2}-\d{2})")
 _DEPTH = 3  # folders below the one that is given
@@ -29,7 +42,7 @@ _DEPTH = 3  # folders below the one that is given
 @click.argument("folder", type=EXISTING)
 @click.option("--out", type=WRITTEN, help="Folder of history.json. Default: FOLDER.")
 @speaking
-def history_command(folder: Path, out: Path | None, output: Output) -> int:
+def history_command(folder: Path, out: Path | None, output: Output) -> None:
     """Show how a robot changes over time, by all calibrations and checks below FOLDER.
 
     FOLDER holds what modcal calibrate and modcal check wrote, for each robot in a folder of its own. Joint zeros,
@@ -38,12 +51,10 @@ def history_command(folder: Path, out: Path | None, output: Output) -> int:
     with output.working() as watch:
         watch("reading")
         found = read_history(folder)
-        files = {"history.json": to_json(history_data(found))}
-        out = out or folder
-        write_folder(out, files)
-    where = written(out, files, "History", "history.json")
-    output.result(history_data(found), partial(show_blocks, history_summary(found)), where)
-    return 0
+    data = history_data(found)
+    files = {"history.json": to_json(data)}
+    show = partial(show_blocks, history_summary(found))
+    output.saved(data, show, out or folder, files, "History", "history.json")
 
 
 def read_history(folder: Path) -> tuple[History, ...]:
@@ -133,3 +144,52 @@ def _json(path: Path) -> dict[str, Any] | None:
     if not isinstance(data, dict):
         raise BadTable(str(path), "is no report", remedy)
     return data
+
+
+@click.command("compare")
+@click.argument("first", type=EXISTING, metavar="A")
+@click.argument("second", type=EXISTING, metavar="B")
+@click.option(
+    "--tolerance-mm", type=Decimal(min=0.0, min_open=True), metavar="MM",
+    help="How far the two may differ at the tool, 95th percentile; exit code 3 if it is more, or cannot be told.",
+)  # fmt: skip
+@click.option("--out", type=WRITTEN, help="Folder of comparison.json.")
+@speaking
+def compare_command(first: Path, second: Path, tolerance_mm: float | None, out: Path | None, output: Output) -> int:
+    """Compare two calibrations, or two reports: what differs between A and B, and whether it matters.
+
+    A and B are folders of modcal calibrate or modcal evaluate, calibration.yaml files, or report.json files.
+    """
+    names = (first.name, second.name) if first.resolve().name != second.resolve().name else (str(first), str(second))
+    with output.working() as watch:
+        watch("comparing")
+        sides = [_side(path, name) for path, name in zip((first, second), names, strict=True)]
+        found = compare(sides[0], sides[1], tolerance_mm)
+    data = comparison_data(found)
+    out = out or Path(f"{first.resolve().stem}_{second.resolve().stem}_comparison")
+    files = {"comparison.json": to_json(data)}
+    output.saved(data, partial(show_blocks, comparison_summary(found)), out, files, "Comparison", "comparison.json")
+    judged = tolerance_mm is not None and found.result in ("beyond tolerance", "cannot tell")
+    return UNMET if judged else 0
+
+
+def _side(path: Path, name: str) -> Side:
+    if path.suffix == ".json":
+        return Side(name, report=_report(path))
+    folder = path if path.is_dir() else path.parent
+    beside = folder / "report.json"
+    report = _report(beside) if beside.is_file() else None
+    if path.is_dir() and not (path / "calibration.yaml").is_file():
+        if report is None:
+            said = "holds neither calibration.yaml nor report.json"
+            raise BadTable(str(path), said, "give a folder of modcal calibrate or modcal evaluate")
+        return Side(name, report=report)
+    return Side(name, Calibration.load(path), report)
+
+
+def _report(path: Path) -> dict[str, Any]:
+    """The data of a report.json. Raises BadTable for anything else."""
+    remedy = "give the report.json that modcal calibrate or modcal evaluate wrote"
+    data = read_json(path, remedy)
+    require(data, SCHEMA, str(path), remedy)
+    return dict(data)

@@ -22,8 +22,6 @@ from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
 from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, described
 
-# --- ``modcal import`` of tables that have no mapping: one is found out, said, and written to be edited
-
 _HEAD = 4096  # bytes in which a kinematic table says that it is one
 
 
@@ -39,25 +37,19 @@ def is_kinematic(path: Path) -> bool:
 
 
 def proposed(
-    tables: Sequence[Path],
-    urdf: Path,
-    base: str | None,
-    tip: str | None,
-    mapping: Path | None,
-    out: Path | None,
-    output: Output,
+    tables: Sequence[Path], urdf: Path, options: dict[str, Any], out: Path | None, output: Output
 ) -> tuple[Proposal, Path]:
     """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way.
 
     out: the bag that is made of them at once, where nothing is left to ask.
     """
-    path = mapping or Path(f"{tables[0].stem}.yaml")
+    path = options["mapping"] or Path(f"{tables[0].stem}.yaml")
     if path.exists():
         raise BadTable(str(path), "exists already", "give --mapping another name, import it, or remove it")
     folders = {table.resolve().parent for table in tables}
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
-    robot = Robot.from_urdf(urdf, base, tip)
+    robot = Robot.from_urdf(urdf, options["base"], options["tip"])
     with output.working() as watch:
         found = find(tables, robot.chain, watch, robot.inertias)
         made = proposal(found, os.path.relpath(urdf.resolve(), path.resolve().parent))
@@ -111,14 +103,7 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
 )
 @speaking
 def import_command(
-    sources: tuple[Path, ...],
-    data: Path | None,
-    urdf: Path | None,
-    base: str | None,
-    tip: str | None,
-    mapping: Path | None,
-    out: Path | None,
-    output: Output,
+    sources: tuple[Path, ...], data: Path | None, urdf: Path | None, out: Path | None, output: Output, **options: Any
 ) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
@@ -131,7 +116,7 @@ def import_command(
     """  # fmt: skip
     first = sources[0]
     if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
-        made, path = proposed(sources, urdf, base, tip, mapping, out, output)
+        made, path = proposed(sources, urdf, options, out, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
@@ -161,7 +146,6 @@ def _kinematic_table(path: Path) -> dict[str, Any] | None:
 
 
 def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: Output) -> None:
-    """The bag that a mapping makes."""
     stated = read_yaml(mapping)
     with output.working() as watch:
         tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))

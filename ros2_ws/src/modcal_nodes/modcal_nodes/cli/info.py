@@ -1,4 +1,4 @@
-"""``modcal info``."""
+"""``modcal info`` and ``modcal repair``: what is in a bag, and what can be saved of a broken one."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from typing import Any
 
 import click
 from rich.console import Console
-from rich.table import Table
 
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Recording, inspect
 from modcal_core.robot import Robot
-from modcal_msgs_py import Topics, read_recording
-from modcal_nodes.cli.console import Output, speaking, with_options
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, chain_line, described
+from modcal_msgs_py import Repair, Topics, read_recording, repair_bag
+from modcal_nodes.cli.console import Output, speaking, table, with_options
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, chain_line, described
 
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 
@@ -34,24 +33,21 @@ _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 @speaking
 def info_command(
     bag: Path,
-    urdf: Path | None,
-    delta: Path | None,
-    base: str | None,
-    tip: str | None,
     target: Path | None,
     image_topic: str | None,
     topic: tuple[str, ...],
     ignore: tuple[str, ...],
     tf: str | None,
     output: Output,
+    **arm: Any,
 ) -> None:
     """Show what is in BAG, what it can be used for, and what looks wrong."""
     recording = read_recording(bag, topics=Topics.of(topic, ignore, tf))
     findings: tuple[str, ...] = ()
     try:
-        robot: Robot | None = described(recording, delta, urdf, base, tip)
+        robot: Robot | None = described(recording, **arm)
     except ModcalError as error:
-        if any(given is not None for given in (urdf, delta, base, tip)):
+        if any(given is not None for given in arm.values()):
             raise
         robot, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, None if robot is None else robot.mechanism)
@@ -94,33 +90,61 @@ def _images(
 
 
 def _show(data: dict[str, Any], console: Console) -> None:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for name, side in (
-        ("topic", "left"),
-        ("what", "left"),
-        ("messages", "right"),
-        ("Hz", "right"),
-        ("largest gap", "right"),
-    ):
-        table.add_column(name, justify=side, overflow="fold")  # type: ignore[arg-type]
+    shown = table(dict.fromkeys(("topic", "what", "messages", "Hz", "largest gap"), ""), words=2)
     for track in data["topics"]:
         rate, gap = f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s"
-        table.add_row(track["topic"], track["what"], str(track["count"]), rate, gap)
-    console.print(table)
+        shown.add_row(track["topic"], track["what"], str(track["count"]), rate, gap)
+    console.print(shown)
     console.print(f"duration: {data['duration_s']:.1f} s")
     if robot := data["robot"]:
         said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])
-        console.print(said, highlight=False)
+        console.print(said)
     for one in data["listed"]:
         if one["role"] is None and one["could"]:
             kind = one["type_name"].rpartition("/")[2]
-            console.print(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}", highlight=False)
+            console.print(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}")
     for use in data["uses"]:
-        console.print(f"can be used for {use}", style="green", highlight=False)
+        console.print(f"can be used for {use}", style="green")
     for finding in data["findings"]:
-        console.print(finding, style="yellow", highlight=False)
+        console.print(finding, style="yellow")
 
 
 def _said(role: str) -> str:
-    """A role as a person asks for it."""
     return "the tracker, by --tf PARENT:CHILD" if role == "tf" else f"{role}, by --topic"
+
+
+@click.command("repair")
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.option("--out", type=WRITTEN, help="The new bag. Default: BAG_repaired.")
+@speaking
+def repair_command(bag: Path, out: Path | None, output: Output) -> None:
+    """Repair BAG, which was truncated: killed recorder, full disk, power failure.
+
+    Every whole message is kept as it is. BAG itself is not changed; if it is intact, nothing is written.
+    """
+    if out is None:
+        place = bag.resolve()
+        out = place.parent / f"{place.stem if place.is_file() else place.name}_repaired"
+    with output.working() as watch:
+        done = repair_bag(bag, out, watch)
+    data = {
+        "bag": str(bag),
+        "repaired": None if done.folder is None else str(done.folder),
+        "reasons": list(done.reasons),
+        "messages": dict(done.saved),
+    }
+    output.result(data, partial(_show_saved, bag, done))
+
+
+def _show_saved(bag: Path, done: Repair, console: Console) -> None:
+    count = sum(done.saved.values())
+    if done.folder is None:
+        console.print(f"{bag} is whole ({count} messages): nothing to repair")
+        return
+    for reason in done.reasons:
+        console.print(reason, style="yellow")
+    shown = table({"topic": "", "messages saved": ""})
+    for topic, saved in done.saved.items():
+        shown.add_row(topic, str(saved))
+    console.print(shown)
+    console.print(f"{done.folder}: {count} messages saved", style="bold")

@@ -1,16 +1,21 @@
-"""Which robot a verb is about: its description, its base and its tip."""
+"""What verbs are given: robots, topics, paths, numbers and stations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from math import isfinite
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
-from modcal_core.errors import BadRobot, about
+from modcal_core.errors import BadRobot, BadTable, about
 from modcal_core.files import read_yaml
+from modcal_core.geometry import Array
 from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Mechanism, delta_from_data, other_tips, read_chain
@@ -20,7 +25,7 @@ _OTHERS = 3  # tips that are named
 BASE = click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
 TIP = click.option("--tip", metavar="LINK", help="Link where it ends. Default: the link behind most joints.")
 TOOL = click.option(
-    "--tool", type=float, nargs=3, default=(0.05, 0.0, 0.1), show_default=True, metavar="X Y Z",
+    "--tool", type=float, nargs=3, default=(0.05, 0.0, 0.1), metavar="X Y Z",
     help="Position of the tracked target in the tip link [m].",
 )  # fmt: skip
 
@@ -78,8 +83,6 @@ def described(recording: Recording, delta: Path | None, urdf: Path | None, base:
         return Robot.from_urdf(urdf or recording.robot_description or "", base, tip, recorded)
 
 
-# --- ``--topic``, ``--ignore`` and ``--tf``
-
 TOPICS = (
     click.option(
         "--topic", "topic", multiple=True, metavar="ROLE=NAME",
@@ -87,13 +90,9 @@ TOPICS = (
     ),
     click.option("--ignore", "ignore", multiple=True, metavar="TOPIC", help="Leave a topic out. Repeatable."),
     click.option(
-        "--tf", "tf", metavar="PARENT:CHILD",
-        help="The tracker's readings are these frames in /tf, e.g. tracker:tool.",
+        "--tf", "tf", metavar="PARENT:CHILD", help="The tracker's readings are these frames in /tf, e.g. tracker:tool."
     ),
 )  # fmt: skip
-
-
-# --- Kinds of paths that verbs are given
 
 
 class _Named(click.Path):
@@ -110,3 +109,70 @@ class _Named(click.Path):
 
 EXISTING = click.Path(exists=True, path_type=Path)
 WRITTEN = _Named(path_type=Path)
+
+
+_BEGIN = re.compile(r"[+-]?\d+(\.\d+)?")  # of what somebody wrote with a comma or a unit
+
+
+class Decimal(click.FloatRange):
+    """A finite number within a range."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or a refusal that says how to write it."""
+        try:
+            number = float(value)
+        except ValueError:
+            pointed = str(value).strip().replace(",", ".")
+            begin = _BEGIN.match(pointed)
+            meant = f": write {pointed if _reads(pointed) else begin[0]}" if begin else ""
+            self.fail(f"{value!r} is not a number{meant}.", param, ctx)
+        if not isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return super().convert(number, param, ctx)
+
+
+class Whole(click.IntRange):
+    """A whole number within a range."""
+
+    name = "whole number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or a refusal."""
+        try:
+            number = int(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a whole number.", param, ctx)
+        return super().convert(number, param, ctx)
+
+
+def _reads(text: str) -> bool:
+    try:
+        return isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def numbers_by_joint(said: Iterable[str], option: str) -> dict[str, float]:
+    """JOINT=NUMBER texts as numbers by joint; empty ones are passed over. Raises BadTable, naming the option."""
+    out: dict[str, float] = {}
+    for text in filter(None, said):
+        name, _, number = text.partition("=")
+        try:
+            out[name] = float(number)
+        except ValueError:
+            out[name] = np.nan
+        if not name or not np.isfinite(out[name]):
+            raise BadTable(f"{option} {text}", "is not JOINT=NUMBER", "write it as elbow_joint=1.2")
+    return out
+
+
+def read_stations(path: Path, chain: Mechanism) -> Array:
+    """Postures (N, n) [rad, m] in a plan.yaml, or in a CSV file whose head names the joints. Raises BadTable."""
+    from modcal_core.planning import stations_from_data, stations_from_rows  # few verbs plan
+
+    if path.suffix == ".csv":
+        with path.open(encoding="utf-8", errors="replace", newline="") as stream:
+            return stations_from_rows(list(csv.reader(stream)), chain.names, str(path))
+    return stations_from_data(read_yaml(path), chain.names, str(path))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -11,15 +12,14 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.errors import BadRecording, BadTable, about
-from modcal_core.files import to_json, to_yaml, write_folder
+from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
 from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, Topics, read_recording
-from modcal_nodes.cli.console import Output, explain, speaking, table, tell, with_options, written
-from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, arm_line, described, file_line
-from modcal_nodes.cli.numbers import Whole, numbers_by_joint
+from modcal_nodes.cli.console import Output, explain, speaking, table, tell, with_options
+from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, Whole, arm_line, described, file_line, numbers_by_joint
 
 _MAX = 2000  # postures of a bag; of more, evenly chosen ones say the same
 _THOROUGH = 20_000  # for time, with --thorough
@@ -41,62 +41,53 @@ _COLUMNS = {
 _CORE = {"friction": "coulomb", "damping": "viscous"}  # what the core calls them
 
 
-def _by_joint(command: click.Command) -> click.Command:
-    """The options that are given joint by joint."""
-    for name, text in reversed(_BY_JOINT.items()):
-        command.params.append(
-            click.Option([f"--{name}"], multiple=True, metavar="JOINT=VALUE", help=f"{text} Repeat for more joints.")
-        )
-    return command
+_OPTIONS = [
+    click.option(f"--{name}", multiple=True, metavar="JOINT=VALUE", help=f"{text} Repeat for more joints.")
+    for name, text in reversed(_BY_JOINT.items())
+]
 
 
-@_by_joint
 @click.command("limits")
 @click.argument("source", type=EXISTING)
 @click.option("--urdf", type=EXISTING, help="Robot description, for a bag. Default: the one in it.")
 @click.option("--base", metavar="LINK", help="Link where the arm begins. Default: the root link.")
 @click.option("--tip", metavar="LINK", help="The link that carries the payload.")
-@click.option("--payload", type=float, default=0.0, show_default=True, help="Mass that is carried [kg].")
-@click.option("--centre", type=float, nargs=3, default=(0.0, 0.0, 0.0), help="Centre of mass in the tip link [m].")
+@click.option("--payload", type=float, default=0.0, help="Mass that is carried [kg].")
+@click.option(
+    "--centre",
+    type=float,
+    nargs=3,
+    default=(0.0, 0.0, 0.0),
+    show_default=False,
+    help="Centre of mass in the tip link [m].",
+)
 @click.option(
     "--inertia",
     type=float,
     nargs=6,
     default=(0.0,) * 6,
+    show_default=False,
     help="Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m²].",
 )
 @click.option("--at", multiple=True, metavar="JOINT=VALUE", help="Position of a joint [rad; m]. Default: 0.")
 @click.option("--velocity", multiple=True, metavar="JOINT=VALUE", help="Velocity of a joint [rad/s; m/s]. Default: 0.")
 @click.option("--workspace", type=Whole(min=1), help="Number of random postures within the limits.")
-@click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of those postures.")
+@click.option("--seed", type=Whole(min=0), default=0, help="Seed of those postures.")
 @click.option("--thorough", is_flag=True, help="Of a bag up to 20 000 postures, not 2 000.")
-@click.option("--share", type=float, default=1.0, show_default=True, help="Share of the torque that may be used.")
-@click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.80665), help="Gravity in the base link [m/s²].")
+@click.option("--share", type=float, default=1.0, help="Share of the torque that may be used.")
+@click.option(
+    "--gravity",
+    type=float,
+    nargs=3,
+    default=(0.0, 0.0, -9.80665),
+    show_default=False,
+    help="Gravity in the base link [m/s²].",
+)
 @click.option("--out", type=WRITTEN, help="Folder of limits.json, joint_limits.yaml and report.html.")
 @with_options(TOPICS)
 @speaking
-def limits_command(
-    source: Path,
-    urdf: Path | None,
-    base: str | None,
-    tip: str | None,
-    payload: float,
-    centre: tuple[float, float, float],
-    inertia: tuple[float, ...],
-    at: tuple[str, ...],
-    velocity: tuple[str, ...],
-    workspace: int | None,
-    seed: int,
-    thorough: bool,
-    share: float,
-    gravity: tuple[float, float, float],
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
-    out: Path | None,
-    output: Output,
-    **by_joint: tuple[str, ...],
-) -> None:
+@with_options(_OPTIONS)
+def limits_command(source: Path, out: Path | None, output: Output, **options: Any) -> None:
     """Compute how fast each joint may accelerate within the torque of its drive.
 
     SOURCE is a URDF, for one posture (--at) or many (--workspace), or a bag, whose joint states are used.
@@ -105,38 +96,44 @@ def limits_command(
     acceleration: by itself (equivalent), with all others within theirs (coupled), and one set for all postures
     (constant).
     """
-    topics = Topics.of(topic, ignore, tf)
+    topics = Topics.of(options["topic"], options["ignore"], options["tf"])
+    base, tip = options["base"], options["tip"]
     recording = read_recording(source, topics=topics) if source.is_dir() or source.name.endswith(SUFFIXES) else None
-    if recording is not None and (at or velocity or workspace):
+    if recording is not None and any(options[name] for name in ("at", "velocity", "workspace")):
         raise BadTable("--at, --velocity, --workspace", f"and the postures of {source}", "give a URDF with them")
     if recording is not None:
-        robot = described(recording, None, urdf, base, tip)
+        robot = described(recording, None, options["urdf"], base, tip)
         arm = LoadedArm.read(robot.description or "", robot.base, robot.tip)
         said = arm_line(robot)
     else:
         with about(str(source)):
             arm = LoadedArm.read(source.read_text(encoding="utf-8", errors="replace"), base, tip)
         said = file_line(source, arm.chain, tip)
-    arm = arm.carrying(Payload.checked(payload, centre, inertia)).using(share, gravity)
-    arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(v, f"--{k}") for k, v in by_joint.items()})
-    q, v, notes = _motion(arm, recording, at, velocity, workspace, seed, _THOROUGH if thorough else _MAX)
+    load = Payload.checked(options["payload"], options["centre"], options["inertia"])
+    arm = arm.carrying(load).using(options["share"], options["gravity"])
+    arm = arm.with_drives(**{_CORE.get(k, k): numbers_by_joint(options[k], f"--{k}") for k in _BY_JOINT})
+    if recording is not None:
+        q, v, notes = _recorded(arm, recording, _THOROUGH if options["thorough"] else _MAX)
+    else:
+        q, v = _motion(arm.chain, options)
+        notes = ()
     found = LimitsFound(arm, q, v, source.name)
     with output.working() as watch:
         watch(f"looking at {len(q)} posture{'s' * (len(q) > 1)}")
         data = {**limits_data(found), "notes": list(notes)}
-    where = ""
-    if out is not None:
+    show = partial(_show, data, said, len(q), notes)
+    if out is None:
+        output.result(data, show)
+    else:
         files = {
             "limits.json": to_json(data),
             "joint_limits.yaml": to_yaml(joint_limits(found)),
             "report.html": limits_html(found, source.stem, tuple(notes)),
         }
-        write_folder(out, files)
-        where = written(out, files, "Limits", "limits.json")
-    output.result(data, partial(_show, data, said, len(q), notes), where)
+        output.saved(data, show, out, files, "Limits", "limits.json")
 
 
-def _show(data: dict[str, object], arm: str, postures: int, notes: tuple[str, ...], console: Console) -> None:
+def _show(data: dict[str, Any], arm: str, postures: int, notes: tuple[str, ...], console: Console) -> None:
     tell([arm], console)
     console.print(_table(data))
     explain(_COLUMNS, console)
@@ -145,25 +142,15 @@ def _show(data: dict[str, object], arm: str, postures: int, notes: tuple[str, ..
         click.echo(f"{postures} postures: the tightest of each, and 'constant', the largest that hold at all of them.")
 
 
-def _motion(
-    arm: LoadedArm,
-    recording: Recording | None,
-    at: tuple[str, ...],
-    velocity: tuple[str, ...],
-    workspace: int | None,
-    seed: int,
-    most: int,
-) -> tuple[Array, Array, tuple[str, ...]]:
-    """Positions and velocities (N, n) that are asked for, and what must be known of them."""
-    chain = arm.chain
-    if recording is not None:
-        return _recorded(arm, recording, most)
-    speeds = _column(chain, velocity, "--velocity", np.zeros(chain.n))
+def _motion(chain: Chain, options: dict[str, Any]) -> tuple[Array, Array]:
+    """Positions and velocities (N, n) that are asked for."""
+    at, workspace = options["at"], options["workspace"]
+    speeds = _column(chain, options["velocity"], "--velocity", np.zeros(chain.n))
     if workspace is not None:
         if at:
             raise BadTable("--at and --workspace", "are two ways to choose postures", "give one of them")
-        q = random_postures(chain, workspace, np.random.default_rng(seed))
-        return q, np.tile(speeds, (len(q), 1)), ()
+        q = random_postures(chain, workspace, np.random.default_rng(options["seed"]))
+        return q, np.tile(speeds, (len(q), 1))
     # a joint that cannot stand at zero stands at the limit next to it
     q = _column(chain, at, "--at", np.clip(0.0, chain.lower, chain.upper))
     outside = (q < chain.lower) | (q > chain.upper)
@@ -171,7 +158,7 @@ def _motion(
         j = int(np.argmax(outside))
         said = f"{q[j]:g} is outside its limits, {chain.lower[j]:g} to {chain.upper[j]:g}"
         raise BadTable(f"--at {chain.names[j]}", said, "give radians, or metres, within them")
-    return q[None], speeds[None], ()
+    return q[None], speeds[None]
 
 
 def _recorded(arm: LoadedArm, recording: Recording, most: int) -> tuple[Array, Array, tuple[str, ...]]:
@@ -221,19 +208,13 @@ def _column(chain: Chain, said: tuple[str, ...], option: str, otherwise: Array) 
     return out
 
 
-def _table(data: dict[str, object]) -> Table:
-    """For every joint its inertia, what holding takes of its drive, and its bounds."""
+def _table(data: dict[str, Any]) -> Table:
     shown = table(_COLUMNS)
-    joints: list[dict[str, object]] = data["joints"]  # type: ignore[assignment]
-    for joint in joints:
-        inertia: dict[str, float] = joint["inertia"]  # type: ignore[assignment]
-        least, most = f"{inertia['least']:.3g}", f"{inertia['most']:.3g}"
-        spans = [_span(joint[key]) for key in ("equivalent", "coupled", "constant")]  # type: ignore[arg-type]
-        load = f"{100.0 * float(joint['load_share']):.0f} %"  # type: ignore[arg-type]
-        inertias = least if least == most else f"{least} … {most}"
-        shown.add_row(str(joint["name"]), inertias, load, *spans, str(joint["unit"]).replace("s2", "s²"))
+    for joint in data["joints"]:
+        least, most = (f"{joint['inertia'][end]:.3g}" for end in ("least", "most"))
+        spans = [f"{joint[k]['lower']:.3g} … {joint[k]['upper']:.3g}" for k in ("equivalent", "coupled", "constant")]
+        inertia = least if least == most else f"{least} … {most}"
+        shown.add_row(
+            joint["name"], inertia, f"{100.0 * joint['load_share']:.0f} %", *spans, joint["unit"].replace("s2", "s²")
+        )
     return shown
-
-
-def _span(bounds: dict[str, float]) -> str:
-    return f"{bounds['lower']:.3g} … {bounds['upper']:.3g}"

@@ -27,7 +27,7 @@ VERBS = {
     "evaluate": ("calibrate", "evaluate_command", "Score a frozen CALIBRATION on another BAG."),
     "check": ("check", "check_command", "Tell what has changed since CALIBRATION, from ten new stations."),
     "history": ("history", "history_command", "Show what grows over a robot's calibrations and checks."),
-    "compare": ("compare", "compare_command", "Compare two calibrations or reports: what differs, does it matter?"),
+    "compare": ("history", "compare_command", "Compare two calibrations or reports: what differs, does it matter?"),
     "sensitivity": ("sensitivity", "sensitivity_command", "Report which parameters of an arm matter most."),
     "plan": ("plan", "plan_command", "Choose stations: for an accuracy, or to tell explanations apart."),
     "measure": ("measure", "measure_command", "Measure station after station until an accuracy is proven."),
@@ -37,7 +37,7 @@ VERBS = {
     "target": ("target", "target_command", "Write a board to print for calibrating with a camera."),
     "import": ("import_tables", "import_command", "Convert CSV tables into a bag, or a kinematic table into a URDF."),
     "export": ("export", "export_command", "Write an arm's kinematics as a CPC, DH or modified DH table, or a URDF."),
-    "repair": ("repair", "repair_command", "Repair a truncated bag."),
+    "repair": ("info", "repair_command", "Repair a truncated bag."),
     "assemble": ("assemble", "assemble_command", "Build a robot description from a list of modules."),
     "modules": ("assemble", "modules_command", "Learn the errors of physical modules over several assemblies."),
     "synthesize": ("synthesize", "synthesize_command", "Find an assembly of modules for a task."),
@@ -45,7 +45,7 @@ VERBS = {
     "articulate": ("articulate", "articulate_command", "Identify how the handle in BAG moves, and write it as a URDF."),
     "door": ("door", "door_command", "Open a simulated door or drawer with the nodes, and report."),
     "examples": ("examples", "examples_command", "Copy the examples that the documentation uses into a folder."),
-    "completion": ("completion", "completion_command", "Print the script for completion in bash, zsh or fish."),
+    "completion": ("examples", "completion_command", "Print the script for completion in bash, zsh or fish."),
 }
 # The same in the order of work, as the list shows them
 GROUPS = {
@@ -101,7 +101,9 @@ class _Verbs(click.Group):
         return [*(CompletionItem(verb, help=VERBS[verb][2]) for verb in verbs), *own]
 
 
-@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110, "show_default": True}
+)
 @click.version_option(modcal_core.__version__, prog_name="modcal")
 def modcal() -> None:
     """Calibrate robot arms from joint positions and tracker readings.
@@ -122,7 +124,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, click.exceptions.NoArgsIsHelpError):
             click.echo(error.format_message())
             return 0
-        return _refuse(error.format_message() + _remedy(error))
+        where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx is not None else ""
+        return _refuse(error.format_message() + (f" See: {where} --help" if where else ""))
     except OSError as error:
         where = error.filename or "file system"
         return _refuse(f"{where}: {error.strerror or error}: check the path, its permissions and the space left")
@@ -132,13 +135,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
         missing = (error.name or "").partition(".")[0]
         if (remedy := _source_of(missing)) is None:
             return _fault()
-        return _refuse(f"{_asked(arguments)}: needs {missing}, which is not installed: {remedy}")
+        words = sys.argv[1:] if arguments is None else arguments
+        verb = next((word for word in words if word in VERBS), "modcal")
+        return _refuse(f"{verb}: needs {missing}, which is not installed: {remedy}")
     except Exception:
         return _fault()
 
 
 def _fault() -> int:
-    """The exit code of a fault of ours, its traceback being printed."""
     import traceback
 
     traceback.print_exc()
@@ -162,19 +166,6 @@ def _source_of(module: str) -> str | None:
     if module in _ROS or module.endswith(("_msgs", "_interfaces", "_srvs")):
         return "source a ROS 2 installation, such as /opt/ros/jazzy/setup.bash; only door and watch need one"
     return None
-
-
-def _asked(arguments: Sequence[str] | None) -> str:
-    """The verb that was asked for."""
-    words = sys.argv[1:] if arguments is None else arguments
-    return next((word for word in words if word in VERBS), "modcal")
-
-
-def _remedy(error: click.ClickException) -> str:
-    """What to do about a call that cannot be understood."""
-    if not isinstance(error, click.UsageError) or error.ctx is None:
-        return ""
-    return f" See: {error.ctx.command_path} --help"
 
 
 def _refuse(line: str) -> int:

@@ -36,8 +36,7 @@ from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, arm_line
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, arm_line
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io import Watch, opened, read_cell
 from modcal_nodes.measuring import (
@@ -63,21 +62,9 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
 @click.option(
     "--goal-mm", type=_POSITIVE, metavar="MM", help="Error at the tool to be proven. Default: as good as can be."
 )
-@click.option(
-    "--of",
-    "statistic",
-    type=click.Choice(["rms", "p95"]),
-    default="rms",
-    show_default=True,
-    help="Statistic of --goal-mm.",
-)
-@click.option(
-    "--confidence", type=Decimal(0.5, 0.999), default=0.95, show_default=True, help="With which it is proven."
-)
-@click.option(
-    "--stations", type=Whole(min=1), default=MAX_STATIONS, show_default=True,
-    help="Most stations.",
-)  # fmt: skip
+@click.option("--of", "statistic", type=click.Choice(["rms", "p95"]), default="rms", help="Statistic of --goal-mm.")
+@click.option("--confidence", type=Decimal(0.5, 0.999), default=0.95, help="With which it is proven.")
+@click.option("--stations", type=Whole(min=1), default=MAX_STATIONS, help="Most stations.")
 @click.option("--minutes", type=_POSITIVE, help="Most time, from the first call on.")
 @click.option(
     "--by-hand",
@@ -88,20 +75,14 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
 )
 @click.option("--simulated", is_flag=True, help="Measure in the simulated cell (MuJoCo).")
 @click.option("-p", "given", multiple=True, metavar="NAME=VALUE", help="A parameter of simulated_cell. Repeatable.")
-@click.option(
-    "--replay", type=EXISTING, metavar="BAG",
-    help="Choose among the stations of a recording.",
-)  # fmt: skip
+@click.option("--replay", type=EXISTING, metavar="BAG", help="Choose among the stations of a recording.")
 @click.option(
     "--site",
-    "site_file",
     type=EXISTING,
     metavar="FILE",
     help="YAML: tracker, target, spheres of the arm, floor, obstacles, limits, workspace. See docs/planning.md.",
 )
-@click.option(
-    "--reading", type=click.Choice([POINT, POSE]), default=POINT, show_default=True, help="What is read by hand."
-)
+@click.option("--reading", type=click.Choice([POINT, POSE]), default=POINT, help="What is read by hand.")
 @click.option(
     "--instrument-mm",
     type=_POSITIVE,
@@ -117,33 +98,17 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
 @click.option("--ties", is_flag=True, help="Separate explanations that stay open, by up to 12 more stations.")
 @click.option("--geometry-only", is_flag=True, help="Fit only the geometry; do not look for other effects.")
 @click.option("--batch", type=Whole(1, 100), help=f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.")
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of what is drawn at random.")
+@click.option("--seed", type=SEED, default=0, help="Seed of what is drawn at random.")
 @click.option("--out", type=WRITTEN, help="Folder of session and results; of --by-hand it is DIR.")
 @speaking
 def measure_command(
     robot: Path,
-    base: str | None,
-    tip: str | None,
-    goal_mm: float | None,
-    statistic: str,
-    confidence: float,
-    stations: int,
-    minutes: float | None,
     folder: Path | None,
-    simulated: bool,
-    given: tuple[str, ...],
     replay: Path | None,
-    site_file: Path | None,
     reading: str,
-    instrument_mm: float | None,
-    cell_file: Path | None,
-    fixed: tuple[str, ...],
-    ties: bool,
-    geometry_only: bool,
-    batch: int | None,
-    seed: int,
     out: Path | None,
     output: Output,
+    **options: Any,
 ) -> int:
     """Measure ROBOT (a URDF), station after station, until an accuracy is proven or cannot be reached.
 
@@ -151,21 +116,26 @@ def measure_command(
     drawn at random and kept out of the fit prove the result. A session is kept in its folder and goes on where it
     stopped. Exit code 3: ended, and the goal is not proven.
     """
+    simulated, seed = options["simulated"], options["seed"]
     if sum((folder is not None, simulated, replay is not None)) != 1:
         raise BadTable("modcal measure", "needs one of --by-hand, --simulated and --replay", "say who measures")
+    goal_mm, minutes = options["goal_mm"], options["minutes"]
     goal = Goal(
-        None if goal_mm is None else 1e-3 * goal_mm, statistic, confidence, stations,  # type: ignore[arg-type]
-        None if minutes is None else 60.0 * minutes, 1e-3 * (instrument_mm or 0.0), ties,
-    )  # fmt: skip
+        accuracy=None if goal_mm is None else 1e-3 * goal_mm,
+        seconds=None if minutes is None else 60.0 * minutes,
+        instrument=1e-3 * (options["instrument_mm"] or 0.0),
+        **{name: options[name] for name in ("statistic", "confidence", "stations", "ties")},
+    )
+    base, tip, site_file = options["base"], options["tip"], options["site"]
     arm = _read(robot, base, tip)
     site = Site() if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
     if site.carried and folder is None:
         raise BadTable(str(site_file), "has a camera on the tool", "measure by hand, or with station_runner")
-    cell = read_cell(cell_file, fixed)
+    cell = read_cell(options["cell_file"], options["fixed"])
     with output.working() as watch:
         measurer: Measurer | None = None
         if simulated:
-            chosen = _cell(robot, base, tip, given)
+            chosen = _cell(robot, base, tip, options["given"])
             measurer, reading = CellInProcess(chosen), chosen["measurement"]
         elif replay is not None:
             samples = one_a_station(opened(replay, watch).samples(arm, 0.5))
@@ -180,8 +150,9 @@ def measure_command(
         place = Folder(folder or out or Path(f"{robot.stem}_measured"), arm)
         began = time.time() if measurer is None else None
         kept = place.begin(StoredSession(Session(arm.names, reading, carried=site.carried), goal, seed, began))
-        lot = batch or (BATCH if measurer is not None else _BY_HAND)
-        advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=lot, effects=not geometry_only)
+        lot = options["batch"] or (BATCH if measurer is not None else _BY_HAND)
+        effects = not options["geometry_only"]
+        advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=lot, effects=effects)
         if measurer is None:
             advice, filled = _by_hand(place, kept, advisor, watch)
         else:
@@ -216,7 +187,6 @@ def _cell(robot: Path, base: str | None, tip: str | None, given: tuple[str, ...]
 
 
 def _whole(place: Folder, kept: StoredSession, advisor: Advisor, measurer: Measurer, watch: Watch) -> Advice:
-    """Measure to the end, the session being kept after every station."""
     session = kept.session
     while True:
         watch("fitting and choosing")
@@ -250,7 +220,6 @@ def _by_hand(place: Folder, kept: StoredSession, advisor: Advisor, watch: Watch)
 
 
 def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -> None:
-    """Say what to measure next."""
     session = advice.session
     lines = [*_nothing_new(place, filled), *left_out(advice)]
     lines.append(f"{counted(len(session.rows()), 'station')} measured; {_standing(advice)}".rstrip("; "))
@@ -260,10 +229,10 @@ def _asking(place: Folder, advice: Advice, filled: FilledTable, page: Console) -
         turns = place.robot.mechanism.revolute
         shown = (f"{np.degrees(v):9.3f}°" if t else f"{1e3 * v:9.3f} mm" for v, t in zip(q, turns, strict=True))
         lines.append(f"  {number + 1:3d} {session.stations[number].role:7s}" + " ".join(shown))
-    lines.append(
-        "Write each reading into its row (leave a row empty for later; note 'unseen' or 'skipped' where there is"
-    )
-    lines.append("none), and give the same command again.")
+    lines += [
+        "Write each reading into its row (leave a row empty for later; note 'unseen' or 'skipped' where there is",
+        "none), and give the same command again.",
+    ]
     tell(lines, page)
 
 

@@ -19,7 +19,6 @@ from modcal_core.planning import (
     RETURNS,
     STARTS,
     DecidingStations,
-    Plan,
     PlanRequest,
     Site,
     allowed,
@@ -29,13 +28,9 @@ from modcal_core.planning import (
     undecided_by_posture,
 )
 from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
-from modcal_nodes.cli.console import Output, console, say, speaking, written
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, file_line, read_robot
-from modcal_nodes.cli.numbers import Decimal, Whole
-from modcal_nodes.cli.stations import read_stations
+from modcal_nodes.cli.console import Output, console, say, speaking
+from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, file_line, read_robot, read_stations
 from modcal_nodes.io import read_calibration
-
-# --- ``modcal plan --decide``: the stations that tell two explanations of the same error apart
 
 
 def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site | None = None) -> None:
@@ -50,12 +45,13 @@ def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site 
     page = console()
     proposals = []
     for i, j in ties:
-        page.print(_tie(calibration, i, j), highlight=False)
+        effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
+        page.print(f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?")
         if instead := undecided_by_posture(calibration, i, j):
-            page.print(f"  postures cannot decide this: {instead}", highlight=False)
+            page.print(f"  postures cannot decide this: {instead}")
             continue
         proposal = propose(calibration, i, j, share, rng, None if site is None else allowed(calibration, site))
-        page.print(f"  {_worth(proposal)}", highlight=False)
+        page.print(f"  {_worth(proposal)}")
         proposals.append(proposal)
     deciding = [p for p in proposals if p.decides]
     if not deciding:
@@ -63,11 +59,6 @@ def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site 
     out = out or folder.with_name(f"{folder.name}_plan")
     write_folder(out, {"plan.yaml": to_yaml(_data(calibration, deciding))})
     click.echo(f"Stations: {out / 'plan.yaml'}")
-
-
-def _tie(calibration: Calibration, i: int, j: int) -> str:
-    effect, rival = calibration.calibrated.effects[i], calibration.rivals[i][j]
-    return f"{effect.family}: {effect.label}, or {rival.family}: {rival.label}?"
 
 
 def _worth(proposal: DecidingStations) -> str:
@@ -115,7 +106,7 @@ _THOROUGH = 6000, 8  # candidates and starts
 @BASE
 @TIP
 @click.option(
-    "--site", "site_file", type=EXISTING, metavar="FILE",
+    "--site", type=EXISTING, metavar="FILE",
     help="YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
 )  # fmt: skip
 @click.option(
@@ -123,21 +114,16 @@ _THOROUGH = 6000, 8  # candidates and starts
     help="Number of stations. Default: half as many again as modcal calibrate needs; with --decide: 16.",
 )  # fmt: skip
 @click.option(
-    "--accuracy-mm", type=Decimal(min=1e-6),
-    help="Use as many stations as needed for this error of the calibrated arm.",
-)  # fmt: skip
-@click.option(
-    "--measure", type=click.Choice(["p95", "rms"]), default="p95", show_default=True, help="Statistic of --accuracy-mm."
+    "--accuracy-mm", type=Decimal(min=1e-6), help="Use as many stations as needed for this error of the calibrated arm."
 )
-@click.option(
-    "--criterion", type=click.Choice(CRITERIA), default=ACCURACY, show_default=True, help="Criterion to optimise."
-)
-@click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
+@click.option("--measure", type=click.Choice(["p95", "rms"]), default="p95", help="Statistic of --accuracy-mm.")
+@click.option("--criterion", type=click.Choice(CRITERIA), default=ACCURACY, help="Criterion to optimise.")
+@click.option("--reading", type=click.Choice(["point", "pose"]), default="point")
 @click.option(
     "--fix", "fixed", multiple=True, metavar="NAME", help="Fixed parameter, as in modcal calibrate. Repeatable."
 )
 @click.option(
-    "--besides", "measured", type=EXISTING, metavar="STATIONS",
+    "--besides", type=EXISTING, metavar="STATIONS",
     help="plan.yaml or CSV of stations that are already measured and count too.",
 )  # fmt: skip
 @click.option(
@@ -149,16 +135,14 @@ _THOROUGH = 6000, 8  # candidates and starts
     help=f"Random starts of the exchange. Default: {STARTS}, with --thorough {_THOROUGH[1]}.",
 )  # fmt: skip
 @click.option("--thorough", is_flag=True, help="Look longer for better stations.")
-@click.option(
-    "--speed", type=Decimal(1e-3), default=0.5, show_default=True, help="Joint speed of trajectory.yaml, rad/s."
-)
-@click.option("--dwell", type=Decimal(0.6), default=2.0, show_default=True, help="Standstill at each station, s.")
+@click.option("--speed", type=Decimal(1e-3), default=0.5, help="Joint speed of trajectory.yaml, rad/s.")
+@click.option("--dwell", type=Decimal(0.6), default=2.0, help="Standstill at each station, s.")
 @click.option(
     "--decide", "report", type=EXISTING, metavar="REPORT",
     help="Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
 )  # fmt: skip
 @click.option(
-    "--returns", type=Whole(0, 100), default=RETURNS, show_default=True,
+    "--returns", type=Whole(0, 100), default=RETURNS,
     help="Stations visited twice, so that the noise floor is known. None with fewer than three stations to each.",
 )  # fmt: skip
 @click.option(
@@ -169,85 +153,58 @@ _THOROUGH = 6000, 8  # candidates and starts
 )
 @click.option("--joints", type=EXISTING, metavar="FILE", help="Joints of --camera's images, as in calibrate.")
 @click.option("--target", type=EXISTING, metavar="FILE", help="Printed target of --camera's images.")
-@click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of candidates and starts.")
+@click.option("--seed", type=Whole(min=0), default=0, help="Seed of candidates and starts.")
 @click.option("--out", type=WRITTEN, help="Folder of plan.yaml.")
 @speaking
-def plan_command(
-    robot: Path | None,
-    base: str | None,
-    tip: str | None,
-    site_file: Path | None,
-    stations: int | None,
-    accuracy_mm: float | None,
-    measure: str,
-    criterion: str,
-    reading: str,
-    fixed: tuple[str, ...],
-    measured: Path | None,
-    candidates: int | None,
-    starts: int | None,
-    thorough: bool,
-    speed: float,
-    dwell: float,
-    report: Path | None,
-    returns: int,
-    camera: Path | None,
-    joints: Path | None,
-    target: Path | None,
-    seed: int,
-    out: Path | None,
-    output: Output,
-) -> None:
+def plan_command(robot: Path | None, out: Path | None, output: Output, **options: Any) -> None:
     """Choose the best stations to calibrate ROBOT (a URDF, or a YAML table), or stations that separate explanations."""
-    if camera is not None or joints is not None or target is not None:
-        _by_camera(robot, base, tip, stations, fixed, camera, joints, target, seed, out, output)
+    stations, accuracy_mm = options["stations"], options["accuracy_mm"]
+    if any(options[name] is not None for name in ("camera", "joints", "target")):
+        _by_camera(robot, options, out, output)
         return
-    site = None if site_file is None else site_from_data(read_yaml(site_file), str(site_file))
-    if report is not None:
+    site = None if options["site"] is None else site_from_data(read_yaml(options["site"]), str(options["site"]))
+    if options["report"] is not None:
         if robot is not None or accuracy_mm is not None:
             raise BadTable(
                 "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
             )
-        decide(report, stations or _DECIDING, seed, out, site)
+        decide(options["report"], stations or _DECIDING, options["seed"], out, site)
         return
     if robot is None:
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
     if stations is not None and accuracy_mm is not None:
         raise BadTable("--stations", "cannot be combined with --accuracy-mm", "give one of them")
-    chain = read_robot(robot, base, tip)
-    known = None if measured is None else read_stations(measured, chain)
-    usual = _THOROUGH if thorough else (CANDIDATES, STARTS)
+    chain = read_robot(robot, options["base"], options["tip"])
+    candidates, starts = _THOROUGH if options["thorough"] else (CANDIDATES, STARTS)
     request = PlanRequest(
-        stations, None if accuracy_mm is None else 1e-3 * accuracy_mm, measure, criterion, reading, fixed,
-        starts or usual[1], candidates or usual[0], known, returns,
-    )  # fmt: skip
+        stations=stations,
+        accuracy=None if accuracy_mm is None else 1e-3 * accuracy_mm,
+        starts=options["starts"] or starts,
+        candidates=options["candidates"] or candidates,
+        besides=None if options["besides"] is None else read_stations(options["besides"], chain),
+        **{name: options[name] for name in ("measure", "criterion", "reading", "fixed", "returns")},
+    )
     with output.working() as watch:
         watch("choosing stations")
-        found = plan(chain, site or Site(), request, np.random.default_rng(seed))
-        out = out or Path(f"{robot.stem}_plan")
+        found = plan(chain, site or Site(), request, np.random.default_rng(options["seed"]))
         watch("writing the plan")
-        files = _files(found, speed, dwell, robot.stem)
-        write_folder(out, files)
-    said = [file_line(robot, chain, tip), *plan_sentences(found)]
-    output.result(to_plan_data(found), partial(say, said), written(out, files, "Stations", "plan.yaml"))
+        data = to_plan_data(found)
+        files = {
+            "plan.yaml": to_yaml(data),
+            "stations.csv": to_csv(found),
+            "trajectory.yaml": to_yaml(to_trajectory_data(found, options["speed"], options["dwell"])),
+            "stations.svg": figure(found),
+            "report.html": planning_html(found, robot.stem),
+        }
+    said = [file_line(robot, chain, options["tip"]), *plan_sentences(found)]
+    out = out or Path(f"{robot.stem}_plan")
+    output.saved(data, partial(say, said), out, files, "Stations", "plan.yaml")
 
 
-def _by_camera(
-    robot: Path | None,
-    base: str | None,
-    tip: str | None,
-    stations: int | None,
-    fixed: tuple[str, ...],
-    camera: Path | None,
-    joints: Path | None,
-    target: Path | None,
-    seed: int,
-    out: Path | None,
-    output: Output,
-) -> None:
-    """The images to take after those that there are."""
+def _by_camera(robot: Path | None, options: dict[str, Any], out: Path | None, output: Output) -> None:
     from modcal_nodes.cli.camera import plan_next_images
 
+    camera, joints, target = (options[name] for name in ("camera", "joints", "target"))
     if camera is None or target is None:
         given = "--joints" if target is None and camera is None else "--camera" if camera is not None else "--target"
         raise BadTable(given, "needs --camera and --target", "give the images so far, and the target that they show")
@@ -257,18 +214,6 @@ def _by_camera(
         "images": camera, "joints": joints, "target": target, "image_topic": None, "camera_info": None,
         "intrinsics": "tolerance", "arm_mm": None, "mounting": None, "flat_target": False, "fisheye": False,
     }  # fmt: skip
-    options = {
-        "urdf": robot, "base": base, "tip": tip, "fixed": fixed, "seed": seed, "geometry_only": True,
-        "topic": (), "ignore": (), "clock_limit": 0.5,
-    }  # fmt: skip
-    plan_next_images(chosen, options, stations or _NEXT, out, output)
-
-
-def _files(found: Plan, speed: float, dwell: float, title: str) -> dict[str, Any]:
-    return {
-        "plan.yaml": to_yaml(to_plan_data(found)),
-        "stations.csv": to_csv(found),
-        "trajectory.yaml": to_yaml(to_trajectory_data(found, speed, dwell)),
-        "stations.svg": figure(found),
-        "report.html": planning_html(found, title),
-    }
+    asked = {name: options[name] for name in ("base", "tip", "fixed", "seed")}
+    asked |= {"urdf": robot, "geometry_only": True, "topic": (), "ignore": (), "clock_limit": 0.5}
+    plan_next_images(chosen, asked, options["stations"] or _NEXT, out, output)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from modcal_core.errors import BadTable, NotRepresentable
-from modcal_core.files import read_yaml, to_json, write_folder
+from modcal_core.files import read_yaml, to_json
 from modcal_core.geometry import se3
 from modcal_core.planning import (
     ARMS,
@@ -27,10 +28,19 @@ from modcal_core.planning import (
 )
 from modcal_core.report import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences, single_csv, to_text
 from modcal_core.robots import Mechanism, is_serial_arm, vector
-from modcal_nodes.cli.console import Output, explain, say, speaking, table, written
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, TOOL, WRITTEN, file_line, read_robot
-from modcal_nodes.cli.numbers import Decimal, Whole
-from modcal_nodes.cli.stations import read_stations
+from modcal_nodes.cli.console import Output, explain, say, speaking, table
+from modcal_nodes.cli.inputs import (
+    BASE,
+    EXISTING,
+    TIP,
+    TOOL,
+    WRITTEN,
+    Decimal,
+    Whole,
+    file_line,
+    read_robot,
+    read_stations,
+)
 
 _SHOWN = 12  # parameters in the terminal
 _COLUMNS = {
@@ -52,22 +62,19 @@ _COLUMNS = {
 @TIP
 @TOOL
 @click.option(
-    "--parameters", type=click.Choice(["dh", "calibration"]), default="dh", show_default=True,
+    "--parameters", type=click.Choice(["dh", "calibration"]), default="dh",
     help="The 4 n + 9 of the closed chain, or those that modcal calibrate fits.",
 )  # fmt: skip
 @click.option(
     "--design", "kind", type=click.Choice(DESIGNS),
     help="Design of postures for the indices. Default: l25, or sobol for more than six joints.",
 )  # fmt: skip
-@click.option("--levels", type=Whole(2, 31), default=5, show_default=True, help="Levels of --design array; a prime.")
-@click.option(
-    "--postures", type=Whole(4, 4096),
-    help="Postures of --design sobol. Default: 64, with --thorough 512.",
-)  # fmt: skip
+@click.option("--levels", type=Whole(2, 31), default=5, help="Levels of --design array; a prime.")
+@click.option("--postures", type=Whole(4, 4096), help="Postures of --design sobol. Default: 64, with --thorough 512.")
 @click.option("--thorough", is_flag=True, help="Draw four times as many arms for the shares of the variance.")
-@click.option("--length-mm", type=Decimal(0.0), default=0.5, show_default=True, help="Errors of lengths.")
-@click.option("--angle-mrad", type=Decimal(0.0), default=1.0, show_default=True, help="Errors of angles.")
-@click.option("--sizes", "sizes_file", type=EXISTING, help="YAML of other sizes, {NAME or PATTERN: SI}.")
+@click.option("--length-mm", type=Decimal(0.0), default=0.5, help="Errors of lengths.")
+@click.option("--angle-mrad", type=Decimal(0.0), default=1.0, help="Errors of angles.")
+@click.option("--sizes", type=EXISTING, help="YAML of other sizes, {NAME or PATTERN: SI}.")
 @click.option("--base-factor", metavar="NAME", help="Parameter that the others are compared with. Default: base/x.")
 @click.option("--bins", type=Whole(1, 1000), help="Intervals of the multi-point weights.")
 @click.option(
@@ -75,50 +82,29 @@ _COLUMNS = {
     help="plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
     "Default: the design's.",
 )  # fmt: skip
-@click.option("--reading", type=click.Choice(["point", "pose"]), default="point", show_default=True)
-@click.option("--noise-mm", type=Decimal(1e-6), default=0.05, show_default=True, help="Noise of positions, per axis.")
-@click.option(
-    "--noise-mrad", type=Decimal(1e-6), default=0.05, show_default=True, help="Noise of orientations, per axis."
-)
-@click.option("--seed", type=Whole(min=0), default=0, show_default=True)
+@click.option("--reading", type=click.Choice(["point", "pose"]), default="point")
+@click.option("--noise-mm", type=Decimal(1e-6), default=0.05, help="Noise of positions, per axis.")
+@click.option("--noise-mrad", type=Decimal(1e-6), default=0.05, help="Noise of orientations, per axis.")
+@click.option("--seed", type=Whole(min=0), default=0)
 @click.option("--out", type=WRITTEN, help="Folder of the results.")
 @speaking
-def sensitivity_command(
-    robot: Path,
-    base: str | None,
-    tip: str | None,
-    tool: tuple[float, float, float],
-    parameters: str,
-    kind: str | None,
-    levels: int,
-    postures: int | None,
-    thorough: bool,
-    length_mm: float,
-    angle_mrad: float,
-    sizes_file: Path | None,
-    base_factor: str | None,
-    bins: int | None,
-    stations: Path | None,
-    reading: str,
-    noise_mm: float,
-    noise_mrad: float,
-    seed: int,
-    out: Path | None,
-    output: Output,
-) -> None:
+def sensitivity_command(robot: Path, out: Path | None, output: Output, **options: Any) -> None:
     """Report which parameters of ROBOT (a URDF, or a YAML table such as examples/robots/irb1410.yaml) matter most."""
-    chain = read_robot(robot, base, tip)
-    closed = _closed_chain(chain, parameters, tool, reading)
-    sizes = sizes_of(closed, 1e-3 * length_mm, 1e-3 * angle_mrad, _tolerances(sizes_file))
-    rng = np.random.default_rng(seed)
-    kind = kind or ("l25" if chain.n <= 6 else "sobol")
-    q = design(chain, kind, rng, levels, postures or (512 if thorough else 64))
-    measured = Measured(read_stations(stations, chain) if stations else q, reading, 1e-3 * noise_mm, 1e-3 * noise_mrad)
-    factor = base_factor or next(f.name for f in closed.factors if f.is_length)
+    thorough, tip = options["thorough"], options["tip"]
+    chain = read_robot(robot, options["base"], tip)
+    closed = _closed_chain(chain, options["parameters"], options["tool"], options["reading"])
+    scales = 1e-3 * options["length_mm"], 1e-3 * options["angle_mrad"]
+    sizes = sizes_of(closed, *scales, _tolerances(options["sizes"]))
+    rng = np.random.default_rng(options["seed"])
+    kind = options["kind"] or ("l25" if chain.n <= 6 else "sobol")
+    q = design(chain, kind, rng, options["levels"], options["postures"] or (512 if thorough else 64))
+    stations = read_stations(options["stations"], chain) if options["stations"] else q
+    measured = Measured(stations, options["reading"], 1e-3 * options["noise_mm"], 1e-3 * options["noise_mrad"])
+    factor = options["base_factor"] or next(f.name for f in closed.factors if f.is_length)
     out = out or Path(f"{robot.stem}_sensitivity")
     with output.working() as watch:
         watch("moving each parameter")
-        result = study(closed, q, kind, sizes, factor, measured, rng, bins, 4 * ARMS if thorough else ARMS)
+        result = study(closed, q, kind, sizes, factor, measured, rng, options["bins"], 4 * ARMS if thorough else ARMS)
         watch("writing the report")
         data = sensitivity_data(result)
         files = {
@@ -128,9 +114,7 @@ def sensitivity_command(
             **pictures(result),
             "report.html": sensitivity_html(result, robot.stem),
         }
-        write_folder(out, files)
-    arm = file_line(robot, chain, tip)
-    output.result(data, lambda console: _show(result, arm, console), written(out, files))
+    output.saved(data, partial(_show, result, file_line(robot, chain, tip)), out, files)
 
 
 def _show(result: Study, arm: str, console: Console) -> None:

@@ -15,8 +15,7 @@ from modcal_core.planning import RETURNS
 from modcal_core.robots import other_tips
 from modcal_msgs_py import write_recording
 from modcal_nodes.cli.console import Output, speaking, tell
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN, chain_line
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Decimal, Whole, chain_line
 from modcal_nodes.ros import SIMULATED_CELL, Parameter
 from modcal_nodes.simulation import Plant, recorded
 
@@ -43,7 +42,7 @@ _STATIONS = 60
     help="The same, from the given second on: payload_kg, tool_bump_m, tracker_move_m, warm_up_m … Repeatable.",
 )  # fmt: skip
 @click.option(
-    "--returns", type=Whole(0, 1000), default=RETURNS, show_default=True,
+    "--returns", type=Whole(0, 1000), default=RETURNS,
     help="Number of these postures that are visited twice, so that the noise floor is known.",
 )  # fmt: skip
 @speaking

@@ -30,8 +30,7 @@ from modcal_core.modules import (
     to_markdown,
 )
 from modcal_nodes.cli.console import console, explain, table, written
-from modcal_nodes.cli.inputs import EXISTING, WRITTEN
-from modcal_nodes.cli.numbers import Whole
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole
 from modcal_nodes.io import read_library
 
 _COLUMNS = {
@@ -49,7 +48,7 @@ _PICTURES = 5  # of the ranking; the best gets one at each target
     "--library", "library_file", type=EXISTING, metavar="FILE",
     help="YAML of the available modules. Default: the published ones.",
 )  # fmt: skip
-@click.option("--seed", type=Whole(min=0), default=0, show_default=True, help="Seed of the search.")
+@click.option("--seed", type=Whole(min=0), default=0, help="Seed of the search.")
 @click.option("--workers", type=Whole(min=1, max=256), help="Processes. Default: one per processor.")
 @click.option("--thorough", is_flag=True, help="Search longer for an assembly of lower cost.")
 @click.option("--out", type=WRITTEN, help="Folder of the results.")
@@ -67,7 +66,7 @@ def synthesize_command(
     out = out or Path(f"{task.name}_synthesis")
     files = synthesis_files(result, library, library_file)
     write_folder(out, files)
-    page.print(sentence(result), highlight=False)
+    page.print(sentence(result))
     page.print(_table(result, library))
     explain(_COLUMNS, page)
     click.echo(plain(written(out, files, "Best", "best.yaml")))

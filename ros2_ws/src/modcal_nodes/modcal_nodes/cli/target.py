@@ -4,78 +4,61 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
 from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_yaml, write_file, write_folder
 from modcal_nodes.cli.console import Output, speaking, tell, written
-from modcal_nodes.cli.inputs import WRITTEN
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import WRITTEN, Decimal, Whole
 
 _PAPERS = ("A4", "A3", "A2", "letter")
 _MARKER = 0.73  # of a square: as large as leaves a corner room for its own four squares
 
 
-class _Counts(click.ParamType):
-    """Columns and rows, such as 7x5."""
+class _Pattern(click.ParamType):
+    """Texts of one form. name: an example. said: the form in words. read: the value of what matches."""
 
-    name = "7x5"
+    def __init__(self, name: str, pattern: str, said: str, read: Callable[[re.Match[str]], Any]) -> None:
+        self.name, self._pattern, self._said, self._read = name, pattern, said, read
 
-    def convert(
-        self, value: str | tuple[int, int], param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
-        """(columns, rows)."""
-        if isinstance(value, tuple):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The value of a text."""
+        if not isinstance(value, str):
             return value
-        if (found := re.fullmatch(r"(\d{1,4})[x×](\d{1,4})", value)) is None:
-            self.fail(f"'{value}' is not of the form 7x5.", param, ctx)
-        return int(found[1]), int(found[2])
+        if (found := re.fullmatch(self._pattern, value)) is None:
+            self.fail(f"'{value}' is not {self._said}.", param, ctx)
+        return self._read(found)
 
 
-class _Length(click.ParamType):
-    """A length with its unit, such as 30mm."""
-
-    name = "30mm"
-
-    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """The length [m]."""
-        if isinstance(value, float):
-            return value
-        if (found := re.fullmatch(r"(\d+(?:\.\d+)?)\s*(mm|cm|m)", value)) is None:
-            self.fail(f"'{value}' is not a length such as 30mm.", param, ctx)
-        return float(found[1]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[found[2]]
-
-
-class _Lengths(click.ParamType):
-    """Two lengths in millimetres, such as 209.5x149.8."""
-
-    name = "209.5x149.8"
-
-    def convert(
-        self, value: str | tuple[float, float], param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float]:
-        """Both lengths [m]."""
-        if isinstance(value, tuple):
-            return value
-        if (found := re.fullmatch(r"(\d+(?:\.\d+)?)[x×](\d+(?:\.\d+)?)", value)) is None:
-            self.fail(f"'{value}' is not of the form 209.5x149.8 [mm].", param, ctx)
-        return 1e-3 * float(found[1]), 1e-3 * float(found[2])
+_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_COUNTS = _Pattern("7x5", r"(\d{1,4})[x×](\d{1,4})", "of the form 7x5", lambda m: (int(m[1]), int(m[2])))
+_LENGTH = _Pattern(
+    "30mm", r"(\d+(?:\.\d+)?)\s*(mm|cm|m)", "a length such as 30mm", lambda m: float(m[1]) * _METRES[m[2]]
+)
+_LENGTHS = _Pattern(
+    "209.5x149.8",
+    r"(\d+(?:\.\d+)?)[x×](\d+(?:\.\d+)?)",
+    "of the form 209.5x149.8 [mm]",
+    lambda m: (1e-3 * float(m[1]), 1e-3 * float(m[2])),
+)
 
 
 @click.command("target")
-@click.option("--charuco", type=_Counts(), help="ChArUco board of so many squares, across and down.")
-@click.option("--chessboard", type=_Counts(), help="Chessboard of so many squares.")
-@click.option("--aruco-grid", type=_Counts(), help="Grid of so many markers.")
+@click.option("--charuco", type=_COUNTS, help="ChArUco board of so many squares, across and down.")
+@click.option("--chessboard", type=_COUNTS, help="Chessboard of so many squares.")
+@click.option("--aruco-grid", type=_COUNTS, help="Grid of so many markers.")
 @click.option("--tag", type=Whole(min=0), metavar="ID", help="One marker with this number.")
-@click.option("--square", type=_Length(), help="Side of a square, or of a marker of a grid or a tag.")
-@click.option("--marker", type=_Length(), help="Side of the markers in a ChArUco board; gap in a grid.")
+@click.option("--square", type=_LENGTH, help="Side of a square, or of a marker of a grid or a tag.")
+@click.option("--marker", type=_LENGTH, help="Side of the markers in a ChArUco board; gap in a grid.")
 @click.option("--dictionary", metavar="NAME", help="Markers, as OpenCV names them.  [default: DICT_5X5_100]")
-@click.option("--paper", type=click.Choice(_PAPERS), default="A4", show_default=True, help="Paper to print on.")
+@click.option("--paper", type=click.Choice(_PAPERS), default="A4", help="Paper to print on.")
 @click.option(
-    "--measured", type=_Lengths(),
+    "--measured", type=_LENGTHS,
     help="Lengths [mm] of the horizontal and the vertical ruler on the printed sheet, as you measured them.",
 )  # fmt: skip
 @click.option(
@@ -84,12 +67,9 @@ class _Lengths(click.ParamType):
     metavar="MM",
     help="How well you measured them.  [default: 0.3, as with a ruler]",
 )
-@click.option("--out", type=WRITTEN, default=Path("target"), show_default=True, help="Folder of the results.")
+@click.option("--out", type=WRITTEN, default=Path("target"), help="Folder of the results.")
 @speaking
 def target_command(
-    charuco: tuple[int, int] | None,
-    chessboard: tuple[int, int] | None,
-    aruco_grid: tuple[int, int] | None,
     tag: int | None,
     square: float | None,
     marker: float | None,
@@ -99,17 +79,18 @@ def target_command(
     measured_to_mm: float | None,
     out: Path,
     output: Output,
-) -> int:
+    **counts: tuple[int, int] | None,
+) -> None:
     """Write a target to print, as PDF, and its description for calibrate --target.
 
     Print it at 100 %, glue it to something flat, measure both rulers, and state them: modcal target --measured
     209.5x149.8 puts them into target.yaml.
     """
-    kinds = {"charuco": charuco, "chessboard": chessboard, "aruco_grid": aruco_grid}
-    kinds |= {"tag": None if tag is None else (1, 1)}
-    chosen = [(kind, counts) for kind, counts in kinds.items() if counts is not None]
+    counts["tag"] = None if tag is None else (1, 1)
+    chosen = [(kind, count) for kind, count in counts.items() if count is not None]
     if not chosen and measured is not None:
-        return _measured(out, measured, measured_to_mm, output)
+        _measured(out, measured, measured_to_mm, output)
+        return
     if len(chosen) != 1:
         raise click.UsageError(
             "Give one of --charuco, --chessboard, --aruco-grid and --tag.", click.get_current_context()
@@ -142,15 +123,14 @@ def target_command(
         answer = click.prompt(
             "Measured lengths [mm] as 209.5x149.8, or Enter for later", default="", show_default=False
         )
-        measured = _Lengths().convert(answer, None, None) if answer else None
-    if measured is not None:
-        return _measured(out, measured, measured_to_mm, output)
-    output.result(data, partial(tell, said), written(out, files, "Target", "target.pdf"))
-    return 0
+        measured = _LENGTHS.convert(answer, None, None) if answer else None
+    if measured is None:
+        output.result(data, partial(tell, said), written(out, files, "Target", "target.pdf"))
+    else:
+        _measured(out, measured, measured_to_mm, output)
 
 
-def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> int:
-    """Put the measured lengths of the rulers into a target file."""
+def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> None:
     from modcal_core.camera import target_from_data
 
     path = out / "target.yaml" if out.is_dir() else out
@@ -173,4 +153,3 @@ def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, out
     elif scale.unsaid:
         said.append("Read both once more, and say how well with --measured-to-mm: all lengths rest on them.")
     output.result(data, partial(tell, said), f"Target: {path}")
-    return 0

@@ -21,7 +21,7 @@ from rich.live import Live
 
 from modcal_core.errors import BadRecording, plain
 from modcal_nodes.cli.console import Terminal
-from modcal_nodes.cli.numbers import Decimal, Whole
+from modcal_nodes.cli.inputs import Decimal, Whole
 from modcal_nodes.watching import Changes, Heard, Listener, table
 
 _PATIENCE = 8.0  # s without a word after which it says what to check
@@ -33,8 +33,15 @@ _FOLLOW = 0.3  # s between two looks for what the nodes that were heard publish
 @click.command("watch")
 @click.option("--once", is_flag=True, help="Print one snapshot and exit.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, for machines.")
-@click.option("--domain", type=Whole(0, 232), default=0, envvar="ROS_DOMAIN_ID", help="Default: ROS_DOMAIN_ID.")
-@click.option("--namespace", default="", metavar="NAME", help="Only nodes below this namespace.")
+@click.option(
+    "--domain",
+    type=Whole(0, 232),
+    default=0,
+    envvar="ROS_DOMAIN_ID",
+    show_default=False,
+    help="Default: ROS_DOMAIN_ID.",
+)
+@click.option("--namespace", default="", show_default=False, metavar="NAME", help="Only nodes below this namespace.")
 @click.option(
     "--for",
     "lasting",
@@ -42,7 +49,7 @@ _FOLLOW = 0.3  # s between two looks for what the nodes that were heard publish
     metavar="SECONDS",
     help="End after this time; with --once: collect messages for this time.",
 )
-@click.option("--every", type=Decimal(0.1, 60.0), default=1.0, show_default=True, help="Seconds between updates.")
+@click.option("--every", type=Decimal(0.1, 60.0), default=1.0, help="Seconds between updates.")
 def watch_command(once: bool, as_json: bool, domain: int, namespace: str, lasting: float | None, every: float) -> None:
     """Show the status of all nodes of a cell, live.
 
@@ -91,7 +98,6 @@ def _go_on(
 
 
 def _nothing(domain: int, namespace: str, seconds: float) -> tuple[str, str, str]:
-    """What to check when nobody speaks: offender, limit, remedy."""
     where = f"/diagnostics of domain {domain}" + (f" below /{namespace.strip('/')}" if namespace else "")
     return (
         where,

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_nodes.io.articulated import write_articulation
-    from modcal_nodes.io.assemblies import read_assembly, read_library
+    from modcal_nodes.io.inputs import read_assembly, read_library
     from modcal_nodes.io.inputs import of_cell, parse_calibration, read_calibration, read_cell, read_delta
     from modcal_nodes.io.inputs import read_particulars, read_topics, stated_from
     from modcal_nodes.io.options import Options
-    from modcal_nodes.io.progress import Watch, silent
+    from modcal_nodes.io.options import Watch, silent
     from modcal_nodes.io.recorded import calibrate_bag, of_calibrated, opened
     from modcal_nodes.io.report_schema import SCHEMA
 else:

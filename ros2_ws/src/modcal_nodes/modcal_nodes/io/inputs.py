@@ -31,11 +31,10 @@ from modcal_core.files import parse_yaml, read_yaml
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import Schema, require, shown, told
 from modcal_core.measurements.kinds import frame_on_plane
+from modcal_core.modules import Assembly, Library, assembly_from_data, library_from_data, published
 from modcal_core.report import Particulars
 from modcal_core.robots import Delta, delta_from_data
 from modcal_msgs_py import Topics
-
-# --- The cell file, as a schema: what it may say, key by key
 
 _NUMBER = {"type": "number"}
 _TEXT = {"type": "string", "minLength": 1}
@@ -261,7 +260,6 @@ def _payload(data: Mapping[str, Any]) -> StatedPayload:
 
 
 def _tool(data: Mapping[str, Any]) -> StatedTool:
-    """Where the tool is in the tip, and how well that is known."""
     if ("quaternion" in data) != ("std_deg" in data):
         raise ValueError("an orientation needs quaternion and std_deg, both")
     std_m, std_rad = _deviations({"std_deg": np.inf, **data})
@@ -302,3 +300,19 @@ def _known(data: Mapping[str, Any]) -> Known:
             raise ValueError("std_m and std_deg go together, of a frame in the base")
         std = _deviations(data)
     return Known(frame, to, se3.inverse(_pose(data)), std)
+
+
+def read_library(path: Path | None) -> Library:
+    """The library in a file; the published one where none is given."""
+    return published() if path is None else library_from_data(read_yaml(path), str(path))
+
+
+def read_assembly(spec: Path, library_file: Path | None = None) -> tuple[Assembly, Library]:
+    """The assembly in a file and its library: the one given, or else the one the file names, or the published one."""
+    data = read_yaml(spec)
+    if library_file is None and isinstance(data, Mapping) and data.get("library") is not None:
+        library_file = spec.parent / str(data["library"])
+        if not library_file.is_file():
+            raise BadTable(f"{spec}: library {data['library']}", "is not beside it", "correct the path")
+    library = read_library(library_file)
+    return assembly_from_data(data, library, str(spec)), library

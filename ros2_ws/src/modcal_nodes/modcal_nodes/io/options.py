@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 
 @dataclass(frozen=True)
@@ -36,3 +37,14 @@ class Options:
     ignore: tuple[str, ...] = ()
     tf: str | None = None
     factory_kinematics: Path | None = None
+
+
+class Watch(Protocol):
+    """Hears what is being done, and, where that is known, the share of it that is done."""
+
+    def __call__(self, stage: str, share: float | None = None) -> None:
+        """Take notice."""
+
+
+def silent(stage: str, share: float | None = None) -> None:
+    """A watch that says nothing."""

@@ -9,15 +9,14 @@ from pathlib import Path
 from modcal_core.calibration import Calibration, Cell, Move, Stated, together_stated
 from modcal_core.errors import BadRecording, about
 from modcal_core.files import read_yaml
-from modcal_core.measurements import Origin, Samples, after, between, require_new, together
+from modcal_core.measurements import Samples, after, between, require_new, together
 from modcal_core.public import calibrate, tolerance_asked
 from modcal_core.result import Result
 from modcal_core.robot import Robot
 from modcal_msgs_py import Bag, Topics, read_bag
 from modcal_nodes.cli import described
 from modcal_nodes.io.inputs import of_cell, read_cell, read_topics, stated_from
-from modcal_nodes.io.options import Options
-from modcal_nodes.io.progress import Watch, silent
+from modcal_nodes.io.options import Options, Watch, silent
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,9 @@ def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samp
     cell = replace(cell, between=tuple(sorted((*cell.between, moment))))
     if cell.own_in_recordings:
         cell = cell.with_move(Move(moment, cell.own_in_recordings))
-    stated = together_stated([_own(one), _own(two)])
+    stated = together_stated(
+        [Stated(instrument_mm=o.instrument_mm, instrument_deg=o.instrument_deg) for o in (one, two)]
+    )
     origin = replace(
         one,
         notes=notes,
@@ -109,7 +110,3 @@ def _with(samples: Samples, cell: Cell, added: Samples, name: str) -> tuple[Samp
         instrument_deg=stated.instrument_deg,
     )
     return replace(samples.followed_by(later), origin=origin), cell
-
-
-def _own(origin: Origin) -> Stated:
-    return Stated(instrument_mm=origin.instrument_mm, instrument_deg=origin.instrument_deg)

@@ -140,8 +140,6 @@ def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
     }
 
 
-# --- Those who measure a station in this process
-
 _SPEED = 0.5  # rad/s or m/s between two stations, as modcal plan has it
 _SETTLING = 0.5  # s before the first reading
 _READINGS = 10  # averaged at a station

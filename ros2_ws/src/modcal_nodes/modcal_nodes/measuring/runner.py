@@ -52,13 +52,6 @@ class JointReport:
 
 
 @dataclass(frozen=True)
-class Send:
-    """Send this motion to the controller."""
-
-    motion: TimedMotion
-
-
-@dataclass(frozen=True)
 class Hold:
     """Stop here, (n,), because of this."""
 
@@ -74,7 +67,7 @@ class Done:
     station: Station
 
 
-Answer = Send | Hold | Done | None
+Answer = Hold | Done | None
 
 
 @dataclass
@@ -101,12 +94,11 @@ class Runner:
         """Whether a station is being measured."""
         return self.phase in (MOVING, SETTLING, READING)
 
-    def begin(self, number: int, station: Station, motion: TimedMotion, now: float) -> Send:
-        """Go to a station. Only from idle, and one at a time."""
+    def begin(self, number: int, station: Station, motion: TimedMotion, now: float) -> None:
+        """Go to a station, the motion being sent to the controller. Only from idle, and one at a time."""
         assert self.phase == IDLE, self.phase
         self.phase, self._number, self._station = MOVING, number, station
         self._motion, self._began = motion, now
-        return Send(motion)
 
     def hold(self, q: Array | None, why: str, now: float) -> Hold | None:
         """Stop, at q (n,), or where that is not known where the motion should be now; nothing to send at rest."""
@@ -214,9 +206,6 @@ class Runner:
         self._read, self._seen, self._effort = [], [], []
 
 
-# --- What the joints of an arm report now, from messages of one driver or several
-
-
 class JointReports:
     """The newest report of all joints. clock: seconds of the node's own time, in which messages are stamped."""
 
@@ -255,9 +244,6 @@ def required(reports: JointReports | None, stale: float) -> None:
     if reports is None:
         raise BadCommand("joint_states", "not received yet", "start the driver, or remap the topic")
     reports.require_fresh(stale)
-
-
-# --- One thing at a time that takes long, done in a thread of its own, so that every period of a node is kept
 
 
 class Worker:

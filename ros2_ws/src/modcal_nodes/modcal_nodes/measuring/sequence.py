@@ -54,8 +54,6 @@ from modcal_nodes.measuring.runner import (
 )
 from modcal_nodes.ros import ERROR, OK, WARN
 
-# --- Everything that a measurement by an arm needs: its robot, what it may do, its session, and who advises
-
 _SIDE = 0.05  # rad or m from which a station is come to where the side matters
 
 
@@ -392,7 +390,6 @@ class StationSequence:
         self._tell(OK, f"dry run: {summary}")
 
     def _go(self, way: StationWay) -> None:
-        """Begin the motion to a station, if it may still be begun."""
         place, runner = self._place, self._runner
         assert place is not None
         assert runner is not None
@@ -406,7 +403,8 @@ class StationSequence:
             return
         if np.abs(here.q - way.motion.q[0]).max() > self._chosen["tolerance_rad"]:
             return  # somebody else moved the arm: another way is looked for
-        self._send(runner.begin(way.number, station, way.motion, time.monotonic()).motion)
+        runner.begin(way.number, station, way.motion, time.monotonic())
+        self._send(way.motion)
         self._tell(OK, f"going to station {way.number + 1} ({station.role})")
 
     def _noted(self, done: Done) -> None:

@@ -3,8 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_nodes.watching.listener import Listener
-    from modcal_nodes.watching.snapshot import Changes, Heard, table
+    from modcal_nodes.watching.snapshot import Changes, Heard, Listener, table
 else:
     from modcal_core.lazy import lazy_face
 

@@ -1,18 +1,30 @@
-"""What was received of the nodes of a cell, and one snapshot of it: plain values in, plain data out."""
+"""The nodes of a cell: one node that only listens to them, and a snapshot of what it received, as plain data."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
+import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+
+from modcal_msgs_py import seconds
+from modcal_nodes.ros import FRESH, LATCHED
 
 LEVELS = ("ok", "warn", "error", "silent")
 OURS = "modcal"  # the hardware id of every status of ours
@@ -203,3 +215,50 @@ class Changes:
                     self._before[key] = level
                     out.append(f"{level}: {key[0]} {key[1]}: {part['message']}")
         return out
+
+
+_QUEUE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
+_TYPES: dict[str, tuple[type, QoSProfile]] = {
+    **{topic: (Float64, LATCHED) for topic in NUMBERS},
+    **{topic: (String, LATCHED) for topic in TEXTS},
+    "trusted": (Bool, LATCHED),
+    ESTIMATE: (Float64MultiArray, _QUEUE),
+    POSE: (PoseWithCovarianceStamped, FRESH),
+}
+
+
+class Listener(Node):
+    """Fills ``heard`` while it is spun."""
+
+    def __init__(self, heard: Heard, context: Context) -> None:
+        super().__init__(
+            f"modcal_watch_{os.getpid()}", context=context, enable_rosout=False, start_parameter_services=False
+        )
+        self.heard = heard
+        self._followed: set[str] = set()
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._take, _QUEUE)
+
+    def _take(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
+        for s in message.status:
+            facts = {pair.key: pair.value for pair in s.values}
+            self.heard.status(s.name, s.hardware_id, int.from_bytes(s.level, "little"), s.message, facts, now)
+
+    def follow(self) -> None:
+        """Subscribe to what the nodes that were received publish beside /diagnostics, as soon as they do."""
+        for node in self.heard.names:
+            for what, (kind, qos) in _TYPES.items():
+                topic = f"{node}/{what}"
+                if topic not in self._followed and self.count_publishers(topic):
+                    self._followed.add(topic)
+                    self.create_subscription(kind, topic, partial(self._take_value, node, what), qos)
+
+    def _take_value(self, node: str, what: str, message: Any) -> None:
+        if what == POSE:
+            variances = np.asarray(message.pose.covariance).reshape(6, 6).diagonal()[:3]
+            now = 1e-9 * self.get_clock().now().nanoseconds
+            deviation = float(np.sqrt(max(variances.max(), 0.0)))
+            self.heard.pose(node, now - seconds(message.header.stamp), deviation)
+        else:
+            name = NUMBERS.get(what) or TEXTS.get(what) or what
+            self.heard.value(node, name, message.data)
