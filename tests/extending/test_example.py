@@ -48,7 +48,7 @@ import numpy as np
 from pathlib import Path
 from rosbags.rosbag2 import Writer, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
-from modcal_msgs_py.mcap_read import read_bag
+from modcal_msgs_py import read_recording
 
 store = get_typestore(Stores.ROS2_JAZZY)
 Array, Layout = store.types["std_msgs/msg/Float64MultiArray"], store.types["std_msgs/msg/MultiArrayLayout"]
@@ -58,7 +58,7 @@ with Writer(Path({bag!r}), version=9, storage_plugin=StoragePlugin.MCAP) as writ
         data = np.array([20.0, 21.0, 22.0, 23.0, 24.0, 25.0][:{count}]) + i
         message = Array(layout=Layout(dim=[], data_offset=0), data=data)
         writer.write(at, i * 10**9, store.serialize_cdr(message, Array.__msgtype__))
-signals = read_bag(Path({bag!r})).signals
+signals = read_recording(Path({bag!r})).signals
 print(json.dumps({{s.name: s.values[:, 0].tolist() for s in signals}}))
 """
 

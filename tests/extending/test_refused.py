@@ -107,7 +107,7 @@ from types import SimpleNamespace as N
 from modcal_msgs_py.messages import RecordingBuilder
 RecordingBuilder().add("/vendor", "std_msgs/msg/String", N(data=""), 5.0)
 """
-    take = f'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [__import__("modcal_msgs_py.topics").added_topics.{made}])'
+    take = f'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [__import__("modcal_msgs_py.topics").topics.{made}])'
     if made == "7":
         take = 'AddedTopic("vendor", "std_msgs/msg/String", lambda m: [7])'
     assert "topic /vendor: its package made " in said(tmp_path, "modcal.topics", program, added=take)

@@ -30,9 +30,9 @@ def arrays(recording: Recording) -> list[NDArray[np.float64]]:
 
 def test_the_recording_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, warnings and the order of tracks included."""
-    merged = mcap_read.read_bag(BAG)
+    merged = mcap_read.read_recording(BAG)
     monkeypatch.setattr(mcap_read, "gathered", lambda blocks: blocks)
-    apart = mcap_read.read_bag(BAG)
+    apart = mcap_read.read_recording(BAG)
     assert [track.topic for track in merged.joints] == [track.topic for track in apart.joints]
     assert [track.topic for track in merged.readings] == [track.topic for track in apart.readings]
     assert (merged.warnings, merged.robot_description) == (apart.warnings, apart.robot_description)

@@ -9,7 +9,8 @@ import pytest
 
 from modcal_core.articulation.urdf import read
 from modcal_core.errors import BadRobot, ModcalError
-from modcal_core.robots.urdf import LoadedArm, read_chain
+from modcal_core.robots.loaded_arm import LoadedArm
+from modcal_core.robots.urdf import read_chain
 from modcal_nodes.io.inputs import parse_calibration
 
 MASS = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from modcal_core.report.as_json import to_json_data
     from modcal_core.report.camera import camera_files, camera_report, lines
     from modcal_core.report.camera_page import camera_certificate, camera_tolerance
-    from modcal_core.report.certificates import Hashes, Particulars, certificate, certificate_html, is_made_from
+    from modcal_core.report.certificates import Hashes, certificate, certificate_html, is_made_from
     from modcal_core.report.checkup import History, HistoryEntry, checkup_data, checkup_html, checkup_summary
     from modcal_core.report.checkup import history_data, history_summary
     from modcal_core.report.comparison import Side, compare, comparison_data, comparison_summary
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from modcal_core.report.diagnosis_entries import findings, load_findings, load_notes, residual_notes
     from modcal_core.report.joint_offsets import offsets_of
     from modcal_core.report.limits import LimitsFound, joint_limits, limits_data, limits_html
+    from modcal_core.report.particulars import Particulars
     from modcal_core.report.planning import figure, plan_sentences, planning_html, to_csv, to_plan_data
     from modcal_core.report.planning import to_trajectory_data
     from modcal_core.report.report import Report, calibration_files, delta_files, report_files

@@ -41,6 +41,7 @@ from modcal_core.report.page import (
     plain_page,
     size_tables,
 )
+from modcal_core.report.particulars import Particulars
 from modcal_core.report.plots import Panel
 from modcal_core.report.sentence import counted
 from modcal_core.robots import chain_forward

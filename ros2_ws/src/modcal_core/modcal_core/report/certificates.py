@@ -16,13 +16,13 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.report.page import Chart, framed, render
+from modcal_core.report.particulars import Particulars
 from modcal_core.report.plots import round_numbers
 from modcal_core.report.report import Report
 from modcal_core.report.sentence import counted
 from modcal_core.verdict import PoseTest, pose_test
 
 Tone = Literal["good", "warn", "bad"]
-MAX_TEXT = 90  # characters of a text that a person gives, so that the page stays one
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
@@ -34,29 +34,6 @@ OWN_RECORDING = (
     "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
     "it on another one."
 )
-
-
-@dataclass(frozen=True)
-class Particulars:
-    """What a person states for the certificate; empty texts are left open on the page.
-
-    robot: name of the arm. serial: its serial number. instrument: make, model and serial number of the instrument, with
-    its own certificate. conditions: payload, temperature, mounting. measured_by, approved_by: names. Raises BadTable
-    for a text of more than 90 characters.
-    """
-
-    robot: str = ""
-    serial: str = ""
-    instrument: str = ""
-    conditions: str = ""
-    measured_by: str = ""
-    approved_by: str = ""
-
-    def __post_init__(self) -> None:
-        for name, text in vars(self).items():
-            if len(text) > MAX_TEXT:
-                said = f"has {len(text)} characters, {MAX_TEXT} is the limit"
-                raise BadTable(f"certificate: {name}", said, "shorten it")
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,7 @@ from modcal_core.report.as_json import to_json_data
 from modcal_core.report.contents import ReportContents
 from modcal_core.report.sentence import sentence
 from modcal_core.report.terminal import summary, text
-from modcal_core.robots import (
-    NO_HASH,
-    Chain,
-    Delta,
-    calibrated_urdf,
-    delta_to_data,
-    joint_origins,
-    kinematics_yaml_data,
-    lacks_hash,
-)
+from modcal_core.robots import Chain, Delta, delta_to_data
 
 
 def calibration_files(
@@ -41,6 +32,9 @@ def calibration_files(
     factory: the kinematics that the manufacturer's tool took from this arm, whose form and hash are kept. The robot
     description and the kinematics hold the geometry that is best alone: their readers know no effects.
     """
+    # a parser of URDFs comes with these
+    from modcal_core.robots import NO_HASH, calibrated_urdf, joint_origins, kinematics_yaml_data, lacks_hash
+
     calibrated = calibration.geometric.serial
     corrected = calibrated_urdf(urdf, nominal, calibrated)
     kinematics = kinematics_yaml_data(calibrated, joint_origins(corrected), factory)

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from modcal_core.robots.inverse_kinematics import inverse, inverse_batch
     from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, place_jacobian
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
+    from modcal_core.robots.loaded_arm import LoadedArm, require_method
     from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
     from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, loss
     from modcal_core.robots.tables import nearest_dh, to_cpc, to_csv, to_table
-    from modcal_core.robots.urdf import LoadedArm, joint_origins, other_tips, read_chain, read_path, require_method
+    from modcal_core.robots.urdf import joint_origins, other_tips, read_chain, read_path
     from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
     from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
     from modcal_core.robots.urdf_tree import Tree, document, parse, rerooted
@@ -36,14 +37,14 @@ else:
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
 __all__ += ["Drives", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath", "LoadedArm"]
-__all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian", "calibrated_urdf"]
-__all__ += ["chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds", "delta_from_data"]
-__all__ += ["delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward", "frames", "from_cpc"]
-__all__ += ["from_csv", "from_dh", "from_table", "gravity_wrench", "held_behind", "inverse", "inverse_batch"]
-__all__ += ["is_delta", "is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_data", "lacks_hash", "loss"]
-__all__ += ["mass_matrix", "motion", "moved_centres", "nearest_dh", "number", "offset_wrench", "origin_element"]
-__all__ += ["other_tips", "parse", "passable", "payload_wrench", "place_jacobian", "plain", "pose_and_jacobian"]
-__all__ += ["position_jacobians", "random_postures", "reachable", "read_chain", "read_drives", "read_inertias"]
-__all__ += ["read_path", "read_rows", "require_method", "rerooted", "spatial_jacobian", "takes", "to_cpc", "to_csv"]
-__all__ += ["to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector"]
-__all__ += ["weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]
+__all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
+__all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
+__all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward", "frames"]
+__all__ += ["from_cpc", "from_csv", "from_dh", "from_table", "gravity_wrench", "held_behind", "inverse"]
+__all__ += ["inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_data"]
+__all__ += ["lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh", "number", "offset_wrench"]
+__all__ += ["origin_element", "other_tips", "parse", "passable", "payload_wrench", "place_jacobian", "plain"]
+__all__ += ["pose_and_jacobian", "position_jacobians", "random_postures", "reachable", "read_chain", "read_drives"]
+__all__ += ["read_inertias", "read_path", "read_rows", "require_method", "rerooted", "spatial_jacobian", "takes"]
+__all__ += ["to_cpc", "to_csv", "to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque"]
+__all__ += ["urdf_text", "vector", "weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]

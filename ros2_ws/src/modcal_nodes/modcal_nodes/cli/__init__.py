@@ -1,7 +1,5 @@
 """The modcal command: one file per verb, gathered in main."""
 
-# ruff: noqa: I001
-
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -31,10 +31,12 @@ from modcal_core.files import parse_yaml, read_yaml
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import Schema, require, shown, told
 from modcal_core.measurements.kinds import frame_on_plane
-from modcal_core.modules import Assembly, Library, assembly_from_data, library_from_data, published
 from modcal_core.report import Particulars
 from modcal_core.robots import Delta, delta_from_data
 from modcal_msgs_py import Topics
+
+if TYPE_CHECKING:
+    from modcal_core.modules import Assembly, Library
 
 _NUMBER = {"type": "number"}
 _TEXT = {"type": "string", "minLength": 1}
@@ -304,11 +306,15 @@ def _known(data: Mapping[str, Any]) -> Known:
 
 def read_library(path: Path | None) -> Library:
     """The library in a file; the published one where none is given."""
+    from modcal_core.modules import library_from_data, published
+
     return published() if path is None else library_from_data(read_yaml(path), str(path))
 
 
 def read_assembly(spec: Path, library_file: Path | None = None) -> tuple[Assembly, Library]:
     """The assembly in a file and its library: the one given, or else the one the file names, or the published one."""
+    from modcal_core.modules import assembly_from_data
+
     data = read_yaml(spec)
     if library_file is None and isinstance(data, Mapping) and data.get("library") is not None:
         library_file = spec.parent / str(data["library"])
