@@ -21,7 +21,6 @@ from modcal_core.report.certificates import (
     MAX_REASONS,
     Certificate,
     Hashes,
-    Particulars,
     Scale,
     Tone,
     box_in_words,
