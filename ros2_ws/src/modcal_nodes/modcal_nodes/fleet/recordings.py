@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
-from distributed import Client, as_completed
+from distributed import Client, KilledWorker, wait
 
 from modcal_core.errors import BadRecording, BadTable, ModcalError
 from modcal_core.files import replace_folder
@@ -23,8 +23,10 @@ from modcal_msgs_py import SUFFIXES
 from modcal_nodes.io import Options, calibrate_bag
 
 Row = dict[str, Any]
+Made = tuple[Row, dict[str, bytes]]
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 NOT_CALIBRATED = "not_calibrated.txt"  # in the folder of a recording that was refused or failed: why
+_ALONE_S = 60.0  # without any worker, after which none is waited for: one that died is there again in a few
 _MARKS = ("report.json", NOT_CALIBRATED)
 _TEXT, _NUMBER = pa.string(), pa.float64()
 _SIZES = tuple(f"{stage}_{size}_mm" for stage in ("nominal", "geometric", "final") for size in ("rms", "p95"))
@@ -88,7 +90,7 @@ def names_of(bags: Iterable[Path], out: Path) -> dict[str, Path]:
     return named
 
 
-def calibrate_one(bag: Path, options: Options) -> tuple[Row, dict[str, bytes]]:
+def calibrate_one(bag: Path, options: Options) -> Made:
     """A row of the table, and the files of the calibration by name. A recording that is of no use is a row too."""
     try:
         done = calibrate_bag(bag, options)
@@ -104,19 +106,45 @@ def calibrate_all(
 
     heard: of each row as it comes. A task that raises, or whose workers die as often as Dask allows, is a failed row.
     """
-    rows = []
-    futures = {client.submit(calibrate_one, bag, options, pure=False): name for name, bag in bags.items()}
-    for future in as_completed(list(futures), loop=client.loop):
-        name, fault = futures[future], future.exception()
-        if fault is None:
-            row, files = future.result()
-        else:
-            row, files = {"state": FAILED, "said": " ".join(f"{type(fault).__name__}: {fault}".split())}, {}
-        future.release()  # its files need not stay on the cluster
+    rows: list[Row] = []
+
+    def keep(name: str, fault: BaseException | None, made: Made | None) -> None:
+        said = "" if fault is None else " ".join(f"{type(fault).__name__}: {fault}".split())
+        row, files = made or ({"state": FAILED, "said": said}, {})
         rows.append({"name": name, "bag": str(bags[name]), **row})
         replace_folder(out / name, files or {NOT_CALIBRATED: f"{row['state']}: {row['said']}\n".encode()})
         heard(rows[-1])
+
+    # A worker that dies takes along what waits on it, so what was lost with one is tried once more by itself.
+    lost = []
+    for name, fault, made in _outcomes(bags, options, client):
+        if isinstance(fault, KilledWorker):
+            lost.append(name)
+        else:
+            keep(name, fault, made)
+    for name in lost:
+        keep(*next(_outcomes({name: bags[name]}, options, client)))
     return sorted(rows, key=lambda row: row["name"])
+
+
+def _outcomes(
+    bags: Mapping[str, Path], options: Options, client: Client
+) -> Iterator[tuple[str, BaseException | None, Made | None]]:
+    """Name, fault and result of each bag as it is done; a fault of all that are left where no worker is."""
+    futures = {client.submit(calibrate_one, bag, options, pure=False): name for name, bag in bags.items()}
+    while futures:
+        try:
+            with client.as_current():
+                done = wait(list(futures), timeout=_ALONE_S, return_when="FIRST_COMPLETED").done
+        except TimeoutError:
+            if client.scheduler_info()["workers"]:
+                continue
+            yield from ((name, RuntimeError("no worker is left on the cluster"), None) for name in futures.values())
+            return
+        for future in done:
+            fault = future.exception()
+            yield futures.pop(future), fault, future.result() if fault is None else None
+            future.release()  # its files need not stay on the cluster
 
 
 def _row(done: Result) -> Row:
