@@ -17,10 +17,50 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-}  # fmt: skip
-SOURCE = (0, 0)
-TEXT = 0  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
-FORMAT_SKIPS = 0
+    "bench": (15710, 11450),
+    "launch": (80, 50),
+    "modcal": (40, 30),
+    "modcal_core": (1940, 1030),
+    "modcal_core/articulation": (5130, 3520),
+    "modcal_core/calibration": (6820, 4250),
+    "modcal_core/camera": (6100, 4000),
+    "modcal_core/checking": (2780, 1890),
+    "modcal_core/claim": (740, 490),
+    "modcal_core/correction": (990, 640),
+    "modcal_core/diagnosis": (4270, 2980),
+    "modcal_core/effects": (2710, 1770),
+    "modcal_core/geometry": (520, 360),
+    "modcal_core/impedance": (3140, 2180),
+    "modcal_core/measurements": (3920, 2600),
+    "modcal_core/measuring": (1840, 1180),
+    "modcal_core/modules": (3390, 2260),
+    "modcal_core/online": (1410, 970),
+    "modcal_core/planning": (2730, 1690),
+    "modcal_core/plausibility": (4320, 2910),
+    "modcal_core/regimes": (560, 400),
+    "modcal_core/report": (6090, 3450),
+    "modcal_core/robots": (4810, 3040),
+    "modcal_core/verdict": (4000, 2660),
+    "modcal_msgs_py": (4720, 3230),
+    "modcal_msgs_py/tables": (3550, 2460),
+    "modcal_nodes": (80, 20),
+    "modcal_nodes/calibrating": (1670, 1160),
+    "modcal_nodes/cli": (4400, 2460),
+    "modcal_nodes/fleet": (190, 130),
+    "modcal_nodes/io": (600, 340),
+    "modcal_nodes/measuring": (1230, 870),
+    "modcal_nodes/nodes": (2960, 2300),
+    "modcal_nodes/ros": (2140, 1170),
+    "modcal_nodes/setpoint": (380, 230),
+    "modcal_nodes/simulation": (2030, 1350),
+    "modcal_nodes/viewing": (200, 140),
+    "modcal_nodes/vision": (2030, 1490),
+    "modcal_nodes/watching": (280, 200),
+    "tests": (52420, 36420),
+}
+SOURCE = (94700, 61750)
+TEXT = 184500  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+FORMAT_SKIPS = 104
 SLACK = 1.03  # a ceiling may stand so far above what there is
 
 
