@@ -1,11 +1,11 @@
 """The error model of an arm and the fit of its parameters.
 
 model, parameters, structure: nominal chain, small twists at its places, effects; which of them instruments can show.
-initial, starts, instruments: base, tool and instruments without a guess.
+initial, starts: base, tool and instruments without a guess.
 linearisation, equations, kernels: derivatives, sample by sample and in batches, and the steps solved.
 fit: ``identify(model, samples, parameters) -> Fit``. noise: the weights of its samples.
 cell, distances, known_distances, stated: what is known of the surroundings.
-data_split, score, final_fit: train, explain and held-out; errors; the model to ship.
+data_split, final_fit: train, explain and held-out; the model to ship.
 covariance: how well all of it is known. store, prediction: ``calibration.yaml``, and what is predicted with it.
 """
 
