@@ -47,7 +47,7 @@ from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.recording_write import write_recording
 from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.topics import Topics
-from modcal_nodes.calibrating.standing import standing_of_json
+from modcal_nodes.calibrating.diagnostics import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
 from modcal_nodes.vision.corner_table import corners_of_text
 from modcal_nodes.vision.grey import grey_of

@@ -1,4 +1,4 @@
-"""The pairs of a place and a driver that :mod:`dependence_scan` ranks: motions of the place by the driver, as columns."""
+"""Pairs of a place and a driver that :mod:`dependence_scan` ranks: motions of the place by the driver, as columns."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Very many mistakes of joints at once, in closed form: which of them are worth a fit.
 
-With base and tool in closed form (:mod:`modcal_core.calibration.initial`) a mistake costs a few small products, so that all subsets of
-reversed joints and all threes of interchanged ones can be looked at.
+With base and tool in closed form (:mod:`modcal_core.calibration.initial`) a mistake costs a few small products, so that
+all subsets of reversed joints and all threes of interchanged ones can be looked at.
 """
 
 from __future__ import annotations

@@ -87,7 +87,11 @@ class CheckService:
     def _found(self, check: LiveCheck) -> None:
         self._publish(check.data)
         log = self._node.get_logger()
-        (log.warning if check.changed else log.info)(f"check: {check.sentence}")
+        said = f"check: {check.sentence}"
+        if check.changed:  # a place that logs keeps its severity
+            log.warning(said)
+        else:
+            log.info(said)
         self._answer(True, check.sentence)
 
     def _answer(self, success: bool, message: str) -> None:
