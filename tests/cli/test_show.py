@@ -35,7 +35,7 @@ def test_the_account_every_reason_and_the_tolerance() -> None:
         assert said.count(reason.sentence) >= 1
     assert "account of the squared error" in said
     assert "gear_harmonic elbow_joint" in said
-    assert "CANNOT TELL: The 95th percentile is at most" in said
+    assert "CANNOT TELL: The tool's error over the recorded ranges (95th percentile) is" in said
 
 
 def test_small_rows_of_the_account_stand_together() -> None:

@@ -20,9 +20,8 @@ _SEED = 20  # postures must be general, not new: the same robot always gets the 
 _EXACTLY = 1e-7  # what is left of a column that says nothing new, rounding alone
 _NEARLY = 5e-3  # the same for planes: one that stands across an axis but for the error of its placing is taken to do so
 _SPARE = 6  # postures drawn for each that is kept, where an instrument cannot read at all of them
-_GENERAL_FRAME = se3.transform(so3.exp([0.4, 0.7, -0.3]), [1.3, -0.8, 0.6])
-# a tool that lies on no joint's axis
-_GENERAL_TOOL = se3.transform(so3.exp([0.3, -0.2, 0.5]), [0.11, 0.07, 0.13])
+_GENERAL_FRAME = se3.transform(so3.exp([0.4, 0.7, -0.3]), [1.3, -0.8, 0.6])  # at no plane or axis of an arm
+_GENERAL_TOOL = se3.transform(so3.exp([0.3, -0.2, 0.5]), [0.11, 0.07, 0.13])  # on no joint's axis
 
 
 def views_of(samples: Samples) -> tuple[View, ...]:
