@@ -44,7 +44,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_msgs_py": (4720, 3230),
     "modcal_msgs_py/tables": (3550, 2460),
     "modcal_nodes": (80, 20),
-    "modcal_nodes/calibrating": (1670, 1160),
+    "modcal_nodes/calibrating": (1670, 1170),
     "modcal_nodes/cli": (4400, 2460),
     "modcal_nodes/fleet": (190, 130),
     "modcal_nodes/io": (600, 340),
