@@ -137,10 +137,12 @@ def _outcomes(
             with client.as_current():
                 done = wait(list(futures), timeout=_ALONE_S, return_when="FIRST_COMPLETED").done
         except TimeoutError:
-            if client.scheduler_info()["workers"]:
-                continue
-            yield from ((name, RuntimeError("no worker is left on the cluster"), None) for name in futures.values())
-            return
+            try:
+                client.wait_for_workers(1, timeout=_ALONE_S)  # one that died may be on its way back
+            except TimeoutError:
+                yield from ((name, RuntimeError("no worker is left on the cluster"), None) for name in futures.values())
+                return
+            continue
         for future in done:
             fault = future.exception()
             yield futures.pop(future), fault, future.result() if fault is None else None
