@@ -47,7 +47,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes": (80, 20),
     "modcal_nodes/calibrating": (1670, 1170),
     "modcal_nodes/cli": (4400, 2460),
-    "modcal_nodes/fleet": (190, 130),
+    "modcal_nodes/fleet": (200, 130),
     "modcal_nodes/io": (600, 340),
     "modcal_nodes/measuring": (1230, 870),
     "modcal_nodes/nodes": (2960, 2300),
