@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -137,8 +138,10 @@ def _killed(bag: Path, options: Options) -> tuple[fleet.Row, dict[str, bytes]]:
 
 
 def test_a_killed_worker_costs_a_row_at_most(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import cloudpickle
     from distributed import Client
 
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers need not find this file
     monkeypatch.setattr(fleet, "calibrate_one", _killed)
     bags = {name: tmp_path / name for name in ("a", "always", "once", "fault", "z")}
     heard: list[fleet.Row] = []
