@@ -97,7 +97,11 @@ def outcome(bench: str, kind: str, seed: int) -> str:
     """What was said of a recording in a few words."""
     run = runner("undeclared" if bench == "undeclared" else "verdict")
     if bench != "undeclared":
-        return str(run.one(run.Task(bench, kind, seed, "returns" if bench == "good" else ""))["outcome"])
+        return str(
+            run.one({"group": bench, "kind": kind, "seed": seed, "way": "returns" if bench == "good" else ""})[
+                "outcome"
+            ]
+        )
     robot = list(run.ROBOTS)[seed % 3]
     try:
         found = run.one({"scenario": kind, "robot": robot, "seed": seed, "stations": run.STATIONS, "keep": None})

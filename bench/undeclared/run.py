@@ -20,7 +20,7 @@ import harness
 import json
 
 import numpy as np
-from arm import ROBOTS
+from arms import ROBOTS
 from recordings import STATIONS, make
 from scenarios import SCENARIOS
 from score import score
@@ -31,13 +31,13 @@ def one(task: harness.Task) -> harness.Result:
     scenario, robot, seed = task["scenario"], task["robot"], task["seed"]
     keep = task["keep"] and Path(task["keep"]) / scenario.replace("+", "_and_") / f"{robot}_{seed}"
     with harness.scratch(keep) as folder:
-        pair = make(scenario, robot, seed, folder, task["stations"])
-        truth = json.loads(pair.truth.read_text(encoding="utf-8"))
+        first, second, told = make(scenario, robot, seed, folder, task["stations"])
+        truth = json.loads(told.read_text(encoding="utf-8"))
         out, predicted = folder / "calibrated", folder / "predicted"
-        harness.succeeded("calibrate", pair.first, "--out", out)
+        harness.succeeded("calibrate", first, "--out", out)
         report = harness.report_of(out)
         s = score(report, truth)
-        harness.succeeded("evaluate", out / "calibration.yaml", pair.second, "--out", predicted)
+        harness.succeeded("evaluate", out / "calibration.yaml", second, "--out", predicted)
         left = harness.report_of(predicted)["error_mm"]["final"]["rms"]
     out: harness.Result = {
         "planted": bool(truth["effects"]),

@@ -20,9 +20,9 @@ import numpy as np
 import yaml
 from case import Scene, export
 from scipy.spatial.transform import Rotation
+from sites import POINT, POSE, Array, Session
 from streams import elsewhere
 from transforms import Of, described, put
-from workcell import POINT, POSE, Array, Session
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA, IMPORTS, ROBOTS = ROOT.parent / "shared" / "data", ROOT / "examples" / "import", ROOT / "examples" / "robots"
@@ -196,7 +196,7 @@ def evaluated(c: Scene, *options: str) -> None:
 
 
 def _told(c: Scene, files: dict[str, str], *options: str) -> None:
-    c.truth |= {"floor": False, "floor_mm": c.floor_mm, "files": files}
+    c.truth |= {"floor_mm": c.floor_mm, "files": files}
     c.options, c.names, c.session = ("--tolerance-mm", str(c.tolerance_mm), *options), c.names, None
 
 
@@ -242,7 +242,7 @@ def _joints(arm: str) -> tuple[str, ...]:
 
 
 def _at_plates(c: Scene, floor_mm: float, files: dict[str, str], *options: str) -> None:
-    c.truth, c.planted = {"floor": False, "floor_mm": floor_mm, "files": files}, REAL
+    c.truth, c.planted = {"floor_mm": floor_mm, "files": files}, REAL
     c.options = ("--tip", "ball_link", "--cell", "{cell.yaml}", *options)
 
 
