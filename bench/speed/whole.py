@@ -94,12 +94,12 @@ def rows(scale: float) -> Iterator[Row]:
     """A row a recording. scale: how many times slower this machine is at the moment."""
     for name, maker, options, goal, real in WORK:
         if real and not harness.DATA.is_dir():
-            yield Row("whole runs", f"calibrate, {name}", 0.0, remark="not run: ../shared/data is missing")
+            yield Row(f"calibrate, {name}", 0.0, remark="not run: ../shared/data is missing")
             continue
         with harness.scratch() as folder:
             seconds, memory = spent(maker(folder), folder / "out", options)
         told = "goal", 1e3 * goal * scale, f"{memory:.0f} MB"
-        yield Row("whole runs", f"calibrate, {name}", 1e3 * seconds, *told)
+        yield Row(f"calibrate, {name}", 1e3 * seconds, *told)
 
 
 def spent(bag: Path, out: Path, options: tuple[str, ...] = ()) -> tuple[float, float]:
