@@ -11,25 +11,7 @@ import numpy as np
 from arms import Arm
 from case import Scene, export
 from scipy.spatial.transform import Rotation
-from sites import (
-    BEGIN,
-    NOISE_MM,
-    NOISE_MRAD,
-    PERIOD,
-    POINT,
-    REPEAT,
-    Array,
-    Cell,
-    JointTrack,
-    Recording,
-    Session,
-    course,
-    reading,
-    rms,
-    turn_noise,
-)
-from transforms import Of, cols, let, rows, waits, written
-from words import STATIONS
+from transforms import *
 
 from modcal_core.measurements.recording import RANGE
 
@@ -44,7 +26,7 @@ STEPS = {
     "tour": lambda c, q: let(c, visits=c.with_returns(c.of(q)), q=lambda c: c.visits[0], again=lambda c: c.visits[1]),
     "planned": lambda c: let(c, plan=course(c.w, c.rng, 60.0, 0.0)),
     # the second joint has a softer belt; the third link weighs more than any description knows [kg]
-    "sprung": lambda c, k: waits(c, lambda s, d: d.linear.__setitem__(1, k * d.linear[1])),
+    "belt": lambda c, k: waits(c, lambda s, d: d.linear.__setitem__(1, k * d.linear[1])),
     "weighted": lambda c, kg: np.add.at(c.arm.model.body_mass, c.arm.model.body(c.arm.links[2]).id, kg),
     "SOME": lambda c: [c.names[k] for k in c.some],  # words: the joints that were drawn
 }

@@ -9,9 +9,8 @@ from datetime import date
 import numpy as np
 from case import Scene, export
 from scipy.spatial.transform import Rotation
-from sites import PERIOD, Array, Deviation, Plan, Recording, Session, Stations, flow, joint_track, poses, reading
 from sites import turned as off_by
-from transforms import Of, filtered, waits
+from transforms import *
 from world import EACH, EPOCH, World
 
 WAITS = 3.0  # s, of the EACH from one station to the next

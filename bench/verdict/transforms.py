@@ -20,28 +20,9 @@ from recordings import plant
 from scenarios import SCENARIOS
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from sites import (
-    BEGIN,
-    EXACT,
-    PERIOD,
-    REPEAT,
-    Array,
-    Cell,
-    Recording,
-    SignalTrack,
-    Stations,
-    flow,
-    joined,
-    joint_track,
-    poses,
-    reading,
-    rms,
-    turn_noise,
-    twisted,
-    unit,
-)
+from sites import *
 from sites import turned as off_by
-from words import *  # noqa: F403
+from words import *
 
 Of = Any  # a value, a name that ``let`` gave, or a function of the scene
 DAY = 86_400.0

@@ -108,7 +108,7 @@ GROWN = ("scale", r"\bgrow", "thermal", "temperature", "length", JOINT(1, 2, 3),
 K("hot_hall_today", "Today every link is 0.3 mm longer a metre. The base is found again.", GROWN, no=())
 S(130, frozen("--refit-base"), bend("x", np.s_[:, :, 0], lambda c: 3e-4 * c.arm.lengths), clean(90, begin=1.5e7))
 K("joint_softer_today", "The second joint of an elastic arm has a softer belt since.", JOINT(1))
-S(elastic(4e-4), 150, frozen(), same, sprung(0.4), clean(90, begin=DAY))
+S(elastic(4e-4), 150, frozen(), same, belt(0.4), clean(90, begin=DAY))
 K("motor_turn_lost_today", "One joint was put back one motor turn off.", J)
 S(pick(1, 4), clean(80, begin=DAY), col(lambda c: c.x + 2 * np.pi / 121), before(120))
 K("turned_over_today", "A probe that sags, calibrated downwards, points upwards.", TOOL, HAND, shown="if left")
