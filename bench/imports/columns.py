@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import readings
-from sheet import ARMS, Sheet, Written, holding, record
+from sheet import ARMS, Rng, Sheet, Written, holding, record
 
-Rng = np.random.Generator
 SCENARIOS = ("log", "moving", "tracker", "targets", "ranges", "bearings", "polar", "height", "joined", "faults")
 # Labels of one column a joint; {n}: the joint's name, {k} and {z}: its number, from one and from zero
 JOINTS = ["{n}", "J{k}", "A{k}", "q_{z}", "Axis {k}", "joint_{k}", "joint_states/position/{n}", "actual_q_{z}"]

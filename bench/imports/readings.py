@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sheet import ANGLE, DIGITS, LENGTH, Sheet, Written
+from sheet import ANGLE, DIGITS, LENGTH, Array, Rng, Sheet, Written
 
-Rng = np.random.Generator
 Cells = list[list[str]]
 
 
@@ -95,14 +94,14 @@ def ranges(rng: Rng, sheet: Sheet, written: Written) -> Cells:
     return cells
 
 
-def _station(rng: Rng, written: Written) -> np.ndarray:
+def _station(rng: Rng, written: Written) -> Array:
     """The tool's point in the frame of a station that stands upright some metres away, turned anyhow about its axis."""
     p, away = written.recorded.T[:, :3, 3], rng.standard_normal(3) * [1, 1, 0.3]
     place = p.mean(axis=0) + rng.uniform(1.5, 3.5) * away / np.linalg.norm(away)
     return Rotation.random(random_state=rng).apply(p - place)
 
 
-def _angles(rng: Rng, sheet: Sheet, written: Written, u: np.ndarray) -> tuple[Cells, np.ndarray]:
+def _angles(rng: Rng, sheet: Sheet, written: Written, u: Array) -> tuple[Cells, Array]:
     """Two angles of unit vectors u, and the vectors that they say."""
     way = str(rng.choice(["words", "short", "survey"]))
     unit = unit_of(rng, written, ("deg", "rad", "gon"), [0.45, 0.25, 0.3])
