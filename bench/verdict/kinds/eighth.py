@@ -1,7 +1,7 @@
 """The eighth group, in cells of world.py: conventions, arms, stands, streams; two things wrong at once among them."""
 
 from arms import described as drawn
-from streams import *
+from mechanisms import *
 from transforms import *
 from world import UR5
 

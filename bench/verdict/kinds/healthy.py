@@ -1,7 +1,7 @@
 """Healthy cells: builds that the other good recordings lack, and the cells of world.py with streams and frames."""
 
 from arms import described as drawn
-from streams import *
+from mechanisms import *
 from transforms import *
 
 K, S = kinds("good_fifth", fault=False)

@@ -1,7 +1,6 @@
 """The seventh group: exports and spreadsheets, plugs and name spaces, stands, drives, sensors, sources put together."""
 
 from mechanisms import *
-from streams import *
 from transforms import *
 
 K, S = kinds("fresh_seventh")
