@@ -4,7 +4,8 @@
 
 Four groups of kinds: geometry that is hard to find (``hard_cells.py``), loads as they are (``loads.py``), drivers as
 people record them (``drivers.py``), and Deltas with unequal rods. Beside the floor stands what the truth itself leaves
-of the same stations, and where a fit ends that is begun there (``truth.py``).
+of the same stations, and where a fit ends that is begun there: where both end alike, no better optimum was missed, and
+what is left above the floor is what fitting so many values to so few readings adds.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from typing import Any
 import drivers
 import loads
 import numpy as np
-import truth
 from arms import urdf_of
 from deltas import record_delta
 from hard_cells import DISTANCE, KINDS
@@ -33,15 +33,19 @@ from sites import rms
 from works import Planted
 
 import modcal_core as modcal
-from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.cell import Cell, with_bases
 from modcal_core.calibration.distances import Distance
-from modcal_core.loop import calibrate
-from modcal_core.measurements.samples import between
+from modcal_core.calibration.fit import Fit, identify
+from modcal_core.calibration.noise import errors, squared_residuals
+from modcal_core.geometry import se3
+from modcal_core.loop import Solution, calibrate
+from modcal_core.measurements.samples import Samples, between
 from modcal_core.preprocess import prepare
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
 
+TRUE_MM = 1e-3  # RMS that a fit to exact readings may leave to count as the truth
 MAX, NAMED = 1.1, 0.95  # times the floor, and share of the seeds, that a Delta has to reach
 STAGES = ("nominal", "geometric", "final")
 ROWS = {**loads.ROWS, **drivers.ROWS}
@@ -69,7 +73,7 @@ def geometry(kind: str, seed: int, effects: bool) -> harness.Result:
     report, fit = done.report, done.scored
     left = {stage: 1e3 * float(np.sqrt(np.nanmean(report.errors[stage].position_norm ** 2))) for stage in STAGES}
     assert np.array_equal(exact.stamps, report.samples.stamps), "not the same stations with and without noise"
-    beside = truth.of_geometry(done, replace(exact, sockets=report.samples.sockets), known, made.tool)
+    beside = beside_truth(done, replace(exact, sockets=report.samples.sockets), known, made.tool)
     moved = fit.model.T_tip_tool[:3, 3] - done.calibration.nominal.T_tip_tool[:3, 3]
     count, final = (len(fit.parameters), len(report.sets.train)), left["final"]
     out = {"floor_mm": made.floor_mm, "left_mm": left, **beside, "over_floor": final / made.floor_mm}
@@ -101,7 +105,7 @@ def row(kind: str, seed: int, effects: bool) -> harness.Result:
     out |= {"clean": bool(clean and (kind not in loads.ROWS or planted.down is not None or np.isnan(gravity)))}
     out |= {"gravity_deg": gravity, "kg": kg, "status": report.judged.status}
     out |= {"effects": [f"{e.family} {e.place} {e.driver}" for e in report.effects]}
-    return out | (truth.of_effects(done, works.exact_samples(report.samples), cell) if planted.stations else {})
+    return out | (beside_true_effects(done, works.exact_samples(report.samples), cell) if planted.stations else {})
 
 
 def compared(found: Any, planted: Planted) -> tuple[float, float]:
@@ -134,6 +138,66 @@ def delta(kind: str, seed: int, effects: bool) -> harness.Result:
     right = named == there and all(abs(value - CYCLES) < WITHIN * std for value, std, *_ in gears)
     out = {"over_floor": 1e3 * rms(gap) / FLOOR_MM, "named": right, "clean": right, "effects": named}
     return out | {"status": found.report.status, "cycles": [(value, std) for value, std, *_ in gears]}
+
+
+def train_of(done: Solution) -> np.ndarray:
+    """Rows of the train set that are not wrong."""
+    return done.report.sets.train[~done.report.wrong[done.report.sets.train]]
+
+
+def missed(fit: Fit, samples: Samples) -> float:
+    """RMS [mm] of what a fit leaves."""
+    return 1e3 * harness.rms(errors(fit.model, samples).position_norm)
+
+
+def beside_truth(done: Solution, exact: Samples, cell: Cell, tool: np.ndarray) -> dict[str, float]:
+    """truth_mm: RMS that the truth, base and tool with it, leaves of the held-out stations; begun_mm: that of the same
+    fit begun there; less: how much its cost is less [squared deviations]. NaN where the truth is not among its values.
+
+    exact: the samples without noise. tool: (3,) [m].
+    """
+    fit, train = done.scored, done.report.samples.select(train_of(done))
+    about = replace(fit.start, T_tip_tool=se3.transform(fit.start.T_tip_tool[:3, :3], tool))
+    for start, begin in ((fit.start, fit.values), (with_bases(about, exact, cell), None)):
+        true = identify(start, exact, fit.parameters, cell.distances, robust=False, begin=begin)
+        if missed(true, exact) < TRUE_MM:
+            break
+    else:
+        return dict.fromkeys(("truth_mm", "begun_mm", "less"), np.nan)
+    again = identify(true.start, train, fit.parameters, cell.distances, begin=true.values)
+    scored = done.report.scored
+    less = _cost(fit, fit, train) - _cost(again, fit, train)
+    return {"truth_mm": missed(true, scored), "begun_mm": missed(again, scored), "less": less}
+
+
+def beside_true_effects(done: Solution, exact: Samples, cell: Cell) -> dict[str, float]:
+    """Ratios: over_truth: what is left over what the truth leaves of the same held-out stations; expected: the same by
+    the covariance of the values; lacks: what the model that was found leaves of stations without noise, over the
+    truth's; over_begun: over the same model fitted from the values that stations without noise give it.
+    """
+    report, fit, rows = done.report, done.scored, train_of(done)
+    start = fit.start.with_effects(fit.model.effects)
+    true = identify(start, exact.select(rows), fit.parameters, cell.distances, robust=False, begin=fit.values)
+    start = true.start.with_effects(true.model.effects)
+    again = identify(start, report.samples.select(rows), fit.parameters, cell.distances, begin=true.values)
+    held = report.sets.held_out[~report.wrong[report.sets.held_out]]
+    noise = report.samples.reading[held] - exact.reading[held]
+    left = 1e3 * rms(noise)
+    estimation = {row.what: row.value for row in report.judged.account_mm2}["estimation"]
+    final = missed(fit, report.scored)
+    return {
+        "over_truth": final / left,
+        "expected": float(np.sqrt(1.0 + estimation / left**2)),
+        "lacks": missed(true, exact.select(held)) / left,
+        "over_begun": final / missed(again, report.scored),
+    }
+
+
+def _cost(fit: Fit, scale: Fit, samples: Samples) -> float:
+    """Squares of what a fit leaves, and of its values in priors, in deviations of one scale for all fits."""
+    prior = np.array([p.prior_std for p in fit.parameters])
+    square = squared_residuals(errors(fit.model, samples), samples, scale.noise)
+    return float(square.sum() + np.sum((fit.values / prior) ** 2))
 
 
 def line(r: harness.Result) -> str:
