@@ -50,37 +50,15 @@ READINGS = (
     "place of the target",
 )
 STATIONS = r"stations? \d"
-
-
-def JOINT(*numbers: int) -> Callable[[Scene], tuple[str, ...]]:
-    """Joints by number."""
-    return lambda c: tuple(c.names[k] for k in numbers)
-
-
-def LINK(k: int) -> Callable[[Scene], str]:
-    """The link behind a joint."""
-    return lambda c: str(c.arm.links[k])
-
-
-def around(low: int, high: int) -> Callable[[Scene], tuple[str, ...]]:
-    """Joints from the one that was drawn, counted from it, those that there are."""
-    return lambda c: tuple(c.names[max(c.i + low, 0) : c.i + high])
-
-
-def OR_END(c: Scene) -> tuple[str, ...]:
-    """The joint, the one before it, and at an end of the arm what is beyond."""
-    return (*around(-1, 1)(c), *(BASE if c.i == 0 else ("tool",) if c.i == c.n - 1 else ()))
-
-
+# joints by number; the link behind one; joints from the one that was drawn, counted from it, those that there are
+JOINT = lambda *numbers: lambda c: tuple(c.names[k] for k in numbers)  # noqa: E731
+LINK = lambda k: lambda c: str(c.arm.links[k])  # noqa: E731
+around = lambda low, high: lambda c: tuple(c.names[max(c.i + low, 0) : c.i + high])  # noqa: E731
+# the joint, the one before it, and at an end of the arm what is beyond; the first joint, and the link that it stands on
+OR_END = lambda c: (*around(-1, 1)(c), *(BASE if c.i == 0 else ("tool",) if c.i == c.n - 1 else ()))  # noqa: E731
+FOOT = lambda c: (c.names[0], c.arm.parents[0])  # noqa: E731
 J, JJ, JJJ, NEAR = around(0, 1), around(0, 2), around(0, 3), around(-1, 2)
 ALL, HAND, WRIST = attrgetter("names"), attrgetter("arm.hand"), JOINT(-3, -2, -1)
-
-
-def FOOT(c: Scene) -> tuple[str, ...]:
-    """The first joint, and the link that it stands on."""
-    return (c.names[0], c.arm.parents[0])
-
-
 DERIVED |= {
     "travel": lambda c: (c.x - c.arm.range[0, c.i]) / np.ptp(c.arm.range[:, c.i]),  # in its range, from 0 to 1 (N,)
     "middle": lambda c: c.arm.range.mean(axis=0),  # of the joints' ranges (n,)
