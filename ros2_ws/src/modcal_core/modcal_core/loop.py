@@ -202,7 +202,7 @@ def calibrate(
         rejected=int(wrong.sum()),
         errors=left,
         effects=(
-            *findings(replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, scored, case.known),
+            *findings(replace(diagnosis, fit=final), shipped.calibrated, case),
             *load_findings(loads, final.model, scored),
         ),
         left=diagnosis.left or (located(final, samples) if judged.status == "open" else None),
@@ -215,7 +215,7 @@ def calibrate(
             *instrument_notes(final),
             *load_notes(loads),
             *readmitted_note(taken_in),
-            *residual_notes(final.model, case.known, scored),
+            *residual_notes(case),
         ),
         readmitted=taken_in,
         steps=steps,

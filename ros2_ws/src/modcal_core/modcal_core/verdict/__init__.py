@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.verdict.case import fitted_case, frozen_case
+    from modcal_core.verdict.case import Case, fitted_case, frozen_case
     from modcal_core.verdict.contradicted import contradictions
-    from modcal_core.verdict.contributions import TOGETHER, resampled
+    from modcal_core.verdict.contributions import TOGETHER, left_without, resampled
     from modcal_core.verdict.floor import Floor, floors, reading_scatter_mm
     from modcal_core.verdict.grounds import Grounds
     from modcal_core.verdict.iso9283 import PoseTest, pose_test
@@ -23,8 +23,9 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["COMPUTED", "MAX_SINGLE", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Floor", "Grounds"]
+__all__ = ["COMPUTED", "MAX_SINGLE", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Case", "Floor", "Grounds"]
 __all__ += ["PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
 __all__ += ["assess_claim", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval", "judge"]
+__all__ += ["left_without"]
 __all__ += ["pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled", "sane_inertias", "too_good"]
 __all__ += ["with_places"]
