@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modcal_core.verdict.rejected import MAX_SINGLE, Rejected, rejection
     from modcal_core.verdict.sanity import sane_inertias
     from modcal_core.verdict.status import judge
-    from modcal_core.verdict.tolerance import STATISTICS, Asked, AtTool, Tolerance, assess, assess_claim, interval
+    from modcal_core.verdict.tolerance import STATISTICS, Asked, AtTool, Tolerance, assess, interval_of_rms
     from modcal_core.verdict.verdict import Row, Share, Status, Verdict
     from modcal_core.verdict.where import with_places
 else:
@@ -25,6 +25,6 @@ else:
 
 __all__ = ["COMPUTED", "MAX_SINGLE", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Floor", "Grounds"]
 __all__ += ["PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
-__all__ += ["assess_claim", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval", "judge"]
+__all__ += ["contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval_of_rms", "judge"]
 __all__ += ["pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled", "sane_inertias", "too_good"]
 __all__ += ["with_places"]
