@@ -48,7 +48,17 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["Assembly", "BadCommand", "BadRecording", "BadRobot", "BadTable", "Calibration", "Cell", "Chain", "Checked"]
-__all__ += ["Choice", "Claim", "Delta", "Distance", "Library", "MissingDriver", "ModcalError", "Module", "NotEnoughData"]
+__all__ += [
+    "Choice",
+    "Claim",
+    "Delta",
+    "Distance",
+    "Library",
+    "MissingDriver",
+    "ModcalError",
+    "Module",
+    "NotEnoughData",
+]
 __all__ += ["NotPlannable", "NotReachable", "NotRepresentable", "Overloaded", "Plan", "Report", "Result", "Robot"]
 __all__ += ["Samples", "Site", "Stated", "Track", "articulate", "calibrate", "check", "evaluate", "plan"]
 

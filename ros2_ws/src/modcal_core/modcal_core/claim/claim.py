@@ -49,8 +49,8 @@ class Claim:
 
     shown_mm, unshown_mm: upper ends of the 95th percentile with what the readings show alone, and with what only the
     usual size of errors holds. open: what those directions are, and what shows them. nominal_p95: of the nominal arm
-    [mm]. apply: whether the calibrated arm is surely the better one. known: covariance of the calibrated model, with
-    what the readings do not show.
+    [mm]. apply: whether the calibrated arm is surely the better one. known: covariance of the calibrated model where
+    the readings do not show every direction of the tool, else None: it is that of the fit.
     """
 
     mm: Mapping[StatisticName, Statistic]
@@ -61,7 +61,7 @@ class Claim:
     nominal_p95: float
     apply: bool
     open: OpenDirection
-    known: Uncertainty = field(repr=False, compare=False)
+    known: Uncertainty | None = field(repr=False, compare=False)
 
     @property
     def is_open(self) -> bool:
@@ -133,7 +133,7 @@ def claim_at_tool(
         float(np.median(_of(1e3 * nominal, "p95"))),
         bool(better >= _SURE),
         open_direction(unshown, RowView.of(about.model, asked, about.model.drivers(asked)).f.p[-1], placed),
-        known(about, float(np.exp(np.mean(np.log(drawn.width))))),
+        None if placed or frozen else known(about, float(np.exp(np.mean(np.log(drawn.width))))),
     )
 
 

@@ -1,9 +1,11 @@
 """What a calibration knows of itself, the directions that its readings do not show included.
 
-What a fit leaves out, others can say as well to the instrument that was there, and not to the tool: a scale beside
-sockets, a joint's zero beside a base. So the covariance holds every direction, each as wide as arms are likely to be
-off. A frozen calibration takes what it says of the arm to other readings, and nothing of base and tool, which may have
-been moved since.
+A fit leaves out what others can say as well to the instrument that was there. Beside positions that is what base and
+tool can say, and the tool is where it was. Beside contacts, bearings or sockets it may be the size of the arm, which
+moves the tool: there the covariance holds every direction of the tool, each as wide as arms are likely to be off.
+
+A frozen calibration takes what it says of the arm to other readings, and nothing of base and tool, which may have been
+moved since.
 """
 
 from __future__ import annotations
@@ -12,17 +14,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Uncertainty
+from modcal_core.calibration import Calibration, Uncertainty, View, choose_parameters, general_samples, linearise
 from modcal_core.claim.neighbourhood import ARM, UNNAMED, Neighbourhood
+from modcal_core.geometry import Array
+from modcal_core.measurements import POINT, POSE
 
 
 def known(about: Neighbourhood, width: float) -> Uncertainty:
-    """The covariance of all parameters and of the values of effects. width: of links, in usual errors."""
-    rows = np.flatnonzero(about.kind != UNNAMED)
+    """The covariance of parameters and of the values of effects, with every direction of the tool.
+
+    width: of links, in usual errors.
+    """
+    views = [View(POSE, f) for f in range(len(about.model.frames))]
+    bare = about.model.with_effects(())
+    of_tool = {p.name for p in choose_parameters(bare, views).parameters}
+    kept = [not p.of_arm or p.name in of_tool for p in about.parameters]
+    rows = np.flatnonzero(np.r_[kept, about.kind[len(kept) :] != UNNAMED])
     std = about.std[rows] * np.where(about.kind[rows] == ARM, width, 1.0)
     size, V = np.linalg.eigh(about.H[np.ix_(rows, rows)] * np.outer(std, std))
     half = std[:, None] * V / np.sqrt(1.0 + np.maximum(size, 0.0))
-    wide = tuple(replace(p, prior_std=float(x)) for p, x in zip(about.parameters, std, strict=False))
+    own = [p for p, keep in zip(about.parameters, kept, strict=True) if keep]
+    wide = tuple(replace(p, prior_std=float(x)) for p, x in zip(own, std, strict=False))
     return Uncertainty(wide, half @ half.T)
 
 
@@ -31,22 +43,38 @@ def with_carried(about: Neighbourhood, calibration: Calibration) -> Neighbourhoo
     kept = calibration.uncertainty
     if kept is None:
         return about
-    P, names = len(kept.parameters), [p.name for p in about.parameters]
-    pairs = [(j, names.index(p.name)) for j, p in enumerate(kept.parameters) if p.of_arm and p.name in names]
-    if not pairs:
-        return about
-    widths = [kept.parameters[j].prior_std for j, _ in pairs]
+    P, names = len(kept.parameters), len(about.parameters)
+    own = [j for j, p in enumerate(kept.parameters) if p.of_arm]
+    as_kept = np.zeros((len(own), len(about.kind)))
+    as_kept[:, :names] = _as_kept(about, calibration)[own]
+    widths = [kept.parameters[j].prior_std for j in own]
     effects = calibration.calibrated.effects
-    whole = P + sum(len(e.values) for e in effects) == len(kept.covariance)
-    if whole and [e.key for e in effects] == [e.key for e in about.model.effects[: len(effects)]]:
-        pairs += [(P + k, len(names) + k) for k in range(len(kept.covariance) - P)]
-    own, at = np.array(pairs).T
-    prior = np.array(widths + [np.inf] * (len(own) - len(widths)))
+    values = len(kept.covariance) - P
+    if values and [e.key for e in effects] == [e.key for e in about.model.effects[: len(effects)]]:
+        as_kept = np.r_[as_kept, np.eye(len(about.kind))[names : names + values]]
+        own, widths = own + list(range(P, P + values)), widths + [np.inf] * values
     C = kept.covariance[np.ix_(own, own)]
     std = np.sqrt(np.maximum(np.diag(C), 1e-300))
-    told = np.linalg.inv(C / np.outer(std, std)) / np.outer(std, std) - np.diag(prior**-2.0)
-    H, g, x = about.H.copy(), about.g.copy(), about.shipped[at]
-    H[np.ix_(at, at)] += told
-    g[at] += told @ x
+    told = np.linalg.inv(C / np.outer(std, std)) / np.outer(std, std) - np.diag(np.array(widths) ** -2.0)
     count = float(np.sum(told * C))  # of directions that it tells, each off by its deviation
-    return replace(about, H=H, g=g, square=about.square + float(x @ told @ x) + count, rows=about.rows + count)
+    more, x = as_kept.T @ told @ as_kept, about.shipped
+    square = about.square + float(x @ more @ x) + count
+    return replace(about, H=about.H + more, g=about.g + more @ x, square=square, rows=about.rows + count)
+
+
+def _as_kept(about: Neighbourhood, calibration: Calibration) -> Array:
+    """Each of the neighbourhood's parameters as a motion of those that the calibration keeps, (P, names)."""
+    assert calibration.uncertainty is not None
+    kept = calibration.uncertainty.parameters
+    model = replace(calibration.calibrated, effects=(), instruments=())
+    kind = POINT if calibration.kind == POINT else POSE
+    samples = general_samples(model, [View(kind, f) for f in range(len(model.frames))], each=60)
+    usable = [j for j, p in enumerate(kept) if p.instrument < 0]
+    arm = [j for j, p in enumerate(about.parameters) if p.of_arm]
+    every = [*(kept[j] for j in usable), *(about.parameters[j] for j in arm)]
+    J = linearise(model, every, np.zeros(len(every)), samples).J
+    scale = np.maximum(np.linalg.norm(J[: len(usable)], axis=1), 1e-300)
+    out = np.zeros((len(kept), len(about.parameters)))
+    solved = np.linalg.lstsq(J[: len(usable)].T / scale, J[len(usable) :].T, rcond=1e-9)[0]
+    out[np.ix_(usable, arm)] = solved / scale[:, None]
+    return out

@@ -33,7 +33,9 @@ def open_direction(unshown: Array, p: Array, positions: bool) -> OpenDirection:
     positions: whether the readings are positions in a frame that stands still.
     """
     if positions:
-        return OpenDirection("what these postures do not show", "More stations, over the ranges of all joints, show it.")
+        return OpenDirection(
+            "what these postures do not show", "More stations, over the ranges of all joints, show it."
+        )
     grown = (p - p.mean(axis=1, keepdims=True)).ravel()
     share = _left(unshown, unshown @ grown / np.linalg.norm(grown), 0.0)
     what = "the scale" if share < _ENOUGH else "directions across those of the readings"

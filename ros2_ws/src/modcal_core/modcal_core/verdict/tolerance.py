@@ -1,4 +1,4 @@
-"""Whether the tool's error stays within a tolerance: PASS, FAIL or CANNOT TELL, by the claim; and how well RMS is known.
+"""Whether the tool's error stays within a tolerance: PASS, FAIL or CANNOT TELL, by the claim; the interval of an RMS.
 
 Units of the held-out set (a station, or a block of neighbours) are independent of each other, samples within one are
 not. The interval of the RMS comes from drawing whole units again: the bootstrap-t interval of the logarithm (Efron &
