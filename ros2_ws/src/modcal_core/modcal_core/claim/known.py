@@ -19,6 +19,8 @@ from modcal_core.claim.neighbourhood import ARM, UNNAMED, Neighbourhood
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE
 
+_EXACT = 1e-10  # m or rad, and share of a variance; nothing is known better
+
 
 def known(about: Neighbourhood, width: float) -> Uncertainty:
     """The covariance of parameters and of the values of effects, with every direction of the tool.
@@ -54,8 +56,10 @@ def with_carried(about: Neighbourhood, calibration: Calibration) -> Neighbourhoo
         as_kept = np.r_[as_kept, np.eye(len(about.kind))[names : names + values]]
         own, widths = own + list(range(P, P + values)), widths + [np.inf] * values
     C = kept.covariance[np.ix_(own, own)]
-    std = np.sqrt(np.maximum(np.diag(C), 1e-300))
-    told = np.linalg.inv(C / np.outer(std, std)) / np.outer(std, std) - np.diag(np.array(widths) ** -2.0)
+    std = np.sqrt(np.maximum(np.diag(C), _EXACT**2))
+    size, V = np.linalg.eigh(C / np.outer(std, std))
+    half = V / np.sqrt(np.maximum(size, _EXACT)) / std[:, None]
+    told = half @ half.T - np.diag(np.array(widths) ** -2.0)
     count = float(np.sum(told * C))  # of directions that it tells, each off by its deviation
     more, x = as_kept.T @ told @ as_kept, about.shipped
     square = about.square + float(x @ more @ x) + count
@@ -66,10 +70,13 @@ def _as_kept(about: Neighbourhood, calibration: Calibration) -> Array:
     """Each of the neighbourhood's parameters as a motion of those that the calibration keeps, (P, names)."""
     assert calibration.uncertainty is not None
     kept = calibration.uncertainty.parameters
-    model = replace(calibration.calibrated, effects=(), instruments=())
+    whole = calibration.calibrated
+    model = replace(
+        whole, frames=whole.frames[:1], T_frame_base=whole.T_frame_base[:1], effects=(), instruments=(), leaders=()
+    )
     kind = POINT if calibration.kind == POINT else POSE
-    samples = general_samples(model, [View(kind, f) for f in range(len(model.frames))], each=60)
-    usable = [j for j, p in enumerate(kept) if p.instrument < 0]
+    samples = general_samples(model, [View(kind, 0)], each=60)
+    usable = [j for j, p in enumerate(kept) if p.instrument < 0 and p.frame <= 0]
     arm = [j for j, p in enumerate(about.parameters) if p.of_arm]
     every = [*(kept[j] for j in usable), *(about.parameters[j] for j in arm)]
     J = linearise(model, every, np.zeros(len(every)), samples).J
