@@ -165,7 +165,8 @@ def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]
     out.append(("floor of arm and instrument", "not known" if floor is None else f"{floor:.3f} mm"))
     if claim := data["claim_mm"]:
         out.append(("tool, 95 % of the errors, at most", f"{claim['p95']['ci95'][1]:.3f} mm"))
-        out.append(("apply the calibration", "yes" if data["apply"] else "no: not surely better"))
+        if not data["apply"]:
+            out.append(("apply the calibration", "no"))
     if met := data["tolerance"]:
         out.append((f"tolerance {met['asked_mm']:g} mm, {STATISTICS[met['statistic']]}", met["result"]))
     out.append(("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}"))
