@@ -168,6 +168,7 @@ def calibrate(
     if diagnosis.again is not None:
         again[sets.train] |= diagnosis.again
     claim = claim_at_tool(shipped, samples.select(~wrong | again), cell)
+    shipped = replace(shipped, uncertainty=claim.known or shipped.uncertainty)
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
