@@ -26,6 +26,7 @@ from modcal_core.checking.rivals import with_rivals as fitted_with_rivals
 from modcal_core.checking.sizes import SizeCovariance, with_sizes
 from modcal_core.checking.state import CheckState
 from modcal_core.checking.waves import wave_of
+from modcal_core.effects import AS_LIKELY, put_back_first
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 
@@ -229,7 +230,24 @@ class _ChangeSearch:
                 if wave is not None and wave.log_factor > one.log_factor:
                     picked[i] = wave
                     now, log_e[-1] = self.taken(picked)
+        for i in range(len(picked)):
+            outside = self._outside(picked, i)
+            if outside is not picked[i]:
+                picked[i] = outside
+                now, log_e[-1] = self.taken(picked)
         return _Picked(self, tuple(picked), tuple(log_e), now)
+
+    def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
+        """One of the changes that were picked, or what outside the arm explains the readings as well."""
+        hypothesis, others = picked[i].candidate.hypothesis, [p for j, p in enumerate(picked) if j != i]
+        if hypothesis.outside or hypothesis.kind in (NOISE, READING):
+            return picked[i]
+        asked = [h for h in self.others(others) if h.outside]
+        every = self.beside(others).judge_all([*asked, hypothesis], bent=True)[0]
+        likely = np.array([j.likelihood for j in every])
+        outside = [True] * len(asked) + [False]
+        first = put_back_first(len(asked), outside, likely, AS_LIKELY / self.weight)
+        return picked[i] if first == len(asked) else every[first]
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""
