@@ -230,12 +230,22 @@ class _ChangeSearch:
                 if wave is not None and wave.log_factor > one.log_factor:
                     picked[i] = wave
                     now, log_e[-1] = self.taken(picked)
+        repaired = list(picked)
         for i in range(len(picked)):
-            outside = self._outside(picked, i)
-            if outside is not picked[i]:
-                picked[i] = outside
-                now, log_e[-1] = self.taken(picked)
+            repaired[i] = self._outside(repaired, i)
+        if any(a is not b for a, b in zip(repaired, picked, strict=True)):
+            picked = self._needed(repaired, len(moved))
+            now, rest = self.taken(picked)
+            log_e = [*log_e[: len(picked) - len(moved)], rest]
         return _Picked(self, tuple(picked), tuple(log_e), now)
+
+    def _needed(self, picked: list[JudgedChange], moved: int) -> list[JudgedChange]:
+        """The changes without one that made up for what the arm was blamed for; the first ones are moved for sure."""
+        for one in picked[moved:] if len(picked) > moved + 1 else []:
+            others = [p for p in picked if p is not one]
+            if not _is_asked_for(self.taken(others)[1]):
+                return others
+        return picked
 
     def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
         """One of the changes that were picked, or what outside the arm explains the readings as well."""

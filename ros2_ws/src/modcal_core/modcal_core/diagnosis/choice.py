@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects import FREE, BY_HAND, Effect, complexity, family_named, one_motion, put_back_first
+from modcal_core.effects import BY_HAND, FREE, Effect, complexity, family_named, one_motion, put_back_first
 from modcal_core.geometry import Array
 
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
