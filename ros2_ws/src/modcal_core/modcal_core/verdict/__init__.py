@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from modcal_core.verdict.floor import Floor, floors, reading_scatter_mm
     from modcal_core.verdict.grounds import Grounds
     from modcal_core.verdict.iso9283 import PoseTest, pose_test
-    from modcal_core.verdict.not_applied import Applied, applicable
+    from modcal_core.verdict.not_applied import Applied, applicable, carried_over
     from modcal_core.verdict.readings import COMPUTED, doubtful, too_good
     from modcal_core.verdict.regimes import regimes_of
     from modcal_core.verdict.rejected import MAX_SINGLE, Rejected, rejection
@@ -25,6 +25,6 @@ else:
 
 __all__ = ["COMPUTED", "MAX_SINGLE", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Case", "Floor"]
 __all__ += ["Grounds", "PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable"]
-__all__ += ["assess", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval_of_rms"]
-__all__ += ["judge", "left_without", "pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled"]
-__all__ += ["sane_inertias", "too_good", "with_places"]
+__all__ += ["assess", "carried_over", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case"]
+__all__ += ["interval_of_rms", "judge", "left_without", "pose_test", "reading_scatter_mm", "regimes_of", "rejection"]
+__all__ += ["resampled", "sane_inertias", "too_good", "with_places"]
