@@ -145,7 +145,7 @@ def read_camera_info(path: Path) -> Lens:
 
 
 def lens_from_data(data: Any, source: str) -> Lens:
-    """The lens that the data of a camera_info file, or of Kalibr's camchain, describes. Raises BadTable, naming source."""
+    """The lens that a camera_info file, or Kalibr's camchain, describes. Raises BadTable, naming the source."""
     try:
         K, d, size, model = _of_kalibr(data, source) if "camera_matrix" not in data else _of_info(data)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
