@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from camera.scenes import PANDA, CameraScene, scene
 
+from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.store import Calibration
 from modcal_core.claim.claim import claim_at_tool
-from modcal_core.calibration.cell import Cell
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording

@@ -41,7 +41,7 @@ LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
 LAYERS["checking"] = LAYERS["diagnosis"] | {"checking"}
-LAYERS["measuring"] = LAYERS["verdict"] | {"planning", "measuring"}
+LAYERS["measuring"] = LAYERS["verdict"] | {"claim", "planning", "measuring"}
 LAYERS["report"] = {*LAYERS, "report", "top"}
 LAYERS["top"] = {*LAYERS, "top"}
 

@@ -118,7 +118,6 @@ def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
         "modcal_measure": 1,
         "goal_mm": mm(goal.accuracy),
         "statistic": goal.statistic,
-        "confidence": goal.confidence,
         "ending": None if ended is None else ended.ending,
         "sentence": None if ended is None else ended.sentence,
         "stations": {
@@ -130,8 +129,7 @@ def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
         "expected_rms_mm": mm(status.expected),
         "proof": {
             "rms_mm": mm(status.seen),
-            "at_most_mm": None if status.bound is None else 1e3 * goal.of_tool(status.bound),
-            "models_tried": len(advice.session.looks),
+            "at_most_mm": mm(status.bound),
         },
         "floor_mm": mm(status.floor),
         "effects": list(status.effects),
