@@ -124,14 +124,6 @@ def test_of_two_curves_of_one_gear_the_one_that_grew_is_repaired(cell: tuple[Rec
     assert grown[1] == pytest.approx(1.8 * np.hypot(5e-4, 2e-4), rel=0.1)
 
 
-def test_a_zero_about_the_base_axis_may_as_well_be_the_base(cell: tuple[Recorded, Calibration]) -> None:
-    found, _, _ = checked(cell, lambda q, world: world(q + 5e-4 * np.eye(6)[0]))
-    assert names(found) == {("joint_zero", "shoulder_pan_joint")}
-    assert found.changes[0].same_as == ("base",)
-    assert found.changes[0].everywhere
-    assert found.status == "changed"  # the repaired poses are the same
-
-
 def test_a_gear_is_named_and_its_wave_found(cell: tuple[Recorded, Calibration]) -> None:
     def seen(q: Array, world: Poses) -> Array:
         return world(q + np.outer(1e-3 * np.sin(101 * q[:, 3] + 0.4), np.eye(6)[3]))

@@ -92,13 +92,19 @@ class Claim:
 
 
 def claim_at_tool(
-    calibration: Calibration, samples: Samples, cell: Cell, postures: Array | None = None, frozen: bool = False
+    calibration: Calibration,
+    samples: Samples,
+    cell: Cell,
+    postures: Array | None = None,
+    frozen: bool = False,
+    carried: Model | None = None,
 ) -> Claim:
     """The claim of a calibration by these samples, none of them wrong.
 
     postures: joint positions asked for (M, n) [rad, m]; None: random ones in the recorded ranges. frozen: it was made
     from other samples, and what it knows of its arm from them counts beside these; where base and tool are now, and
-    how far they are from where it has them, these alone tell.
+    how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
+    that is less.
     """
     rng = np.random.default_rng(_SEED)
     about = neighbourhood(calibration.calibrated, calibration.nominal.chain, samples, cell)
@@ -110,14 +116,15 @@ def claim_at_tool(
     at = linearise(about.model, about.parameters, about.values, asked)
     M = len(asked)
     J = _without_scale(about, at.J, asked)
-    apart = _apart(about.model, calibration.nominal, asked, placed)
+    apart = _apart(about.model, calibration.nominal.with_effects(()), asked, placed)
+    lost = _apart(calibration.calibrated, carried or calibration.calibrated, asked, placed)
     P = _unknown(about, drawn, J[:, : 3 * M], asked, placed)
-    move, other = _clear(J[:, : 3 * M], P), _clear(apart[None], P)[0]
+    move, other, lost = (_clear(rows, P) for rows in (J[:, : 3 * M], apart[None], lost[None]))
     error = drawn.values @ move
     joints = _joints(about, asked, drawn, cell, rng)
-    calibrated = _norms(error + joints, M)
+    calibrated = _norms(error + joints + lost, M)
     nominal = _norms(error + joints + other, M)
-    shown = _norms((drawn.values - drawn.open) @ move + joints, M)
+    shown = _norms((drawn.values - drawn.open) @ move + joints + lost, M)
     unshown = drawn.open @ move
     mm = {name: _statistic(1e3 * calibrated, name) for name in NAMES}
     deg = None
@@ -173,13 +180,13 @@ def _without_scale(about: Neighbourhood, J: Array, asked: Samples) -> Array:
     return out
 
 
-def _apart(model: Model, nominal: Model, asked: Samples, placed: bool) -> Array:
-    """From the nominal model's tool to the calibrated one's, as seen from the latter's root, (3 M,) [m].
+def _apart(model: Model, other: Model, asked: Samples, placed: bool) -> Array:
+    """From another model's tool to the calibrated one's, as seen from the latter's root, (3 M,) [m].
 
     placed: whether the readings show where the base is; else it is put where it suits best.
     """
     p = model.predict_samples(asked)[:, :3, 3]
-    drawn = nominal.with_effects(()).predict(asked.q, asked.frame)[:, :3, 3]
+    drawn = other.predict_samples(asked)[:, :3, 3]
     drawn = drawn if placed else se3.apply(procrustes(drawn, p), drawn)
     R = (model.T_frame_base[asked.frame[0]] @ model.chain.T_base_root)[:3, :3]
     return np.asarray(((p - drawn) @ R).T.ravel())

@@ -1,8 +1,8 @@
 """The certificate: one page that says what was measured, on which arm, with which result, and what it may not say.
 
 The result is that of the tolerance, which the claim at the tool decides, never another. A PASS is stated without
-reservations only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out of
-the score.
+reservations only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out
+of the score.
 """
 
 from __future__ import annotations

@@ -77,7 +77,8 @@ def _change(c: NamedChange) -> dict[str, Any]:
         "turned_deg": c.turned_deg,
         "probability": c.probability,
         "same_as": list(c.same_as),
-        "same_at_every_posture": c.everywhere,
+        "same_at_every_posture": bool(c.alike),
+        "same_orientation": c.alike == "poses",
         "repairable": c.repairable,
     }
 
@@ -177,8 +178,7 @@ def _tables(found: Checked) -> tuple[PageTable, ...]:
         out.append(PageTable("What changed", _SIZES, rows, 2, below))
     if found.changes:
         rivals = tuple(
-            (c.label, ", ".join(c.same_as) or "none", "yes" if c.everywhere else "", f"{100.0 * c.probability:.1f} %")
-            for c in found.changes
+            (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
         )
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
         out.append(PageTable("What it may as well be", columns, rivals, 3))
