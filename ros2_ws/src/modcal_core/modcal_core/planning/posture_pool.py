@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model, ModelParameter, View, choose_parameters, joint_ranges
+from modcal_core.claim import Claim
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
 from modcal_core.planning.closed_chain import one_frame_model
+from modcal_core.planning.expected import expected_claim
 from modcal_core.planning.sensitivity_study import sobol_postures
 from modcal_core.planning.site import Site, Spheres, clearance, spheres_of, view_postures, visible
 from modcal_core.planning.worth import Accuracy, StationRows, Workspace, position_rows, station_rows
@@ -34,7 +36,8 @@ class PosturePool:
 
     model: with its one frame at the tracker. q: allowed and seen postures (N, n). rows: what they tell. workspace:
     where accuracy counts. free_q: postures that are allowed, seen or not. shares: of the postures drawn that touch
-    nothing, and of these seen. known: stations that are measured already.
+    nothing, and of these seen. known, besides: stations that are measured already, and
+    their postures.
     """
 
     model: Model
@@ -48,11 +51,17 @@ class PosturePool:
     free_q: Array
     shares: tuple[float, float]
     known: StationRows | None = None
+    besides: Array | None = None
 
     @property
     def given(self) -> Array | None:
         """What is known already, (P, P), in units of the prior."""
         return None if self.known is None else self.known.information(np.arange(len(self.known)))
+
+    def claim(self, q: Array) -> Claim:
+        """The claim to be expected over the workspace from stations q (k, n) and those that are known already."""
+        every = q if self.besides is None else np.concatenate([self.besides, q])
+        return expected_claim(self.model, self.parameters, every, self.reading, self.site.noise, self.workspace.q)
 
     def accuracy(self, rows: StationRows) -> Accuracy:
         """The accuracy from these stations and those that are known already."""
@@ -109,12 +118,23 @@ def survey(
             raise NotPlannable("workspace box", "no allowed posture holds the target in it", "correct box_m")
     inside = inside[:_WORKSPACE]
     rows = station_rows(model, parameters, q, reading, site.noise)
-    workspace = Workspace(*position_rows(model, parameters, inside, site.noise))
+    workspace = Workspace(inside, *position_rows(model, parameters, inside, site.noise))
     known = None
     if besides is not None:
         known = station_rows(model, parameters, besides, reading, site.noise, rows.joint_variance)
     return PosturePool(
-        model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares, known
+        model,
+        site,
+        spheres,
+        tuple(parameters),
+        reading,
+        q,
+        rows,
+        workspace,
+        all_free[:_ROADMAP],
+        shares,
+        known,
+        besides,
     )
 
 
