@@ -27,7 +27,7 @@ from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.planning.site import Noise
 
 _SEED = 11  # the same arm every time, so that sets of stations are compared on equal terms
-_POSTURES = 200
+_POSTURES = 200  # for time
 
 
 def expected_claim(

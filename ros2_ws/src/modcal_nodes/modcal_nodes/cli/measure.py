@@ -111,9 +111,9 @@ def measure_command(
 ) -> int:
     """Measure ROBOT (a URDF), station after station, until an accuracy is proven or cannot be reached.
 
-    After every few stations the model is fitted again and the next ones are chosen for what they are worth. Stations
-    drawn at random and kept out of the fit prove the result. A session is kept in its folder and goes on where it
-    stopped. Exit code 3: ended, and the goal is not proven.
+    After every few stations the model is fitted again and the next ones are chosen for what they are worth. The
+    claim at the tool proves the result, from random stations too that no fit sees. A session is kept in its folder and
+    goes on where it stopped. Exit code 3: ended, and the goal is not proven.
     """
     simulated, seed = options["simulated"], options["seed"]
     if sum((folder is not None, simulated, replay is not None)) != 1:
