@@ -7,13 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, ModelParameter, View, choose_parameters, joint_ranges
-from modcal_core.claim import Claim
+from modcal_core.calibration import (
+    Calibration,
+    Cell,
+    Model,
+    ModelParameter,
+    NoiseModel,
+    View,
+    choose_parameters,
+    exact_samples,
+    joint_ranges,
+)
+from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
+from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.planning.closed_chain import one_frame_model
-from modcal_core.planning.expected import expected_claim
 from modcal_core.planning.sensitivity_study import sobol_postures
 from modcal_core.planning.site import Site, Spheres, clearance, spheres_of, view_postures, visible
 from modcal_core.planning.worth import Accuracy, StationRows, Workspace, position_rows, station_rows
@@ -27,6 +37,7 @@ _PROBED = 2048  # postures by which it is seen where a joint's turn had better e
 _CUT = 0.15  # rad, about that end
 _DRAWN = 40  # times as many postures are drawn as are wanted, before it is said that hardly any is allowed
 _AIMED = 2  # times as many lines of sight are tried as postures are wanted, where hardly any random posture is seen
+_CLAIMED = 200  # postures that a claim is made over, for time
 _RANDOM = 20  # random sets that a plan is compared with
 
 
@@ -61,7 +72,15 @@ class PosturePool:
     def claim(self, q: Array) -> Claim:
         """The claim to be expected over the workspace from stations q (k, n) and those that are known already."""
         every = q if self.besides is None else np.concatenate([self.besides, q])
-        return expected_claim(self.model, self.parameters, every, self.reading, self.site.noise, self.workspace.q)
+        N, noise, rows = len(every), self.site.noise, self.rows
+        planned = exact_samples(self.model, every, np.zeros(N, dtype=int), np.full(N, self.reading, dtype=KIND_NAMES))
+        distance = float(np.mean(np.linalg.norm(planned.reading, axis=1)))
+        scatter = np.hypot(noise.position + noise.per_metre * distance, np.sqrt(rows.joint_variance[0]))
+        turned = np.hypot(noise.rotation, np.sqrt(rows.joint_variance[-1]))
+        ends = np.stack([every.min(axis=0), every.max(axis=0)])
+        made = Calibration(self.model, self.model, self.model, ends)
+        where = self.workspace.q[:_CLAIMED]
+        return expected_claim(made, planned, Cell(), NoiseModel(float(scatter), float(turned)), where)
 
     def accuracy(self, rows: StationRows) -> Accuracy:
         """The accuracy from these stations and those that are known already."""
