@@ -102,9 +102,12 @@ class Folder:
         samples = replace(samples, origin=Origin(title=self.path.name))
         report = public.evaluate(refitted.calibration, samples, block=1)
         report = replace(report, notes=(*report.notes, *readmitted_note(refitted.taken_in)))
+        made = refitted.calibration
+        if report.claim is not None:
+            made = replace(made, claim_mm=report.claim.mm["p95"].ci95[1])
         if self.robot.description is None:
-            return delta_files(refitted.calibration, report)
-        return calibration_files(refitted.calibration, report, self.robot.chain, self.robot.description)
+            return delta_files(made, report)
+        return calibration_files(made, report, self.robot.chain, self.robot.description)
 
 
 def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
