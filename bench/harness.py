@@ -34,6 +34,7 @@ os.environ.update(dict.fromkeys(THREADS, "1"))
 
 BENCH = Path(__file__).resolve().parent
 ROOT = BENCH.parent
+ROBOTS = ROOT / "examples" / "robots"
 DATA = ROOT.parent / "shared" / "data"
 WIDTH = 170  # of tables that go to a file
 # Where benches find one another's truth, and what the tests share; a bench's own folder comes first.
@@ -52,12 +53,19 @@ def data(*parts: str) -> Path:
 
 
 def parser(
-    doc: str | None, *, seeds: int | None = 1, first: int | None = 0, names: Iterable[str] = (), jobs: int = 2
+    doc: str | None,
+    *,
+    seeds: int | None = 1,
+    first: int | None = 0,
+    names: Iterable[str] = (),
+    jobs: int = 2,
+    **own: Any,
 ) -> argparse.ArgumentParser:
-    """The common options; a bench adds its own and parses with ``parsed``.
+    """The common options and a bench's own; ``parsed`` reads them.
 
-    names: what ``--only`` chooses from; without any there is no option. seeds: of each; 0: no option; None: the
-    bench says what it is where it is not given.
+    names: what ``--only`` chooses from; without any there is no option. seeds: of each; 0: no option; None: the bench
+    says what it is where it is not given. own: defaults by name; False is a switch, a list takes several values, a
+    tuple is a choice of which the first is the default, and a type is an option without a default.
     """
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = list(names)
@@ -71,6 +79,17 @@ def parser(
     made.add_argument("--jobs", type=int, default=jobs, help=f"processes; 1: this one; default: {jobs}")
     made.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON for each task")
     made.add_argument("--resume", action="store_true", help="take from that file what it holds already")
+    for name, usual in own.items():
+        about: dict[str, Any] = {"type": type(usual), "default": usual, "help": f"default: {usual}"}
+        if usual is False:
+            about = {"action": "store_true"}
+        elif isinstance(usual, type):
+            about = {"type": usual}
+        elif isinstance(usual, list):
+            about |= {"nargs": "+", "type": type(usual[0])}
+        elif isinstance(usual, tuple):
+            about = {"choices": usual, "default": usual[0]}
+        made.add_argument(f"--{name.replace('_', '-')}", **about)
     made.set_defaults(known=known)
     return made
 
@@ -86,8 +105,13 @@ def parsed(made: argparse.ArgumentParser, arguments: Sequence[str] | None = None
 
 
 def options(doc: str | None, **about: Any) -> argparse.Namespace:
-    """The common options, parsed: for a bench that adds none."""
+    """The options of ``parser``, parsed."""
     return parsed(parser(doc, **about))
+
+
+def told(given: argparse.Namespace, *names: str) -> Task:
+    """Some of the options, as a part of a task."""
+    return {name: getattr(given, name) for name in names}
 
 
 def chosen(known: Iterable[str], only: Iterable[str]) -> list[str]:
@@ -282,6 +306,57 @@ def counts(
     table(title, [by, "runs", *columns], rows)
 
 
+def grouped(results: Iterable[Result], *by: str) -> dict[Any, list[Result]]:
+    """Results that did not fail, by the value of a key, or of several together, in the order in which they come."""
+    out: dict[Any, list[Result]] = {}
+    for r in results:
+        if r.get("failed") is None:
+            out.setdefault(r[by[0]] if len(by) == 1 else tuple(r[key] for key in by), []).append(r)
+    return out
+
+
+def over(key: str | Callable[[Result], Any], make: Callable[[list[Any]], Any]) -> Callable[[list[Result]], Any]:
+    """A column of ``summary``: what ``make`` makes of a value of every result that has one."""
+
+    def column(results: list[Result]) -> Any:
+        values = [r.get(key) if isinstance(key, str) else key(r) for r in results]
+        known = [v for v in values if v is not None]
+        return make(known) if known else None
+
+    return column
+
+
+def median(values: list[float]) -> float:
+    """For ``over``."""
+    import numpy as np
+
+    return float(np.median(values))
+
+
+def summary(
+    title: str,
+    results: Iterable[Result],
+    by: str | Sequence[str],
+    columns: dict[str, Callable[[list[Result]], Any]],
+    sums: bool = False,
+) -> None:
+    """Print a row for each value of ``by``: how many results did not fail, and what each column makes of them."""
+    keys = [by] if isinstance(by, str) else list(by)
+    groups = {k if isinstance(k, tuple) else (k,): rs for k, rs in grouped(results, *keys).items()}
+    if sums and len(groups) > 1:
+        groups[("all", *([""] * (len(keys) - 1)))] = [r for rs in groups.values() for r in rs]
+    rows = [[*name, len(rs), *(column(rs) for column in columns.values())] for name, rs in groups.items()]
+    if rows:
+        table(title, [*keys, "runs", *columns], rows)
+
+
+def rows(title: str, results: Iterable[Result], keys: Sequence[str]) -> None:
+    """Print a row for each result that did not fail: its values of these keys."""
+    found = [[r.get(key) for key in keys] for r in results if r.get("failed") is None]
+    if found:
+        table(title, keys, found)
+
+
 def failures(results: Sequence[Result]) -> int:
     """Print what failed, whole; how many there are."""
     failed = [r for r in results if r["failed"] is not None]
@@ -297,3 +372,8 @@ def met(*targets: tuple[str, bool]) -> int:
     for what in missed:
         say(f"not met: {what}")
     return int(bool(missed))
+
+
+def ended(results: Sequence[Result], *targets: tuple[str, bool]) -> int:
+    """Exit code: 0 where nothing failed and every target is met; what is not is printed."""
+    return int(bool(failures(results))) | met(*targets)
