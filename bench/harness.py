@@ -374,6 +374,12 @@ def met(*targets: tuple[str, bool]) -> int:
     return int(bool(missed))
 
 
+def judged(rows: Sequence[tuple[str, object, str, bool]]) -> int:
+    """Print what was measured beside its limit; exit code 0 where every row is good."""
+    table("", ("", "measured", "limit"), [row[:3] for row in rows])
+    return met(*((row[0], row[3]) for row in rows))
+
+
 def ended(results: Sequence[Result], *targets: tuple[str, bool]) -> int:
     """Exit code: 0 where nothing failed and every target is met; what is not is printed."""
     return int(bool(failures(results))) | met(*targets)
