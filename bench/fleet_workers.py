@@ -1,6 +1,6 @@
 """How the time of many recordings falls with workers: `modcal fleet` over Dask on one and on two workers.
 
-    make bench NAME=fleet                          # ARGS="--recordings 20 --workers 1 2"
+    make bench NAME=fleet_workers                          # ARGS="--recordings 20 --workers 1 2"
 
 The recordings are copies of one of `bags/`: each is read, calibrated and written for itself. Scheduler and workers are
 Dask's own commands, one thread each, as docs/fleet.md says; wall-clock time from the command to its end. Exit code 1
@@ -9,7 +9,6 @@ where a recording was not calibrated.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import shutil
 import socket
@@ -45,10 +44,7 @@ def cluster(workers: int, folder: Path) -> Iterator[str]:
 
 
 def main() -> int:
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--recordings", type=int, default=100)
-    made.add_argument("--workers", type=int, nargs="+", default=[1, 2])
-    given, rows = made.parse_args(), []
+    given, rows = harness.options(__doc__, seeds=0, recordings=100, workers=[1, 2]), []
     with harness.scratch() as folder:
         for k in range(given.recordings):
             shutil.copytree(BAG, folder / "recordings" / f"robot_{k}" / BAG.name)
