@@ -70,7 +70,7 @@ def parser(
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = list(names)
     if known:
-        made.add_argument("--only", nargs="+", default=[], help="names, or parts of them: " + ", ".join(known))
+        made.add_argument("--only", nargs="+", default=[], help="names, or parts of them: " + ", ".join(known[:60]))
     if seeds != 0:
         made.add_argument("--seeds", type=int, default=seeds, help=f"of each; default: {seeds or 'by name'}")
         made.add_argument(

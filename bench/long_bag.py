@@ -24,8 +24,7 @@ import numpy as np
 from cells import record
 from mcap.writer import CompressionType, Writer
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 from modcal_msgs_py.layout import MessageLayout, definition, fields_of, message_class, serialise
 from modcal_msgs_py.mcap_read import read_recording
 

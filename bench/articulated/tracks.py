@@ -14,7 +14,7 @@ from numpy import arctan, arctan2, clip, cos, linspace, maximum, pi, sin
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from modcal_core.articulation.track import Track
+from modcal_core.articulation import Track
 
 Array = np.ndarray
 Path = tuple[Array, Rotation]

@@ -43,9 +43,8 @@ from modcal_core.camera.target_file import RULER_STD_M
 from modcal_core.camera.tool_error import postures_anywhere, postures_in_view
 from modcal_core.camera.watching import CameraWatch
 from modcal_core.errors import ModcalError
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_nodes.vision.detection import detect
+from modcal_core.geometry import Array, se3
+from modcal_nodes.vision import detect
 
 EXPECTED = {"delay": ("clock", "velocity", "all"), "line time": ("clock", "line", "all")}
 EXPECTED |= {"scale": ("target", "constant", "size"), "bow": ("target", "constant", "normal")}

@@ -50,7 +50,7 @@ from nodes.plain_pulls import Pull, Way, learnt_wrong, pull, straight
 from nodes.pulling import PANDA, open_it
 from nodes.reported_efforts import KINDS, ReportedEfforts
 
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array
 from modcal_core.robots.urdf import read_chain
 from modcal_nodes.simulation.furniture import FREE, Furniture, draw
 from modcal_nodes.simulation.mjcf import Servo

@@ -21,7 +21,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.target_file import any_target_from_data, target_from_data
-from modcal_core.correction.correction import Correction
+from modcal_core.correction import Correction
 from modcal_core.effects.effect import JOINTS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import ModcalError
@@ -49,8 +49,8 @@ from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.topics import Topics
 from modcal_nodes.calibrating.diagnostics import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
+from modcal_nodes.vision import grey_of
 from modcal_nodes.vision.corner_table import corners_of_text
-from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import joints_of_text, lens_from_data
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -26,13 +26,13 @@ from nodes.processes import Process, fresh_domain, listener, running
 from parts import RECORD, digest
 from run import CELL, PARTS, TOPICS
 
+from modcal_core import BadRecording
 from modcal_core.calibration.store import Calibration
-from modcal_core.correction.correction import ArmState, Correction
-from modcal_core.errors import BadRecording
+from modcal_core.correction import ArmState, Correction
 from modcal_msgs_py.mcap_walk import McapFile
 from modcal_nodes.io.inputs import read_calibration
 from modcal_nodes.ros.parameters import SIMULATED_CELL
-from modcal_nodes.simulation.plant import Plant
+from modcal_nodes.simulation import Plant
 
 UNWRITTEN = 1.0  # s of messages that a kill may take with it
 UNSENT, UNMATCHED = 0.05, 0.5  # s of messages about a restart of the publishers that they may take with them

@@ -33,17 +33,16 @@ from workplace import REPEATABILITY, TRACKER, Workplace, distance
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
-from modcal_core.measuring.advice import Advice, Advisor
+from modcal_core.measuring import Advice, Advisor, Goal
 from modcal_core.measuring.choose import deciding_stations, fit_stations, of_recording, of_robot, one_motion
 from modcal_core.measuring.outlook import outlook
-from modcal_core.measuring.proof import Goal
 from modcal_core.measuring.refit import Refit, refit
 from modcal_core.measuring.session import FRAME, POINT, POSE, Session, Station
 from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
-from modcal_nodes.measuring.folder import Replay
+from modcal_nodes.measuring import Replay
 
 Array = np.ndarray
 ARMS, KINDS = ("ur10", "panda", "xarm7"), ("point", "pose")
