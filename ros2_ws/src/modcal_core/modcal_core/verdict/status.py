@@ -139,7 +139,7 @@ def _not_applied(case: Case, grounds: Grounds) -> Iterator[str]:
     for item in grounds.not_applied:
         if item.cost_mm2 > MAX_NOT_APPLIED * square:
             yield (
-                f"The effect '{item.effect}' could not be applied ({item.why}); that costs {item.cost_mm2:.3g} mm² of "
+                f"The effect '{item.effect}' is not applied, because {item.why}; that costs {item.cost_mm2:.3g} mm² of "
                 f"{square:.3g} mm²."
             )
 
