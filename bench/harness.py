@@ -22,7 +22,6 @@ import sys
 import tempfile
 import time
 import traceback
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import product
@@ -115,9 +114,8 @@ def told(given: argparse.Namespace, *names: str) -> Task:
 
 
 def chosen(known: Iterable[str], only: Iterable[str]) -> list[str]:
-    """The known names that are asked for: a whole name, or every one that holds a part. Commas separate as well.
-
-    Raises LookupError for what is no part of a known name.
+    """The known names that are asked for: a whole name, or every one that holds a part. Commas separate as well. Raises
+    LookupError for what is no part of one.
     """
     known, parts = list(known), [part for text in only for part in text.split(",") if part]
     for part in parts:
@@ -127,12 +125,16 @@ def chosen(known: Iterable[str], only: Iterable[str]) -> list[str]:
     return [n for n in known if not parts or n in whole or any(p in n for p in parts if p not in whole)]
 
 
-def tasks(given: argparse.Namespace, **axes: Iterable[Any]) -> list[Task]:
-    """A task for each combination of the axes and of the seeds, which change fastest."""
+def tasks(given: argparse.Namespace, counts: dict[str, int] | None = None, **axes: Iterable[Any]) -> list[Task]:
+    """A task for each combination of the axes and of the seeds, which change fastest. counts: of seeds by values of the
+    first axis, where the options say no number.
+    """
     axes = {name: list(values) for name, values in axes.items()}
-    if hasattr(given, "seeds"):
-        axes["seed"] = range(given.first, given.first + given.seeds)
-    return [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    out = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    if not hasattr(given, "seeds"):
+        return out
+    numbers = [counts[next(iter(t.values()))] if counts and given.seeds is None else given.seeds for t in out]
+    return [{**t, "seed": given.first + k} for t, number in zip(out, numbers, strict=True) for k in range(number)]
 
 
 def each(
@@ -249,11 +251,10 @@ def rms(values: Any) -> float:
 
 def interval(hits: int, count: int, sure: float = 0.95) -> tuple[float, float]:
     """The interval of a share (Clopper & Pearson 1934)."""
-    from scipy.stats import beta
+    from scipy.stats import binomtest
 
-    low = 0.0 if hits == 0 else float(beta.ppf(0.5 - 0.5 * sure, hits, count - hits + 1))
-    high = 1.0 if hits == count else float(beta.ppf(0.5 + 0.5 * sure, hits + 1, count - hits))
-    return low, high
+    found = binomtest(hits, count).proportion_ci(sure)
+    return float(found.low), float(found.high)
 
 
 def share(hits: Iterable[bool]) -> str:
@@ -285,6 +286,8 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object] | No
 
 
 def _cell(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_cell, value))
     if value is None or value != value:
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
@@ -294,16 +297,11 @@ def counts(
     title: str, results: Sequence[Result], by: str, of: str, outcomes: Sequence[str] = (), sums: bool = True
 ) -> None:
     """Print how often each outcome came of each group: a row a value of ``by``, a column a value of ``of``."""
-    columns = list(outcomes) or list(dict.fromkeys(str(r.get(of)) for r in results))
-    groups = list(dict.fromkeys(r[by] for r in results))
-    rows: list[Sequence[object] | None] = []
-    for group in [*groups, *([None] if sums and len(groups) > 1 else [])]:
-        here = [r for r in results if group is None or r[by] == group]
-        counted = Counter(str(r.get(of)) for r in here)
-        if group is None:
-            rows.append(None)
-        rows.append([("all" if group is None else group), len(here), *(counted[c] or "" for c in columns)])
-    table(title, [by, "runs", *columns], rows)
+    columns = {
+        outcome: lambda found, outcome=outcome: sum(str(r.get(of)) == outcome for r in found) or ""
+        for outcome in outcomes or dict.fromkeys(str(r.get(of)) for r in results)
+    }
+    summary(title, [{**r, "failed": None} for r in results], by, columns, sums)
 
 
 def grouped(results: Iterable[Result], *by: str) -> dict[Any, list[Result]]:
@@ -342,12 +340,14 @@ def summary(
 ) -> None:
     """Print a row for each value of ``by``: how many results did not fail, and what each column makes of them."""
     keys = [by] if isinstance(by, str) else list(by)
-    groups = {k if isinstance(k, tuple) else (k,): rs for k, rs in grouped(results, *keys).items()}
+    groups = {k if isinstance(k, tuple) else (k,): found for k, found in grouped(results, *keys).items()}
+    made = [[*name, len(found), *(column(found) for column in columns.values())] for name, found in groups.items()]
     if sums and len(groups) > 1:
-        groups[("all", *([""] * (len(keys) - 1)))] = [r for rs in groups.values() for r in rs]
-    rows = [[*name, len(rs), *(column(rs) for column in columns.values())] for name, rs in groups.items()]
-    if rows:
-        table(title, [*keys, "runs", *columns], rows)
+        found = [r for some in groups.values() for r in some]
+        every = ["all", *([""] * (len(keys) - 1)), len(found), *(column(found) for column in columns.values())]
+        made += [None, every]
+    if made:
+        table(title, [*keys, "runs", *columns], made)
 
 
 def rows(title: str, results: Iterable[Result], keys: Sequence[str]) -> None:

@@ -102,12 +102,7 @@ def one(task: harness.Task) -> harness.Result:
 
 def main() -> int:
     given = harness.options(__doc__, seeds=None, names=PARTS)
-    tasks = [
-        {"part": part, "seed": given.first + k}
-        for part in given.names
-        for k in range(SEEDS[part] if given.seeds is None else given.seeds)
-    ]
-    results = harness.each(one, tasks, given)
+    results = harness.each(one, harness.tasks(given, SEEDS, part=given.names), given)
     for part, own in harness.grouped(results, "part").items():
         harness.summary(TITLES[part], [row for r in own for row in r["rows"]], "assembly", COLUMNS[part])
     return harness.ended(results)

@@ -167,11 +167,8 @@ def one(task: harness.Task) -> harness.Result:
 
 def main() -> int:
     given = harness.options(__doc__, seeds=None, names=SEARCHES, budget=1000)
-    tasks = [
-        {"search": name, "seed": given.first + k, "budget": given.budget}
-        for name in given.names
-        for k in range(SEARCHES[name][1] if given.seeds is None else given.seeds)
-    ]
+    counts = {name: count for name, (_, count, _) in SEARCHES.items()}
+    tasks = harness.tasks(given, counts, search=given.names, budget=[given.budget])
     results, middle = harness.each(one, tasks, given), lambda v: f"{np.median(v):.3g} ({min(v):.3g} to {max(v):.3g})"
     columns = {"found": over("found", harness.share), "worst error": over("error", max)}
     columns |= {key: over(key, middle) for key in ("judged", "descents", "seconds", "cost", "whole")}

@@ -35,12 +35,13 @@ def distance(a: Array, b: Array) -> float:
 
 @dataclass(frozen=True)
 class Readings:
-    """Joint positions (m, n); positions (m, 3) [m] and rotations that the instrument said; the exact positions."""
+    """Joint positions (m, n); positions (m, 3) [m] and rotations that the instrument said; the exact ones."""
 
     q: Array
     p: Array
     R: Rotation
     exact: Array
+    exact_R: Rotation
 
     def samples(self, names: tuple[str, ...], points: bool = False, begin: float = BEGIN) -> modcal.Samples:
         """What a user would hand over: points of a tracker, poses, or the tool in the frame of a camera's board."""
@@ -69,7 +70,8 @@ class Workplace:
         seen = self.cell.poses(self.reached(stations, rng), self.faults)
         p = seen.p + rng.normal(0.0, self.noise[0], seen.p.shape)
         R = seen.R * Rotation.from_rotvec(rng.normal(0.0, self.noise[1], seen.p.shape)) if turned else seen.R
-        return Readings(stations.q, p, R, self.cell.poses(stations, self.faults).p)
+        exact = self.cell.poses(stations, self.faults)
+        return Readings(stations.q, p, R, exact.p, exact.R)
 
     def reached(self, stations: Stations, rng: np.random.Generator) -> Stations:
         return replace(stations, q=stations.q + rng.normal(0.0, self.repeats, stations.q.shape))

@@ -312,10 +312,9 @@ def main() -> int:
     told = {"arms": ("rendered", "faults", "measured_to_mm"), "size": ("faults", "read")}
     rows = {"size": [{"off": off} for off in given.off], "named": [{"kind": kind} for kind in cells.KINDS]}
     tasks = [
-        {"part": part, "seed": given.first + k, **more, **harness.told(given, *told.get(part, ()))}
-        for part in given.names
-        for k in range(SEEDS[part] if given.seeds is None else given.seeds)
-        for more in rows.get(part, [{}])
+        {**task, **more, **harness.told(given, *told.get(task["part"], ()))}
+        for task in harness.tasks(given, SEEDS, part=given.names)
+        for more in rows.get(task["part"], [{}])
     ]
     results = harness.each(one, tasks, given, lambda r: r.get("refused", r.get("word", "")))
     for part, own in harness.grouped(results, "part").items():

@@ -7,7 +7,7 @@ hand sees), then checked --each times after a change of three times the floor, a
 kind the first --full are compared with a full recalibration. months: does ``modcal history`` see a gear's curve grow
 by a fifth in four months? real: series A of the IPA's UR10, calibrated from 662 of its stations and checked by ten
 others, at random or neighbours, as they are (--real-each times) or moved as by a base, a tool or a joint's zero; and
-series D, another day.
+series D, another day. remounted: see remounted.py.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 import recorded
+import remounted
 from harness import over
 from scipy.spatial.transform import Rotation
 from workplace import KINDS, Workplace, at_joint, distance, drawn, planted
@@ -52,7 +53,7 @@ CALIBRATED, MOVED = 662, 3.0  # stations of series A; times the spread, RMS at t
 
 def one(task: harness.Task) -> harness.Result:
     """All checks of one cell."""
-    return {"real": real, "months": months}.get(task["part"], cell)(task)
+    return {"real": real, "months": months, "remounted": remounted.cell}.get(task["part"], cell)(task)
 
 
 def cell(task: harness.Task) -> harness.Result:
@@ -199,14 +200,15 @@ COLUMNS = {
 
 def main() -> int:
     given = harness.options(
-        __doc__, seeds=12, names=(*SETUPS, "months", "real"), each=5, nothing=25, full=1, real_each=150
+        __doc__, seeds=12, names=(*SETUPS, "months", "real", "remounted"), each=5, nothing=25, full=1, real_each=150
     )
     told = harness.told(given, "each", "nothing", "full")
     tasks = [
-        {"part": part, "robot": ARMS[k % 3], "seed": given.first + k, "number": k, **told}
+        {"part": part, "robot": ARMS[k % 3], "seed": given.first + k, "number": k, **told, **read}
         for k in range(given.seeds)
         for part in given.names
         if part != "real"
+        for read in ([{"read": "points"}, {"read": "poses"}] if part == "remounted" else [{}])
     ]
     if "real" in given.names:
         harness.data()
@@ -215,6 +217,9 @@ def main() -> int:
     for part, own in harness.grouped(results, "part").items():
         if part in SETUPS:
             harness.summary(part, [check for r in own for check in r["checks"]], "kind", COLUMNS)
+        elif part == "remounted":
+            checks = [check for r in own for check in r["checks"]]
+            harness.summary(part, checks, ("read", "kind", "stations"), remounted.COLUMNS, sums=True)
         elif part == "real":
             harness.table("Real readings", ("what", "ten stations", "said", "checks"), own[0]["rows"])
         else:

@@ -41,6 +41,7 @@ import harness
 # isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
+from harness import over
 from nodes.cell import Said, call
 from nodes.processes import Process, fresh_domain, listener, running
 from nodes.talking import Talker, numbers_on_disk
@@ -52,12 +53,13 @@ CELL = {"urdf": harness.ROBOTS / "ur10.urdf", "seed": 3, "stations": 100, "repea
 CELL |= {"joint_rate_hz": 1000.0, "tracker_rate_hz": 200.0}
 ABOVE, LATE_MS = 5.0, 50.0  # points of a core
 BEGINNING, SETTLING = 6.0, 15.0  # s before the source begins, and before it is measured
+CHAIN, SHARE = "chain", "% of a core"
 TOPICS, FIGURES = ("/joint_states", "/tracker/pose"), ("median", "p99")
 SAMPLES, MODEL = "/calibrator: samples", "/calibrator: model"
 NODES: dict[str, dict[str, str]] = {  # with what each is started
     "recorder": {"out": "{folder}/bag"},
     "calibrator": {},
-    "corrector": {"calibration": "{folder}/../../calibration"},
+    "corrector": {"calibration": "{folder}/../calibration"},
     "acceleration_limits": {},
     "impedance_setpoint": {"autostart": "True"},
     "articulation_estimator": {},
@@ -126,79 +128,66 @@ def node(name: str, domain: int, folder: Path, **parameters: Any) -> Iterator[Pr
         process.stop(signal.SIGINT, 60.0)
 
 
-def shares(processes: dict[str, Process], seconds: float) -> dict[str, float]:
-    """Percent of a core that each uses, with its children, once all have settled."""
-    usage = {name: Usage(process.popen.pid) for name, process in processes.items()}
-    for wait in (SETTLING, seconds):
-        time.sleep(wait)
-        for each in usage.values():
-            each.look()
-    return {name: each.share() for name, each in usage.items()}
-
-
-def cost(names: list[str], seconds: float, folder: Path) -> int:
-    """Each node beside the bare ones and the source."""
-    rows = []
-    for name in names:
-        domain = fresh_domain()
-        (own := folder / name).mkdir()
-        with contextlib.ExitStack() as stack:
-            here = {k: stack.enter_context(node(k, domain, own, **NODES.get(k, {}))) for k in (name, "spin", "rest")}
-            time.sleep(BEGINNING)
-            here["source"] = stack.enter_context(node("simulated_cell", domain, own, **CELL))
-            used = shares(here, seconds)
-        rows.append([*used.values(), used[name] - used["spin"]])
-    heads = ("node", "% of a core", "bare, spun", "bare, with rests", "source", "above the spun one")
-    harness.table("", heads, [[name, *row] for name, row in zip(names, rows, strict=True)])
-    return harness.met(
-        *((f"{n}: {ABOVE:g} points above the spun one", row[-1] <= ABOVE) for n, row in zip(names, rows, strict=True))
-    )
-
-
 def published(cell: Process) -> dict[str, int]:
     """By topic, what the cell says it has published when it ends."""
     line = [line.partition("published ")[2] for line in cell.output.splitlines() if "published " in line][-1]
     return {topic: int(count) for count, topic in PUBLISHED.findall(line)}
 
 
-def chain(seconds: float, folder: Path, way: str = "") -> tuple[list[list[Any]], dict[str, list[float]]]:
-    """All nodes at once with the cell, or bare ones of a way: rows of shares, and how old poses were [ms]."""
-    domain, late, taken = fresh_domain(), {}, {}
-    started = {f"{way} {k}": {} for k in range(len(NODES))} if way else NODES
-    folder.mkdir()
+def beside(run: str, started: dict[str, dict[str, str]], seconds: float, folder: Path) -> list[harness.Result]:
+    """Nodes at once with the cell: the share of a core of each once all have settled, how old poses were, what was
+    taken, and of the cell what was published.
+    """
+    domain, own = fresh_domain(), folder / run
+    own.mkdir()
+    rows = {name: {"run": run, "node": name} for name in (*started, "simulated_cell")}
     with contextlib.ExitStack() as stack:
-        here = {name: stack.enter_context(node(name, domain, folder, **about)) for name, about in started.items()}
+        here = {name: stack.enter_context(node(name, domain, own, **about)) for name, about in started.items()}
         time.sleep(BEGINNING)
-        with node("simulated_cell", domain, folder, **CELL) as cell:
-            used = shares({**here, "simulated_cell": cell}, seconds)
-        if way:
-            time.sleep(3.0)
-        else:
+        with node("simulated_cell", domain, own, **CELL) as cell:
+            usage = {name: Usage(process.popen.pid) for name, process in {**here, "simulated_cell": cell}.items()}
+            for wait_s in (SETTLING, seconds):
+                time.sleep(wait_s)
+                for each in usage.values():
+                    each.look()
+        if {"calibrator", "recorder"} <= here.keys():
             heard, wait = stack.enter_context(listener(domain))
             said, last = Said(heard), time.monotonic()
             parts = {"calibrator": "/calibrator: hearing", "recorder": "/recorder: topics"}
             wait(lambda: time.monotonic() > last + 3.0 and {SAMPLES, *parts.values()} <= set(said.last), 20.0)
-            late["calibrator"] = [float(said.value(SAMPLES, f"from stamp to update, {key} [ms]")) for key in FIGURES]
+            late = [float(said.value(SAMPLES, f"from stamp to update, {key} [ms]")) for key in FIGURES]
+            rows["calibrator"] |= dict(zip(FIGURES, late, strict=True))
             for name, part in parts.items():
-                taken[name] = [int(said.value(part, f"messages of {topic}")) for topic in TOPICS]
-    for name in started if way else ():
-        told = json.loads((folder / f"{name}.json").read_text())
-        late[name], taken[name] = told["late_ms"], told["taken"]
-    rows = [[name, share, *late.get(name, ("", "")), taken.get(name, "")] for name, share in used.items()]
-    rows[-1][-1] = [published(cell)[topic] for topic in TOPICS]
-    return [*rows, [f"together, of {100 * (os.cpu_count() or 1)}", sum(used.values()), "", "", ""]], late
+                rows[name]["taken"] = [int(said.value(part, f"messages of {topic}")) for topic in TOPICS]
+        else:
+            time.sleep(3.0)
+    for name in started:
+        rows[name][SHARE] = usage[name].share()
+        if (file := own / f"{name}.json").exists():
+            told = json.loads(file.read_text())
+            rows[name] |= {"taken": told["taken"], **dict(zip(FIGURES, told["late_ms"], strict=True))}
+    sent = [published(cell)[topic] for topic in TOPICS]
+    rows["simulated_cell"] |= {SHARE: usage["simulated_cell"].share(), "taken": sent}
+    return list(rows.values())
 
 
-def chains(seconds: float, folder: Path) -> int:
-    """modcal's chain beside the bare ones."""
-    rows, p99 = [], []
-    for way in ("", "spin", "rest"):
-        made, late = chain(8.0 * seconds, folder / f"chain {way}", way)  # how the nodes begin is below a hundredth
-        rows += [*made, None]
-        p99.append(float(np.median([late_p99 for _, late_p99 in late.values()])))
-    heads = ("", "% of a core", "stamp to taken, median, ms", "p99", "joint states, poses taken (published)")
-    harness.table("chains", heads, rows)
-    return harness.met(("lateness of poses", p99[0] <= max(LATE_MS, p99[1])))
+def costs(names: list[str], seconds: float, folder: Path) -> int:
+    """Each node beside the bare ones; the chain of all, and chains of bare ones."""
+    runs = {name: {name: NODES[name], "spin": {}, "rest": {}} for name in names if name in NODES}
+    if CHAIN in names:
+        runs |= {CHAIN: NODES, **{f"{way}s": {f"{way} {k}": {} for k in range(len(NODES))} for way in ("spin", "rest")}}
+    rows, targets, long = [], [], 8.0 * seconds  # of chains, so that how the nodes begin is below a hundredth
+    for run, started in runs.items():
+        made = beside(run, started, seconds if run in NODES else long, folder)
+        rows += made
+        if run in NODES:
+            targets.append((f"{run}: {ABOVE:g} points above the spun one", made[0][SHARE] - made[1][SHARE] <= ABOVE))
+    harness.rows("", rows, ("run", "node", SHARE, *FIGURES, "taken"))
+    harness.summary("", rows, "run", {SHARE: over(SHARE, sum), "p99 ms, median": over("p99", harness.median)})
+    if CHAIN in names:
+        own, bare = (over("p99", harness.median)([r for r in rows if r["run"] == run]) for run in (CHAIN, "spins"))
+        targets.append(("lateness of poses", own <= max(LATE_MS, bare)))
+    return harness.met(*targets)
 
 
 def soak(seconds: float, folder: Path) -> int:
@@ -296,16 +285,14 @@ def chaos(seconds: float, folder: Path) -> int:
 
 def main() -> int:
     wholes: dict[str, tuple[Callable[[Any, Path], int], str]] = {
-        **{"chain": (chains, "seconds"), "soak": (soak, "minutes")},
-        **{"kills": (kills, "kills"), "chaos": (chaos, "minutes")},
+        **{"soak": (soak, "minutes"), "kills": (kills, "kills"), "chaos": (chaos, "minutes")},
     }
-    names = (*NODES, *wholes)
+    names = (*NODES, CHAIN, *wholes)
     given = harness.options(__doc__, seeds=0, names=names, seconds=15.0, minutes=10.0, kills=20, keep=Path)
-    alone, code = [name for name in given.names if name in NODES], 0
+    alone, code = [name for name in given.names if name not in wholes], 0
     with harness.scratch(given.keep and given.keep.resolve()) as folder:
         harness.succeeded("calibrate", harness.ROOT / "bags" / "ur10_cell", "--out", folder / "calibration")
-        (folder / "cost").mkdir()
-        code |= cost(alone, given.seconds, folder / "cost") if alone else 0
+        code |= costs(alone, given.seconds, folder) if alone else 0
         for name in (name for name in given.names if name in wholes):
             (folder / name).mkdir()
             part, option = wholes[name]
