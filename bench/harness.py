@@ -79,7 +79,7 @@ def parser(
     made.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON for each task")
     made.add_argument("--resume", action="store_true", help="take from that file what it holds already")
     for name, usual in own.items():
-        about: dict[str, Any] = {"type": type(usual), "default": usual, "help": f"default: {usual}"}
+        about: dict[str, Any] = {"type": type(usual), "default": usual, "help": f"default: {usual}".replace("%", "%%")}
         if usual is False:
             about = {"action": "store_true"}
         elif isinstance(usual, type):
