@@ -37,7 +37,7 @@ Spec = Callable[[Draw], Any] | tuple[float, float]  # what is drawn; two numbers
 Kind = Callable[[Draw], Path]
 
 
-def drawn(*specs: Spec) -> Callable[[Callable[..., Path]], Kind]:
+def of(*specs: Spec) -> Callable[[Callable[..., Path]], Kind]:
     """A kind: the path of what is drawn, in this order."""
     return lambda path: lambda k: path(*(spec(k) if callable(spec) else k(*spec) for spec in specs))
 
@@ -238,246 +238,244 @@ def rope(t: Array, a: float, b: float) -> Path:
 
 # Of each set, what it may be used for: design and shaping were looked at while thresholds and rules were chosen; the
 # others were written afterwards, and run once.
-SETS: dict[str, dict[str, Kind]] = {
-    "design": {
-        "lever_then_door": drawn(turn(35, 50, first(3)), turn(40, 80, rest(3)), (0.6, 0.8))(
-            lambda a, b, r: and_on(lever(a, X, 0.11 * Y), door(b, r))
-        ),
-        "slide_then_turn": drawn(to(0.08, 0.16, first(3)), turn(40, 80, rest(3)), (0.2, 0.4))(
-            lambda s, a, r: then(slide(s), door(a, r))
-        ),
-        "folding_door": drawn((0.3, 0.45), (0.4, 0.7), turn(50, 75, start=3))(
-            lambda r, share, a: turned(r * at((1.0 + share) * cos(a), (1.0 - share) * sin(a)), -a)
-        ),
-        "waved_about": drawn(smooth(0.15, 7, 3), smooth(0.4, 7, 3))(lambda p, w: (p, Rotation.from_rotvec(w))),
-        "four_bar_lid": drawn((0.25, 0.32), turn(95, 120, start=20), (0.25, 0.5), (0.1, 0.25))(
-            lambda rocker, a, x, y: four_bar((0.15, 0.3, rocker), (0.3, 0.0), a, ((x, 0.0), (y, 0.5 * pi)))
-        ),
-    },
-    "kept": {
-        "bolt_then_gate": drawn(to(0.05, 0.09, first(4)), turn(40, 80, rest(4)), (0.5, 0.9))(
-            lambda s, a, r: then(slide(s), door(a, r))
-        ),
-        "window_on_a_stay": drawn(turn(50, 75), (0.25, 0.4), (0.35, 0.6))(
-            lambda a, slot, r: turned(arc(a, r) + at(slot * sin(a), 0.0), a)
-        ),
-        "two_hinges_at_once": drawn(smooth(0.7, 4), smooth(0.9, 4))(lambda a, b: two(a, a + b + 1.2, 0.4, 0.3)),
-        "sectional_garage_door": drawn((0.25, 0.5), (0.2, 0.5), along)(garage),
-        "pushed_over_the_table": drawn(smooth(0.2, 5, 2), smooth(0.6, 5))(lambda p, a: turned(at(*p.T), a)),
-        "joystick": drawn(smooth(0.45, 6, 2), (0.25, 0.45))(
-            lambda w, r: on_ball(Rotation.from_rotvec(at(*w.T)), r * Z)
-        ),
-        "door_with_a_new_grasp": drawn(turn(60, 90), along, (0.08, 0.15))(
-            lambda a, t, r: turned(polar(np.where(np.arange(len(t)) < len(t) // 2, 0.75, 0.75 - r), a), a)
-        ),
-    },
-    "later": {
-        "geared_arm_of_a_screen": drawn(turn(50, 80), (1.3, 1.8), (0.2, 0.28))(
-            lambda a, gear, r: two(a, a - gear * a, 0.3, r)
-        ),
-        "door_of_a_van": drawn((0.12, 0.18), (0.25, 0.4), along)(van),
-        "up_and_over_door": drawn(turn(60, 85), (0.6, 0.9), (0.25, 0.4))(
-            lambda a, r, share: turned(r * at((1.0 - share) * sin(a), 0.0, share * cos(a)), a, Y)
-        ),
-        "pin_in_a_wavy_slot": drawn(to(0.3, 0.45), (0.02, 0.035), (0.3, 0.5))(
-            lambda s, side, wave: kept(at(s, side * sin(2.0 * pi * s / wave)))
-        ),
-        "barrel_that_rolls": drawn(turn(70, 110), (0.18, 0.24))(
-            lambda a, r: turned(at(0.25 * a - r * sin(a - 0.6), 0.0, r * cos(a - 0.6)), a, Y)
-        ),
-        "hinge_of_two_pins": drawn(turn(30, 45, first(2)), turn(30, 45, rest(2)), (0.3, 0.45))(
-            lambda a, b, r: then(door(a, 0.7), door(b, r))
-        ),
-        "tray_that_drops": drawn(to(0.15, 0.25, first(2)), (20, 35), to(0.1, 0.2, rest(2)))(
-            lambda s, slant, d: then(slide(s), slide(d, [cos(DEGREE * slant), 0.0, -sin(DEGREE * slant)]))
-        ),
-        "cord_on_a_drum": drawn(turn(110, 170), (0.03, 0.05))(lambda a, r: turned(polar(0.3 - r * a, a), a)),
-    },
-    "last": {
-        "flush_sliding_door": drawn(to(0.05, 0.08, first(4)), to(0.3, 0.6, rest(4)))(
-            lambda s, t: then(slide(s, [0.5, -0.866, 0.0]), slide(t))
-        ),
-        "knob_then_drawer": drawn(lambda k: linspace(0.0, 0.5 * pi, k.n // 3), to(0.2, 0.4, rest(3)))(
-            lambda a, s: and_on(lever(a, X, 0.06 * Y), slide(s))
-        ),
-        "rail_that_bends_more_and_more": drawn(to(0.4, 0.7), (0.2, 0.3))(lambda s, r: rail(0.5 * s**2 / s[-1] / r, s)),
-        "lid_on_a_scissor": drawn(turn(55, 70, start=15), (0.5, 0.7))(
-            lambda a, r: turned(r * at(0.6 * cos(a) ** 2, 0.0, sin(a)), 0.15 * sin(3.0 * a), Y)
-        ),
-        "handle_on_a_rope": drawn(to(0.8, 1.6), (0.2, 0.3), (0.08, 0.15))(lambda t, a, b: rope(2.0 * pi * t, a, b)),
-        "nut_on_a_bent_rod": drawn(to(2.0, 3.0), (0.2, 0.3))(lambda a, bend: nut(pi * a, bend)),
-        "column_that_tilts_and_telescopes": drawn(along, (0.8, 1.2), (0.1, 0.2))(
-            lambda t, tilt, out: turned(
-                (0.4 + out * t)[:, None] * at(sin(0.6 * sin(pi * tilt * t)), 0.0, cos(0.6 * sin(pi * tilt * t))),
-                0.6 * sin(pi * tilt * t),
-                Y,
-            )
-        ),
-        "chair_on_castors": drawn(along, (0.6, 1.2))(
-            lambda t, a: turned(
-                0.8 / len(t) * at(np.cumsum(cos(a * t**2)), np.cumsum(sin(a * t**2))), -0.5 * sin(4.0 * t)
-            )
-        ),
-        "drawer_out_of_its_rail": drawn(
-            to(0.15, 0.25, first(2)), lambda k: linspace(0.0, 1.0, k.n - k.n // 2), (0.1, 0.2), (0.15, 0.3)
-        )(lambda s, t, y, z: then(slide(s), turned(at(0.1 * t, y * t**2, z * sin(1.5 * t)), t, [0.3, -0.4, 0.5]))),
-        "planetary_crank": drawn(turn(90, 150), (0.1, 0.14), (0.05, 0.09))(
-            lambda a, wheel, far: two(a, -(0.35 - wheel) / wheel * a, 0.35 - wheel, far)
-        ),
-    },
-    "shaping": {
-        "eccentric_cam": drawn(turn(80, 130), (0.25, 0.4), (0.02, 0.04), (0, 6))(
-            lambda a, r, lobe, by: turned(polar(r + lobe * cos(2.0 * a + by), a), a)
-        ),
-        "parallelogram_flap": drawn(turn(50, 80), (0.3, 0.45), (0.2, 0.4))(
-            lambda a, r, share: turned(arc(a, r), share * a)
-        ),
-        "draw_latch_then_slide": drawn(turn(60, 90, first(4)), to(0.2, 0.4, rest(4)))(
-            lambda a, s: and_on(lever(a, Y, 0.07 * Z), slide(s))
-        ),
-        "plug_door_of_a_bus": drawn(turn(25, 40, first(3)), (0.3, 0.45), to(0.25, 0.45, rest(3)))(
-            lambda a, r, s: and_on(door(a, r), slide(s, Y))
-        ),
-        "boom_that_turns_then_extends": drawn(turn(60, 100), (0.35, 0.5), (0.15, 0.3))(
-            lambda a, r, out: turned(polar(r + out * clip(a / a[-1] - 0.4, 0.0, 1.0) ** 2, a), a)
-        ),
-        "hinge_that_lifts_late": drawn(turn(70, 95), (0.04, 0.08), (30, 40), (0.5, 0.7))(
-            lambda a, up, begin, r: door(a, r, up * clip(a - DEGREE * begin, 0.0, None))
-        ),
-        "hose_in_the_hand": hose,
-        "elliptic_rail": drawn(turn(80, 110), (0.4, 0.5), (0.22, 0.3))(
-            lambda a, A, B: turned(at(A * sin(a), B * (1.0 - cos(a))), arctan2(B * sin(a), A * cos(a)))
-        ),
-        "lid_on_a_rack": drawn(turn(70, 100), (0.05, 0.09), (0.35, 0.5))(
-            lambda a, r, far: turned(arc(a, far) + at(r * a, 0.0), a)
-        ),
-        "carried_away": drawn((0.5, 0.7), along, (0.7, 1.3))(
-            lambda out, t, bend: turned(
-                walk(bend * 3.0 * clip(t - 0.45, 0.0, 1.0) ** 2, out * (10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5)),
-                0.3 * sin(3.0 * t),
-                [0.3, 0.8, 0.5],
-            )
-        ),
-        "screw_of_changing_pitch": drawn(to(1.2, 2.2), (0.1, 0.2), (0.01, 0.02))(
-            lambda a, r, rise: door(pi * a, r, rise * (pi * a) ** 2)
-        ),
-        "drawer_that_droops": drawn(to(0.4, 0.6), (0.18, 0.28), (0.08, 0.16), (0.08, 0.16))(
-            lambda s, begin, down, tilt: turned(
-                at(s, 0.0, -down * clip(s - begin, 0.0, 1.0)),
-                tilt * clip(clip(s - begin, 0.0, 1.0) / 0.03, 0.0, 1.0),
-                Y,
-            )
-        ),
-    },
-    "fresh": {
-        "rail_like_an_s": drawn(turn(35, 60, first(2)), turn(35, 60, rest(2)), (0.25, 0.45), (0.25, 0.45))(
-            lambda a, b, far, r: then(door(a, r), turned(arc(b, far) * [-1.0, 1.0, 1.0], -b))
-        ),
-        "point_of_a_connecting_rod": drawn(turn(100, 150), (0.15, 0.22), (0.45, 0.6), (0.3, 0.6))(
-            lambda a, crank, rod, share: two(a, -np.arcsin(crank * sin(a) / rod), crank, share * rod)
-        ),
-        "oval_of_a_toy_train": drawn((0.15, 0.3), (0.15, 0.22), (0.1, 0.25), along)(
-            lambda lead, r, far, t: bent(t, lead, r, pi, far)
-        ),
-        "window_that_tilts_and_then_turns": drawn(turn(8, 14, first(3)), (0.6, 0.9), turn(40, 70, rest(3)), (0.4, 0.6))(
-            lambda a, r, b, far: then(lever(a, X, r * Z), door(b, far))
-        ),
-        "wheel_that_is_drawn_out_as_it_turns": drawn(turn(120, 200), (0.12, 0.2), (0.08, 0.14))(
-            lambda a, r, out: door(a, r, out * clip(a - 0.5, 0.0, None) ** 1.5)
-        ),
-        "trolley_that_changes_lanes": drawn((0.4, 0.8), (0.6, 0.9), along)(
-            lambda a, s, t: rail(a * sin(pi * t) ** 2, s * t)
-        ),
-        "eye_of_a_ball": drawn((0.8, 1.3), (0.3, 0.6), (0.2, 0.4), (0.3, 0.5), along)(
-            lambda a, b, c, r, t: on_ball(Rotation.from_rotvec(at(a * t, b * t**2, c * sin(2.0 * t))), r * Z)
-        ),
-        "pantograph_of_a_lamp": drawn((65, 75), lambda k: (k(20, 35), k.n), (0.5, 0.7), (0.25, 0.45))(
-            lambda begin, k, r, sag: pantograph(DEGREE * linspace(begin, *k), r, sag)
-        ),
-        "stair_of_a_snail": drawn(turn(140, 220), (0.12, 0.18), (0.03, 0.05), (0.03, 0.06))(
-            lambda a, r, grow, up: turned(polar(r + grow * a, a) + np.outer(up * a, Z), a)
-        ),
-        "lid_of_a_piano": drawn(turn(90, 150, first(2)), turn(30, 50, rest(2)), (0.2, 0.3), (0.6, 0.8))(
-            lambda a, b, r, far: and_on(door(a, r), door(b, far))
-        ),
-    },
-    "unseen": {
-        "link_of_watt": drawn((0.18, 0.26), to(0.5, 0.7, start=-0.2), (0.5, 0.8))(
-            lambda r, a, share: four_bar((0.4, r, 0.4), (0.8, r), a, ((share * r, 0.0),))
-        ),
-        "spiral_of_archimedes": drawn(turn(100, 170), (0.15, 0.25), (0.05, 0.09))(
-            lambda a, r, grow: turned(polar(r + grow * a, a), a)
-        ),
-        "parabolic_chute": drawn(to(0.45, 0.65), (1.2, 2.4))(
-            lambda x, steep: turned(at(x, steep * x**2), arctan(2.0 * steep * x))
-        ),
-        "flipper_door": drawn(lambda k: linspace(0.0, 0.5 * pi, k.n // 2), (0.25, 0.4), to(0.2, 0.35, rest(2)))(
-            lambda a, r, s: and_on(turned(r * at(sin(a), 1.0 - cos(a)), a), slide(s, -X))
-        ),
-        "bayonet_with_a_long_lever": bayonet,
-        "trammel": drawn(turn(95, 125, start=10), (0.45, 0.55), (0.2, 0.3))(
-            lambda a, x, y: turned(at(x * cos(a), y * sin(a)), -a)
-        ),
-        "cradle_that_rocks": drawn(turn(30, 45, start=-25), (0.35, 0.5), (0.3, 0.45), (0.05, 0.12))(cradle),
-        "table_on_a_turntable": drawn(turn(60, 100), (1.6, 2.6), (0.25, 0.35), (0.1, 0.16))(
-            lambda a, gear, r, far: two(a, gear * a, r, far)
-        ),
-        "trailer_that_is_swung": drawn((0.35, 0.5), to(0.5, 0.8), (75, 88), (1.2, 1.6))(tractrix),
-        "arm_at_random": arm_at_random,
-        "rail_of_the_third_degree": drawn(to(0.45, 0.65), (0.08, 0.2))(
-            lambda s, d: turned(at(s, d * (s / s[-1]) ** 3), arctan(np.gradient(d * (s / s[-1]) ** 3, s)))
-        ),
-        "toggle_clamp": drawn((0.16, 0.2), (0.2, 0.24), turn(140, 180, start=30), (0.3, 0.45))(
-            lambda r, ground, a, far: four_bar((0.1, r, 0.18), (ground, 0.0), a, ((far, 0.8),))
-        ),
-        "spiral_slide_with_a_landing": drawn(
-            (0.2, 0.3), (0.06, 0.12), turn(80, 130, lambda n: 2 * n // 3), to(0.15, 0.3, lambda n: n - 2 * n // 3)
-        )(
-            lambda r, pitch, a, s: and_on(
-                turned(polar(r, a) - np.outer(pitch * a, Z), a), slide(s, [-sin(a[-1]), cos(a[-1]), 0.0])
-            )
-        ),
-        "second_hinge_that_joins_in": drawn(turn(60, 85), (20, 30), (0.8, 1.4), (0.3, 0.4), (0.3, 0.4))(second_leaf),
-        "lane_that_comes_back": drawn((0.04, 0.07), along, (0.5, 0.8))(
-            lambda d, t, s: kept(
-                at(s * t, d * 0.5 * (1.0 - cos(2.0 * pi * t)), 0.15 * d * 0.5 * (1.0 - cos(2.0 * pi * t)))
-            )
-        ),
-    },
-    "aside": {
-        "lamp_on_two_parallelograms": drawn(
-            turn(75, 100, start=20), (120, 150), (0.3, 0.6), (0.35, 0.45), (0.35, 0.45)
-        )(lambda a, begin, gear, r, far: kept(polar(r, a) + polar(far, DEGREE * begin - gear * a))),
-        "curtain_on_a_clothoid": drawn(to(0.5, 0.8), (0.8, 1.5))(lambda s, bend: rail(bend * (s / s[-1]) ** 2, s)),
-        "bin_above_the_seats": drawn((0.36, 0.44), (0.16, 0.22), turn(-55, -40, start=-100), (0.3, 0.4))(
-            lambda second, apart, a, r: four_bar((0.3, 0.25, second), (apart, 0.05), a, ((r, -0.9),), -1.0)
-        ),
-        "sofa_that_lifts_as_it_comes": drawn((0.4, 0.6), (0.05, 0.1), along)(
-            lambda s, up, t: kept(at(s * t, 0.0, up * sin(pi * t**1.5)))
-        ),
-        "footrest_of_a_recliner": drawn(turn(60, 85), (0.3, 0.6), (0.3, 0.4), (0.15, 0.25))(
-            lambda a, gear, r, far: turned(polar(r, a) + polar(far, 0.5 - gear * a), -gear * a)
-        ),
-        "rib_of_an_umbrella": drawn(to(0.12, 0.2, start=0.32), (0.45, 0.6), (0.05, 0.12))(umbrella),
-        "hook_of_a_crane": drawn(turn(60, 75, start=15), (0.6, 0.8), (0.15, 0.35))(
-            lambda a, r, down: kept(polar(r, a) - np.outer(down * (a - a[0]), Y))
-        ),
-        "hatch_on_a_growing_arm": drawn(turn(70, 100), (0.35, 0.5), (0.1, 0.2))(
-            lambda a, r, grow: turned(polar(r * (1.0 + grow * (a / a[-1]) ** 2), a), a)
-        ),
-        "cross_of_a_cardan_shaft": drawn(turn(40, 70), (0.4, 0.7), (0.35, 0.5))(
-            lambda a, b, r: on_ball(about(X, a) * about(Y, b * sin(2.0 * a)), [0.1, 0.0, r])
-        ),
-        "pendulum_between_cheeks": drawn(lambda k: linspace(-k(1.6, 2.2), k(0.4, 1.0), k.n), (0.1, 0.16))(
-            lambda a, r: turned(r * at(a + sin(a), 1.0 - cos(a)), 0.5 * a)
-        ),
-        "trolley_on_a_hanging_rope": drawn(lambda k: linspace(-k(0.3, 0.4), k(0.2, 0.35), k.n), (0.18, 0.3))(
-            lambda x, c: turned(at(x, c * np.cosh(x / c)), arctan(np.sinh(x / c)))
-        ),
-        "slider_round_the_corner": drawn((0.15, 0.25), (50, 90), (0.15, 0.25), along)(
-            lambda lead, bend, r, t: bent(t, lead, r, DEGREE * bend, lead)
-        ),
-    },
+DESIGN: dict[str, Kind] = {
+    "lever_then_door": of(turn(35, 50, first(3)), turn(40, 80, rest(3)), (0.6, 0.8))(
+        lambda a, b, r: and_on(lever(a, X, 0.11 * Y), door(b, r))
+    ),
+    "slide_then_turn": of(to(0.08, 0.16, first(3)), turn(40, 80, rest(3)), (0.2, 0.4))(
+        lambda s, a, r: then(slide(s), door(a, r))
+    ),
+    "folding_door": of((0.3, 0.45), (0.4, 0.7), turn(50, 75, start=3))(
+        lambda r, share, a: turned(r * at((1.0 + share) * cos(a), (1.0 - share) * sin(a)), -a)
+    ),
+    "waved_about": of(smooth(0.15, 7, 3), smooth(0.4, 7, 3))(lambda p, w: (p, Rotation.from_rotvec(w))),
+    "four_bar_lid": of((0.25, 0.32), turn(95, 120, start=20), (0.25, 0.5), (0.1, 0.25))(
+        lambda rocker, a, x, y: four_bar((0.15, 0.3, rocker), (0.3, 0.0), a, ((x, 0.0), (y, 0.5 * pi)))
+    ),
+}
+KEPT: dict[str, Kind] = {
+    "bolt_then_gate": of(to(0.05, 0.09, first(4)), turn(40, 80, rest(4)), (0.5, 0.9))(
+        lambda s, a, r: then(slide(s), door(a, r))
+    ),
+    "window_on_a_stay": of(turn(50, 75), (0.25, 0.4), (0.35, 0.6))(
+        lambda a, slot, r: turned(arc(a, r) + at(slot * sin(a), 0.0), a)
+    ),
+    "two_hinges_at_once": of(smooth(0.7, 4), smooth(0.9, 4))(lambda a, b: two(a, a + b + 1.2, 0.4, 0.3)),
+    "sectional_garage_door": of((0.25, 0.5), (0.2, 0.5), along)(garage),
+    "pushed_over_the_table": of(smooth(0.2, 5, 2), smooth(0.6, 5))(lambda p, a: turned(at(*p.T), a)),
+    "joystick": of(smooth(0.45, 6, 2), (0.25, 0.45))(lambda w, r: on_ball(Rotation.from_rotvec(at(*w.T)), r * Z)),
+    "door_with_a_new_grasp": of(turn(60, 90), along, (0.08, 0.15))(
+        lambda a, t, r: turned(polar(np.where(np.arange(len(t)) < len(t) // 2, 0.75, 0.75 - r), a), a)
+    ),
+}
+LATER: dict[str, Kind] = {
+    "geared_arm_of_a_screen": of(turn(50, 80), (1.3, 1.8), (0.2, 0.28))(
+        lambda a, gear, r: two(a, a - gear * a, 0.3, r)
+    ),
+    "door_of_a_van": of((0.12, 0.18), (0.25, 0.4), along)(van),
+    "up_and_over_door": of(turn(60, 85), (0.6, 0.9), (0.25, 0.4))(
+        lambda a, r, share: turned(r * at((1.0 - share) * sin(a), 0.0, share * cos(a)), a, Y)
+    ),
+    "pin_in_a_wavy_slot": of(to(0.3, 0.45), (0.02, 0.035), (0.3, 0.5))(
+        lambda s, side, wave: kept(at(s, side * sin(2.0 * pi * s / wave)))
+    ),
+    "barrel_that_rolls": of(turn(70, 110), (0.18, 0.24))(
+        lambda a, r: turned(at(0.25 * a - r * sin(a - 0.6), 0.0, r * cos(a - 0.6)), a, Y)
+    ),
+    "hinge_of_two_pins": of(turn(30, 45, first(2)), turn(30, 45, rest(2)), (0.3, 0.45))(
+        lambda a, b, r: then(door(a, 0.7), door(b, r))
+    ),
+    "tray_that_drops": of(to(0.15, 0.25, first(2)), (20, 35), to(0.1, 0.2, rest(2)))(
+        lambda s, slant, d: then(slide(s), slide(d, [cos(DEGREE * slant), 0.0, -sin(DEGREE * slant)]))
+    ),
+    "cord_on_a_drum": of(turn(110, 170), (0.03, 0.05))(lambda a, r: turned(polar(0.3 - r * a, a), a)),
+}
+LAST: dict[str, Kind] = {
+    "flush_sliding_door": of(to(0.05, 0.08, first(4)), to(0.3, 0.6, rest(4)))(
+        lambda s, t: then(slide(s, [0.5, -0.866, 0.0]), slide(t))
+    ),
+    "knob_then_drawer": of(lambda k: linspace(0.0, 0.5 * pi, k.n // 3), to(0.2, 0.4, rest(3)))(
+        lambda a, s: and_on(lever(a, X, 0.06 * Y), slide(s))
+    ),
+    "rail_that_bends_more_and_more": of(to(0.4, 0.7), (0.2, 0.3))(lambda s, r: rail(0.5 * s**2 / s[-1] / r, s)),
+    "lid_on_a_scissor": of(turn(55, 70, start=15), (0.5, 0.7))(
+        lambda a, r: turned(r * at(0.6 * cos(a) ** 2, 0.0, sin(a)), 0.15 * sin(3.0 * a), Y)
+    ),
+    "handle_on_a_rope": of(to(0.8, 1.6), (0.2, 0.3), (0.08, 0.15))(lambda t, a, b: rope(2.0 * pi * t, a, b)),
+    "nut_on_a_bent_rod": of(to(2.0, 3.0), (0.2, 0.3))(lambda a, bend: nut(pi * a, bend)),
+    "column_that_tilts_and_telescopes": of(along, (0.8, 1.2), (0.1, 0.2))(
+        lambda t, tilt, out: turned(
+            (0.4 + out * t)[:, None] * at(sin(0.6 * sin(pi * tilt * t)), 0.0, cos(0.6 * sin(pi * tilt * t))),
+            0.6 * sin(pi * tilt * t),
+            Y,
+        )
+    ),
+    "chair_on_castors": of(along, (0.6, 1.2))(
+        lambda t, a: turned(0.8 / len(t) * at(np.cumsum(cos(a * t**2)), np.cumsum(sin(a * t**2))), -0.5 * sin(4.0 * t))
+    ),
+    "drawer_out_of_its_rail": of(
+        to(0.15, 0.25, first(2)), lambda k: linspace(0.0, 1.0, k.n - k.n // 2), (0.1, 0.2), (0.15, 0.3)
+    )(lambda s, t, y, z: then(slide(s), turned(at(0.1 * t, y * t**2, z * sin(1.5 * t)), t, [0.3, -0.4, 0.5]))),
+    "planetary_crank": of(turn(90, 150), (0.1, 0.14), (0.05, 0.09))(
+        lambda a, wheel, far: two(a, -(0.35 - wheel) / wheel * a, 0.35 - wheel, far)
+    ),
+}
+SHAPING: dict[str, Kind] = {
+    "eccentric_cam": of(turn(80, 130), (0.25, 0.4), (0.02, 0.04), (0, 6))(
+        lambda a, r, lobe, by: turned(polar(r + lobe * cos(2.0 * a + by), a), a)
+    ),
+    "parallelogram_flap": of(turn(50, 80), (0.3, 0.45), (0.2, 0.4))(lambda a, r, share: turned(arc(a, r), share * a)),
+    "draw_latch_then_slide": of(turn(60, 90, first(4)), to(0.2, 0.4, rest(4)))(
+        lambda a, s: and_on(lever(a, Y, 0.07 * Z), slide(s))
+    ),
+    "plug_door_of_a_bus": of(turn(25, 40, first(3)), (0.3, 0.45), to(0.25, 0.45, rest(3)))(
+        lambda a, r, s: and_on(door(a, r), slide(s, Y))
+    ),
+    "boom_that_turns_then_extends": of(turn(60, 100), (0.35, 0.5), (0.15, 0.3))(
+        lambda a, r, out: turned(polar(r + out * clip(a / a[-1] - 0.4, 0.0, 1.0) ** 2, a), a)
+    ),
+    "hinge_that_lifts_late": of(turn(70, 95), (0.04, 0.08), (30, 40), (0.5, 0.7))(
+        lambda a, up, begin, r: door(a, r, up * clip(a - DEGREE * begin, 0.0, None))
+    ),
+    "hose_in_the_hand": hose,
+    "elliptic_rail": of(turn(80, 110), (0.4, 0.5), (0.22, 0.3))(
+        lambda a, A, B: turned(at(A * sin(a), B * (1.0 - cos(a))), arctan2(B * sin(a), A * cos(a)))
+    ),
+    "lid_on_a_rack": of(turn(70, 100), (0.05, 0.09), (0.35, 0.5))(
+        lambda a, r, far: turned(arc(a, far) + at(r * a, 0.0), a)
+    ),
+    "carried_away": of((0.5, 0.7), along, (0.7, 1.3))(
+        lambda out, t, bend: turned(
+            walk(bend * 3.0 * clip(t - 0.45, 0.0, 1.0) ** 2, out * (10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5)),
+            0.3 * sin(3.0 * t),
+            [0.3, 0.8, 0.5],
+        )
+    ),
+    "screw_of_changing_pitch": of(to(1.2, 2.2), (0.1, 0.2), (0.01, 0.02))(
+        lambda a, r, rise: door(pi * a, r, rise * (pi * a) ** 2)
+    ),
+    "drawer_that_droops": of(to(0.4, 0.6), (0.18, 0.28), (0.08, 0.16), (0.08, 0.16))(
+        lambda s, begin, down, tilt: turned(
+            at(s, 0.0, -down * clip(s - begin, 0.0, 1.0)),
+            tilt * clip(clip(s - begin, 0.0, 1.0) / 0.03, 0.0, 1.0),
+            Y,
+        )
+    ),
+}
+FRESH: dict[str, Kind] = {
+    "rail_like_an_s": of(turn(35, 60, first(2)), turn(35, 60, rest(2)), (0.25, 0.45), (0.25, 0.45))(
+        lambda a, b, far, r: then(door(a, r), turned(arc(b, far) * [-1.0, 1.0, 1.0], -b))
+    ),
+    "point_of_a_connecting_rod": of(turn(100, 150), (0.15, 0.22), (0.45, 0.6), (0.3, 0.6))(
+        lambda a, crank, rod, share: two(a, -np.arcsin(crank * sin(a) / rod), crank, share * rod)
+    ),
+    "oval_of_a_toy_train": of((0.15, 0.3), (0.15, 0.22), (0.1, 0.25), along)(
+        lambda lead, r, far, t: bent(t, lead, r, pi, far)
+    ),
+    "window_that_tilts_and_then_turns": of(turn(8, 14, first(3)), (0.6, 0.9), turn(40, 70, rest(3)), (0.4, 0.6))(
+        lambda a, r, b, far: then(lever(a, X, r * Z), door(b, far))
+    ),
+    "wheel_that_is_drawn_out_as_it_turns": of(turn(120, 200), (0.12, 0.2), (0.08, 0.14))(
+        lambda a, r, out: door(a, r, out * clip(a - 0.5, 0.0, None) ** 1.5)
+    ),
+    "trolley_that_changes_lanes": of((0.4, 0.8), (0.6, 0.9), along)(lambda a, s, t: rail(a * sin(pi * t) ** 2, s * t)),
+    "eye_of_a_ball": of((0.8, 1.3), (0.3, 0.6), (0.2, 0.4), (0.3, 0.5), along)(
+        lambda a, b, c, r, t: on_ball(Rotation.from_rotvec(at(a * t, b * t**2, c * sin(2.0 * t))), r * Z)
+    ),
+    "pantograph_of_a_lamp": of((65, 75), lambda k: (k(20, 35), k.n), (0.5, 0.7), (0.25, 0.45))(
+        lambda begin, k, r, sag: pantograph(DEGREE * linspace(begin, *k), r, sag)
+    ),
+    "stair_of_a_snail": of(turn(140, 220), (0.12, 0.18), (0.03, 0.05), (0.03, 0.06))(
+        lambda a, r, grow, up: turned(polar(r + grow * a, a) + np.outer(up * a, Z), a)
+    ),
+    "lid_of_a_piano": of(turn(90, 150, first(2)), turn(30, 50, rest(2)), (0.2, 0.3), (0.6, 0.8))(
+        lambda a, b, r, far: and_on(door(a, r), door(b, far))
+    ),
+}
+UNSEEN: dict[str, Kind] = {
+    "link_of_watt": of((0.18, 0.26), to(0.5, 0.7, start=-0.2), (0.5, 0.8))(
+        lambda r, a, share: four_bar((0.4, r, 0.4), (0.8, r), a, ((share * r, 0.0),))
+    ),
+    "spiral_of_archimedes": of(turn(100, 170), (0.15, 0.25), (0.05, 0.09))(
+        lambda a, r, grow: turned(polar(r + grow * a, a), a)
+    ),
+    "parabolic_chute": of(to(0.45, 0.65), (1.2, 2.4))(
+        lambda x, steep: turned(at(x, steep * x**2), arctan(2.0 * steep * x))
+    ),
+    "flipper_door": of(lambda k: linspace(0.0, 0.5 * pi, k.n // 2), (0.25, 0.4), to(0.2, 0.35, rest(2)))(
+        lambda a, r, s: and_on(turned(r * at(sin(a), 1.0 - cos(a)), a), slide(s, -X))
+    ),
+    "bayonet_with_a_long_lever": bayonet,
+    "trammel": of(turn(95, 125, start=10), (0.45, 0.55), (0.2, 0.3))(
+        lambda a, x, y: turned(at(x * cos(a), y * sin(a)), -a)
+    ),
+    "cradle_that_rocks": of(turn(30, 45, start=-25), (0.35, 0.5), (0.3, 0.45), (0.05, 0.12))(cradle),
+    "table_on_a_turntable": of(turn(60, 100), (1.6, 2.6), (0.25, 0.35), (0.1, 0.16))(
+        lambda a, gear, r, far: two(a, gear * a, r, far)
+    ),
+    "trailer_that_is_swung": of((0.35, 0.5), to(0.5, 0.8), (75, 88), (1.2, 1.6))(tractrix),
+    "arm_at_random": arm_at_random,
+    "rail_of_the_third_degree": of(to(0.45, 0.65), (0.08, 0.2))(
+        lambda s, d: turned(at(s, d * (s / s[-1]) ** 3), arctan(np.gradient(d * (s / s[-1]) ** 3, s)))
+    ),
+    "toggle_clamp": of((0.16, 0.2), (0.2, 0.24), turn(140, 180, start=30), (0.3, 0.45))(
+        lambda r, ground, a, far: four_bar((0.1, r, 0.18), (ground, 0.0), a, ((far, 0.8),))
+    ),
+    "spiral_slide_with_a_landing": of(
+        (0.2, 0.3), (0.06, 0.12), turn(80, 130, lambda n: 2 * n // 3), to(0.15, 0.3, lambda n: n - 2 * n // 3)
+    )(
+        lambda r, pitch, a, s: and_on(
+            turned(polar(r, a) - np.outer(pitch * a, Z), a), slide(s, [-sin(a[-1]), cos(a[-1]), 0.0])
+        )
+    ),
+    "second_hinge_that_joins_in": of(turn(60, 85), (20, 30), (0.8, 1.4), (0.3, 0.4), (0.3, 0.4))(second_leaf),
+    "lane_that_comes_back": of((0.04, 0.07), along, (0.5, 0.8))(
+        lambda d, t, s: kept(at(s * t, d * 0.5 * (1.0 - cos(2.0 * pi * t)), 0.15 * d * 0.5 * (1.0 - cos(2.0 * pi * t))))
+    ),
+}
+ASIDE: dict[str, Kind] = {
+    "lamp_on_two_parallelograms": of(turn(75, 100, start=20), (120, 150), (0.3, 0.6), (0.35, 0.45), (0.35, 0.45))(
+        lambda a, begin, gear, r, far: kept(polar(r, a) + polar(far, DEGREE * begin - gear * a))
+    ),
+    "curtain_on_a_clothoid": of(to(0.5, 0.8), (0.8, 1.5))(lambda s, bend: rail(bend * (s / s[-1]) ** 2, s)),
+    "bin_above_the_seats": of((0.36, 0.44), (0.16, 0.22), turn(-55, -40, start=-100), (0.3, 0.4))(
+        lambda second, apart, a, r: four_bar((0.3, 0.25, second), (apart, 0.05), a, ((r, -0.9),), -1.0)
+    ),
+    "sofa_that_lifts_as_it_comes": of((0.4, 0.6), (0.05, 0.1), along)(
+        lambda s, up, t: kept(at(s * t, 0.0, up * sin(pi * t**1.5)))
+    ),
+    "footrest_of_a_recliner": of(turn(60, 85), (0.3, 0.6), (0.3, 0.4), (0.15, 0.25))(
+        lambda a, gear, r, far: turned(polar(r, a) + polar(far, 0.5 - gear * a), -gear * a)
+    ),
+    "rib_of_an_umbrella": of(to(0.12, 0.2, start=0.32), (0.45, 0.6), (0.05, 0.12))(umbrella),
+    "hook_of_a_crane": of(turn(60, 75, start=15), (0.6, 0.8), (0.15, 0.35))(
+        lambda a, r, down: kept(polar(r, a) - np.outer(down * (a - a[0]), Y))
+    ),
+    "hatch_on_a_growing_arm": of(turn(70, 100), (0.35, 0.5), (0.1, 0.2))(
+        lambda a, r, grow: turned(polar(r * (1.0 + grow * (a / a[-1]) ** 2), a), a)
+    ),
+    "cross_of_a_cardan_shaft": of(turn(40, 70), (0.4, 0.7), (0.35, 0.5))(
+        lambda a, b, r: on_ball(about(X, a) * about(Y, b * sin(2.0 * a)), [0.1, 0.0, r])
+    ),
+    "pendulum_between_cheeks": of(lambda k: linspace(-k(1.6, 2.2), k(0.4, 1.0), k.n), (0.1, 0.16))(
+        lambda a, r: turned(r * at(a + sin(a), 1.0 - cos(a)), 0.5 * a)
+    ),
+    "trolley_on_a_hanging_rope": of(lambda k: linspace(-k(0.3, 0.4), k(0.2, 0.35), k.n), (0.18, 0.3))(
+        lambda x, c: turned(at(x, c * np.cosh(x / c)), arctan(np.sinh(x / c)))
+    ),
+    "slider_round_the_corner": of((0.15, 0.25), (50, 90), (0.15, 0.25), along)(
+        lambda lead, bend, r, t: bent(t, lead, r, DEGREE * bend, lead)
+    ),
+}
+SETS = {
+    "design": DESIGN,
+    "kept": KEPT,
+    "later": LATER,
+    "last": LAST,
+    "shaping": SHAPING,
+    "fresh": FRESH,
+    "unseen": UNSEEN,
+    "aside": ASIDE,
 }
 KINDS = {name: path for some in SETS.values() for name, path in some.items()}
 
