@@ -34,9 +34,10 @@ from typing import Any
 import numpy as np
 import recorded
 import scenarios as kinds
-from arm import ROBOTS as TIPS
+from arms import ROBOTS as TIPS
 from harness import over
-from recordings import Cell, plant, point_to_point, record
+from recordings import plant, record
+from sites import Cell, point_to_point
 
 from modcal_core.calibration.noise import errors
 from modcal_core.evaluation import evaluate

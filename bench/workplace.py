@@ -1,7 +1,7 @@
 """An arm of MuJoCo and an instrument that reads its stations one by one: where benches check and measure.
 
-Arms, displacements and faults come from ``bench/undeclared``: another engine, bodies displaced in all directions,
-effects that are not written as modcal writes them. Nothing of what is planted is computed by modcal.
+Arms, displacements and faults are those of the benches' own simulator: another engine, bodies displaced in all
+directions, effects that are not written as modcal writes them. Nothing of what is planted is computed by modcal.
 """
 
 from __future__ import annotations
@@ -11,11 +11,22 @@ from dataclasses import dataclass, replace
 
 import harness
 import numpy as np
-from arm import TURN
-from fault import Deviation, Draw, Fault, Stations
-from recordings import BEGIN, NOISE_MM, NOISE_MRAD, REPEATABILITY, Cell
-from scenarios import compliance, gear_harmonic
+from scenarios import Draw, compliance, gear_harmonic
 from scipy.spatial.transform import Rotation
+from sites import (
+    BEGIN,
+    NOISE_MM,
+    NOISE_MRAD,
+    REPEAT,
+    Bend,
+    Cell,
+    Deviation,
+    Stations,
+    turn_noise,
+    turned,
+    twisted,
+    unit,
+)
 
 import modcal_core as modcal
 from modcal_core.geometry import se3
@@ -54,22 +65,25 @@ class Readings:
 
 @dataclass
 class Workplace:
-    """One arm with its faults and its instrument; noise: per axis [m, rad]; repeats: per joint [rad]."""
+    """One arm with its faults and its instrument; noise: per axis [m, rad]; repeats: per joint [rad]. gear: the joint
+    whose gear has an error from the beginning.
+    """
 
     cell: Cell
-    faults: tuple[Fault, ...]
+    faults: tuple[Bend, ...]
     noise: tuple[float, float] = TRACKER
-    repeats: float = REPEATABILITY
+    repeats: float = REPEAT
+    gear: str | None = None
 
     def postures(self, rng: np.random.Generator, count: int = STATIONS) -> Array:
         """Random ones (count, n)."""
         return rng.uniform(*self.cell.arm.range, (count, self.cell.arm.n))
 
-    def read(self, stations: Stations, rng: np.random.Generator, turned: bool = True) -> Readings:
-        """What the instrument says at stations. turned: of a pose, not of a point."""
+    def read(self, stations: Stations, rng: np.random.Generator, pose: bool = True) -> Readings:
+        """What the instrument says at stations: of a pose, or of a point."""
         seen = self.cell.poses(self.reached(stations, rng), self.faults)
         p = seen.p + rng.normal(0.0, self.noise[0], seen.p.shape)
-        R = seen.R * Rotation.from_rotvec(rng.normal(0.0, self.noise[1], seen.p.shape)) if turned else seen.R
+        R = seen.R * turn_noise(rng, self.noise[1], len(p)) if pose else seen.R
         exact = self.cell.poses(stations, self.faults)
         return Readings(stations.q, p, R, exact.p, exact.R)
 
@@ -86,7 +100,7 @@ class Workplace:
         seen = self.measure(self.postures(rng, 200), rng)
         return distance(seen.p, seen.exact)
 
-    def after(self, fault: Fault | None, noise: float = 1.0) -> Workplace:
+    def after(self, fault: Bend | None, noise: float = 1.0) -> Workplace:
         """The same with another fault, and with another noise of the instrument."""
         faults = self.faults if fault is None else (*self.faults, fault)
         return replace(self, faults=faults, noise=(noise * self.noise[0], noise * self.noise[1]))
@@ -103,80 +117,67 @@ def drawn(robot: str, seed: int, setup: str = "") -> tuple[Workplace, np.random.
     rng = np.random.default_rng([seed, 26, camera, setup == "points"])
     cell = Cell(robot, rng)
     draw = Draw(rng, cell.arm, rng.uniform(*cell.arm.range, (STATIONS, cell.arm.n)), 300.0)
-    old = ((), (gear_harmonic(draw),), (compliance(draw),))[seed % 3]
-    return Workplace(cell, old, CAMERA if camera else TRACKER), rng
+    old = ((), (gear_harmonic,), (compliance,))[seed % 3]
+    faults = [make(draw) for make in old]
+    gear = next((fault.place[0] for fault in faults if fault.family == ("gear_harmonic",)), None)
+    return Workplace(cell, tuple(f.bend for f in faults), CAMERA if camera else TRACKER, gear=gear), rng
 
 
-def faulty(bend: Callable[[Deviation, Stations, float], None]) -> Callable[[float], Fault]:
-    """A fault of any size."""
-    return lambda size: Fault(
-        (), (), (), f"{size:.3g}", lambda arm, stations, deviation: bend(deviation, stations, size)
-    )
-
-
-def at_joint(joint: int, error: Callable[[Array], Array | float]) -> Callable[[float], Fault]:
+def at_joint(joint: int, error: Callable[[Array], Array | float]) -> Callable[[float], Bend]:
     """A joint that is off by a multiple of a function of its position."""
-
-    def bend(deviation: Deviation, stations: Stations, size: float) -> None:
-        deviation.x[:, joint, TURN] += size * error(stations.q[:, joint])
-
-    return faulty(bend)
+    return lambda size: turned(joint, lambda s: size * error(s.q[:, joint]))
 
 
-def _twist(where: str, rng: np.random.Generator) -> Callable[[float], Fault]:
+def _moved(part: str, rng: np.random.Generator) -> Callable[[float], Bend]:
     shift, turn = rng.normal(size=3), rng.normal(size=3)
-    twist = np.r_[shift / np.linalg.norm(shift), 2.0 * turn / np.linalg.norm(turn)] * rng.uniform(0.3, 1.0, 6)
-
-    def bend(deviation: Deviation, stations: Stations, size: float) -> None:
-        (deviation.tracker if where == "base" else deviation.tool)[:] += size * twist
-
-    return faulty(bend)
+    twist = np.r_[unit(shift), 2.0 * unit(turn)] * rng.uniform(0.3, 1.0, 6)
+    return lambda size: twisted(part, size * twist, lambda s: np.ones(len(s.t)))
 
 
-def _gear(joint: int, rng: np.random.Generator) -> Callable[[float], Fault]:
+def _gear(joint: int, rng: np.random.Generator) -> Callable[[float], Bend]:
     ratio, phase, second = int(rng.integers(50, 162)), rng.uniform(0, 2 * np.pi, 2), rng.uniform(0, 0.5)
     if rng.random() < 0.3:  # an eccentric gear or encoder rather than a wave
         ratio = 1
     return at_joint(joint, lambda q: np.sin(ratio * q + phase[0]) + second * np.sin(2 * ratio * q + phase[1]))
 
 
-def _grown(old: Fault) -> Callable[[float], Fault]:
+def _grown(place: Workplace, size: float) -> Bend:
     """The curve that the arm had from the beginning, grown by a share."""
 
-    def bend(arm: object, stations: Stations, deviation: Deviation, size: float) -> None:
-        plain = Deviation(arm, stations)
-        old.bend(arm, stations, plain)
-        deviation.x += size * (plain.x - arm.coordinates(stations.q))
+    def bend(s: Stations, d: Deviation) -> None:
+        plain = Deviation(place.cell.arm, s)
+        place.faults[0](s, plain)
+        d.x += size * (plain.x - place.cell.arm.coordinates(s.q))
 
-    return lambda size: Fault((), (), (), f"{size:.3g}", lambda a, s, d: bend(a, s, d, size))
+    return bend
 
 
-def _scale(deviation: Deviation, stations: Stations, size: float) -> None:
-    deviation.scale *= 1.0 + size
+def _scaled(size: float) -> Bend:
+    def bend(s: Stations, d: Deviation) -> None:
+        d.scale *= 1.0 + size
+
+    return bend
 
 
 def planted(place: Workplace, kind: str, q: Array, rng: np.random.Generator) -> tuple[tuple[str, str], Workplace]:
     """A change of one kind that moves the tool by three floors, RMS, at these postures: (kind, place) that name it
     rightly, and the workplace after it.
     """
-    names = place.cell.arm.names
     if kind == "tracker_noise":
         return (kind, "tracker"), place.after(None, TIMES)
     joint = int(rng.integers(place.cell.arm.n))
+    right, make = (kind, place.cell.arm.names[joint]), at_joint(joint, lambda q: 1.0)
     if kind in ("base", "tool", "camera"):  # a camera on the hand is the tool
-        where = "tool" if kind == "camera" else kind
-        right, make = (where, where), _twist(where, rng)
-    elif kind == "joint_zero":
-        right, make = (kind, names[joint]), at_joint(joint, lambda q: 1.0)
+        right = ("base", "base") if kind == "base" else ("tool", "tool")
+        make = _moved("tracker" if kind == "base" else "tool", rng)
     elif kind == "tracker_scale":
-        right, make = (kind, "tracker"), faulty(_scale)
-    else:
-        own = [f for f in place.faults if f.family == ("gear_harmonic",)]
-        if own and rng.random() < 0.5:
-            right, make = (kind, own[0].place[0]), _grown(own[0])
-        else:
-            right, make = (kind, names[joint]), _gear(joint, rng)
+        right, make = (kind, "tracker"), _scaled
+    elif kind == "gear" and place.gear is not None and rng.random() < 0.5:
+        right, make = (kind, place.gear), lambda size: _grown(place, size)
+    elif kind == "gear":
+        make = _gear(joint, rng)
     stations, size, floor = Stations(q, np.arange(len(q)) * EACH, np.ones_like(q)), 1e-3, place.floor_mm()
+    still = place.cell.poses(stations, place.faults).p
     for _ in range(4):  # what is planted moves the tool in proportion to its size, nearly
-        size *= TIMES * floor / place.cell.size(stations, (make(size),), place.faults).mm
+        size *= TIMES * floor / distance(place.cell.poses(stations, (*place.faults, make(size))).p, still)
     return right, place.after(make(size * rng.choice([-1.0, 1.0])))

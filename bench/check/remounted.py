@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import harness
 import numpy as np
-from arm import GROW, TURN, Array
-from fault import Deviation, Fault, Stations
+from arms import GROW, Array
 from harness import over
 from scipy.spatial.transform import Rotation
+from sites import Deviation, Stations, off, turned, twisted, unit
 from workplace import Readings, Workplace, distance, drawn
 
 import modcal_core as modcal
@@ -31,15 +31,10 @@ def size(rng: np.random.Generator, limits: tuple[float, float]) -> float:
     return float(np.exp(rng.uniform(*np.log(limits)))) * 1e-3
 
 
-def way(rng: np.random.Generator) -> Array:
-    x = rng.normal(size=3)
-    return x / np.linalg.norm(x)
-
-
 def remount(place: Workplace, kind: str, rng: np.random.Generator) -> tuple[set[str], Workplace]:
     """What names a change of one kind rightly, and the workplace after it."""
     arm, stand = place.cell.arm, place.cell.tracker[0]
-    shift, turn = size(rng, MM) * way(rng), size(rng, MRAD) * way(rng)
+    shift, turn = size(rng, MM) * unit(rng.normal(size=3)), size(rng, MRAD) * unit(rng.normal(size=3))
     if rng.random() < 0.5:
         shift, turn = along_the_arm(place, kind, shift, turn, rng)
     joint = int(rng.choice([0, arm.n - 1, rng.integers(arm.n)]))
@@ -49,19 +44,20 @@ def remount(place: Workplace, kind: str, rng: np.random.Generator) -> tuple[set[
         joint = int(rng.choice([j for j in range(1, arm.n) if arm.lengths[j] > 0.0]))
         right["link"] = {f"length of the link before {arm.names[joint]}"}
 
-    def bend(_arm: object, _stations: Stations, deviation: Deviation) -> None:
-        if kind in ("target", "tool"):
-            deviation.tool[:] += np.r_[shift, turn if kind == "tool" else np.zeros(3)]
-        elif kind == "tracker":
-            deviation.tracker[:] += np.r_[shift, turn]
-        elif kind == "base":  # about the arm's own foot: the tracker moves the other way round
-            moved = Rotation.from_rotvec(turn).inv()
-            deviation.tracker[:, :3] += moved.apply(stand - shift) - stand
-            deviation.tracker[:, 3:] += moved.as_rotvec()
-        else:
-            deviation.x[:, joint, TURN if kind == "joint_zero" else GROW] += zero if kind == "joint_zero" else growth
+    def knocked(s: Stations, d: Deviation) -> None:  # about the arm's own foot: the tracker moves the other way round
+        moved = Rotation.from_rotvec(turn).inv()
+        d.tracker[:] += np.r_[moved.apply(stand - shift) - stand, moved.as_rotvec()]
 
-    return right.get(kind, {"tool", "target"}), place.after(Fault((), (), (), kind, bend))
+    always = lambda s: np.ones(len(s.t))  # noqa: E731
+    bend = {
+        "target": twisted("tool", np.r_[shift, np.zeros(3)], always),
+        "tool": twisted("tool", np.r_[shift, turn], always),
+        "tracker": twisted("tracker", np.r_[shift, turn], always),
+        "base": knocked,
+        "joint_zero": turned(joint, lambda s: zero),
+        "link": off("x", np.s_[:, joint, GROW], lambda s: growth),
+    }[kind]
+    return right.get(kind, {"tool", "target"}), place.after(bend)
 
 
 def along_the_arm(

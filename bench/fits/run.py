@@ -25,7 +25,7 @@ import drivers
 import loads
 import numpy as np
 import truth
-from arm import DESCRIBED, ROBOTS
+from arms import urdf_of
 from deltas import record_delta
 from hard_cells import DISTANCE, KINDS
 from works import Planted
@@ -89,8 +89,7 @@ def row(kind: str, seed: int, geometry_only: bool) -> harness.Result:
     works, planted = ROWS[kind].planted(kind, seed)
     first = planted.recordings[0]
     urdf = first.robot_description or ""
-    tip = ROBOTS.get(works.robot) or DESCRIBED[works.robot][1]
-    chain = read_chain(urdf, None, tip, frozenset(first.joints[0].names))
+    chain = read_chain(urdf, None, urdf_of(works.robot)[1], frozenset(first.joints[0].names))
     parts = [prepare(recording, chain).samples for recording in planted.recordings]
     samples = parts[0]
     for later in parts[1:]:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import readings
-from arms import ARMS, holding, record
-from sheet import Sheet, Written
+from sheet import ARMS, Sheet, Written, holding, record
 
 Rng = np.random.Generator
 SCENARIOS = ("log", "moving", "tracker", "targets", "ranges", "bearings", "polar", "height", "joined", "faults")
@@ -31,7 +30,7 @@ def draw(seed: int, folder: Path) -> Written:
     rng = np.random.default_rng([seed, 21])
     scenario, robot = SCENARIOS[seed % len(SCENARIOS)], str(rng.choice(list(ARMS)))
     rate = float(rng.choice([20.0, 50.0])) if scenario == "moving" else 0.0
-    recorded = record(robot, rng, int(rng.integers(160, 300) if rate else rng.integers(45, 140)), 1.0, rate)
+    recorded = record(robot, rng, int(rng.integers(160, 300) if rate else rng.integers(45, 140)), rate)
     sheet, N = Sheet("," if rng.random() < 0.3 else "."), len(recorded.q)
     written = Written([], recorded, {}, np.ones(N, bool), about={"scenario": scenario, "robot": robot})
     _time(rng, sheet, written, scenario == "moving" or rng.random() < 0.6)

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from arms import ARMS, Recorded, record
 from scipy.spatial.transform import Rotation
-from sheet import DIGITS, LENGTH
+from sheet import ARMS, DIGITS, LENGTH, Recorded, record
 
 Rng = np.random.Generator
 STYLES = ("generic", "spatial_analyzer", "faro", "vicon", "motive", "qualisys", "ndi", "rtde")

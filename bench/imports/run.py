@@ -19,7 +19,7 @@ import harness
 # isort: split
 import columns
 import exports
-from arms import ROBOTS
+from arms import FOLDER
 from judging import columns_judged, judged
 
 from modcal_core.errors import ModcalError
@@ -35,7 +35,7 @@ def one(task: harness.Task) -> harness.Result:
     plain = task["kind"] == "plain"
     with harness.scratch(task["keep"] and Path(task["keep"])) as folder:
         export = (exports if plain else columns).draw(task["seed"], folder)
-        robot = Robot.from_urdf((ROBOTS / f"{export.recorded.robot}.urdf").read_text())
+        robot = Robot.from_urdf((FOLDER / f"{export.recorded.robot}.urdf").read_text())
         paths, inertias = ([export.path], None) if plain else (export.paths, robot.inertias)
         try:
             made = proposal(find(paths, robot.chain, inertias=inertias), None)

@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 import recorded
-from fault import Stations
 from harness import over, share
-from recordings import BEGIN, Cell, plant
+from recordings import plant
 from scenarios import SCENARIOS
-from workplace import REPEATABILITY, TRACKER, Workplace, distance
+from sites import BEGIN, REPEAT, Cell, Stations
+from workplace import TRACKER, Workplace, distance
 
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import Calibration
@@ -63,12 +63,12 @@ WAYS = ("planned", "random")
 class Measured(Workplace):
     """A workplace where one station is measured after the other."""
 
-    def __init__(self, task: harness.Task, noise: float = 1.0, repeats: float = REPEATABILITY) -> None:
+    def __init__(self, task: harness.Task, noise: float = 1.0, repeats: float = REPEAT) -> None:
         self.seed, self.kind = task["seed"], task["kind"]
         rng = np.random.default_rng([self.seed, 26])
         cell = Cell(task["robot"], rng)
-        faults = plant(cell, SCENARIOS[task["fault"]], rng, 600.0)
-        super().__init__(cell, faults, (noise * TRACKER[0], noise * TRACKER[1]), repeats)
+        self.planted = plant(cell, SCENARIOS[task["fault"]], rng, 600.0)
+        super().__init__(cell, tuple(f.bend for f in self.planted), (noise * TRACKER[0], noise * TRACKER[1]), repeats)
         self.chain = read_chain(cell.arm.urdf, None, cell.arm.tip)
         self.inertias = read_inertias(cell.arm.urdf, self.chain)
         ranges = zip(cell.arm.names, *cell.arm.range, strict=True)
@@ -136,7 +136,7 @@ class Measured(Workplace):
         rng, stations = self.at_random(28, self.now)
         exact = self.cell.poses(self.reached(stations, rng), self.faults).p
         samples = Samples.from_arrays(stations.q, points=exact, names=self.chain.names)
-        told = {"frames": (FRAME,), "approach": stations.way, "stamps": BEGIN + stations.t}
+        told = {"frames": (FRAME,), "approach": stations.came, "stamps": BEGIN + stations.t}
         return missed(calibration, replace(samples, **told))
 
 
@@ -171,7 +171,7 @@ def goal(task: harness.Task) -> harness.Result:
 
 def impossible(task: harness.Task) -> harness.Result:
     """A goal of six tenths of what the arm repeats; error of the model then, and of as many planned stations."""
-    place = Measured(task, repeats=4 * REPEATABILITY)
+    place = Measured(task, repeats=4 * REPEAT)
     floor = place.floor()
     advice = place.run(Goal(0.6e-3 * floor), True)
     out: harness.Result = {"ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": floor}
@@ -210,7 +210,10 @@ def tie(task: harness.Task) -> harness.Result:
     same = not decided and (name, other) in one_motion(model, place.pool, np.random.default_rng(seed))
     out: harness.Result = {"open": True, "between": between, "more": used, "decided": decided, "one_motion": same}
     out |= {"open_before": len(before), "open_after": len(open_pairs(model))}
-    out |= {"effects": [e.label for e in model.calibration.calibrated.effects], "true": [f.place for f in place.faults]}
+    out |= {
+        "effects": [e.label for e in model.calibration.calibrated.effects],
+        "true": [f.place for f in place.planted],
+    }
     return out
 
 

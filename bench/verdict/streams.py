@@ -8,11 +8,10 @@ from datetime import date
 
 import numpy as np
 from case import Scene, export
-from recordings import Plan
 from scipy.spatial.transform import Rotation
-from transforms import Of, filtered, waits
-from workcell import PERIOD, POSE, Array, ReadingTrack, Recording, Session, Stations, joint_track
-from world import EACH, EPOCH, World, Wrong
+from sites import turned as off_by
+from transforms import *
+from world import EACH, EPOCH, World
 
 WAITS = 3.0  # s, of the EACH from one station to the next
 RATE, READS = 50.0, 20.0  # Hz, of joint states and of readings
@@ -20,16 +19,13 @@ READ_MM, READ_MRAD, SLIP = 0.04, 0.05, 8e-6  # per axis; per joint [rad]
 Spoil = Callable[[Scene, Array, Array], tuple[Array, Array]]  # of stamps and values of readings (m,), (m, 7)
 More = Callable[[Scene, Array, Array], tuple[tuple[str, ...], Array, Array]]  # of stamps and joints (m,), (m, n)
 STEPS = {  # joints that deflect under weight [rad/N m]
-    "soft": lambda c, k: waits(c, c.joint(slice(None), lambda s: k * c.torques(s.q)), "compliance"),
+    "soft": lambda c, k: waits(c, off_by(slice(None), lambda s: k * c.torques(s.q)), "compliance"),
 }
 
 
-def flow(t: Array, stations: Array, rest: Array) -> Array:
+def went(t: Array, stations: Array, rest: Array) -> Array:
     """Joints at times t (m,), between stations (N, n) that are reached at rest[k] and left WAITS later."""
-    before = np.concatenate([stations[:1], stations[:-1]])
-    k = np.clip(np.searchsorted(rest + WAITS, t), 0, len(rest) - 1)
-    u = np.clip((t - (rest[k] - (EACH - WAITS))) / (EACH - WAITS), 0.0, 1.0)[:, None]
-    return before[k] + (u**3 * (10 - 15 * u + 6 * u**2)) * (stations[k] - before[k])
+    return flow(t, stations, rest, EACH - WAITS, WAITS)
 
 
 def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None = None) -> None:
@@ -43,13 +39,13 @@ def flowing(c: Scene, count: int, spoil: Spoil | None = None, more: More | None 
         rng = np.random.default_rng([3, len(s)])
         slip, begin, end = rng.normal(0, SLIP, s.q.shape), s.t[0] - 2.0, s.t[-1] + WAITS + 0.5
         t, read = np.arange(begin, end, 1 / RATE), np.arange(begin + 0.013, end, 1 / READS)
-        p, R = c.sees(flow(read, s.q + slip, s.t))
-        p = p + rng.normal(0, 1e-3 * READ_MM, p.shape)
-        values = np.c_[p, (R * Rotation.from_rotvec(rng.normal(0, 1e-3 * READ_MRAD, p.shape))).as_quat()]
+        seen = c.sees(went(read, s.q + slip, s.t))
+        p = seen.p + rng.normal(0, 1e-3 * READ_MM, seen.p.shape)
+        values = poses(p, seen.R * Rotation.from_rotvec(rng.normal(0, 1e-3 * READ_MRAD, p.shape)))
         read, values = (read, values) if spoil is None else spoil(c, read, values)
-        stamps, q = EPOCH + np.round(read, 6), flow(t, s.q, s.t)
+        q = went(t, s.q, s.t)
         tracks = (joint_track(s.names, EPOCH + t, q), *((joint_track(*more(c, EPOCH + t, q)),) if more else ()))
-        return Recording(tracks, (ReadingTrack(POSE, s.frame, stamps, values, stamps),), s.signals, s.urdf)
+        return Recording(tracks, (reading(EPOCH + np.round(read, 6), values, frame=s.frame),), s.signals, s.urdf)
 
     c.session = replace(session, floor_mm=float(np.hypot(arm_mm, eye_mm)), stated=stated, spoken=spoken)
 
@@ -78,10 +74,10 @@ def hung(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
 def computed(c: Scene, t: Array, values: Array) -> tuple[Array, Array]:
     """Poses of the nominal flange in the base, 40 ms late and to a micrometre."""
     nominal = World(c.robot, np.random.default_rng(0))
-    nominal.built = np.tile(np.eye(4), (c.n, 1, 1))
-    nominal.target = nominal.eye = np.zeros(3), Rotation.identity()
-    p, R = nominal.sees(flow(t - 0.04, c.q, c.t))
-    return t, np.round(np.c_[p, R.as_quat()], 6)
+    nominal.rebuild(0.0)
+    nominal.tool = nominal.eye = np.zeros(3), Rotation.identity()
+    seen = nominal.sees(went(t - 0.04, c.q, c.t))
+    return t, np.round(poses(seen.p, seen.R), 6)
 
 
 def built(c: Scene, robot: str) -> None:
@@ -92,15 +88,21 @@ def built(c: Scene, robot: str) -> None:
 def turning(c: Scene, *joints: int) -> None:
     """A UR5e whose joints of these numbers turn by more than one turn; i is the last of them."""
     c.w, c.i = World("ur5e", c.rng), joints[-1]
-    c.w.low[list(joints)], c.w.high[list(joints)] = -5.5, 5.5
+    c.w.arm.range[:, list(joints)] = [[-5.5], [5.5]]
 
 
-def drooping(w: World, s: Stations, d: Wrong) -> None:
-    """A bend: the link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
-    T = w.frames(s.q)
-    down = np.einsum("nba,b->na", T[:, 2, :3, :3], [0.0, 0.0, -1.0])
-    lever = np.einsum("nba,nb->na", T[:, 2, :3, :3], T[:, -1, :3, 3] - T[:, 2, :3, 3])
-    d.behind[2] = np.c_[np.zeros_like(lever), np.cross(lever, down) * 3e-3]
+def drooping(c: Scene) -> None:
+    """The link behind the third joint bends by what it holds, 3 mrad per metre of it that lies flat."""
+    axis = np.array(c.joints[2].axis, float)
+    x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])  # across the axis, as in arms.py
+
+    def bent(s: Stations, d: Deviation) -> None:
+        p, R = c.at(s).links
+        turn = np.cross(p[:, -2] - p[:, 2], [0.0, 0.0, -3e-3])
+        before = Rotation.from_rotvec(np.outer(s.q[:, 2], axis)) * Rotation.from_matrix(R[:, 2]).inv()
+        d.x[:, 2, 1:] += before.apply(turn) @ np.stack([x, np.cross(axis, x), axis], axis=1)
+
+    waits(c, bent)
 
 
 def elsewhere(c: Scene, when: Of, p: Of = "p", R: Of = "R", form: str = "matrix") -> None:

@@ -1,9 +1,9 @@
 """The eighth group, in cells of world.py: conventions, arms, stands, streams; two things wrong at once among them."""
 
+from arms import described as drawn
 from streams import *
 from transforms import *
 from world import UR5
-from world import described as drawn
 
 K, S = kinds("fresh_eighth")
 BASE, TOOL = (r"\bbase\b", "tracker", "instrument"), (r"\btool\b", "target", "flange")
@@ -69,13 +69,13 @@ S(joint(lambda c: 9e-4 * (load := np.abs(c.torques(c.q)[:, 1])) / load.max() * c
 K("dress_pack_pulls_at_the_wrist", "A hose round the last joint twists the one before, with friction.", JOINT(-2, -1))
 S(let(i=lambda c: c.n - 2), joint(lambda c: 9e-4 * np.sin(c.q[:, -1] - 0.7) + 2e-4 * c.came[:, -1]), 170)
 K("end_of_a_cantilever_table", "Its table sinks and tilts by the arm's moment.", BASE, LOAD, JOINT(0), "link_0")
-S(let(m=lambda c: lambda q: sum(9.81 * j.mass * x for j, x in zip(c.joints, c.frames(q)[..., 0, 3].T, strict=True))))
-S(bend("tracker", np.s_[:, [4, 2]], lambda c: np.outer(c.m(c.q), [2e-5, -8e-6])), 160)
+S(let(weight=lambda c: np.array([9.81 * j.mass for j in c.joints])))
+S(bend("tracker", np.s_[:, [4, 2]], lambda c: np.outer(c.links[0][:, :-1, 0] @ c.weight, [2e-5, -8e-6])), 160)
 K("encoder_ring_off_centre_and_payload", "An eccentric ring; an elastic arm picks up 3 kg.", J, LOAD, JOINT(1))
 S(pick(1, 4), let(load=3.0 * (np.arange(170) >= 90), one=lambda c: np.arange(c.n) == c.i))
 S(bend("x", np.s_[..., 3], lambda c: 1e-5 * c.torques(c.q, c.load) + 1.5e-3 * np.sin(c.x + 0.6)[:, None] * c.one), 170)
 K("link_bends_by_the_part_it_holds", "A link bends by its load.", LOAD, JOINT(1, 2, 3, 4), "link_2", "link_3")
-S(lambda c: waits(c, drooping), 160)
+S(drooping, 160)
 K("joint_of_two_values", "A cracked coupling sits in one of two places, by a neighbour's last move.", JJ)
 S(let(i=2), joint(lambda c: 3.5e-4 * c.came[:, 3]), 160)
 K("prism_constant_and_a_kick", "Distances are 1.2 mm too long; the tripod was kicked.", BASE, RANGE)
@@ -116,7 +116,7 @@ S(asked("--instrument-mm", "1.0", "--tolerance-mm", "2"))
 K("masses_a_tenth", "The URDF's masses of an elastic arm are a tenth.", LOAD, "mass", shown="if left")
 S(soft(2e-5), 150, sub(r'mass value="([^"]*)"', lambda found: f'mass value="{0.1 * float(found[1]):.4f}"'))
 K("known_distance_is_another_ones", "Scale off, tool known.", UNIT, BASE, TOOL, "stated", shown="if left")
-S(let(at_=lambda c: ", ".join(f"{v:.5f}" for v in c.target[0])), points(160), times(1.003))
+S(let(at_=lambda c: ", ".join(f"{v:.5f}" for v in c.tool[0])), points(160), times(1.003))
 S(asked("--cell", "{cell.yaml}"))
 S(truth(files=lambda c: {"cell.yaml": f"tool: {{position_m: [{c.at_}], std_m: 0.0001}}\n"}))
 K("sixteen_points_read_five_times", "Sixteen points, however often read, are too few.", r"\bpostures\b", JOINT(0, 1, 2))
@@ -136,7 +136,7 @@ S(let(off=lambda c: c.rng.normal(0, 6e-4, c.n)))
 S(flowing(80, more=lambda c, t, q: (c.names, t[::5] + 0.004, q[::5] + c.off * np.sign(np.sin(q[::5] * 9)))))
 K("old_simulation_left_running", "A simulation publishes joint states under the same names.", TWICE, ROWS)
 S(let(other=lambda c: c.postures(80)[0], rest=EACH * np.arange(80) + 1.7))
-S(flowing(80, more=lambda c, t, q: (c.names, t[::4] + 0.007, flow(t[::4] + 0.007 - EPOCH, c.other, c.rest))))
+S(flowing(80, more=lambda c, t, q: (c.names, t[::4] + 0.007, went(t[::4] + 0.007 - EPOCH, c.other, c.rest))))
 K("clock_jumps_by_half_a_second", "The network sets the tracker's clock back by 4.5 s in the middle.", CLOCK)
 S(flowing(90, lambda c, t, v: (t - 4.5 * (t > 260.0), v)))
 K("every_reading_four_seconds_old", "Stamps are 4 s late.", CLOCK)(flowing(80, lambda c, t, v: (t + 4.0, v)))

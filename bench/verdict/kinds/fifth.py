@@ -97,7 +97,7 @@ S(140, let(at_=lambda c: np.array([origin(block_of(c.urdf, "joint", name)) for n
 S(let(i=lambda c: 1 + int(np.argmax(np.linalg.norm(np.diff(c.at_[1:], axis=0), axis=1)))))
 S(let(pair=lambda c: c.at_[c.i : c.i + 2], other=lambda c: lambda v: c.pair[int(np.array_equal(v, c.pair[0]))]))
 S(in_block("joint", lambda c: c.names[c.i : c.i + 2], lambda c, b: numbers(b, "origin xyz", c.other, 12)))
-K("names_of_the_other_arm", "Of a robot with two arms the names are exchanged.", "left_", "another arm", floor=False)
+K("names_of_the_other_arm", "Of a robot with two arms the names are exchanged.", "left_", "another arm")
 S(UNRELATED, "other joints", "other arm", 140, let(other=lambda c: c.rng.uniform(*c.arm.range, c.q.shape)))
 S(put(q=lambda c: c.other, more=lambda c: {f"left_{c.names[k]}": c.q[:, k] for k in range(c.n)}))
 K("two_joints_swapped_today", "The driver was exchanged since and swaps two joints.", JJ)

@@ -1,9 +1,8 @@
 """Healthy cells: builds that the other good recordings lack, and the cells of world.py with streams and frames."""
 
-import urdfs  # noqa: F401 (describes them)
+from arms import described as drawn
 from streams import *
 from transforms import *
-from world import described as drawn
 
 K, S = kinds("good_fifth", fault=False)
 K("healthy_on_a_rail", "A UR10 on a rail of two metres whose carriage is one of the joints.")(built("rail"), 140)

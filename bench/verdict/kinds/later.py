@@ -26,7 +26,7 @@ K("reflector_swapped_for_moments", "Three times another reflector is put on, for
 S(let(k=lambda c: np.sort(c.rng.choice(np.arange(20, 130, 15), 3, replace=False))))
 S(tool(0.0025, 0, lambda c: np.any(np.abs(c.rows[:, None] - c.k) <= 2, axis=1)), 150)
 K("flange_in_place_of_the_tool", "Towards the end software forgets the tool's offset.", TOOL)
-S(tool(lambda c: -c.cell.tool[1].inv().apply(c.cell.tool[0]), 0, since(115)), 150)
+S(tool(lambda c: -c.tool[1].inv().apply(c.tool[0]), 0, since(115)), 150)
 K("tool_creeps", "A glued target creeps by half a millimetre, ever more slowly.", TOOL, JOINT(-1))(let(v=way(5e-4)))
 S(let(tau=uniform(80.0, 200.0)), bend("tool", np.s_[:, :3], lambda c: np.outer(1.0 - np.exp(-c.t / c.tau), c.v)), 150)
 K("probe_sags", "A long probe bends under its own weight, across only.", TOOL, HAND, WRIST)
