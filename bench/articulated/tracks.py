@@ -32,43 +32,32 @@ class Draw:
     def __call__(self, low: float, high: float) -> float:
         return self.rng.uniform(low, high)
 
+    def first(self, share: int) -> int:
+        """Poses of the first part, one in so many; rest: of the others."""
+        return self.n // share
 
-Spec = Callable[[Draw], Any] | tuple[float, float]  # what is drawn; two numbers: one between them
+    def rest(self, share: int) -> int:
+        return self.n - self.n // share
+
+    def to(self, low: float, high: float, n: int | None = None, start: float = 0.0) -> Array:
+        """Evenly from the start to a random end."""
+        return linspace(start, self(low, high), self.n if n is None else n)
+
+    def turn(self, low: float, high: float, n: int | None = None, start: float = 0.0) -> Array:
+        """The same in degrees; comes back in radians."""
+        return DEGREE * self.to(low, high, n, start)
+
+    def smooth(self, size: float, knots: int, columns: int | None = None, mean: float = 0.0) -> Array:
+        """A spline through so many random values, (n,) or (n, columns)."""
+        shape = (knots,) if columns is None else (knots, columns)
+        return CubicSpline(linspace(0.0, 1.0, knots), self.rng.normal(mean, size, shape))(self.t)
+
+    def door(self, low: float, high: float, near: float, far: float, share: int) -> Path:
+        """The rest of the track as a door: its angle [deg] and radius between these."""
+        return door(self.turn(low, high, self.rest(share)), self(near, far))
+
+
 Kind = Callable[[Draw], Path]
-
-
-def of(*specs: Spec) -> Callable[[Callable[..., Path]], Kind]:
-    """A kind: the path of what is drawn, in this order."""
-    return lambda path: lambda k: path(*(spec(k) if callable(spec) else k(*spec) for spec in specs))
-
-
-def along(k: Draw) -> Array:
-    return k.t
-
-
-def first(share: int) -> Callable[[int], int]:
-    """Poses of the first part, one in so many."""
-    return lambda n: n // share
-
-
-def rest(share: int) -> Callable[[int], int]:
-    return lambda n: n - n // share
-
-
-def to(low: float, high: float, count: Callable[[int], int] = int, start: float = 0.0) -> Spec:
-    """Evenly from the start to a random end; count: poses of a part."""
-    return lambda k: linspace(start, k(low, high), count(k.n))
-
-
-def turn(low: float, high: float, count: Callable[[int], int] = int, start: float = 0.0) -> Spec:
-    """The same in degrees; comes back in radians."""
-    return lambda k: DEGREE * linspace(start, k(low, high), count(k.n))
-
-
-def smooth(size: float, knots: int, columns: int | None = None) -> Spec:
-    """A spline through so many random values, (n,) or (n, columns)."""
-    shape = (knots,) if columns is None else (knots, columns)
-    return lambda k: CubicSpline(linspace(0.0, 1.0, knots), k.rng.normal(0.0, size, shape))(k.t)
 
 
 def about(axis: Sequence[float] | Array, angle: Array) -> Rotation:
@@ -79,11 +68,17 @@ def turned(p: Array, angle: Array, axis: Sequence[float] | Array = Z) -> Path:
     return p, about(axis, angle)
 
 
+def on(a: Array, p: Callable[[Array], Array], angle: Callable[[Array], Array] = lambda a: a, axis: Any = Z) -> Path:
+    """Positions by a parameter, and what the handle turns by."""
+    return p(a), about(axis, angle(a))
+
+
 def kept(p: Array) -> Path:
     return turned(p, np.zeros(len(p)))
 
 
-def on_ball(R: Rotation, point: Sequence[float] | Array) -> Path:
+def on_ball(w: Array, point: Sequence[float] | Array) -> Path:
+    R = Rotation.from_rotvec(w)
     return R.apply(point), R
 
 
@@ -96,13 +91,17 @@ def polar(radius: Any, angle: Array) -> Array:
     return at(radius * cos(angle), radius * sin(angle))
 
 
-def arc(angle: Array, radius: float, z: Any = 0.0) -> Array:
+def rise(z: Array) -> Array:
+    return np.outer(z, Z)
+
+
+def arc(angle: Array, radius: float) -> Array:
     """From the origin along y, bending towards −x."""
-    return at(radius * (cos(angle) - 1.0), radius * sin(angle), z)
+    return at(radius * (cos(angle) - 1.0), radius * sin(angle))
 
 
-def door(angle: Array, radius: float, z: Any = 0.0) -> Path:
-    return turned(arc(angle, radius, z), angle)
+def door(angle: Array, radius: float) -> Path:
+    return turned(arc(angle, radius), angle)
 
 
 def lever(angle: Array, axis: Array, arm: Array) -> Path:
@@ -124,10 +123,37 @@ def rail(heading: Array, s: Array) -> Path:
     return turned(walk(heading, s), heading)
 
 
+def on_rail(s: Array, heading: Callable[[Array], Array]) -> Path:
+    return rail(heading(s), s)
+
+
 def bent(t: Array, lead: float, radius: float, angle: float, far: float) -> Path:
     """A rail that is straight, bends round by an angle, and is straight again."""
     s = (lead + angle * radius + far) * t
     return rail(clip((s - lead) / radius, 0.0, angle), s)
+
+
+def graph(x: Array, y: Array, slope: Array) -> Path:
+    return turned(at(x, y), arctan(slope))
+
+
+def cardan(a: Array, sway: float, arm: float) -> Path:
+    R = about(X, a) * about(Y, sway * sin(2.0 * a))
+    return R.apply([0.1, 0.0, arm]), R
+
+
+def carried(way: float, t: Array, bend: float) -> Path:
+    p = walk(bend * 3.0 * clip(t - 0.45, 0.0, 1.0) ** 2, way * (10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5))
+    return turned(p, 0.3 * sin(3.0 * t), [0.3, 0.8, 0.5])
+
+
+def droop(s: Array, late: Array, down: float, tilt: float) -> Path:
+    return turned(at(s, 0.0, -down * late), tilt * clip(late / 0.03, 0.0, 1.0), Y)
+
+
+def landing(radius: float, pitch: float, a: Array, k: Draw) -> Path:
+    on_a_helix = turned(polar(radius, a) - rise(pitch * a), a)
+    return and_on(on_a_helix, slide(k.to(0.15, 0.3, k.n - len(a)), [-sin(a[-1]), cos(a[-1]), 0.0]))
 
 
 def then(start: Path, end: Path) -> Path:
@@ -198,15 +224,14 @@ def arm_at_random(k: Draw) -> Path:
     links = 0.35 * Z, 0.4 * X, 0.35 * X, 0.1 * Z, 0.1 * X, 0.12 * Z
     p, R = np.zeros((k.n, 3)), about(Z, np.zeros(k.n))
     for link, axis in zip(links, (Z, Y, Y, Z, Y, Z), strict=True):
-        R = R * about(axis, CubicSpline(linspace(0.0, 1.0, 5), k.rng.normal(0.3, 0.45, 5))(k.t))
+        R = R * about(axis, k.smooth(0.45, 5, mean=0.3))
         p = p + R.apply(link)
     return p, R
 
 
 def hose(k: Draw) -> Path:
     heading = CubicSpline(linspace(0.0, 1.0, 4), np.cumsum(k.rng.normal(0.0, 0.5, 4)))(k.t)
-    p = walk(heading, linspace(0.0, k(0.5, 0.8), k.n))
-    return turned(p + np.outer(0.1 * CubicSpline(linspace(0.0, 1.0, 4), k.rng.normal(0.0, 0.5, 4))(k.t), Z), heading)
+    return turned(walk(heading, k.to(0.5, 0.8)) + rise(0.1 * k.smooth(0.5, 4)), heading)
 
 
 def umbrella(runner: Array, length: float, sag: float) -> Path:
@@ -239,232 +264,205 @@ def rope(t: Array, a: float, b: float) -> Path:
 # Of each set, what it may be used for: design and shaping were looked at while thresholds and rules were chosen; the
 # others were written afterwards, and run once.
 DESIGN: dict[str, Kind] = {
-    "lever_then_door": of(turn(35, 50, first(3)), turn(40, 80, rest(3)), (0.6, 0.8))(
-        lambda a, b, r: and_on(lever(a, X, 0.11 * Y), door(b, r))
+    "lever_then_door": lambda k: and_on(lever(k.turn(35, 50, k.first(3)), X, 0.11 * Y), k.door(40, 80, 0.6, 0.8, 3)),
+    "slide_then_turn": lambda k: then(slide(k.to(0.08, 0.16, k.first(3))), k.door(40, 80, 0.2, 0.4, 3)),
+    "folding_door": lambda k: turned(
+        k(0.3, 0.45) * at((1.0 + (share := k(0.4, 0.7))) * cos(a := k.turn(50, 75, start=3)), (1.0 - share) * sin(a)),
+        -a,
     ),
-    "slide_then_turn": of(to(0.08, 0.16, first(3)), turn(40, 80, rest(3)), (0.2, 0.4))(
-        lambda s, a, r: then(slide(s), door(a, r))
-    ),
-    "folding_door": of((0.3, 0.45), (0.4, 0.7), turn(50, 75, start=3))(
-        lambda r, share, a: turned(r * at((1.0 + share) * cos(a), (1.0 - share) * sin(a)), -a)
-    ),
-    "waved_about": of(smooth(0.15, 7, 3), smooth(0.4, 7, 3))(lambda p, w: (p, Rotation.from_rotvec(w))),
-    "four_bar_lid": of((0.25, 0.32), turn(95, 120, start=20), (0.25, 0.5), (0.1, 0.25))(
-        lambda rocker, a, x, y: four_bar((0.15, 0.3, rocker), (0.3, 0.0), a, ((x, 0.0), (y, 0.5 * pi)))
+    "waved_about": lambda k: (k.smooth(0.15, 7, 3), Rotation.from_rotvec(k.smooth(0.4, 7, 3))),
+    "four_bar_lid": lambda k: four_bar(
+        (0.15, 0.3, k(0.25, 0.32)),
+        (0.3, 0.0),
+        k.turn(95, 120, start=20),
+        [(k(0.25, 0.5), 0.0), (k(0.1, 0.25), 0.5 * pi)],
     ),
 }
 KEPT: dict[str, Kind] = {
-    "bolt_then_gate": of(to(0.05, 0.09, first(4)), turn(40, 80, rest(4)), (0.5, 0.9))(
-        lambda s, a, r: then(slide(s), door(a, r))
-    ),
-    "window_on_a_stay": of(turn(50, 75), (0.25, 0.4), (0.35, 0.6))(
-        lambda a, slot, r: turned(arc(a, r) + at(slot * sin(a), 0.0), a)
-    ),
-    "two_hinges_at_once": of(smooth(0.7, 4), smooth(0.9, 4))(lambda a, b: two(a, a + b + 1.2, 0.4, 0.3)),
-    "sectional_garage_door": of((0.25, 0.5), (0.2, 0.5), along)(garage),
-    "pushed_over_the_table": of(smooth(0.2, 5, 2), smooth(0.6, 5))(lambda p, a: turned(at(*p.T), a)),
-    "joystick": of(smooth(0.45, 6, 2), (0.25, 0.45))(lambda w, r: on_ball(Rotation.from_rotvec(at(*w.T)), r * Z)),
-    "door_with_a_new_grasp": of(turn(60, 90), along, (0.08, 0.15))(
-        lambda a, t, r: turned(polar(np.where(np.arange(len(t)) < len(t) // 2, 0.75, 0.75 - r), a), a)
+    "bolt_then_gate": lambda k: then(slide(k.to(0.05, 0.09, k.first(4))), k.door(40, 80, 0.5, 0.9, 4)),
+    "window_on_a_stay": lambda k: on(k.turn(50, 75), lambda a: at(k(0.25, 0.4) * sin(a), 0.0) + arc(a, k(0.35, 0.6))),
+    "two_hinges_at_once": lambda k: two(a := k.smooth(0.7, 4), a + k.smooth(0.9, 4) + 1.2, 0.4, 0.3),
+    "sectional_garage_door": lambda k: garage(k(0.25, 0.5), k(0.2, 0.5), k.t),
+    "pushed_over_the_table": lambda k: turned(at(*k.smooth(0.2, 5, 2).T), k.smooth(0.6, 5)),
+    "joystick": lambda k: on_ball(at(*k.smooth(0.45, 6, 2).T), k(0.25, 0.45) * Z),
+    "door_with_a_new_grasp": lambda k: on(
+        k.turn(60, 90), lambda a: polar(np.where(np.arange(k.n) < k.n // 2, 0.75, 0.75 - k(0.08, 0.15)), a)
     ),
 }
 LATER: dict[str, Kind] = {
-    "geared_arm_of_a_screen": of(turn(50, 80), (1.3, 1.8), (0.2, 0.28))(
-        lambda a, gear, r: two(a, a - gear * a, 0.3, r)
+    "geared_arm_of_a_screen": lambda k: two(a := k.turn(50, 80), a - k(1.3, 1.8) * a, 0.3, k(0.2, 0.28)),
+    "door_of_a_van": lambda k: van(k(0.12, 0.18), k(0.25, 0.4), k.t),
+    "up_and_over_door": lambda k: on(
+        k.turn(60, 85),
+        lambda a: k(0.6, 0.9) * at((1.0 - (share := k(0.25, 0.4))) * sin(a), 0.0, share * cos(a)),
+        axis=Y,
     ),
-    "door_of_a_van": of((0.12, 0.18), (0.25, 0.4), along)(van),
-    "up_and_over_door": of(turn(60, 85), (0.6, 0.9), (0.25, 0.4))(
-        lambda a, r, share: turned(r * at((1.0 - share) * sin(a), 0.0, share * cos(a)), a, Y)
+    "pin_in_a_wavy_slot": lambda k: kept(at(s := k.to(0.3, 0.45), k(0.02, 0.035) * sin(2.0 * pi * s / k(0.3, 0.5)))),
+    "barrel_that_rolls": lambda k: on(
+        k.turn(70, 110), lambda a: at(0.25 * a - (r := k(0.18, 0.24)) * sin(a - 0.6), 0.0, r * cos(a - 0.6)), axis=Y
     ),
-    "pin_in_a_wavy_slot": of(to(0.3, 0.45), (0.02, 0.035), (0.3, 0.5))(
-        lambda s, side, wave: kept(at(s, side * sin(2.0 * pi * s / wave)))
+    "hinge_of_two_pins": lambda k: then(door(k.turn(30, 45, k.first(2)), 0.7), k.door(30, 45, 0.3, 0.45, 2)),
+    "tray_that_drops": lambda k: then(
+        slide(k.to(0.15, 0.25, k.first(2))),
+        (lambda a: slide(k.to(0.1, 0.2, k.rest(2)), [cos(a), 0.0, -sin(a)]))(DEGREE * k(20, 35)),
     ),
-    "barrel_that_rolls": of(turn(70, 110), (0.18, 0.24))(
-        lambda a, r: turned(at(0.25 * a - r * sin(a - 0.6), 0.0, r * cos(a - 0.6)), a, Y)
-    ),
-    "hinge_of_two_pins": of(turn(30, 45, first(2)), turn(30, 45, rest(2)), (0.3, 0.45))(
-        lambda a, b, r: then(door(a, 0.7), door(b, r))
-    ),
-    "tray_that_drops": of(to(0.15, 0.25, first(2)), (20, 35), to(0.1, 0.2, rest(2)))(
-        lambda s, slant, d: then(slide(s), slide(d, [cos(DEGREE * slant), 0.0, -sin(DEGREE * slant)]))
-    ),
-    "cord_on_a_drum": of(turn(110, 170), (0.03, 0.05))(lambda a, r: turned(polar(0.3 - r * a, a), a)),
+    "cord_on_a_drum": lambda k: on(k.turn(110, 170), lambda a: polar(0.3 - k(0.03, 0.05) * a, a)),
 }
 LAST: dict[str, Kind] = {
-    "flush_sliding_door": of(to(0.05, 0.08, first(4)), to(0.3, 0.6, rest(4)))(
-        lambda s, t: then(slide(s, [0.5, -0.866, 0.0]), slide(t))
+    "flush_sliding_door": lambda k: then(
+        slide(k.to(0.05, 0.08, k.first(4)), [0.5, -0.866, 0.0]), slide(k.to(0.3, 0.6, k.rest(4)))
     ),
-    "knob_then_drawer": of(lambda k: linspace(0.0, 0.5 * pi, k.n // 3), to(0.2, 0.4, rest(3)))(
-        lambda a, s: and_on(lever(a, X, 0.06 * Y), slide(s))
+    "knob_then_drawer": lambda k: and_on(
+        lever(linspace(0.0, 0.5 * pi, k.first(3)), X, 0.06 * Y), slide(k.to(0.2, 0.4, k.rest(3)))
     ),
-    "rail_that_bends_more_and_more": of(to(0.4, 0.7), (0.2, 0.3))(lambda s, r: rail(0.5 * s**2 / s[-1] / r, s)),
-    "lid_on_a_scissor": of(turn(55, 70, start=15), (0.5, 0.7))(
-        lambda a, r: turned(r * at(0.6 * cos(a) ** 2, 0.0, sin(a)), 0.15 * sin(3.0 * a), Y)
+    "rail_that_bends_more_and_more": lambda k: on_rail(k.to(0.4, 0.7), lambda s: 0.5 * s**2 / s[-1] / k(0.2, 0.3)),
+    "lid_on_a_scissor": lambda k: on(
+        k.turn(55, 70, start=15),
+        lambda a: k(0.5, 0.7) * at(0.6 * cos(a) ** 2, 0.0, sin(a)),
+        lambda a: 0.15 * sin(3.0 * a),
+        Y,
     ),
-    "handle_on_a_rope": of(to(0.8, 1.6), (0.2, 0.3), (0.08, 0.15))(lambda t, a, b: rope(2.0 * pi * t, a, b)),
-    "nut_on_a_bent_rod": of(to(2.0, 3.0), (0.2, 0.3))(lambda a, bend: nut(pi * a, bend)),
-    "column_that_tilts_and_telescopes": of(along, (0.8, 1.2), (0.1, 0.2))(
-        lambda t, tilt, out: turned(
-            (0.4 + out * t)[:, None] * at(sin(0.6 * sin(pi * tilt * t)), 0.0, cos(0.6 * sin(pi * tilt * t))),
-            0.6 * sin(pi * tilt * t),
-            Y,
-        )
+    "handle_on_a_rope": lambda k: rope(2.0 * pi * k.to(0.8, 1.6), k(0.2, 0.3), k(0.08, 0.15)),
+    "nut_on_a_bent_rod": lambda k: nut(pi * k.to(2.0, 3.0), k(0.2, 0.3)),
+    "column_that_tilts_and_telescopes": lambda k: on(
+        0.6 * sin(pi * k(0.8, 1.2) * k.t),
+        lambda a: (0.4 + k(0.1, 0.2) * k.t)[:, None] * at(sin(a), 0.0, cos(a)),
+        axis=Y,
     ),
-    "chair_on_castors": of(along, (0.6, 1.2))(
-        lambda t, a: turned(0.8 / len(t) * at(np.cumsum(cos(a * t**2)), np.cumsum(sin(a * t**2))), -0.5 * sin(4.0 * t))
+    "chair_on_castors": lambda k: on(
+        k(0.6, 1.2) * k.t**2, lambda a: 0.8 / k.n * np.cumsum(polar(1.0, a), axis=0), lambda a: -0.5 * sin(4.0 * k.t)
     ),
-    "drawer_out_of_its_rail": of(
-        to(0.15, 0.25, first(2)), lambda k: linspace(0.0, 1.0, k.n - k.n // 2), (0.1, 0.2), (0.15, 0.3)
-    )(lambda s, t, y, z: then(slide(s), turned(at(0.1 * t, y * t**2, z * sin(1.5 * t)), t, [0.3, -0.4, 0.5]))),
-    "planetary_crank": of(turn(90, 150), (0.1, 0.14), (0.05, 0.09))(
-        lambda a, wheel, far: two(a, -(0.35 - wheel) / wheel * a, 0.35 - wheel, far)
+    "drawer_out_of_its_rail": lambda k: then(
+        slide(k.to(0.15, 0.25, k.first(2))),
+        on(
+            linspace(0.0, 1.0, k.rest(2)),
+            lambda t: at(0.1 * t, k(0.1, 0.2) * t**2, k(0.15, 0.3) * sin(1.5 * t)),
+            axis=[0.3, -0.4, 0.5],
+        ),
+    ),
+    "planetary_crank": lambda k: two(
+        a := k.turn(90, 150), -(0.35 - (wheel := k(0.1, 0.14))) / wheel * a, 0.35 - wheel, k(0.05, 0.09)
     ),
 }
 SHAPING: dict[str, Kind] = {
-    "eccentric_cam": of(turn(80, 130), (0.25, 0.4), (0.02, 0.04), (0, 6))(
-        lambda a, r, lobe, by: turned(polar(r + lobe * cos(2.0 * a + by), a), a)
+    "eccentric_cam": lambda k: on(
+        k.turn(80, 130), lambda a: polar(k(0.25, 0.4) + k(0.02, 0.04) * cos(2.0 * a + k(0, 6)), a)
     ),
-    "parallelogram_flap": of(turn(50, 80), (0.3, 0.45), (0.2, 0.4))(lambda a, r, share: turned(arc(a, r), share * a)),
-    "draw_latch_then_slide": of(turn(60, 90, first(4)), to(0.2, 0.4, rest(4)))(
-        lambda a, s: and_on(lever(a, Y, 0.07 * Z), slide(s))
+    "parallelogram_flap": lambda k: on(k.turn(50, 80), lambda a: arc(a, k(0.3, 0.45)), lambda a: k(0.2, 0.4) * a),
+    "draw_latch_then_slide": lambda k: and_on(
+        lever(k.turn(60, 90, k.first(4)), Y, 0.07 * Z), slide(k.to(0.2, 0.4, k.rest(4)))
     ),
-    "plug_door_of_a_bus": of(turn(25, 40, first(3)), (0.3, 0.45), to(0.25, 0.45, rest(3)))(
-        lambda a, r, s: and_on(door(a, r), slide(s, Y))
+    "plug_door_of_a_bus": lambda k: and_on(
+        door(k.turn(25, 40, k.first(3)), k(0.3, 0.45)), slide(k.to(0.25, 0.45, k.rest(3)), Y)
     ),
-    "boom_that_turns_then_extends": of(turn(60, 100), (0.35, 0.5), (0.15, 0.3))(
-        lambda a, r, out: turned(polar(r + out * clip(a / a[-1] - 0.4, 0.0, 1.0) ** 2, a), a)
+    "boom_that_turns_then_extends": lambda k: on(
+        k.turn(60, 100), lambda a: polar(k(0.35, 0.5) + k(0.15, 0.3) * clip(a / a[-1] - 0.4, 0.0, 1.0) ** 2, a)
     ),
-    "hinge_that_lifts_late": of(turn(70, 95), (0.04, 0.08), (30, 40), (0.5, 0.7))(
-        lambda a, up, begin, r: door(a, r, up * clip(a - DEGREE * begin, 0.0, None))
+    "hinge_that_lifts_late": lambda k: on(
+        k.turn(70, 95), lambda a: rise(k(0.04, 0.08) * clip(a - DEGREE * k(30, 40), 0.0, None)) + arc(a, k(0.5, 0.7))
     ),
     "hose_in_the_hand": hose,
-    "elliptic_rail": of(turn(80, 110), (0.4, 0.5), (0.22, 0.3))(
+    "elliptic_rail": lambda k: (
         lambda a, A, B: turned(at(A * sin(a), B * (1.0 - cos(a))), arctan2(B * sin(a), A * cos(a)))
+    )(k.turn(80, 110), k(0.4, 0.5), k(0.22, 0.3)),
+    "lid_on_a_rack": lambda k: on(k.turn(70, 100), lambda a: at(k(0.05, 0.09) * a, 0.0) + arc(a, k(0.35, 0.5))),
+    "carried_away": lambda k: carried(k(0.5, 0.7), k.t, k(0.7, 1.3)),
+    "screw_of_changing_pitch": lambda k: on(
+        pi * k.to(1.2, 2.2), lambda a: arc(a, k(0.1, 0.2)) + rise(k(0.01, 0.02) * a**2)
     ),
-    "lid_on_a_rack": of(turn(70, 100), (0.05, 0.09), (0.35, 0.5))(
-        lambda a, r, far: turned(arc(a, far) + at(r * a, 0.0), a)
-    ),
-    "carried_away": of((0.5, 0.7), along, (0.7, 1.3))(
-        lambda out, t, bend: turned(
-            walk(bend * 3.0 * clip(t - 0.45, 0.0, 1.0) ** 2, out * (10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5)),
-            0.3 * sin(3.0 * t),
-            [0.3, 0.8, 0.5],
-        )
-    ),
-    "screw_of_changing_pitch": of(to(1.2, 2.2), (0.1, 0.2), (0.01, 0.02))(
-        lambda a, r, rise: door(pi * a, r, rise * (pi * a) ** 2)
-    ),
-    "drawer_that_droops": of(to(0.4, 0.6), (0.18, 0.28), (0.08, 0.16), (0.08, 0.16))(
-        lambda s, begin, down, tilt: turned(
-            at(s, 0.0, -down * clip(s - begin, 0.0, 1.0)),
-            tilt * clip(clip(s - begin, 0.0, 1.0) / 0.03, 0.0, 1.0),
-            Y,
-        )
+    "drawer_that_droops": lambda k: droop(
+        s := k.to(0.4, 0.6), clip(s - k(0.18, 0.28), 0.0, 1.0), k(0.08, 0.16), k(0.08, 0.16)
     ),
 }
 FRESH: dict[str, Kind] = {
-    "rail_like_an_s": of(turn(35, 60, first(2)), turn(35, 60, rest(2)), (0.25, 0.45), (0.25, 0.45))(
-        lambda a, b, far, r: then(door(a, r), turned(arc(b, far) * [-1.0, 1.0, 1.0], -b))
+    "rail_like_an_s": lambda k: (lambda a, b, far, r: then(door(a, r), turned(arc(b, far) * [-1.0, 1.0, 1.0], -b)))(
+        k.turn(35, 60, k.first(2)), k.turn(35, 60, k.rest(2)), k(0.25, 0.45), k(0.25, 0.45)
     ),
-    "point_of_a_connecting_rod": of(turn(100, 150), (0.15, 0.22), (0.45, 0.6), (0.3, 0.6))(
-        lambda a, crank, rod, share: two(a, -np.arcsin(crank * sin(a) / rod), crank, share * rod)
+    "point_of_a_connecting_rod": lambda k: two(
+        a := k.turn(100, 150),
+        -np.arcsin((crank := k(0.15, 0.22)) * sin(a) / (rod := k(0.45, 0.6))),
+        crank,
+        k(0.3, 0.6) * rod,
     ),
-    "oval_of_a_toy_train": of((0.15, 0.3), (0.15, 0.22), (0.1, 0.25), along)(
-        lambda lead, r, far, t: bent(t, lead, r, pi, far)
+    "oval_of_a_toy_train": lambda k: bent(k.t, k(0.15, 0.3), k(0.15, 0.22), pi, k(0.1, 0.25)),
+    "window_that_tilts_and_then_turns": lambda k: then(
+        lever(k.turn(8, 14, k.first(3)), X, k(0.6, 0.9) * Z), k.door(40, 70, 0.4, 0.6, 3)
     ),
-    "window_that_tilts_and_then_turns": of(turn(8, 14, first(3)), (0.6, 0.9), turn(40, 70, rest(3)), (0.4, 0.6))(
-        lambda a, r, b, far: then(lever(a, X, r * Z), door(b, far))
+    "wheel_that_is_drawn_out_as_it_turns": lambda k: on(
+        k.turn(120, 200), lambda a: arc(a, k(0.12, 0.2)) + rise(k(0.08, 0.14) * clip(a - 0.5, 0.0, None) ** 1.5)
     ),
-    "wheel_that_is_drawn_out_as_it_turns": of(turn(120, 200), (0.12, 0.2), (0.08, 0.14))(
-        lambda a, r, out: door(a, r, out * clip(a - 0.5, 0.0, None) ** 1.5)
+    "trolley_that_changes_lanes": lambda k: rail(k(0.4, 0.8) * sin(pi * k.t) ** 2, k(0.6, 0.9) * k.t),
+    "eye_of_a_ball": lambda k: on_ball(
+        at(k(0.8, 1.3) * k.t, k(0.3, 0.6) * k.t**2, k(0.2, 0.4) * sin(2.0 * k.t)), k(0.3, 0.5) * Z
     ),
-    "trolley_that_changes_lanes": of((0.4, 0.8), (0.6, 0.9), along)(lambda a, s, t: rail(a * sin(pi * t) ** 2, s * t)),
-    "eye_of_a_ball": of((0.8, 1.3), (0.3, 0.6), (0.2, 0.4), (0.3, 0.5), along)(
-        lambda a, b, c, r, t: on_ball(Rotation.from_rotvec(at(a * t, b * t**2, c * sin(2.0 * t))), r * Z)
+    "pantograph_of_a_lamp": lambda k: pantograph(k.turn(20, 35, start=k(65, 75)), k(0.5, 0.7), k(0.25, 0.45)),
+    "stair_of_a_snail": lambda k: on(
+        k.turn(140, 220), lambda a: polar(k(0.12, 0.18) + k(0.03, 0.05) * a, a) + rise(k(0.03, 0.06) * a)
     ),
-    "pantograph_of_a_lamp": of((65, 75), lambda k: (k(20, 35), k.n), (0.5, 0.7), (0.25, 0.45))(
-        lambda begin, k, r, sag: pantograph(DEGREE * linspace(begin, *k), r, sag)
-    ),
-    "stair_of_a_snail": of(turn(140, 220), (0.12, 0.18), (0.03, 0.05), (0.03, 0.06))(
-        lambda a, r, grow, up: turned(polar(r + grow * a, a) + np.outer(up * a, Z), a)
-    ),
-    "lid_of_a_piano": of(turn(90, 150, first(2)), turn(30, 50, rest(2)), (0.2, 0.3), (0.6, 0.8))(
-        lambda a, b, r, far: and_on(door(a, r), door(b, far))
+    "lid_of_a_piano": lambda k: (lambda a, b, r, far: and_on(door(a, r), door(b, far)))(
+        k.turn(90, 150, k.first(2)), k.turn(30, 50, k.rest(2)), k(0.2, 0.3), k(0.6, 0.8)
     ),
 }
 UNSEEN: dict[str, Kind] = {
-    "link_of_watt": of((0.18, 0.26), to(0.5, 0.7, start=-0.2), (0.5, 0.8))(
-        lambda r, a, share: four_bar((0.4, r, 0.4), (0.8, r), a, ((share * r, 0.0),))
+    "link_of_watt": lambda k: four_bar(
+        (0.4, r := k(0.18, 0.26), 0.4), (0.8, r), k.to(0.5, 0.7, start=-0.2), [(k(0.5, 0.8) * r, 0.0)]
     ),
-    "spiral_of_archimedes": of(turn(100, 170), (0.15, 0.25), (0.05, 0.09))(
-        lambda a, r, grow: turned(polar(r + grow * a, a), a)
-    ),
-    "parabolic_chute": of(to(0.45, 0.65), (1.2, 2.4))(
-        lambda x, steep: turned(at(x, steep * x**2), arctan(2.0 * steep * x))
-    ),
-    "flipper_door": of(lambda k: linspace(0.0, 0.5 * pi, k.n // 2), (0.25, 0.4), to(0.2, 0.35, rest(2)))(
-        lambda a, r, s: and_on(turned(r * at(sin(a), 1.0 - cos(a)), a), slide(s, -X))
+    "spiral_of_archimedes": lambda k: on(k.turn(100, 170), lambda a: polar(k(0.15, 0.25) + k(0.05, 0.09) * a, a)),
+    "parabolic_chute": lambda k: graph(x := k.to(0.45, 0.65), (steep := k(1.2, 2.4)) * x**2, 2.0 * steep * x),
+    "flipper_door": lambda k: and_on(
+        on(linspace(0.0, 0.5 * pi, k.first(2)), lambda a: k(0.25, 0.4) * at(sin(a), 1.0 - cos(a))),
+        slide(k.to(0.2, 0.35, k.rest(2)), -X),
     ),
     "bayonet_with_a_long_lever": bayonet,
-    "trammel": of(turn(95, 125, start=10), (0.45, 0.55), (0.2, 0.3))(
-        lambda a, x, y: turned(at(x * cos(a), y * sin(a)), -a)
+    "trammel": lambda k: on(
+        k.turn(95, 125, start=10), lambda a: at(k(0.45, 0.55) * cos(a), k(0.2, 0.3) * sin(a)), lambda a: -a
     ),
-    "cradle_that_rocks": of(turn(30, 45, start=-25), (0.35, 0.5), (0.3, 0.45), (0.05, 0.12))(cradle),
-    "table_on_a_turntable": of(turn(60, 100), (1.6, 2.6), (0.25, 0.35), (0.1, 0.16))(
-        lambda a, gear, r, far: two(a, gear * a, r, far)
-    ),
-    "trailer_that_is_swung": of((0.35, 0.5), to(0.5, 0.8), (75, 88), (1.2, 1.6))(tractrix),
+    "cradle_that_rocks": lambda k: cradle(k.turn(30, 45, start=-25), k(0.35, 0.5), k(0.3, 0.45), k(0.05, 0.12)),
+    "table_on_a_turntable": lambda k: two(a := k.turn(60, 100), k(1.6, 2.6) * a, k(0.25, 0.35), k(0.1, 0.16)),
+    "trailer_that_is_swung": lambda k: tractrix(k(0.35, 0.5), k.to(0.5, 0.8), k(75, 88), k(1.2, 1.6)),
     "arm_at_random": arm_at_random,
-    "rail_of_the_third_degree": of(to(0.45, 0.65), (0.08, 0.2))(
-        lambda s, d: turned(at(s, d * (s / s[-1]) ** 3), arctan(np.gradient(d * (s / s[-1]) ** 3, s)))
+    "rail_of_the_third_degree": lambda k: graph(
+        s := k.to(0.45, 0.65), y := k(0.08, 0.2) * (s / s[-1]) ** 3, np.gradient(y, s)
     ),
-    "toggle_clamp": of((0.16, 0.2), (0.2, 0.24), turn(140, 180, start=30), (0.3, 0.45))(
-        lambda r, ground, a, far: four_bar((0.1, r, 0.18), (ground, 0.0), a, ((far, 0.8),))
+    "toggle_clamp": lambda k: four_bar(
+        (0.1, k(0.16, 0.2), 0.18), (k(0.2, 0.24), 0.0), k.turn(140, 180, start=30), [(k(0.3, 0.45), 0.8)]
     ),
-    "spiral_slide_with_a_landing": of(
-        (0.2, 0.3), (0.06, 0.12), turn(80, 130, lambda n: 2 * n // 3), to(0.15, 0.3, lambda n: n - 2 * n // 3)
-    )(
-        lambda r, pitch, a, s: and_on(
-            turned(polar(r, a) - np.outer(pitch * a, Z), a), slide(s, [-sin(a[-1]), cos(a[-1]), 0.0])
-        )
+    "spiral_slide_with_a_landing": lambda k: landing(k(0.2, 0.3), k(0.06, 0.12), k.turn(80, 130, 2 * k.n // 3), k),
+    "second_hinge_that_joins_in": lambda k: second_leaf(
+        k.turn(60, 85), k(20, 30), k(0.8, 1.4), k(0.3, 0.4), k(0.3, 0.4)
     ),
-    "second_hinge_that_joins_in": of(turn(60, 85), (20, 30), (0.8, 1.4), (0.3, 0.4), (0.3, 0.4))(second_leaf),
-    "lane_that_comes_back": of((0.04, 0.07), along, (0.5, 0.8))(
-        lambda d, t, s: kept(at(s * t, d * 0.5 * (1.0 - cos(2.0 * pi * t)), 0.15 * d * 0.5 * (1.0 - cos(2.0 * pi * t))))
+    "lane_that_comes_back": lambda k: kept(
+        np.outer(k(0.04, 0.07) * 0.5 * (1.0 - cos(2.0 * pi * k.t)), [0.0, 1.0, 0.15]) + at(k(0.5, 0.8) * k.t, 0.0)
     ),
 }
 ASIDE: dict[str, Kind] = {
-    "lamp_on_two_parallelograms": of(turn(75, 100, start=20), (120, 150), (0.3, 0.6), (0.35, 0.45), (0.35, 0.45))(
-        lambda a, begin, gear, r, far: kept(polar(r, a) + polar(far, DEGREE * begin - gear * a))
+    "lamp_on_two_parallelograms": lambda k: kept(
+        two(a := k.turn(75, 100, start=20), DEGREE * k(120, 150) - k(0.3, 0.6) * a, k(0.35, 0.45), k(0.35, 0.45))[0]
     ),
-    "curtain_on_a_clothoid": of(to(0.5, 0.8), (0.8, 1.5))(lambda s, bend: rail(bend * (s / s[-1]) ** 2, s)),
-    "bin_above_the_seats": of((0.36, 0.44), (0.16, 0.22), turn(-55, -40, start=-100), (0.3, 0.4))(
-        lambda second, apart, a, r: four_bar((0.3, 0.25, second), (apart, 0.05), a, ((r, -0.9),), -1.0)
+    "curtain_on_a_clothoid": lambda k: on_rail(k.to(0.5, 0.8), lambda s: k(0.8, 1.5) * (s / s[-1]) ** 2),
+    "bin_above_the_seats": lambda k: four_bar(
+        (0.3, 0.25, k(0.36, 0.44)), (k(0.16, 0.22), 0.05), k.turn(-55, -40, start=-100), [(k(0.3, 0.4), -0.9)], -1.0
     ),
-    "sofa_that_lifts_as_it_comes": of((0.4, 0.6), (0.05, 0.1), along)(
-        lambda s, up, t: kept(at(s * t, 0.0, up * sin(pi * t**1.5)))
-    ),
-    "footrest_of_a_recliner": of(turn(60, 85), (0.3, 0.6), (0.3, 0.4), (0.15, 0.25))(
+    "sofa_that_lifts_as_it_comes": lambda k: kept(at(k(0.4, 0.6) * k.t, 0.0, k(0.05, 0.1) * sin(pi * k.t**1.5))),
+    "footrest_of_a_recliner": lambda k: (
         lambda a, gear, r, far: turned(polar(r, a) + polar(far, 0.5 - gear * a), -gear * a)
+    )(k.turn(60, 85), k(0.3, 0.6), k(0.3, 0.4), k(0.15, 0.25)),
+    "rib_of_an_umbrella": lambda k: umbrella(k.to(0.12, 0.2, start=0.32), k(0.45, 0.6), k(0.05, 0.12)),
+    "hook_of_a_crane": lambda k: (lambda a, boom, down: kept(polar(boom, a) - np.outer(down * (a - a[0]), Y)))(
+        k.turn(60, 75, start=15), k(0.6, 0.8), k(0.15, 0.35)
     ),
-    "rib_of_an_umbrella": of(to(0.12, 0.2, start=0.32), (0.45, 0.6), (0.05, 0.12))(umbrella),
-    "hook_of_a_crane": of(turn(60, 75, start=15), (0.6, 0.8), (0.15, 0.35))(
-        lambda a, r, down: kept(polar(r, a) - np.outer(down * (a - a[0]), Y))
+    "hatch_on_a_growing_arm": lambda k: on(
+        k.turn(70, 100), lambda a: polar(k(0.35, 0.5) * (1.0 + k(0.1, 0.2) * (a / a[-1]) ** 2), a)
     ),
-    "hatch_on_a_growing_arm": of(turn(70, 100), (0.35, 0.5), (0.1, 0.2))(
-        lambda a, r, grow: turned(polar(r * (1.0 + grow * (a / a[-1]) ** 2), a), a)
+    "cross_of_a_cardan_shaft": lambda k: cardan(k.turn(40, 70), k(0.4, 0.7), k(0.35, 0.5)),
+    "pendulum_between_cheeks": lambda k: on(
+        k.to(0.4, 1.0, start=-k(1.6, 2.2)), lambda a: k(0.1, 0.16) * at(a + sin(a), 1.0 - cos(a)), lambda a: 0.5 * a
     ),
-    "cross_of_a_cardan_shaft": of(turn(40, 70), (0.4, 0.7), (0.35, 0.5))(
-        lambda a, b, r: on_ball(about(X, a) * about(Y, b * sin(2.0 * a)), [0.1, 0.0, r])
+    "trolley_on_a_hanging_rope": lambda k: (lambda x, c: graph(x, c * np.cosh(x / c), np.sinh(x / c)))(
+        k.to(0.2, 0.35, start=-k(0.3, 0.4)), k(0.18, 0.3)
     ),
-    "pendulum_between_cheeks": of(lambda k: linspace(-k(1.6, 2.2), k(0.4, 1.0), k.n), (0.1, 0.16))(
-        lambda a, r: turned(r * at(a + sin(a), 1.0 - cos(a)), 0.5 * a)
-    ),
-    "trolley_on_a_hanging_rope": of(lambda k: linspace(-k(0.3, 0.4), k(0.2, 0.35), k.n), (0.18, 0.3))(
-        lambda x, c: turned(at(x, c * np.cosh(x / c)), arctan(np.sinh(x / c)))
-    ),
-    "slider_round_the_corner": of((0.15, 0.25), (50, 90), (0.15, 0.25), along)(
-        lambda lead, bend, r, t: bent(t, lead, r, DEGREE * bend, lead)
+    "slider_round_the_corner": lambda k: (lambda lead, angle, r: bent(k.t, lead, r, angle, lead))(
+        k(0.15, 0.25), DEGREE * k(50, 90), k(0.15, 0.25)
     ),
 }
 SETS = {
