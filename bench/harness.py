@@ -41,6 +41,7 @@ sys.path.extend(str(ROOT / folder) for folder in ("tests", "bench", "bench/undec
 _BEGUN: set[Path] = set()  # files of results that this run has written to
 Task = dict[str, Any]
 Result = dict[str, Any]
+One = Callable[[Task], Result]
 
 
 def data(*parts: str) -> Path:
@@ -138,7 +139,7 @@ def tasks(given: argparse.Namespace, counts: dict[str, int] | None = None, **axe
 
 
 def each(
-    one: Callable[[Task], Result],
+    one: One | dict[str, One],
     tasks: Sequence[Task],
     given: argparse.Namespace,
     line: Callable[[Result], str] | None = None,
@@ -146,8 +147,9 @@ def each(
 ) -> list[Result]:
     """The tasks with what ``one`` makes of each added, in their order.
 
-    ``one`` stands at the top of its module. What it raises is kept as ``failed``; a task that went well has None there.
-    Every result goes to standard error as a ``line`` and to ``--json`` at once. fresh: a process for each task.
+    ``one`` stands at the top of its module; several of them go by the first value of a task. What it raises is kept as
+    ``failed``; a task that went well has None there. Every result goes to standard error as a ``line`` and to
+    ``--json`` at once. fresh: a process for each task.
     """
     done = dict(_before(tasks, given))
     waiting = [i for i in range(len(tasks)) if i not in done]
@@ -169,19 +171,20 @@ def each(
 
 
 def _made(
-    one: Callable[[Task], Result], tasks: Sequence[Task], waiting: list[int], jobs: int, fresh: bool
+    one: One | dict[str, One], tasks: Sequence[Task], waiting: list[int], jobs: int, fresh: bool
 ) -> Iterator[tuple[int, Result]]:
+    ones = {i: one[next(iter(tasks[i].values()))] if isinstance(one, dict) else one for i in waiting}
     if jobs <= 1 and not fresh:
-        yield from ((i, _kept(one, tasks[i])) for i in waiting)
+        yield from ((i, _kept(ones[i], tasks[i])) for i in waiting)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=1 if fresh else None) as pool:
-        going = {pool.submit(_kept, one, tasks[i]): i for i in waiting}
+        going = {pool.submit(_kept, ones[i], tasks[i]): i for i in waiting}
         for future in as_completed(going):
             yield going[future], future.result()
 
 
-def _kept(one: Callable[[Task], Result], task: Task) -> Result:
+def _kept(one: One, task: Task) -> Result:
     began, clock = time.process_time(), time.perf_counter()
     try:
         result = {"failed": None, **one(task)}

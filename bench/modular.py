@@ -96,13 +96,9 @@ TITLES = {
 }
 
 
-def one(task: harness.Task) -> harness.Result:
-    return PARTS[task["part"]](task)
-
-
 def main() -> int:
     given = harness.options(__doc__, seeds=None, names=PARTS)
-    results = harness.each(one, harness.tasks(given, SEEDS, part=given.names), given)
+    results = harness.each(PARTS, harness.tasks(given, SEEDS, part=given.names), given)
     for part, own in harness.grouped(results, "part").items():
         harness.summary(TITLES[part], [row for r in own for row in r["rows"]], "assembly", COLUMNS[part])
     return harness.ended(results)

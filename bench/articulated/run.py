@@ -125,33 +125,34 @@ def accuracy(task: harness.Task) -> harness.Result:
     return {"centre": 1e3 * off, "axis": float(np.degrees(np.arccos(min(1.0, abs(model.axis @ made.axis)))))}
 
 
-def one(task: harness.Task) -> harness.Result:
-    """What a part came to; of a track: what was told with what certainty, and how the tracker followed it."""
+def track(task: harness.Task) -> harness.Result:
+    """What was told of a track with what certainty, and how the tracker followed it."""
     name, part = task["name"], task["part"]
-    if part in ("pace", "accuracy"):
-        return {"pace": pace, "accuracy": accuracy}[part](task)
     if part == "beyond":
-        truth, track = "none", tracks.seen(name, task["seed"])
+        truth, seen = "none", tracks.seen(name, task["seed"])
     else:
         truth, whole = real_tracks()[task["track"]]
-        track = tracks.VARIANTS[name](whole, np.random.default_rng(zlib.crc32(f"{name} {task['track']}".encode())))
-    if len(track) < 8:
+        seen = tracks.VARIANTS[name](whole, np.random.default_rng(zlib.crc32(f"{name} {task['track']}".encode())))
+    if len(seen) < 8:
         return {"short": True}
-    choice = choose(track)
+    choice = choose(seen)
     certain = bool(choice.enough and (part == "real" or choice.kind != "none"))
     out = {"kind": choice.kind, "certain": certain, "right": choice.kind == truth, "why": choice.why}
     out["false"] = certain and not out["right"]
     if task["online"] or name == "as recorded":
-        states, _ = followed(track, PERIOD, task["trust_after"])
-        out["ahead"] = ahead_mm(track, states) if part == "real" else None
-        out |= trust(track, states) if task["online"] else {}
+        states, _ = followed(seen, PERIOD, task["trust_after"])
+        out["ahead"] = ahead_mm(seen, states) if part == "real" else None
+        out |= trust(seen, states) if task["online"] else {}
     return out
+
+
+PARTS = {"pace": pace, "accuracy": accuracy, "real": track, "beyond": track}
 
 
 def main() -> int:
     given = harness.options(
         __doc__,
-        **{"seeds": 5, "names": ("pace", "accuracy", "real", "beyond"), "every": 1, "hinges": 100, "online": False},
+        **{"seeds": 5, "names": PARTS, "every": 1, "hinges": 100, "online": False},
         **{"trust_after": 0.0, "sets": list(tracks.SETS), "variants": list(tracks.VARIANTS)},
     )
     about, seeds = harness.told(given, "online", "trust_after"), range(given.first, given.first + given.seeds)
@@ -165,7 +166,7 @@ def main() -> int:
     tasks = [{"part": part, **task} for part in given.names for task in made[part]]
     paced, others = ([task for task in tasks if (task["part"] == "pace") == first] for first in (True, False))
     alone = argparse.Namespace(**{**vars(given), "jobs": 1})  # what is timed has the machine for itself
-    results = harness.each(one, paced, alone) + harness.each(one, others, given, lambda r: str(r.get("why", "")))
+    results = harness.each(PARTS, paced, alone) + harness.each(PARTS, others, given, lambda r: str(r.get("why", "")))
     of, targets = harness.grouped(results, "part"), []
     if paces := of.get("pace"):
         harness.rows("update, ms of the processor", paces, ("name", "median", "p99"))

@@ -50,11 +50,6 @@ AMPLITUDE, GROWTH = 4e-4, 0.05  # of the gear's curve that grows [rad]; a month
 CALIBRATED, MOVED = 662, 3.0  # stations of series A; times the spread, RMS at the tool
 
 
-def one(task: harness.Task) -> harness.Result:
-    """All checks of one cell."""
-    return {"real": real, "months": months, "remounted": remounted.cell}.get(task["part"], cell)(task)
-
-
 def cell(task: harness.Task) -> harness.Result:
     """A cell that is calibrated once and checked after one change after the other."""
     setup, seed = task["part"], task["seed"]
@@ -197,10 +192,11 @@ COLUMNS = {
 }
 
 
+PARTS = {**dict.fromkeys(SETUPS, cell), "months": months, "real": real, "remounted": remounted.cell}
+
+
 def main() -> int:
-    given = harness.options(
-        __doc__, seeds=12, names=(*SETUPS, "months", "real", "remounted"), each=5, nothing=25, full=1, real_each=150
-    )
+    given = harness.options(__doc__, seeds=12, names=PARTS, each=5, nothing=25, full=1, real_each=150)
     told = harness.told(given, "each", "nothing", "full")
     tasks = [
         {"part": part, "robot": ARMS[k % 3], "seed": given.first + k, "number": k, **told, **read}
@@ -212,7 +208,7 @@ def main() -> int:
     if "real" in given.names:
         harness.data()
         tasks.append({"part": "real", "seed": given.first, "each": given.real_each})
-    results = harness.each(one, tasks, given)
+    results = harness.each(PARTS, tasks, given)
     for part, own in harness.grouped(results, "part").items():
         if part in SETUPS:
             harness.summary(part, [check for r in own for check in r["checks"]], "kind", COLUMNS)

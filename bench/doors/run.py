@@ -166,7 +166,7 @@ def faults(drawn: Furniture, made: Pull, need: float, stated: float) -> list[str
 
 
 def scene_of(task: harness.Task) -> harness.Result:
-    """A pull at a random, stubborn or hard scene."""
+    """A pull at a random, stubborn or hard scene: peak and mean force [N], opened and goal [rad or m], what it said."""
     name, seed, times = task["name"], task["seed"], {}
     what, stated = HARD.get(name, (STUBBORN.get(name, {}), None))
     what = {**what, "grasp": task["grasp"]} if task["grasp"] else what
@@ -242,11 +242,6 @@ def sensed(task: harness.Task) -> harness.Result:
     return {**asdict(made), "kind": kind, "held": grasp, "last": last, "faults": [w for w, so in wrong.items() if so]}
 
 
-def one(task: harness.Task) -> harness.Result:
-    """One pull: peak and mean force [N], opened and goal [rad or m], what was said, and what is wrong."""
-    return {"sensor": sensed, "event": events.one}.get(task["group"], scene_of)(task)
-
-
 def line(r: harness.Result) -> str:
     wrong = f" ({'; '.join(r['faults'])})" if r.get("faults") else ""
     return f"{r['kind']}, {r['held']}: {r['peak']:.0f} N, '{r['said']}'{wrong}"
@@ -278,7 +273,9 @@ def main() -> int:
         **{"one_process": False, "time_factor": 1.0, "grasp": ("both", *GRASPS), "efforts": ("none", *KINDS)},
         **{"servo": 4000.0, "stated": 100e3, "lead": 0.04, "late": 0.0, "integral": 0.0, "cascaded": False},
     )
-    results = harness.each(one, tasks_of(given), given, line)
+    results = harness.each(
+        {**dict.fromkeys(GROUPS, scene_of), "sensor": sensed, "event": events.one}, tasks_of(given), given, line
+    )
     of = harness.grouped(results, "group")
     newtons = {
         f"{key} N, {how}": over(key, f) for key in ("peak", "mean") for how, f in (("median", median), ("most", max))

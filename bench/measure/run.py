@@ -153,11 +153,6 @@ def cells(count: int, first: int) -> list[harness.Task]:
     return [dict(zip(keys, (*picked[k % len(order)], KINDS[k % 2], first + k), strict=True)) for k in range(count)]
 
 
-def one(task: harness.Task) -> harness.Result:
-    """What came of one cell of a part."""
-    return PART[task["part"]](task)
-
-
 def goal(task: harness.Task) -> harness.Result:
     """Stations until the goal is proven, chosen and at random."""
     place, out = Measured(task, task["noise"]), {}
@@ -326,7 +321,7 @@ def main() -> int:
         waiting, results = [{"part": part, **task} for task in tasks[part]], []
         while waiting:  # of the ties until so many pairs were left open
             some, waiting = (waiting[: given.cells], waiting[given.cells :]) if part == "ties" else (waiting, [])
-            done = harness.each(one, some, given)
+            done = harness.each(PART, some, given)
             failed += harness.failures(done)
             results += [r for r in done if not r["failed"] and r.get("open", True)]
             if part == "ties" and len(results) >= given.cells:
