@@ -117,10 +117,10 @@ def drawn(robot: str, seed: int, setup: str = "") -> tuple[Workplace, np.random.
     rng = np.random.default_rng([seed, 26, camera, setup == "points"])
     cell = Cell(robot, rng)
     draw = Draw(rng, cell.arm, rng.uniform(*cell.arm.range, (STATIONS, cell.arm.n)), 300.0)
-    old = ((), (gear_harmonic,), (compliance,))[seed % 3]
-    faults = [make(draw) for make in old]
-    gear = next((fault.place[0] for fault in faults if fault.family == ("gear_harmonic",)), None)
-    return Workplace(cell, tuple(f.bend for f in faults), CAMERA if camera else TRACKER, gear=gear), rng
+    gear, spring = gear_harmonic(draw), compliance(draw)
+    faults = ((), (gear.bend,), (spring.bend,))[seed % 3]
+    noise = CAMERA if camera else TRACKER
+    return Workplace(cell, faults, noise, gear=gear.place[0] if seed % 3 == 1 else None), rng
 
 
 def at_joint(joint: int, error: Callable[[Array], Array | float]) -> Callable[[float], Bend]:
