@@ -32,6 +32,7 @@ from camera.by_tracker import missed_by_tracker
 from camera.render import render
 from camera.scenes import CameraScene, scene
 from harness import median, over, share
+from scipy.spatial.transform import Rotation
 
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.causes import flange_in_tool
@@ -70,8 +71,7 @@ def apart(a: Array, b: Array, turned: bool = False) -> float:
     """RMS distance [mm] of points (N, 3); turned: the frame of the first put where that is least."""
     if turned:
         a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-        U, _, Vt = np.linalg.svd(a.T @ b)
-        a = a @ U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        a = Rotation.align_vectors(b, a)[0].apply(a)
     return 1e3 * harness.rms(np.linalg.norm(a - b, axis=1))
 
 

@@ -41,6 +41,7 @@ import harness
 # isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
+import psutil
 from harness import over
 from nodes.cell import Said, call
 from nodes.processes import Process, fresh_domain, listener, running
@@ -83,17 +84,11 @@ class Usage:
     looks: list[tuple[float, float, float]] = field(default_factory=list)
 
     def look(self) -> None:
-        own, rss, cpu = [self.pid], 0.0, 0.0
-        while own:
-            pid = own.pop()
-            try:
-                pages = Path(f"/proc/{pid}/statm").read_text().split()[1]
-                times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-                own += [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-            except (FileNotFoundError, ProcessLookupError):
-                continue
-            rss += int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
-            cpu += (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
+        own, rss, cpu = psutil.Process(self.pid), 0.0, 0.0
+        for process in (own, *own.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                times = process.cpu_times()
+                rss, cpu = rss + process.memory_info().rss / 1e6, cpu + times.user + times.system
         self.looks.append((time.monotonic(), rss, cpu))
 
     def turns(self, since: float, turn: float) -> np.ndarray:
