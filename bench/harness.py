@@ -105,7 +105,6 @@ def parsed(made: argparse.ArgumentParser, arguments: Sequence[str] | None = None
 
 
 def options(doc: str | None, **about: Any) -> argparse.Namespace:
-    """The options of ``parser``, parsed."""
     return parsed(parser(doc, **about))
 
 
@@ -230,7 +229,6 @@ def succeeded(*arguments: object, codes: tuple[int, ...] = (0,)) -> str:
 
 
 def report_of(folder: Path) -> dict[str, Any]:
-    """The ``report.json`` in the folder of a result."""
     return dict(json.loads((folder / "report.json").read_text(encoding="utf-8")))
 
 
@@ -261,7 +259,6 @@ def interval(hits: int, count: int, sure: float = 0.95) -> tuple[float, float]:
 
 
 def share(hits: Iterable[bool]) -> str:
-    """How many of how many."""
     told = list(hits)
     return f"{sum(told)} of {len(told)}"
 
@@ -328,7 +325,6 @@ def over(key: str | Callable[[Result], Any], make: Callable[[list[Any]], Any]) -
 
 
 def median(values: list[float]) -> float:
-    """For ``over``."""
     import numpy as np
 
     return float(np.median(values))

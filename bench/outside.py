@@ -178,7 +178,6 @@ MODELS = ("nominal_mm", "geometry_mm", "full_mm", "shipped_mm")
 
 
 def main() -> int:
-    """Exit code: 0 where nothing that is shipped is worse than geometry."""
     given = harness.options(__doc__, seeds=4, first=FIRST, names=(*FIFTHS, *REAL, "planted"), every=15)
     tasks = [{"part": part, "every": given.every} for part in given.names if part != "planted"]
     if "planted" in given.names:

@@ -76,7 +76,6 @@ class Workplace:
     gear: str | None = None
 
     def postures(self, rng: np.random.Generator, count: int = STATIONS) -> Array:
-        """Random ones (count, n)."""
         return rng.uniform(*self.cell.arm.range, (count, self.cell.arm.n))
 
     def read(self, stations: Stations, rng: np.random.Generator, pose: bool = True) -> Readings:

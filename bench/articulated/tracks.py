@@ -163,7 +163,6 @@ def then(start: Path, end: Path) -> Path:
 
 
 def and_on(start: Path, end: Path) -> Path:
-    """One after the other, along the axes of the room."""
     (p, R), (q, S) = start, end
     return np.concatenate([p, p[-1] + q]), Rotation.concatenate([R, S * R[-1]])
 

@@ -89,12 +89,10 @@ def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array, arm_alone: 
 
 
 def flange(fit: CameraFit) -> Array:
-    """The flange in the frame of the tool."""
     return se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
 
 
 def arms(task: harness.Task) -> harness.Result:
-    """An arm calibrated by a board."""
     seed = task["seed"]
     s = cells.arm(seed, task["rendered"], task["faults"], 1e-3 * task["measured_to_mm"])
     began = time.process_time()
@@ -185,7 +183,6 @@ def moved(task: harness.Task) -> harness.Result:
 
 
 def bodies(task: harness.Task) -> harness.Result:
-    """Fixed cameras and a body of markers."""
     s, what = cells.body(task["seed"])
     first, *others = s.images
     began = time.process_time()
@@ -236,7 +233,6 @@ def inside(true: str, words: str, below: bool = False) -> Column:
 
 
 def where(which: Callable[[harness.Result], bool], column: Column) -> Column:
-    """A column over some of the results."""
     return lambda results: column([r for r in results if which(r)])
 
 
@@ -245,7 +241,6 @@ def applied(r: harness.Result) -> bool:
 
 
 def errors(error: str, nominal: str) -> dict[str, Column]:
-    """Columns of cells in which an arm was calibrated."""
     out: dict[str, Column] = {f"{key}, median": over(key, median) for key in (error, nominal, "alone", "seconds")}
     for true, words in (("true", "said"), ("alone", "alone_said")):
         out[f"{true} in its interval"], out[f"{true} below"] = inside(true, words), inside(true, words, True)
@@ -287,7 +282,6 @@ MOVED |= {"nothing else": over("alone", share), "images": over("images", sum), "
 
 
 def show(part: str, good: list[harness.Result]) -> None:
-    """What the cells of a part come to."""
     if part in ("arms", "bodies"):
         error, nominal = ("true", "nominal") if part == "arms" else ("tracker", "nominal_tracker")
         own = ("images",) if part == "arms" else ("arm", "cameras", "postures", "true")
@@ -303,7 +297,6 @@ def show(part: str, good: list[harness.Result]) -> None:
 
 
 def main() -> int:
-    """Exit code: 0 where nothing failed; what is refused is counted."""
     given = harness.options(
         __doc__,
         **{"seeds": None, "names": SEEDS, "rendered": False, "faults": float, "measured_to_mm": 1e3 * RULER_STD_M},

@@ -51,7 +51,6 @@ CALIBRATED, MOVED = 662, 3.0  # stations of series A; times the spread, RMS at t
 
 
 def cell(task: harness.Task) -> harness.Result:
-    """A cell that is calibrated once and checked after one change after the other."""
     setup, seed = task["part"], task["seed"]
     place, rng = drawn(task["robot"], seed, setup)
     before = place.calibrated(place.measure(place.postures(rng), rng), setup == "points")

@@ -248,7 +248,6 @@ def line(r: harness.Result) -> str:
 
 
 def tasks_of(given: Any) -> list[harness.Task]:
-    """The pulls that are asked for."""
     paced = harness.told(given, "one_process", "time_factor")
     sensors = harness.told(given, "servo", "stated", "lead", "late", "integral", "efforts", "cascaded")
     out = []

@@ -161,7 +161,6 @@ def parts(data: bytes) -> list[Part]:
 
 
 def whole(content: Sequence[Part]) -> bytes:
-    """A file of these records."""
     out = [MAGIC]
     for part in content:
         if isinstance(part, Chunk):
@@ -230,7 +229,6 @@ def _definition(content: list[Part], rng: np.random.Generator) -> None:
 
 
 def _order(content: list[Part], rng: np.random.Generator) -> None:
-    """Leave a record out, double it, or put it elsewhere."""
     if records := _list(content, rng):
         i, j = (int(k) for k in rng.integers(len(records), size=2))
         what = int(rng.integers(3))

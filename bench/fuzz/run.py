@@ -70,7 +70,6 @@ def fuzz(target: Target, seed: int, seconds: float, cases: int | None = None, fi
 
 
 def main() -> int:
-    """Fuzz the targets that are asked for, and print a table. Returns the exit code."""
     parser = argparse.ArgumentParser(description="Hostile input by the thousand.")
     parser.add_argument("--seconds", type=float, default=300.0, help="of processor time, in all")
     parser.add_argument("--cases", type=int, default=None, help="of each target, in place of a time")

@@ -87,13 +87,11 @@ class Target:
 
 
 def of_data(name: str, base: Any, run: Run) -> Target:
-    """A target of data that are nearly right."""
     ways = places(base)
     return Target(name, lambda rng: data_case(base, ways, rng), run, base)
 
 
 def of_text(name: str, base: str, words: Sequence[str], run: Run) -> Target:
-    """A target of text that is nearly right."""
     return Target(name, lambda rng: text_case(base, words, rng), run, base)
 
 
@@ -121,7 +119,6 @@ def recording() -> Recording:
 
 
 def messages(folder: Path) -> list[tuple[str, str, bytes, int]]:
-    """Those of the recording, which is written into the folder."""
     write_recording(recording(), folder)
     file = McapFile(next(folder.glob("*.mcap")))
     return [(m.topic, m.type_name, bytes(m.cdr), m.received_ns) for m in file.messages()]
@@ -217,7 +214,6 @@ def metadata_target(folder: Path) -> Target:
 
 
 def run_urdf(case: str) -> None:
-    """A robot description, as a chain and as a loaded arm."""
     chain = read_chain(case, None, None)
     chain.reach()
     LoadedArm.read(case, chain.base, chain.tip)
@@ -244,7 +240,6 @@ def mapping_target(folder: Path) -> Target:
 
 
 def cell_target(folder: Path) -> Target:
-    """Cell files, through YAML as a person writes them."""
     file = folder / "cell.yaml"
 
     def run(case: Any) -> None:
@@ -294,7 +289,6 @@ def report_target() -> Target:
 
 
 def csv(data: Any) -> str:
-    """Rows as CSV, whatever they hold."""
     rows = data.get("rows") if isinstance(data, dict) else None
     lines = rows if isinstance(rows, list) else []
     return "\n".join(",".join(map(str, row)) if isinstance(row, list) else str(row) for row in lines)

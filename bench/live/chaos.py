@@ -94,7 +94,6 @@ class Subject:
 
 
 def run(folder: Path, seconds: float) -> int:
-    """All of it; the exit code."""
     domain = fresh_domain()
 
     def start(name: str, count: int) -> Process:

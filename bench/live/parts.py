@@ -38,7 +38,6 @@ REST = 0.003  # s, of a bare node
 
 
 def digest(cdr: bytes) -> bytes:
-    """What a message is known by."""
     return hashlib.blake2b(cdr, digest_size=KEY).digest()
 
 
@@ -167,13 +166,11 @@ class Relay:
         return float(struct.unpack("<d", struct.pack("<Q", number ^ (1 << int(self.rng.integers(64)))))[0])
 
     def close(self) -> None:
-        """Write what was done."""
         self.log.close()
         self.totals.write_text("\n".join(f"{count} {what}" for what, count in self.done.items()))
 
 
 def relay(log: str, seed: str) -> None:
-    """Relay until stopped on request."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 

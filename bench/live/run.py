@@ -106,7 +106,6 @@ class Usage:
         return float(60.0 / turn * theilslopes(self.turns(since, turn)[:, 0])[0])
 
     def share(self) -> float:
-        """Percent of a core."""
         (first, _, before), (last, _, after) = self.looks[0], self.looks[-1]
         return 100.0 * (after - before) / (last - first)
 
@@ -186,7 +185,6 @@ def costs(names: list[str], seconds: float, folder: Path) -> int:
 
 
 def soak(seconds: float, folder: Path) -> int:
-    """Recorder and calibrator for so long."""
     domain, bag, turn = fresh_domain(), folder / "bag", max(LEAST_TURN, TURN * seconds)
     recorder = Process("recorder", domain, folder, out=bag)
     calibrator = Process("calibrator", domain, folder, buffer_s=turn)

@@ -94,7 +94,6 @@ class Measured(Workplace):
         return station.measured(reading, stamp=BEGIN + self.now, approach=way)
 
     def done(self, session: Session) -> Session:
-        """The session with its pending stations measured."""
         for number in session.pending:
             session = session.with_station(number, self.visit(session.stations[number]))
         return session
@@ -104,11 +103,9 @@ class Measured(Workplace):
         return self.done(Session(self.chain.names, self.kind).asking([Station(row) for row in q]))
 
     def refit(self, session: Session) -> Refit:
-        """The model from everything measured."""
         return refit(session.samples(session.fitted), self.chain, 0, None, self.inertias)
 
     def run(self, goal: Goal, planned: bool) -> Advice:
-        """A measurement from beginning to end."""
         self.begin(0)
         advisor = Advisor(self.chain, self.pool, goal, 0, None, self.inertias, planned)
         session = Session(self.chain.names, self.kind)
@@ -141,7 +138,6 @@ class Measured(Workplace):
 
 
 def missed(calibration: Calibration, samples: Samples) -> float:
-    """RMS error [mm]."""
     return 1e3 * harness.rms(errors(calibration.calibrated, samples).position_norm)
 
 
@@ -154,7 +150,6 @@ def cells(count: int, first: int) -> list[harness.Task]:
 
 
 def goal(task: harness.Task) -> harness.Result:
-    """Stations until the goal is proven, chosen and at random."""
     place, out = Measured(task, task["noise"]), {}
     for name in WAYS:
         advice = place.run(Goal(GOAL), name == "planned")
@@ -265,7 +260,6 @@ PART = {"goal": goal, "impossible": impossible, "ties": tie, "ur5": replay, "ipa
 
 
 def show(part: str, results: list[harness.Result]) -> None:
-    """What a part comes to."""
     told = ("robot", "fault", "kind")
     if part == "goal":
         keys = ("ending", "stations", "fit", "proof", "true_mm")

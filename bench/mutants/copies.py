@@ -41,7 +41,6 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def environment(settings: Mapping[str, str]) -> dict[str, str]:
-    """The environment without another ROS, with these settings."""
     return {**{name: value for name, value in os.environ.items() if not _FOREIGN.fullmatch(name)}, **settings}
 
 

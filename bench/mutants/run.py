@@ -149,7 +149,6 @@ class Bench:
         return Map(read(self.record))
 
     def run_marked(self, copy: Copy, file: str) -> None:
-        """One file of tests over marked sources."""
         settings, begun = {RECORD: str(self.record), FILE: file}, time.monotonic()
         copy.pytest(["-n0", file], settings, LONGEST)
         lines = [line for line in read(self.record) if line["file"] == file and "done" in line]
@@ -232,7 +231,6 @@ def first_failure(part: list[Test], copy: Copy) -> Test | None:
 
 
 def main() -> None:
-    """Entry point."""
     by_name = {f"{m.area}: {m.name}": m for m in sample()}
     options = harness.options(
         __doc__, seeds=0, names=by_name, every=1, list=False, tests=Path, keep=False, most=400.0,
