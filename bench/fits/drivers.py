@@ -7,22 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import sites
 from arms import Array
 from scipy.spatial.transform import Rotation
-from sites import (
-    BEGIN,
-    PERIOD,
-    Session,
-    Stations,
-    carrying,
-    flow,
-    joined,
-    joint_track,
-    poses,
-    reading,
-    turn_noise,
-    turned,
-)
+from sites import BEGIN, PERIOD, Session, Stations, carrying, flow, joint_track, poses, reading, turn_noise, turned
 from works import Exact, Planted, Row
 
 from modcal_core.measurements.recording import JointTrack, Recording, SignalTrack
@@ -121,7 +109,7 @@ def payload(told: bool) -> Row:
             changed = np.r_[True, np.diff(carried) != 0.0]
             when, what = t[changed] - 2.0, carried[changed]
         track = SignalTrack("signal:/payload_kg", BEGIN + when, what[:, None], "/payload_kg")
-        whole = replace(joined(*parts), signals=(track,))
+        whole = replace(sites.joined(*parts), signals=(track,))
         return Planted((whole.recording(),), whole.floor_mm, (("compliance",), whole.names))
 
     return Row(make, ("ur10", "panda"), (lambda rng: int(rng.integers(3, 36))) if told else None)

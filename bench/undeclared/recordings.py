@@ -9,26 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import sites
 from arms import Array
 from scenarios import MOVING, SCENARIOS, Draw, Fault, Maker
-from sites import (
-    BEGIN,
-    EFFORT_NOISE,
-    NOISE_MM,
-    NOISE_MRAD,
-    REPEAT,
-    Cell,
-    Plan,
-    Seen,
-    Stations,
-    course,
-    point_to_point,
-    poses,
-    reading,
-    rms,
-    turn_noise,
-    unit,
-)
+from sites import BEGIN, EFFORT_NOISE, NOISE_MM, NOISE_MRAD, REPEAT, Cell, Plan, Seen, Stations, rms
 
 from modcal_core.measurements.recording import JointTrack, Recording, SignalTrack
 from modcal_msgs_py.recording_write import write_recording
@@ -107,9 +91,9 @@ def record(
     floor = 1e3 * rms(p - exact.p)
     if first:  # readings that are far off are part of no floor
         far = rng.choice(m, sum(f.outliers for f in faults), replace=False)
-        ways = unit(rng.normal(size=(len(far), 3)))
+        ways = sites.unit(rng.normal(size=(len(far), 3)))
         p[far] += rng.uniform(1e-3, 5e-3, (len(far), 1)) * ways
-    R = seen.R * turn_noise(rng, 1e-3 * NOISE_MRAD, m)
+    R = seen.R * sites.turn_noise(rng, 1e-3 * NOISE_MRAD, m)
     # the whole recording carries what hangs at the flange, see Cell.poses
     effort = arm.driving(plan.q, plan.v, plan.a) + rng.normal(0, EFFORT_NOISE, plan.q.shape)
     q = plan.q.copy()
@@ -124,7 +108,7 @@ def record(
         clock = np.arange(plan.t[0], plan.t[-1] + 1.0)
         values = temperature(clock) + rng.normal(0, 0.05, len(clock))
         signals.append(SignalTrack(f"temperature:{link}", BEGIN + clock, values[:, None], "/temperature"))
-    recording = Recording((joints,), (reading(late, poses(p, R)),), tuple(signals), arm.urdf)
+    recording = Recording((joints,), (sites.reading(late, sites.poses(p, R)),), tuple(signals), arm.urdf)
     return recording, floor, float(plan.t[-1] - plan.t[0])
 
 
@@ -142,7 +126,7 @@ def make(scenario: str, robot: str, seed: int, folder: Path, stations: int = STA
     bare = not moving and rng.random() < 1 / 3
 
     def plan_of(seconds: float, count: int, begin: float) -> Plan:
-        return course(cell, rng, seconds, begin) if moving else point_to_point(cell.arm, rng, count, begin)
+        return sites.course(cell, rng, seconds, begin) if moving else sites.point_to_point(cell.arm, rng, count, begin)
 
     plan = plan_of(COURSE, stations, 0.0)
     faults = plant(cell, makers, rng, float(plan.t[-1]))

@@ -131,15 +131,15 @@ def _harmonic(draw: Draw, orders: tuple[int, ...], low: float = 1.5e-4, high: fl
     return draw.own(draw.joint(), ("gear_harmonic",), size, lambda q: np.sin(np.outer(q, orders) + phases) @ sizes)
 
 
-def gear_harmonic(draw: Draw) -> Fault:
+def gear_harmonic(draw: Draw, orders: int = 1) -> Fault:
     """A gear's transmission error, once a turn of its input."""
-    return _harmonic(draw, (int(draw.rng.integers(50, 162)),))
+    ratio = int(draw.rng.integers(50, 162))
+    return _harmonic(draw, tuple(ratio * k for k in range(1, orders + 1)))
 
 
 def gear_harmonic_2n(draw: Draw) -> Fault:
     """A strain-wave gear's transmission error, once and twice a turn of its input."""
-    ratio = int(draw.rng.integers(50, 162))
-    return _harmonic(draw, (ratio, 2 * ratio))
+    return gear_harmonic(draw, 2)
 
 
 def encoder_eccentricity(draw: Draw) -> Fault:

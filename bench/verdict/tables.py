@@ -19,9 +19,9 @@ import numpy as np
 import recorded
 import yaml
 from case import Scene, export
+from mechanisms import elsewhere
 from scipy.spatial.transform import Rotation
 from sites import POINT, POSE, Array, Session
-from streams import elsewhere
 from transforms import Of, described, put
 
 DATA, IMPORTS, ROBOTS = harness.DATA, harness.ROOT / "examples" / "import", harness.ROOT / "examples" / "robots"

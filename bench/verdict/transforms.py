@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,42 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from sites import *
 from sites import turned as off_by
-from words import *
 
 Of = Any  # a value, a name that ``let`` gave, or a function of the scene
 DAY = 86_400.0
+# Words that name what is wrong: patterns, and what depends on the scene, on the joint i that was drawn most of all.
+QUATERNION = ("quaternion", r"\borientation", "rotation")
+ORIENTATION = ("euler", "sequence", "convention", r"\borientation", "rotation")
+UNIT = (r"\bmm\b", "millimet", r"\bunits?\b", "1000")
+TOOL, BASE = (r"\btool\b",), (r"\bbase\b", r"\btracker\b")
+EITHER = (*TOOL, *BASE)
+LEFT_OUT = ("reject", "left out", "outlier", "plainly wrong", "shift", "apart")
+LOAD = ("payload", r"\bload", "compliance", r"\bmass", r"\bkg\b")
+COMPUTED = ("comput", "calculat")
+FEW = ("station", "readings", "parameters")
+BOLTED = ("geometry-only", "geometry only", "not looked for")
+TRACKER = (r"\btracker\b", r"\binstrument\b", "place of the target", "distance from", "direction in which")
+CLOCK = ("clock", "stamp", "delay", "late", r"\btime\b")
+ROW = (r"\brows?\b", r"\border\b", "station before", "previous", "shift", "late", "delay", *CLOCK)
+ORDER = (r"\border\b", r"\btime\b", "changed on the way", r"\bdrift\b", r"stations \d+ to")
+READINGS = (
+    r"\btracker",
+    r"\bcamera",
+    "reads wrong",
+    r"readings? (?:look|depend)",
+    "distance from",
+    "place of the target",
+)
+STATIONS = r"stations? \d"
+# joints by number; the link behind one; joints from the one that was drawn, counted from it, those that there are
+JOINT = lambda *numbers: lambda c: tuple(c.names[k] for k in numbers)  # noqa: E731
+LINK = lambda k: lambda c: str(c.arm.links[k])  # noqa: E731
+around = lambda low, high: lambda c: tuple(c.names[max(c.i + low, 0) : c.i + high])  # noqa: E731
+# the joint, the one before it, and at an end of the arm what is beyond; the first joint, and the link that it stands on
+OR_END = lambda c: (*around(-1, 1)(c), *(BASE if c.i == 0 else ("tool",) if c.i == c.n - 1 else ()))  # noqa: E731
+FOOT = lambda c: (c.names[0], c.arm.parents[0])  # noqa: E731
+J, JJ, JJJ, NEAR = around(0, 1), around(0, 2), around(0, 3), around(-1, 2)
+ALL, HAND, WRIST = attrgetter("names"), attrgetter("arm.hand"), JOINT(-3, -2, -1)
 DERIVED |= {
     "travel": lambda c: (c.x - c.arm.range[0, c.i]) / np.ptp(c.arm.range[:, c.i]),  # in its range, from 0 to 1 (N,)
     "middle": lambda c: c.arm.range.mean(axis=0),  # of the joints' ranges (n,)
