@@ -178,7 +178,7 @@ def test_what_is_not_kinematics_does_not_matter(capfd: pytest.CaptureFixture[str
 
 
 def test_what_the_parsers_of_ros_take() -> None:
-    """A prefix that nobody declared, an axis of a fixed joint, a mass of no value, limits the wrong way round off the arm."""
+    """An undeclared prefix, an axis of a fixed joint, a mass of no value, limits the wrong way round off the arm."""
     finger = joint("f", "tool0", "finger", inside='<limit lower="1" upper="-1"/>')
     junk = f"""<gazebo><sensor:camera n:name="x"><link name="y"/></sensor:camera></gazebo><link name="finger"/>{finger}
         <link name="e"><inertial><mass/></inertial></link>{joint("e", "tool0", "e", "fixed", '<axis xzy="1 0 0"/>')}"""

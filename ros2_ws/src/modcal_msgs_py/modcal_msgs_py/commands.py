@@ -116,10 +116,9 @@ class JointInput:
 
     def require_fresh(self, now: float, stale: float) -> None:
         """Raises BadCommand unless every joint was received within ``stale`` seconds of ``now``."""
-        missing = self.missing()
-        if len(missing) == len(self.names):
+        if self._told is None:
             raise BadCommand("joint_states", "no message was received", "check that the driver is alive")
-        if missing:
+        if missing := self.missing():
             raise BadCommand(
                 "joint_states", f"do not contain {', '.join(missing)}", "publish every joint between base and tip"
             )

@@ -184,7 +184,7 @@ def document(urdf_xml: str) -> Any:
 
 
 def _element(text: bytes) -> Any:
-    """The root element. Elements of a prefix that nobody declared are passed over, as the parsers of ROS do."""
+    """The root element. Elements whose prefix is not declared are passed over, as the parsers of ROS do."""
     # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
     parsers = (
         etree.XMLParser(
