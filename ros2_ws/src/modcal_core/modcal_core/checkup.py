@@ -17,9 +17,7 @@ from modcal_core.checking import (
     NamedChange,
     Noticed,
     Recommendation,
-    RepairAccuracy,
     Status,
-    accuracy_of,
     advise,
     alike_everywhere,
     beyond_ranges,
@@ -63,7 +61,6 @@ class Checked:
     - report: of the repaired model, or else the frozen one, at these stations, each predicted from the others.
     - joints: names, in the order of the stations' columns.
     - station_errors: distances [m] of every reading before and after the repair.
-    - accuracy: how well the repaired model is known; None without one.
     - far_apart: number of independent stations that these count as.
     - placed: frames unknown to the calibration, which these stations placed.
     """
@@ -84,7 +81,6 @@ class Checked:
     convention: str | None = None
     notes: tuple[str, ...] = ()
     station_errors: tuple[Array, Array] | None = None
-    accuracy: RepairAccuracy | None = None
     far_apart: float = np.inf
     placed: tuple[str, ...] = ()
     beyond: BeyondRanges | None = None
@@ -204,9 +200,6 @@ def checkup(
         far_apart=found.start.null.weight * part.stations,
         placed=new,
         beyond=beyond,
-        accuracy=None
-        if fixed is None
-        else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MAX),
     )
 
 

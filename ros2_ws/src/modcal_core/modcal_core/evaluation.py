@@ -19,6 +19,7 @@ from modcal_core.calibration import (
     with_frames,
     with_sockets,
 )
+from modcal_core.claim import claim_at_tool
 from modcal_core.diagnosis import frozen, located
 from modcal_core.measurements import Samples
 from modcal_core.plausibility import computed_in_part, proved
@@ -94,6 +95,9 @@ def evaluate(
         unproven=too_good(residuals, scored, calibration.nominal.chain, cell.stated),
         outside=(*unseen_note(scored, calibration, MAX_OUTSIDE), *applied.notes),
     )
+    accepted = samples.select(~wrong) if single else samples
+    stood = replace(calibration, nominal=models["nominal"], calibrated=models["final"])
+    claim = claim_at_tool(stood, accepted, cell, frozen=True)
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)
     judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
     return Report(
@@ -119,5 +123,6 @@ def evaluate(
         rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
         grounds=grounds,
         judged=judged,
+        claim=claim,
         left=located(frozen(models["final"], calibration.noise, again), samples) if judged.status == "open" else None,
     )

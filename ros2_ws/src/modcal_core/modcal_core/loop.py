@@ -170,7 +170,8 @@ def calibrate(
         again[sets.train] |= diagnosis.again
     kept = samples.select(~wrong | again)
     carried = carried_over(shipped, kept)
-    claim = claim_at_tool(shipped, kept, cell, carried=carried.model if carried.not_applied else None)
+    claim = claim_at_tool(shipped, kept, cell, carried=carried.model)
+    shipped = replace(shipped, uncertainty=claim.known or shipped.uncertainty)
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
@@ -206,7 +207,7 @@ def calibrate(
         rejected=int(wrong.sum()),
         errors=left,
         effects=(
-            *findings(replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, scored, case.known),
+            *findings(replace(diagnosis, fit=final), shipped.calibrated, case),
             *load_findings(loads, final.model, scored),
         ),
         left=diagnosis.left or (located(final, samples) if judged.status == "open" else None),
@@ -219,7 +220,7 @@ def calibrate(
             *instrument_notes(final),
             *load_notes(loads),
             *readmitted_note(taken_in),
-            *residual_notes(final.model, case.known, scored),
+            *residual_notes(case),
             *carried.notes,
         ),
         readmitted=taken_in,

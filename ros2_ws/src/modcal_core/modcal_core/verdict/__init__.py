@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.verdict.case import fitted_case, frozen_case
+    from modcal_core.verdict.case import Case, fitted_case, frozen_case
     from modcal_core.verdict.contradicted import contradictions
-    from modcal_core.verdict.contributions import TOGETHER, resampled
+    from modcal_core.verdict.contributions import TOGETHER, left_without, resampled
     from modcal_core.verdict.floor import Floor, floors, reading_scatter_mm
     from modcal_core.verdict.grounds import Grounds
     from modcal_core.verdict.iso9283 import PoseTest, pose_test
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modcal_core.verdict.rejected import MAX_SINGLE, Rejected, rejection
     from modcal_core.verdict.sanity import sane_inertias
     from modcal_core.verdict.status import judge
-    from modcal_core.verdict.tolerance import STATISTICS, Asked, AtTool, Tolerance, assess, assess_claim, interval
+    from modcal_core.verdict.tolerance import STATISTICS, Asked, AtTool, Tolerance, assess, interval_of_rms
     from modcal_core.verdict.verdict import Row, Share, Status, Verdict
     from modcal_core.verdict.where import with_places
 else:
@@ -23,8 +23,17 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["COMPUTED", "MAX_SINGLE", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Floor", "Grounds"]
-__all__ += ["PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
-__all__ += ["assess_claim", "carried_over", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case"]
-__all__ += ["interval", "judge", "pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled"]
+__all__ = ["COMPUTED", "MAX_SINGLE", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Case", "Floor"]
+__all__ += ["Grounds", "PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable"]
+__all__ += [
+    "assess",
+    "carried_over",
+    "contradictions",
+    "doubtful",
+    "fitted_case",
+    "floors",
+    "frozen_case",
+    "interval_of_rms",
+]
+__all__ += ["judge", "left_without", "pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled"]
 __all__ += ["sane_inertias", "too_good", "with_places"]
