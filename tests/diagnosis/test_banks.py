@@ -9,9 +9,8 @@ from cells import record, ur10
 
 from modcal_core.calibration.fit import Fit
 from modcal_core.diagnosis.banks import StepBank, WaveBank
-from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS
 from modcal_core.diagnosis.evidence import Scanner
-from modcal_core.diagnosis.explained import inverses
+from modcal_core.diagnosis.explained import FIRST_FLIPS, FLIPS, inverses
 from modcal_core.diagnosis.known_sums import KnownSums
 from modcal_core.diagnosis.number_banks import GatheredBank
 from modcal_core.diagnosis.spectra import Spectrum

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.checking.beyond import UNTRIED, BeyondRanges
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LENGTH, LOAD, NOISE, SCALE, TOOL, ZERO, CellChange
+from modcal_core.checking.known import UNTRIED, BeyondRanges
 from modcal_core.checking.outcome import Alike, NamedChange, SizeFound
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry import Array

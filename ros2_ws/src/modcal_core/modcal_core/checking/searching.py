@@ -17,13 +17,12 @@ from functools import cached_property
 import numpy as np
 
 from modcal_core.calibration import Model
-from modcal_core.checking.changed_state import ChangedState, ChangedStates
 from modcal_core.checking.evidence import SIZES, ChangeJudge, JudgedChange, e_value, is_noise, log_priors
+from modcal_core.checking.fitting import ChangedState, ChangedStates
 from modcal_core.checking.hypotheses import BASE, NOISE, READING, TOOL, CellChange, hypotheses
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.checking.rivals import FittedChange, most_probable
+from modcal_core.checking.rivals import FittedChange, SizeCovariance, most_probable, with_sizes
 from modcal_core.checking.rivals import with_rivals as fitted_with_rivals
-from modcal_core.checking.sizes import SizeCovariance, with_sizes
 from modcal_core.checking.state import CheckState
 from modcal_core.checking.waves import wave_of
 from modcal_core.effects import AS_LIKELY, put_back_first

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Fit, Model, Uncertainty, without
-from modcal_core.diagnosis.chance import is_clear
-from modcal_core.diagnosis.choice import EffectChoice, choose
+from modcal_core.diagnosis.choice import EffectChoice, choose, other_forms
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.diagnosis.forms import other_forms
+from modcal_core.diagnosis.explained import is_clear
 from modcal_core.diagnosis.pruning import MIN_GAIN
 from modcal_core.effects import Effect, is_large_move, is_turned
 
