@@ -94,7 +94,7 @@ def _errors(calibration: object, fresh: Readings, hand: Rotation) -> tuple[float
 
 def cell(task: harness.Task) -> harness.Result:
     """A cell, calibrated once and checked after each kind of change by each number of stations."""
-    points, seed = task["setup"] == "points", task["seed"]
+    points, seed = task["points"], task["seed"]
     place, rng = workplace(task["robot"], seed, points=points)
     across = np.array([*rng.normal(size=2), 0.0])
     at = _drawn(rng, OFF_AXIS_MM) * across / np.linalg.norm(across) + [0.0, 0.0, rng.uniform(0.03, 0.15)]

@@ -4,7 +4,8 @@
 
 tracker, points, camera: each cell is calibrated from 160 stations once (poses, points, or a board that a camera on the
 hand sees), then checked after one change of three times the floor. months: does ``modcal history`` see a gear's curve
-grow by a fifth in four months? real: series A of the IPA's UR10, calibrated from 662 of its stations and checked by ten
+grow by a fifth in four months? remounted: what people put back by hand beside what an arm does by itself, points and
+poses, 8 to 40 stations. real: series A of the IPA's UR10, calibrated from 662 of its stations and checked by ten
 others, at random or neighbours, as they are or moved as by a base, a tool or a joint's zero; and series D, another day.
 """
 
@@ -25,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import recorded
+import remounted
 from cells import KINDS, Workplace, at_joint, calibrated, distance, planted, samples_of, workplace
 from scipy.spatial.transform import Rotation
 
@@ -50,7 +52,7 @@ CALIBRATED, TEN, MOVED = 662, 10, 3.0  # of series A: stations; of a check; time
 
 def one(task: harness.Task) -> harness.Result:
     """All checks of one cell."""
-    part = {"real": real, "months": months}.get(task["part"], cell)
+    part = {"real": real, "months": months, "remounted": remounted.cell}.get(task["part"], cell)
     return part(task)
 
 
@@ -231,7 +233,7 @@ def show(setup: str, checks: list[harness.Result]) -> None:
 
 def main() -> int:
     """Exit code: 0 where nothing failed."""
-    parser = harness.parser(__doc__, seeds=12, names=(*SETUPS, "months", "real"))
+    parser = harness.parser(__doc__, seeds=12, names=(*SETUPS, "months", "remounted", "real"))
     parser.add_argument("--each", type=int, default=5, help="checks of each kind in a cell")
     parser.add_argument("--nothing", type=int, default=25, help="checks in a cell while nothing has changed")
     parser.add_argument("--stations", type=int, default=TEN)
@@ -241,9 +243,10 @@ def main() -> int:
     given = harness.parsed(parser)
     told = {k: getattr(given, k) for k in ("each", "nothing", "stations", "full", "follow")}
     tasks = [
-        {"part": part, "robot": ROBOTS[k % 3], "seed": given.first + k, "number": k, **told}
+        {"part": part, "robot": ROBOTS[k % 3], "seed": given.first + k, "number": k, "points": points, **told}
         for k in range(given.seeds)
         for part in given.names
+        for points in ((True, False) if part == "remounted" else (part == "points",))
         if part != "real"
     ]
     if "real" in given.names:
@@ -254,6 +257,8 @@ def main() -> int:
     for part, own in good.items():
         if part in SETUPS and own:
             show(part, [check for r in own for check in r["checks"]])
+        elif part == "remounted" and own:
+            remounted.show([check for r in own for check in r["checks"]])
         elif part == "months" and own:
             grown = [r for r in own if r["grows"]]
             named, covered = (harness.share(r[k] for r in grown) for k in ("named", "covered"))

@@ -170,7 +170,7 @@ def calibrate(
         again[sets.train] |= diagnosis.again
     kept = samples.select(~wrong | again)
     carried = carried_over(shipped, kept)
-    claim = claim_at_tool(shipped, kept, cell, carried=carried.model)
+    claim = claim_at_tool(shipped, kept, cell, carried=carried.model if carried.not_applied else None)
     shipped = replace(shipped, uncertainty=claim.known or shipped.uncertainty)
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
     distances = distances_of(final, train, cell.distances)

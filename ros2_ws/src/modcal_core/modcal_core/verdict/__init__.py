@@ -24,7 +24,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["COMPUTED", "MAX_SINGLE", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Case", "Floor"]
-__all__ += ["Grounds", "PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
-__all__ += ["carried_over", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval_of_rms"]
-__all__ += ["judge", "left_without", "pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled"]
-__all__ += ["sane_inertias", "too_good", "with_places"]
+__all__ += ["Grounds", "PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable"]
+__all__ += ["assess", "carried_over", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case"]
+__all__ += ["interval_of_rms", "judge", "left_without", "pose_test", "reading_scatter_mm", "regimes_of", "rejection"]
+__all__ += ["resampled", "sane_inertias", "too_good", "with_places"]
