@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import Fit, beyond_normal
+from modcal_core.calibration import Fit, RowView, beyond_normal
 from modcal_core.diagnosis.choice import EffectChoice, one_motion_names
 from modcal_core.diagnosis.evidence import Evidence
-from modcal_core.effects import LENGTH, SHIFT, Effect, public_driver
+from modcal_core.effects import AS_LIKELY, AXIS, LENGTH, SHIFT, Effect, columns, public_driver
+from modcal_core.effects.families import step
 from modcal_core.geometry import Array
-from modcal_core.measurements import Samples, joints_instead
+from modcal_core.measurements import Samples, joints_instead, spread_rows
 
+_MAX_COMPARED, _STEPS = 300, 4  # samples at which a move is compared with a slip, and steps of its fit
 _SHIFTS = ("x", "y", "z", LENGTH, SHIFT)  # one row of a map: five would say nearly the same
 
 
@@ -83,9 +85,34 @@ def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
     out = []
     for i, effect in enumerate(effects):
         model = fit.model.with_effects(effects[: i + 1])
-        same = (*one_motion_names(effect), *joints_instead(samples, effect.shape.settings["at"]))
+        at = effect.shape.settings["at"]
+        same = (*one_motion_names(effect), *_slips_alike(fit, effect, samples), *joints_instead(samples, at))
         size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))
         out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, (), replace(fit, model=model)))
+    return tuple(out)
+
+
+def _slips_alike(fit: Fit, move: Effect, samples: Samples) -> tuple[str, ...]:
+    """Names, as in ``same_as``, of joints that move the readings as a move does, had they slipped then."""
+    few = samples.select(spread_rows(len(samples), _MAX_COMPARED))
+    T = fit.model.with_effects((move,)).predict_samples(few)
+    few = replace(few, reading=T[:, :3, 3], R=T[:, :3, :3])
+    as_well = 2.0 * AS_LIKELY + len(move.amplitudes) * np.log(few.is_pose.sum() * 3 + len(few) * 3)  # Schwarz
+    out = []
+    for name in fit.model.chain.names:
+        slip, left = step.moved(name, AXIS, move.shape.settings["at"]).started(np.zeros(1)), np.inf
+        for _ in range(_STEPS):
+            model = fit.model.with_effects((slip,))
+            view = RowView.of(model, few, drivers := model.drivers(few))
+            r = np.r_[view.position.ravel() / fit.noise.position, view.rotation.ravel() / fit.noise.rotation]
+            (terms,) = columns(slip, drivers)
+            x = view.moved_by(terms)
+            x[: 3 * len(few)] /= fit.noise.position
+            x[3 * len(few) :] /= fit.noise.rotation
+            size = x @ r / max(x @ x, 1e-300)
+            slip, left = slip.with_values(slip.values + size), r @ r - size * (x @ r)
+        if left < as_well:
+            out.append(f"{name} axis by {move.public_driver}")
     return tuple(out)
 
 
