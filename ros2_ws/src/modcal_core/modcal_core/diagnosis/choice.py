@@ -21,10 +21,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import Fit
+from modcal_core.calibration import Fit, Model, NoiseModel
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects import BY_HAND, FREE, Effect, complexity, family_named, one_motion, put_back_first
+from modcal_core.effects import BY_HAND, FREE, Effect, candidates, complexity, family_named, one_motion, put_back_first
+from modcal_core.effects.families import unknown
 from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
 _NEARLY = 0.93  # share of a free shape's explanation; its further amplitudes take some per cent of pure noise (sweep)
@@ -34,6 +36,9 @@ _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MAX_NAMED = 12  # in a sentence
 _MAX_RIVALS = 4  # that are fitted, for time
 _NOT_LINEAR = "velocity"  # the driver of delays, whose second order is in the fit and not in the scan
+_WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
+_NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve
+_MAX_SCANNED = 500  # samples; more are thinned evenly
 
 
 @dataclass(frozen=True)
@@ -200,3 +205,34 @@ def other_forms(effect: Effect, candidates: Iterable[Effect]) -> tuple[Effect, .
         and (other.family, other.place, other.direction) == (effect.family, effect.place, effect.direction)
         and other.shape.size == effect.shape.size
     )
+
+
+def located(fit: Fit, samples: Samples) -> EffectChoice | None:
+    """The candidate that explains most of what the fit leaves over, None where none explains much.
+
+    Constant errors are looked for where the fit has no parameters of its own.
+    """
+    rows = spread_rows(len(samples), _MAX_SCANNED)
+    drivers = fit.model.drivers(samples.select(rows))
+    constant = unknown.constants(drivers) if fit.frozen else ()
+    scanner = Scanner([*candidates(drivers), *constant], drivers)
+    if not scanner.enough(fit):
+        return None
+    evidence = scanner.evidence(fit)
+    beyond = evidence.explained - np.array([e.shape.size for e in evidence.effects]) / evidence.freedom
+    if not len(beyond) or beyond.max() < _WORTH_NAMING:
+        return None
+    plain = np.array([e.public_driver == "constant" for e in evidence.effects])
+    others: set[tuple[str, str, str, str]] = set()
+    if plain.any() and beyond[plain].max() > _NEARLY * beyond.max():
+        others = {effect.key for effect, is_plain in zip(evidence.effects, plain, strict=True) if not is_plain}
+    choice = choose(evidence, scanner, fit, others)
+    return None if choice is None or choice.share < _WORTH_NAMING else choice
+
+
+def frozen(model: Model, noise: NoiseModel, refitted: Fit | None = None) -> Fit:
+    """A model as a fit of nothing, or of the base and tool that were found again; its effects as they are."""
+    none, square = np.empty(0), np.empty((0, 0))
+    if refitted is None:
+        return Fit(model, model, (), none, square, noise, none, square, 0, frozen=True)
+    return replace(refitted, model=model, start=model, noise=noise, frozen=True)

@@ -35,9 +35,9 @@ from modcal_core.diagnosis.explained import (
     is_clear,
     score_table,
 )
-from modcal_core.diagnosis.known_sums import Key
 from modcal_core.diagnosis.number_banks import NumberBank
 from modcal_core.diagnosis.space import Directions, SignTrials, Space, Weighed
+from modcal_core.diagnosis.spectra import Key
 from modcal_core.effects import USUAL, Drivers, Effect
 from modcal_core.geometry import Array
 

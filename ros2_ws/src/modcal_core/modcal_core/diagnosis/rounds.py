@@ -2,7 +2,7 @@
 
 A scan is weighed by trials with random signs, whose best scores are of noise whatever is left. So what the chosen
 effects leave is weighed against the same trials, without a fit, where an answer is as clear as one that a scan gives
-early (:func:`chance.is_clear`) and where an effect explains many times what it must; else the round ends.
+early (:func:`explained.is_clear`) and where an effect explains many times what it must; else the round ends.
 """
 
 from __future__ import annotations
