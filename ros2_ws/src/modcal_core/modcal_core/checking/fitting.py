@@ -50,6 +50,19 @@ def taken_up(
     return CheckState(now.model, begin.samples, begin.known, opened, now.curves), fits
 
 
+def along_one(outside: CellChange, hypothesis: CellChange, state: CheckState) -> CellChange | None:
+    """What outside the arm moves, only as a change of one size moves the readings; None where that has more sizes.
+
+    Few stations show one number better than six.
+    """
+    if hypothesis.sizes != 1 or not outside.motions or outside.together:
+        return None
+    L = np.linalg.cholesky(state.null.covariances[state.null.reference])
+    A, y = (scipy.linalg.solve_triangular(L, state.columns(h), lower=True) for h in (outside, hypothesis))
+    twist = np.linalg.lstsq(A, y[:, 0], rcond=1e-9)[0] @ np.array([m.twist for m in outside.motions])
+    return replace(outside, motions=(replace(outside.motions[0], twist=tuple(twist.tolist())),))
+
+
 def bends(judge: ChangeJudge) -> bool:
     """Whether what is missed is so large that the motions by a change are no longer in proportion to it."""
     return judge.square > _LARGE * len(judge.null.residual)
