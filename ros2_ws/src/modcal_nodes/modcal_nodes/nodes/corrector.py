@@ -245,7 +245,7 @@ class Corrector(ros.GuardedNode):
         commands = {"commands": counts["commands"], "refused": self._refusals.counts["desired_pose"]}
         said = self._refusals.recent("desired_pose", "range")
         return [
-            ros.subscription_status(self._inputs),
+            ros.subscription_status(self._inputs, self._refusals),
             self._calibration_status(robot) if robot else ros.Status("calibration", ros.ERROR, self._refusal),
             self._correction_status(robot) if robot else ros.Status("correction", ros.ERROR, "no command is corrected"),
             ros.Status("commands", ros.WARN if said else ros.OK, said or "no recent refusal", commands),
