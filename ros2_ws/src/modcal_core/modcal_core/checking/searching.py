@@ -258,7 +258,8 @@ class _ChangeSearch:
         first = put_back_first(len(asked), outside, likely, AS_LIKELY / self.weight)
         if first == len(asked):
             return picked[i]
-        along = along_one(asked[first], hypothesis, self.beside(others).state)
+        # beside another change that may only make up for what one size leaves, all sizes are open
+        along = None if others else along_one(asked[first], hypothesis, self.beside([]).state)
         alone = [] if along is None else self.beside(others).judge_all([along])[0]
         return max([every[first], *alone], key=lambda one: one.log_factor)
 
