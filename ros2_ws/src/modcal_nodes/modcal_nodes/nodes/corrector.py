@@ -253,7 +253,9 @@ class Corrector(ros.GuardedNode):
 
     def _calibration_status(self, robot: CalibratedRobot) -> ros.Status:
         correction = robot.correction
+        claim = correction.calibration.claim_mm
         facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
+        facts["claim p95 [mm]"] = "none" if claim is None else f"{claim:.4f}"
         said = self._refusals.recent("calibration")
         if self._commander.waiting is not None:
             said = f"a new one waits for the stream to pause; {said}".rstrip("; ")
