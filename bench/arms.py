@@ -218,14 +218,16 @@ class Arm:
         p, R = self.frames(self.coordinates(q))
         return p[:, -1] + R[:, -1] @ point, R[:, -1]
 
-    def reaching(self, q: Array, point: Array, goals: Array, turned: Array | None = None) -> tuple[Array, Array]:
+    def reaching(
+        self, q: Array, point: Array, goals: Array, turned: Array | None = None, apiece: bool = False
+    ) -> tuple[Array, Array]:
         """Joints (m, n) near q that bring a point of the tip to goals (m, 3), and which of them do so, (m,).
 
-        turned: (m, 3, 3) of the tip, where that is asked.
+        turned: (m, 3, 3) of the tip, where that is asked. apiece: long steps are cut joint by joint, not as a whole.
         """
         apart, q = 1e-6 * np.eye(self.n), q.copy()
         done = np.zeros(len(q), bool)
-        for _ in range(15):
+        for _ in range(26 if apiece else 15):
             k = np.flatnonzero(~done)
             p, R = self.tool((q[k, None] + np.r_[0.0 * apart[:1], apart]).reshape(-1, self.n), point)
             p, R = p.reshape(len(k), -1, 3), R.reshape(len(k), -1, 3, 3)
@@ -240,9 +242,12 @@ class Arm:
             if done.all():
                 break
             back = np.swapaxes(J, 1, 2)
-            step = (back @ np.linalg.solve(J @ back + 1e-8 * np.eye(J.shape[1]), gap[..., None]))[..., 0]
+            step = (back @ np.linalg.solve(J @ back + (1e-6 if apiece else 1e-8) * np.eye(J.shape[1]), gap[..., None]))[
+                ..., 0
+            ]
             step[near] = 0.0
-            q[k] += step * np.minimum(1.0, 0.3 / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
+            long = np.abs(step) if apiece else np.abs(step).max(axis=1, keepdims=True)
+            q[k] += step * np.minimum(1.0, 0.3 / np.maximum(long, 1e-12))
         return q, done
 
 

@@ -18,12 +18,9 @@ from sheet import ARMS, DIGITS, LENGTH, Array, Recorded, Rng, Written, record
 STYLES = ("generic", "spatial_analyzer", "faro", "vicon", "motive", "qualisys", "ndi", "rtde")
 UNITS = {"vicon": ["mm"], "motive": ["m", "mm", "cm"], "qualisys": ["mm"], "ndi": ["mm"], "faro": ["mm", "in", "m"]}
 UNITS |= {"rtde": ["m", "mm"]}
-FORMS = {
-    "spatial_analyzer": ["euler_fixed_xyz", "euler", "rotvec"],
-    "faro": ["euler", "matrix"],
-    "motive": ["quaternion"],
-}
+FORMS = {"spatial_analyzer": ["euler_fixed_xyz", "euler", "rotvec"], "faro": ["euler", "matrix"]}
 FORMS |= {"vicon": ["rotvec", "euler_xyz"], "qualisys": ["rpy_matrix"], "ndi": ["quaternion_ndi", "euler_ndi"]}
+FORMS |= {"motive": ["quaternion"]}
 ANY_FORM = ["euler", "quaternion", "matrix", "rotvec", "matrix4"]
 PLACES = {"vicon": ["TX", "TY", "TZ"], "ndi": ["Tx", "Ty", "Tz"], "rtde": ["tracker_x", "tracker_y", "tracker_z"]}
 SEQUENCES = ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "ZYZ", "ZXZ", "XYX", "XZX", "YXY", "YZY"]
@@ -52,9 +49,7 @@ class Writer:
     def cells(self, values: Array, digits: int) -> list[str]:
         return [f"{float(v):.{digits}f}".replace(".", self.decimal) for v in values]
 
-    def columns(
-        self, labels: list[str], values: Array, digits: int, unit: str = "", above: tuple[str, ...] = ()
-    ) -> list[Column]:
+    def columns(self, labels: list[str], values: Array, digits: int, unit: str = "", above: Any = ()) -> list[Column]:
         return [Column(label, self.cells(v, digits), unit, above) for label, v in zip(labels, values.T, strict=True)]
 
     def position(self, p: Array, unit: str, pre: str) -> list[Column]:
@@ -215,13 +210,8 @@ class Writer:
                 lines.append(separator.join(f"[{c.unit}]" if bracket and c.unit else c.unit for c in columns))
         lines += [separator.join(c.values[i] for c in columns) for i in range(len(columns[0].values))]
         end = str(rng.choice(["\n", "\r\n"]))
-        about |= {
-            "separator": separator,
-            "decimal": self.decimal,
-            "encoding": encoding,
-            "header": header,
-            "units": units,
-        }
+        about |= {"separator": separator, "decimal": self.decimal, "encoding": encoding}
+        about |= {"header": header, "units": units}
         path.write_bytes((end.join(lines) + end).encode(encoding, errors="replace"))
 
 
@@ -249,9 +239,8 @@ def draw(seed: int, folder: Path) -> Written:
         about["shuffled"] = True
     whole = np.ones(N, bool)
     if rng.random() < 0.4:
-        about["missing"] = token = str(
-            rng.choice(["", "nan", "NaN", "N/A", "-", "MISSING" if style == "ndi" else "null"])
-        )
+        tokens = ["", "nan", "NaN", "N/A", "-", "MISSING" if style == "ndi" else "null"]
+        about["missing"] = token = str(rng.choice(tokens))
         whole = ~(rng.random(N) < rng.uniform(0.02, 0.15))
         for c in readings:
             for i in np.flatnonzero(~whole):

@@ -113,7 +113,7 @@ Aside = Callable[[Scene, str, Array], Array]
 
 def reaching(c: Scene, q: Array, goals: Array) -> tuple[Array, Array]:
     """Joints (N, n) near q that bring the tool's point to goals (N, 3), and whether they did so within the range."""
-    q, good = c.arm.reaching(q, c.tool[0], goals)
+    q, good = c.arm.reaching(q, c.tool[0], goals, apiece=True)
     return q, good & np.all((q > c.arm.range[0]) & (q < c.arm.range[1]), axis=1)
 
 
