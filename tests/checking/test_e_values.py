@@ -7,9 +7,7 @@ import pytest
 
 from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, e_value
 from modcal_core.checking.hypotheses import BASE, NOISE, CellChange
-from modcal_core.checking.noise import NullModel
-from modcal_core.checking.patterns import witnesses
-from modcal_core.checking.rows import RowKinds
+from modcal_core.checking.noise import NullModel, RowKinds, witnesses
 from modcal_core.measurements.samples import Samples
 
 

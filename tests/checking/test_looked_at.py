@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from modcal_core.checking.looked_at import spread_out
-from modcal_core.checking.patterns import witnesses
+from modcal_core.checking.known import spread_out
+from modcal_core.checking.noise import witnesses
 from modcal_core.measurements.dwells import spread_rows
 from modcal_core.measurements.samples import Samples
 

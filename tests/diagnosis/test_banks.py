@@ -9,12 +9,10 @@ from cells import record, ur10
 
 from modcal_core.calibration.fit import Fit
 from modcal_core.diagnosis.banks import StepBank, WaveBank
-from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS
 from modcal_core.diagnosis.evidence import Scanner
-from modcal_core.diagnosis.explained import inverses
-from modcal_core.diagnosis.known_sums import KnownSums
+from modcal_core.diagnosis.explained import FIRST_FLIPS, FLIPS, inverses
 from modcal_core.diagnosis.number_banks import GatheredBank
-from modcal_core.diagnosis.spectra import Spectrum
+from modcal_core.diagnosis.spectra import KnownSums, Spectrum
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import columns, plain_columns
 from modcal_core.effects.registry import candidates

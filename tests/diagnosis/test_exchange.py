@@ -10,8 +10,7 @@ from cells import ur10
 from diagnosis.test_rounds import STALE, Scanned, scanned  # noqa: F401
 
 from modcal_core.calibration.fit import FITTED, Fit, identify
-from modcal_core.diagnosis.choice import choose
-from modcal_core.diagnosis.exchange import better_choice
+from modcal_core.diagnosis.choice import better_choice, choose
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.family import FREE
 

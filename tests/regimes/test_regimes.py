@@ -221,3 +221,14 @@ def test_a_tool_does_not_move_by_more_than_the_arm_reaches(shift: float, possibl
     tool = step.moved("tool", SHIFT, 1.0).with_values(np.array([shift, 0.0, 0.0]))
     base = step.moved("base", SHIFT, 1.0).with_values(np.array([-shift, 0.0, 0.0]))
     assert is_possible(model.with_effects((tool, base))) == possible
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "place", "other"), [(0, "base", "tracker"), (5, "tool", "target")])
+def test_a_move_about_an_outer_axis_may_be_a_joint_that_slipped(joint: int, place: str, other: str) -> None:
+    def slipped(q: Array) -> Array:
+        return q + 0.05 * np.outer(np.arange(COUNT) >= 80, np.eye(6)[joint])
+
+    (entry,) = calibrate(recorded([], true=slipped), ur10(), np.random.default_rng(0)).report.effects
+    assert (entry.family, entry.place) == ("step", place)
+    assert entry.same_as == (f"{other} all by time", f"{ur10().names[joint]} axis by time")

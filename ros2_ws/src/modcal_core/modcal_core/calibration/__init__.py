@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.parameters import INSTRUMENT, PRIOR_ANGLE_RAD, PRIOR_LENGTH_M, ModelParameter, View
     from modcal_core.calibration.parameters import direction_names, drop_fixed, least_change, ordered_candidates
     from modcal_core.calibration.parameters import passing_directions
-    from modcal_core.calibration.prediction import averaged, outside_drivers
+    from modcal_core.calibration.prediction import averaged, cost_of_holding, outside_drivers
     from modcal_core.calibration.starts import fit_geometry
     from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places, stated_std
     from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
@@ -65,17 +65,17 @@ __all__ += ["Readmitted", "RejectedPlace", "RowView", "Schedule", "Split", "Stat
 __all__ += ["StationDistance", "Uncertainty", "View", "What", "anneal_distances", "apply_deviations", "as_normal"]
 __all__ += ["averaged", "base_and_tool_turns", "base_by_positions", "between", "beyond_chi2", "beyond_gumbel"]
 __all__ += ["beyond_normal", "block_length", "blocks_at", "choose_parameters", "consecutive", "contradicted_places"]
-__all__ += ["contradicted_together", "contradictions", "curved_joints", "deviations", "direction_names"]
-__all__ += ["distance_rows", "distances_of", "distinct", "drop_fixed", "errors", "exact_samples", "exceeded_chi2"]
-__all__ += ["finalise", "fingerprint", "fit_cell", "fit_distances", "fit_geometry", "free_cell", "from_data"]
-__all__ += ["general_samples", "geometry_rows", "gumbel_of", "hand_eye", "has_shared_noise", "hold_out_all"]
-__all__ += ["identifiability", "identify", "identify_moved", "in_order_of_time", "independent_unit", "joint_ranges"]
-__all__ += ["known_sigma", "least_change", "likely_sizes", "linearise", "log10_beyond_f", "max_deviations"]
-__all__ += ["median_chi2", "model_at", "new_instruments", "nonnegative", "normal_equations", "objective", "of_rows"]
-__all__ += ["ordered_candidates", "outlying", "outside_drivers", "own_statement", "parameter_count"]
-__all__ += ["passing_directions", "place_instruments", "place_model", "places_of", "priors", "procrustes"]
-__all__ += ["quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all", "robust_weights"]
-__all__ += ["row_weights", "runs_of", "score_of_one", "shared_noise", "sharpened", "split", "squared_residuals"]
-__all__ += ["standard_score", "stated_std", "station_numbers", "to_data", "together_stated", "tool_and_place"]
-__all__ += ["turns_left", "uncertainty", "uncontradicted", "units_of_stations", "usual_miss", "values_without"]
-__all__ += ["views_of", "visibility", "weigh", "with_frames", "with_sockets", "without"]
+__all__ += ["contradicted_together", "contradictions", "cost_of_holding", "curved_joints", "deviations"]
+__all__ += ["direction_names", "distance_rows", "distances_of", "distinct", "drop_fixed", "errors", "exact_samples"]
+__all__ += ["exceeded_chi2", "finalise", "fingerprint", "fit_cell", "fit_distances", "fit_geometry", "free_cell"]
+__all__ += ["from_data", "general_samples", "geometry_rows", "gumbel_of", "hand_eye", "has_shared_noise"]
+__all__ += ["hold_out_all", "identifiability", "identify", "identify_moved", "in_order_of_time", "independent_unit"]
+__all__ += ["joint_ranges", "known_sigma", "least_change", "likely_sizes", "linearise", "log10_beyond_f"]
+__all__ += ["max_deviations", "median_chi2", "model_at", "new_instruments", "nonnegative", "normal_equations"]
+__all__ += ["objective", "of_rows", "ordered_candidates", "outlying", "outside_drivers", "own_statement"]
+__all__ += ["parameter_count", "passing_directions", "place_instruments", "place_model", "places_of", "priors"]
+__all__ += ["procrustes", "quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all"]
+__all__ += ["robust_weights", "row_weights", "runs_of", "score_of_one", "shared_noise", "sharpened", "split"]
+__all__ += ["squared_residuals", "standard_score", "stated_std", "station_numbers", "to_data", "together_stated"]
+__all__ += ["tool_and_place", "turns_left", "uncertainty", "uncontradicted", "units_of_stations", "usual_miss"]
+__all__ += ["values_without", "views_of", "visibility", "weigh", "with_frames", "with_sockets", "without"]

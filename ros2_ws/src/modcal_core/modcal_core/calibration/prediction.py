@@ -56,18 +56,24 @@ def typical_sizes(model: Model, samples: Samples) -> tuple[TypicalDriver | None,
     None where no recording lacks its driver.
     """
     out: list[TypicalDriver | None] = []
-    drivers, effects = model.drivers(samples), model.effects
-    for i, effect in enumerate(effects):
+    drivers = model.drivers(samples)
+    for i, effect in enumerate(model.effects):
         if not outside_drivers(effect):
             out.append(None)
             continue
         basis = effect.shape.basis(drivers.values(effect.driver, effect.lag))
         # what moved stays where it was in the end: between two places it never stood
         mean = basis[:, int(np.argmax(samples.stamps))] if effect.shape.kind in STEPS else basis.mean(axis=1)
-        without = model.with_effects((*effects[:i], averaged(effect, mean), *effects[i + 1 :]))
-        gap = model.predict_samples(samples)[:, :3, 3] - without.predict_samples(samples)[:, :3, 3]
-        out.append(TypicalDriver(mean, float(np.mean(np.sum(gap**2, axis=1)))))
+        out.append(TypicalDriver(mean, cost_of_holding(model, i, mean, samples)))
     return tuple(out)
+
+
+def cost_of_holding(model: Model, number: int, mean: Array, samples: Samples) -> float:
+    """Mean square [m²] by which the tool is off where the effect with this number is held with its basis at a mean."""
+    held = averaged(model.effects[number], mean)
+    without = model.with_effects((*model.effects[:number], held, *model.effects[number + 1 :]))
+    gap = model.predict_samples(samples)[:, :3, 3] - without.predict_samples(samples)[:, :3, 3]
+    return float(np.mean(np.sum(gap**2, axis=1)))
 
 
 def predict(

@@ -3,13 +3,19 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.checking.accounted import require_accounted
     from modcal_core.checking.advice import advise, alike_everywhere, noticed
-    from modcal_core.checking.beyond import UNTRIED, BeyondRanges, beyond_ranges
-    from modcal_core.checking.contradicting import require_one_setting, require_own_rows
+    from modcal_core.checking.contradicting import require_accounted, require_one_setting, require_own_rows
     from modcal_core.checking.history import Series, Values, series_of, values_of
-    from modcal_core.checking.known import PATTERN, FrozenCalibration, frozen, pattern_of
-    from modcal_core.checking.looked_at import spread_out
+    from modcal_core.checking.known import (
+        PATTERN,
+        UNTRIED,
+        BeyondRanges,
+        FrozenCalibration,
+        beyond_ranges,
+        frozen,
+        pattern_of,
+        spread_out,
+    )
     from modcal_core.checking.naming import named
     from modcal_core.checking.outcome import NamedChange, Noticed, Recommendation, SizeFound, Status
     from modcal_core.checking.placed import new_frames, placed_anew, with_new_frames

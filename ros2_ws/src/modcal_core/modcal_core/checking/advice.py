@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model
-from modcal_core.checking.beyond import tried_stations
 from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, CellChange
-from modcal_core.checking.known import FrozenCalibration
+from modcal_core.checking.known import FrozenCalibration, tried_stations
 from modcal_core.checking.outcome import Alike, Noticed, Recommendation
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.checking.searching import FALSE_ALARM, FoundChanges

@@ -1,8 +1,9 @@
-"""Stations of a check that contradict each other: base or tool moved between two of them, or rows were mixed up.
+"""Stations of a check that contradict each other or the arm: base or tool moved between two, rows were mixed up.
 
 No change since the calibration explains those, and what comes nearest would be named instead. Base and tool of each
 part are found in closed form about the frozen arm (orthogonal Procrustes); a reading that is another station's agrees
-with where the arm was then.
+with where the arm was then. A gear that slipped, or one whose axis passes near the target, moves readings by as much as
+another robot would: what such changes leave tells them apart, of the calibrated arm its noise.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import FINEST, Model, NoiseModel
-from modcal_core.checking.hypotheses import NOISE
+from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LOAD, NOISE, TOOL, ZERO
+from modcal_core.checking.outcome import OF_A_GEAR
 from modcal_core.checking.searching import FoundChanges
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
@@ -28,6 +30,7 @@ _BEYOND_DOUBT = 100.0  # twice 50 in log-likelihood, as where conventions are co
 _NEAR = 2.0  # standard deviations RMS that two parts may leave: what is expected is itself known to some ten per cent
 _MIXED = 3  # readings that are another station's; two might be so by chance
 _EXPLAINED = 0.8  # share of those that miss by far which must be another's
+_CHANGES = (BASE, FRAME, TOOL, ZERO, GEAR, LOAD)  # not a metre or links of another length, nor readings that scatter
 
 
 def require_own_rows(model: Model, samples: Samples, noise: NoiseModel) -> None:
@@ -197,3 +200,22 @@ def _near(readings: _Readings, reach: float) -> tuple[np.ndarray, Array]:
         turned = so3.log(np.swapaxes(readings.T[None, :, :3, :3], -1, -2) @ readings.R[:, None])
         near &= np.linalg.norm(turned, axis=-1) < ANGLE
     return near, gap
+
+
+def require_accounted(found: FoundChanges, doubt: BadRecording) -> None:
+    """Raises the doubt unless what was found explains the readings down to their noise, in few enough numbers: a curve
+    that may take any course has one for every station, so that only one of them counts. Raises BadRecording with the
+    joint where its curve is no gear's.
+    """
+    curves = [c for c in found.changes if c.hypothesis.curve >= 0]
+    explained = not found.more and all(c.hypothesis.kind in _CHANGES for c in found.changes)
+    if not found.changes or not explained or len(curves) > 1:
+        raise doubt
+    for curve in curves:
+        rms = float(np.sqrt(np.mean(curve.sizes**2)))
+        if rms > OF_A_GEAR:
+            raise BadRecording(
+                f"angles of {curve.hypothesis.place}",
+                f"differ from those of the calibrated arm by {np.degrees(rms):.3g}° RMS, another at every station",
+                "check its encoder and its place in joint_states; calibrate again once it is right",
+            )

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
 
-from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise
+from modcal_core.checking.evidence import ChangeCandidate, ChangeJudge, JudgedChange, is_noise, log_priors
 from modcal_core.checking.hypotheses import NOISE, CellChange, composed, put_in
 from modcal_core.checking.state import CheckState
+from modcal_core.geometry import Array
 
 _STEPS = 15  # of a fit; of changes that are small one is enough
 _END = 1e-3  # standard deviations, all rows together; the last step of a fit
@@ -47,6 +48,19 @@ def taken_up(
         opened = opened.with_more(now.residual, columns, scale)
     opened = replace(opened, residual=now.residual)
     return CheckState(now.model, begin.samples, begin.known, opened, now.curves), fits
+
+
+def along_one(outside: CellChange, hypothesis: CellChange, state: CheckState) -> CellChange | None:
+    """What outside the arm moves, only as a change of one size moves the readings; None where that has more sizes.
+
+    Few stations show one number better than six.
+    """
+    if hypothesis.sizes != 1 or not outside.motions or outside.together:
+        return None
+    L = np.linalg.cholesky(state.null.covariances[state.null.reference])
+    A, y = (scipy.linalg.solve_triangular(L, state.columns(h), lower=True) for h in (outside, hypothesis))
+    twist = np.linalg.lstsq(A, y[:, 0], rcond=1e-9)[0] @ np.array([m.twist for m in outside.motions])
+    return replace(outside, motions=(replace(outside.motions[0], twist=tuple(twist.tolist())),))
 
 
 def bends(judge: ChangeJudge) -> bool:
@@ -100,3 +114,54 @@ def fitted(
                   by_key.get(id(h), np.empty(0)))
         for h in asked
     ], now  # fmt: skip
+
+
+@dataclass
+class ChangedState:
+    """state: with the changes taken up. fits: these changes as fitted. judge: of what is left."""
+
+    state: CheckState
+    fits: Sequence[ChangeCandidate]
+    judge: ChangeJudge
+    _judged: dict[tuple[int, bool], tuple[CellChange, JudgedChange]] = field(default_factory=dict)
+
+    def judge_all(self, asked: Sequence[CellChange], bent: bool = False) -> tuple[list[JudgedChange], Array]:
+        """What speaks for each, and the logarithms of their prior probabilities. bent: fit each by itself where changes
+        are so large that their motions bend.
+        """
+        large = bent and bends(self.judge)
+        return [self._one(h, large and (h.sizes > 0 or h.curve >= 0)) for h in asked], log_priors(asked)
+
+    def _one(self, hypothesis: CellChange, alone: bool) -> JudgedChange:
+        """What speaks for one change. alone: fit it by itself first."""
+        key = id(hypothesis), alone
+        if key not in self._judged:  # kept with its key: the number of an object is another's once it is gone
+            self._judged[key] = hypothesis, self._ask(hypothesis, alone)
+        return self._judged[key][1]
+
+    def _ask(self, hypothesis: CellChange, alone: bool) -> JudgedChange:
+        if hypothesis.kind == NOISE:
+            return self.judge.noisier(hypothesis)
+        if alone:
+            return self.judge.judged(fitted([hypothesis], self.state, self.judge, bent=True)[0][0])
+        columns = self.state.columns(hypothesis)
+        residual = self.state.null.residual
+        return self.judge.judged(ChangeCandidate(hypothesis, residual, columns, np.zeros(columns.shape[1])))
+
+
+class ChangedStates:
+    """What stands once changes are taken up, on top of a model beside the readings."""
+
+    def __init__(self, plain: CheckState) -> None:
+        self.plain = ChangedState(plain, (), ChangeJudge(plain.null))
+        self._known: dict[tuple[int, ...], tuple[list[JudgedChange], ChangedState]] = {}
+
+    def after(self, picked: Sequence[JudgedChange]) -> ChangedState:
+        """With these changes taken up."""
+        if not picked:
+            return self.plain
+        key = tuple(map(id, picked))
+        if key not in self._known:
+            state, fits = taken_up(self.plain.state, self.plain.judge, picked)
+            self._known[key] = list(picked), ChangedState(state, fits, ChangeJudge(state.null))
+        return self._known[key][1]

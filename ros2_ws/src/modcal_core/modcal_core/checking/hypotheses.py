@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Deviations, Model, RowView, apply_deviations
-from modcal_core.checking.patterns import varying
+from modcal_core.checking.noise import varying
 from modcal_core.effects import AXIS, Drivers, Effect, columns, one_motion
 from modcal_core.effects.families import compliance, gear_harmonic, gear_ratio, scale
 from modcal_core.geometry import Array, error_transform, error_values

@@ -1,4 +1,8 @@
-"""A frozen calibration as a check uses it: the model beside the new samples, and what it knows of itself there."""
+"""A frozen calibration as a check uses it: the model beside the new samples, what it knows, and where it was made.
+
+Its covariance says how well its parameters are known, not how well an arm of those parameters is the arm. Within the
+ranges it was made from that has been tried; beyond, what it does not have may be as large as what it has corrected.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,15 @@ import numpy as np
 
 from modcal_core.calibration import INSTRUMENT, Calibration, Model, with_frames
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.measurements import Samples
+from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 
 PATTERN = 0.25  # share of the variance that is taken to be common to neighbouring postures where no report says it
 _MIN_PATTERN = 0.1  # the same where a report saw none: of 160 stations it sees no less than some ten per cent
+UNTRIED = "the calibration, beyond the joint ranges that it was made from"
+_MAX = 0.5  # of the stations, beyond which what they say together is of places where nothing was tried
+_MARGIN = 0.02  # of a range, as where samples outside are counted
+_ASKED = 10  # stations of the calibration's own that are proposed: as many as a check is to have
 
 
 @dataclass(frozen=True)
@@ -77,3 +86,60 @@ def frozen(calibration: Calibration, applied: Model, samples: Samples, pattern: 
         True,
         at,
     )
+
+
+@dataclass(frozen=True)
+class BeyondRanges:
+    """outside: how many of the stations stand beyond the ranges, of how many. corrected: RMS [m] at the tool by which
+    the calibration differs from the nominal arm at these stations.
+    """
+
+    outside: int
+    of: int
+    corrected: float
+
+    @property
+    def mostly(self) -> bool:
+        """Whether most of them do."""
+        return self.outside > _MAX * self.of
+
+    def doubts(self, moved_mm: float) -> bool:
+        """Whether a change that moves the tool by so much [mm] may be what was not tried there."""
+        return self.mostly and moved_mm < 1e3 * self.corrected
+
+
+def beyond_ranges(calibration: Calibration, model: Model, samples: Samples) -> BeyondRanges:
+    """How many of these stations stand where the calibration was not made. model: the frozen one, for these samples."""
+    low, high = calibration.seen
+    margin = _MARGIN * (high - low)
+    first = np.unique(samples.station, return_index=True)[1]
+    q = samples.q[first]
+    out = ((q < low - margin) | (q > high + margin)).any(axis=1)
+    frames = [calibration.nominal.frames.index(samples.frames[f]) for f in samples.frame[first].tolist()]
+    nominal = calibration.nominal.predict(q, np.array(frames, dtype=int))[:, :3, 3]
+    moved = model.predict_samples(samples.select(first))[:, :3, 3] - nominal
+    return BeyondRanges(int(out.sum()), len(first), float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
+
+
+def tried_stations(calibration: Calibration) -> Array:
+    """Ten of the postures (k, n) that the calibration was made from."""
+    return np.asarray(calibration.postures[spread_rows(len(calibration.postures), _ASKED)])
+
+
+def spread_out(samples: Samples, most: int) -> Samples:
+    """The samples at no more than so many stations, one of each stretch of the recording; all, where there are fewer.
+
+    Distances between postures are those of their joint positions [rad, m].
+    """
+    stations, first = np.unique(samples.station, return_index=True)
+    if len(stations) <= most:
+        return samples
+    q = samples.q[first]
+    nearest = np.linalg.norm(q - q.mean(axis=0), axis=1)
+    taken = []
+    for k, stretch in enumerate(np.array_split(np.arange(len(stations)), most)):
+        at = int(stretch[np.argmax(nearest[stretch])])
+        taken.append(at)
+        away = np.linalg.norm(q - q[at], axis=1)
+        nearest = away if k == 0 else np.minimum(nearest, away)
+    return samples.select(np.flatnonzero(np.isin(samples.station, stations[taken])))

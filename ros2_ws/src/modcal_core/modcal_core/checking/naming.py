@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.checking.beyond import UNTRIED, BeyondRanges
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LENGTH, LOAD, NOISE, SCALE, TOOL, ZERO, CellChange
+from modcal_core.checking.known import UNTRIED, BeyondRanges
 from modcal_core.checking.outcome import Alike, NamedChange, SizeFound
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry import Array
@@ -58,6 +58,9 @@ def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
             if factor > 1.0
         )
     if h.kind in (BASE, FRAME, TOOL):
+        if len(h.motions) == 1:  # of one size, along one twist
+            way = np.array(h.motions[0].twist)
+            values, std = values[0] * way, std[0] * np.abs(way)
         names = [(n, "mm") for n in _SHIFTS] + [(n, "mrad") for n in _TURNS]
         return tuple(_size(n, v, s, 1e3, u) for (n, u), v, s in zip(names, values, std, strict=False))
     if h.curve >= 0:

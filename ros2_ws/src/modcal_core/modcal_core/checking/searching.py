@@ -17,13 +17,12 @@ from functools import cached_property
 import numpy as np
 
 from modcal_core.calibration import Model
-from modcal_core.checking.changed_state import ChangedState, ChangedStates
 from modcal_core.checking.evidence import SIZES, ChangeJudge, JudgedChange, e_value, is_noise, log_priors
+from modcal_core.checking.fitting import ChangedState, ChangedStates, along_one
 from modcal_core.checking.hypotheses import BASE, NOISE, READING, TOOL, CellChange, hypotheses
 from modcal_core.checking.noise import FrozenKnowledge
-from modcal_core.checking.rivals import FittedChange, most_probable
+from modcal_core.checking.rivals import FittedChange, SizeCovariance, most_probable, with_sizes
 from modcal_core.checking.rivals import with_rivals as fitted_with_rivals
-from modcal_core.checking.sizes import SizeCovariance, with_sizes
 from modcal_core.checking.state import CheckState
 from modcal_core.checking.waves import wave_of
 from modcal_core.effects import AS_LIKELY, put_back_first
@@ -257,7 +256,12 @@ class _ChangeSearch:
         likely = np.array([j.likelihood for j in every])
         outside = [True] * len(asked) + [False]
         first = put_back_first(len(asked), outside, likely, AS_LIKELY / self.weight)
-        return picked[i] if first == len(asked) else every[first]
+        if first == len(asked):
+            return picked[i]
+        # beside another change that may only make up for what one size leaves, all sizes are open
+        along = None if others else along_one(asked[first], hypothesis, self.beside([]).state)
+        alone = [] if along is None else self.beside(others).judge_all([along])[0]
+        return max([every[first], *alone], key=lambda one: one.log_factor)
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""

@@ -3,20 +3,17 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.diagnosis.causes import Diagnosis, causes_of_moves
-    from modcal_core.diagnosis.choice import EffectChoice, choose
+    from modcal_core.diagnosis.causes import Diagnosis, EvidenceMap, causes_of_moves
+    from modcal_core.diagnosis.choice import EffectChoice, choose, frozen, located
     from modcal_core.diagnosis.dependence_scan import WORTH_NAMING, asked_of, dependence
     from modcal_core.diagnosis.evidence import Scanner
-    from modcal_core.diagnosis.evidence_map import EvidenceMap
     from modcal_core.diagnosis.hysteresis import moments_on_base, play, slipped
-    from modcal_core.diagnosis.load_step import by_weight
-    from modcal_core.diagnosis.loads import Loads, weighed, with_arm
-    from modcal_core.diagnosis.locate import frozen, located
+    from modcal_core.diagnosis.load_hypothesis import stated_arm, with_stated
+    from modcal_core.diagnosis.loads import Loads, by_weight, weighed, with_arm
     from modcal_core.diagnosis.number_banks import NumberBank
     from modcal_core.diagnosis.residual_curves import with_residual_curves
     from modcal_core.diagnosis.search import SIGNIFICANT, diagnose
     from modcal_core.diagnosis.space import Space
-    from modcal_core.diagnosis.stated_loads import stated_arm, with_stated
 else:
     from modcal_core.lazy import lazy_face
 

@@ -18,9 +18,8 @@ from typing import Protocol
 
 import numpy as np
 
-from modcal_core.diagnosis.known_sums import Key, KnownSums, Parts, squared
 from modcal_core.diagnosis.number_banks import ALL
-from modcal_core.diagnosis.spectra import Spectrum
+from modcal_core.diagnosis.spectra import Key, KnownSums, Parts, Spectrum, squared
 from modcal_core.effects import Drivers, Effect
 from modcal_core.geometry import Array
 

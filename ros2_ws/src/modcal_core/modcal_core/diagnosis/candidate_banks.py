@@ -10,8 +10,8 @@ import numpy as np
 
 from modcal_core.calibration import independent_unit
 from modcal_core.diagnosis.banks import Bank, SpectraOfDrivers, StepBank, WaveBank, wave_step
-from modcal_core.diagnosis.known_sums import Key, Parts
 from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, NumberPool, gathered
+from modcal_core.diagnosis.spectra import Key, Parts
 from modcal_core.effects import (
     AXIS,
     LENGTH,

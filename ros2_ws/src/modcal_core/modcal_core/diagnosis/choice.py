@@ -3,18 +3,30 @@
 Scores closer than a hundredfold in chance do not tell candidates apart: they are one class, named together. A free
 shape always fits a little better than the cause it imitates; so where a plain cause explains nearly as much, or a few
 plain causes together do, the plain one is taken.
+
+An effect that a fit has already is exchanged for what explains more, were it not there. Beside an effect candidates
+have no more new directions than without it, so that what they would explain without it is no more than by their
+products beside it. Waves, nine in ten of all, are hardly ever near: where even so none of them comes up to the effect,
+they are not weighed again.
+
+A delay of a joint is a share of commanded − measured, or a time. The scan is linear, and there both are one column.
+What tells them apart is of second order, as small as a gear ratio of 1e-5, and would be called one beside the wrong
+form. So the forms are fitted, and compared.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import Fit
+from modcal_core.calibration import Fit, Model, NoiseModel
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects import BY_HAND, FREE, Effect, complexity, family_named, one_motion, put_back_first
+from modcal_core.effects import BY_HAND, FREE, Effect, candidates, complexity, family_named, one_motion, put_back_first
+from modcal_core.effects.families import unknown
 from modcal_core.geometry import Array
+from modcal_core.measurements import Samples, spread_rows
 
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
 _NEARLY = 0.93  # share of a free shape's explanation; its further amplitudes take some per cent of pure noise (sweep)
@@ -23,6 +35,10 @@ _PLAINLY_MORE = 1.3  # times what the best line explains, for a whole curve, its
 _RHYTHM = 10.0  # cycles a turn that are one kind of rhythm
 _MAX_NAMED = 12  # in a sentence
 _MAX_RIVALS = 4  # that are fitted, for time
+_NOT_LINEAR = "velocity"  # the driver of delays, whose second order is in the fit and not in the scan
+_WORTH_NAMING = 0.2  # share of the squared residual, beyond what as many amplitudes explain by chance
+_NEARLY = 0.9  # share of the best explanation; what only stands elsewhere is plainer than any curve
+_MAX_SCANNED = 500  # samples; more are thinned evenly
 
 
 @dataclass(frozen=True)
@@ -147,3 +163,76 @@ def _rivals(evidence: Evidence, best: int, alike: list[int]) -> list[Effect]:
         effect = evidence.effects[i]
         found.setdefault((effect.place, effect.direction, effect.public_driver), effect)
     return list(found.values())[1:]
+
+
+def better_choice(number: int, fit: Fit, scanner: Scanner) -> tuple[EffectChoice, Effect] | None:
+    """The choice that explains more than one of a fit's effects, and its effect with amplitudes to begin from; None
+    where none does, or one that is the same entry of a report.
+    """
+    effects = fit.model.effects
+    old = effects[number]
+    without = replace(fit, model=fit.model.with_effects(effects[:number] + effects[number + 1 :]))
+    plain = complexity(old) < FREE  # a plain cause is not given up for a curve
+    if plain and not old.refined and _stands(old, without, fit, scanner):  # what waves explain is not known then
+        return None
+    evidence = scanner.evidence(without, plain=plain)
+    better = choose(evidence, scanner, without, set(), incumbent=old)
+    if better is None or better.effect.key == old.key:
+        return None
+    return better, better.effect.started(scanner.amplitudes(without, better.effect))
+
+
+def _stands(effect: Effect, without: Fit, beside: Fit, scanner: Scanner) -> bool:
+    """Whether it is among those that explain most, whatever waves explain."""
+    found = scanner.at_most(without, beside)
+    if found is None:
+        return False
+    score, exact = found
+    alike = near(np.where(scanner.complexity < FREE, score, -1.0))
+    return any(exact[i] and alike[i] for i in scanner.numbers_of(effect.key))
+
+
+def other_forms(effect: Effect, candidates: Iterable[Effect]) -> tuple[Effect, ...]:
+    """The candidates of the same family, place and direction by another driver, where the scan sees one of the two to
+    first order only; each has as many amplitudes as the effect. Empty for an effect that has one form.
+    """
+    late = effect.driver == _NOT_LINEAR
+    return tuple(
+        other
+        for other in candidates
+        if (late or other.driver == _NOT_LINEAR)
+        and other.driver != effect.driver
+        and (other.family, other.place, other.direction) == (effect.family, effect.place, effect.direction)
+        and other.shape.size == effect.shape.size
+    )
+
+
+def located(fit: Fit, samples: Samples) -> EffectChoice | None:
+    """The candidate that explains most of what the fit leaves over, None where none explains much.
+
+    Constant errors are looked for where the fit has no parameters of its own.
+    """
+    rows = spread_rows(len(samples), _MAX_SCANNED)
+    drivers = fit.model.drivers(samples.select(rows))
+    constant = unknown.constants(drivers) if fit.frozen else ()
+    scanner = Scanner([*candidates(drivers), *constant], drivers)
+    if not scanner.enough(fit):
+        return None
+    evidence = scanner.evidence(fit)
+    beyond = evidence.explained - np.array([e.shape.size for e in evidence.effects]) / evidence.freedom
+    if not len(beyond) or beyond.max() < _WORTH_NAMING:
+        return None
+    plain = np.array([e.public_driver == "constant" for e in evidence.effects])
+    others: set[tuple[str, str, str, str]] = set()
+    if plain.any() and beyond[plain].max() > _NEARLY * beyond.max():
+        others = {effect.key for effect, is_plain in zip(evidence.effects, plain, strict=True) if not is_plain}
+    choice = choose(evidence, scanner, fit, others)
+    return None if choice is None or choice.share < _WORTH_NAMING else choice
+
+
+def frozen(model: Model, noise: NoiseModel, refitted: Fit | None = None) -> Fit:
+    """A model as a fit of nothing, or of the base and tool that were found again; its effects as they are."""
+    none, square = np.empty(0), np.empty((0, 0))
+    if refitted is None:
+        return Fit(model, model, (), none, square, noise, none, square, 0, frozen=True)
+    return replace(refitted, model=model, start=model, noise=noise, frozen=True)

@@ -26,11 +26,18 @@ from modcal_core.calibration import Fit
 from modcal_core.diagnosis.anchor import Anchor
 from modcal_core.diagnosis.banks import Bank, WaveBank
 from modcal_core.diagnosis.candidate_banks import BankedCandidates
-from modcal_core.diagnosis.chance import FIRST_FLIPS, FLIPS, against_noise, is_clear, score_table
-from modcal_core.diagnosis.explained import explained, inverses
-from modcal_core.diagnosis.known_sums import Key
+from modcal_core.diagnosis.explained import (
+    FIRST_FLIPS,
+    FLIPS,
+    against_noise,
+    explained,
+    inverses,
+    is_clear,
+    score_table,
+)
 from modcal_core.diagnosis.number_banks import NumberBank
 from modcal_core.diagnosis.space import Directions, SignTrials, Space, Weighed
+from modcal_core.diagnosis.spectra import Key
 from modcal_core.effects import USUAL, Drivers, Effect
 from modcal_core.geometry import Array
 

@@ -15,10 +15,12 @@ from itertools import product
 
 import numpy as np
 
-from modcal_core.calibration import nonnegative
+from modcal_core.calibration import Cell, StatedPayload, nonnegative
 from modcal_core.diagnosis.space import Space
 from modcal_core.effects import Carried, Drivers, NominalArm, place_index
+from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, so3
+from modcal_core.measurements import Samples, SignalTrack
 from modcal_core.robots import Inertias, is_serial_arm, weightless
 
 USUAL_KG, USUAL_PLACE = 20.0, 0.15  # kg, m from the tip: what arms carry, and where, before the data say more
@@ -27,6 +29,7 @@ _APART, _FINE = 0.13, 1e-4  # rad: half of what those lie apart, and as finely a
 _STARTS_KG = (0.0, 3.0)  # masses that are begun from
 _PLAIN = 3.0  # gain in units of what is left: then three quarters of what was left are these loads and no others
 _RIDGE = 1e-9  # of the largest square; loads of joints may be alike
+TOPIC = "/payload_kg"
 
 
 @dataclass(frozen=True)
@@ -262,3 +265,35 @@ def _ways() -> list[Array]:
     angle = np.arccos(1.0 - 2.0 * k / _WAYS)
     way = k * np.pi * (3.0 - np.sqrt(5.0))
     return list((angle * np.stack([np.cos(way), np.sin(way)])).T)
+
+
+def stated_arm(arm: NominalArm, cell: Cell) -> NominalArm:
+    """The arm with what it carries by the cell file; the same where nothing is stated or its masses are unknown."""
+    if not cell.payloads or not arm.weighed:
+        return arm
+    hypothesis = LoadHypothesis(arm, until=cell.between, carries=True)
+    return hypothesis.pulled(np.concatenate([p.mass * np.array([1.0, *p.place]) for p in _each(cell)]))
+
+
+def with_stated(samples: Samples, cell: Cell, weighed: bool) -> Samples:
+    """Samples with the stated payload as a recorded signal, for an arm without masses; otherwise unchanged.
+
+    Raises BadTable where payloads are stated for another number of recordings.
+    """
+    if not cell.payloads:
+        return samples
+    each = _each(cell)
+    if weighed or any(track.name.endswith(TOPIC) for track in samples.signals):
+        return samples
+    stamps = np.unique(samples.stamps)
+    mass = np.array([p.mass for p in each])[np.searchsorted(np.array(cell.between), stamps, side="right")]
+    return replace(samples, signals=(*samples.signals, SignalTrack(f"signal:{TOPIC}", stamps, mass[:, None], TOPIC)))
+
+
+def _each(cell: Cell) -> tuple[StatedPayload, ...]:
+    """One payload for each recording."""
+    count, stated = len(cell.between) + 1, cell.payloads
+    if len(stated) not in (1, count):
+        said = f"{len(stated)} are stated, and recordings: {count}"
+        raise BadTable("cell file: payloads", said, "state one for all recordings, or one for each in their order")
+    return stated if len(stated) == count else stated * count

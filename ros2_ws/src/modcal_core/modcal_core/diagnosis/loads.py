@@ -9,19 +9,30 @@ determined. What pulls is fitted to the end together with the arm and all effect
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from modcal_core.calibration import FITTED, AnyDistance, Cell, Fit, Model, errors, identify, squared_residuals
+from modcal_core.calibration import (
+    FITTED,
+    AnyDistance,
+    Cell,
+    Fit,
+    Model,
+    RowView,
+    errors,
+    identify,
+    linearise,
+    row_weights,
+    squared_residuals,
+)
 from modcal_core.diagnosis.causes import Diagnosis
 from modcal_core.diagnosis.load_hypothesis import LoadHypothesis, Suspicion
-from modcal_core.diagnosis.load_step import by_weight, step_of
 from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN
 from modcal_core.diagnosis.space import Space
-from modcal_core.effects import Drivers, NominalArm
+from modcal_core.effects import Drivers, Effect, NominalArm, Term, motion, prior_stds
 from modcal_core.effects.families import compliance
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
@@ -38,6 +49,8 @@ _MAX_BESIDE = 1.0  # m; no hand holds what it carries farther from the tip
 _NEARLY = 1.02  # of the squares on *explain*: one payload for all joints may leave so much more than one for each
 _ROUNDS = 6  # iterations
 _SETTLED = 0.05  # standard deviations
+Search = Callable[[Fit], Diagnosis]
+_MAX_FITTED = 1000  # samples that what pulls is fitted to, for time
 
 
 @dataclass(frozen=True)
@@ -72,9 +85,6 @@ class Loads:
     unknown: bool = False
     centre: Array | None = None
     centre_std: Array | None = None
-
-
-Search = Callable[[Fit], Diagnosis]
 
 
 def weighed(
@@ -360,3 +370,49 @@ def _by_weight(model: Model) -> bool:
 
 def _thinned(samples: Samples, most: int) -> Samples:
     return samples.select(spread_rows(len(samples), most))
+
+
+def step_of(fit: Fit, samples: Samples, asked: LoadHypothesis, x: Array) -> tuple[Array, Array]:
+    """A step of Gauss and Newton (k,) of what pulls, the arm and its effects free, and the covariance (k, k)."""
+    rows = spread_rows(len(samples), _MAX_FITTED)
+    few, model, P = samples.select(rows), fit.model, len(fit.parameters)
+    weight = row_weights(fit.weights[rows] * (len(samples) / len(rows)), fit.noise, few)
+    drivers = model.drivers(few)
+    values = np.concatenate([np.zeros(P), *(e.values for e in model.effects)])
+    now = linearise(model, fit.parameters, values, few, drivers=drivers)
+    view = RowView.of(model, few, drivers)
+    J = np.concatenate([now.J, _load_rows(view, model.effects, few, asked, x)])
+    prior = np.concatenate(
+        [[p.prior_std for p in fit.parameters], *(prior_stds(e, drivers) for e in model.effects), asked.prior_std]
+    )
+    JW = J * weight
+    H = JW @ J.T + np.diag(prior**-2.0)
+    g = JW @ now.residual
+    k = len(H) - asked.size
+    g[:k] = 0.0  # the fit is where its own gradient ends
+    g[k:] -= x / asked.prior_std**2
+    scale = 1.0 / np.sqrt(np.diag(H))
+    covariance = np.linalg.pinv(H * np.outer(scale, scale), rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+    return (covariance @ g)[k:], covariance[k:, k:]
+
+
+def _load_rows(view: RowView, effects: Sequence[Effect], samples: Samples, asked: LoadHypothesis, x: Array) -> Array:
+    """Motion of the tool per unit of each number, (k, 3 N + 3 M)."""
+    springs = tuple(effect for effect in effects if by_weight(effect))
+    rows = []
+    for i, step in enumerate(asked.steps):
+        d = step * (np.arange(asked.size) == i)
+        up, down = (motion(springs, Drivers(samples, asked.pulled(x + s * d)))[0] for s in (1.0, -1.0))
+        terms = [
+            Term(place, direction, (up[place][direction] - down[place][direction]) / (2.0 * step))
+            for place in up
+            for direction in range(6)
+            if (up[place][direction] != down[place][direction]).any()
+        ]
+        rows.append(view.moved_by(terms))
+    return np.stack(rows)
+
+
+def by_weight(effect: Effect) -> bool:
+    """Whether an effect goes by a load that is computed from weight."""
+    return effect.driver.partition(":")[0] in ("load", "payload", "moment") or effect.driver.startswith("offset_")

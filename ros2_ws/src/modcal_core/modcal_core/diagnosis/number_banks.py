@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modcal_core.diagnosis.known_sums import Key, KnownSums, squared
+from modcal_core.diagnosis.spectra import Key, KnownSums, squared
 from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 

@@ -1,7 +1,9 @@
-"""Effects that the final model does not need are taken out of it: judged on *explain*, as when they were let in.
+"""What is taken out, and in again: effects that the final model does not need, and samples that are plainly wrong.
 
-An effect that was worth having when it was found may cost nothing to do without once others stand beside it. One whose
-amplitudes are within two standard deviations of nothing, each and together, says nothing, whatever it gains.
+An effect that was worth having when it was found may cost nothing to do without once others stand beside it: it is
+judged on *explain*, as when it was let in. One whose amplitudes are within two standard deviations of nothing, each and
+together, says nothing, whatever it gains. A wrong reading stands alone. Where neighbours in time are off as well,
+something happened to the robot, and that is for the scan to explain.
 """
 
 from __future__ import annotations
@@ -20,8 +22,10 @@ from modcal_core.calibration import (
     as_normal,
     errors,
     identify,
+    outlying,
     squared_residuals,
     uncertainty,
+    uncontradicted,
     values_without,
     without,
 )
@@ -32,6 +36,7 @@ from modcal_core.measurements import Samples
 MIN_GAIN = 0.01  # share of the squared error on *explain* that an effect must take away: 0.5 % in RMS (sweep)
 NOTHING = 2.0  # standard deviations within which an amplitude may be nothing: the usual 95 % interval holds 0
 DRAWN_IN = 25.0  # times the median square, to which each sample's is limited, so that none rules alone
+_NEIGHBOURS = 2  # on either side
 
 
 def needless(
@@ -101,3 +106,38 @@ def _mean_square(model: Model, samples: Samples, noise: NoiseModel, limit: float
 
 def _squares(model: Model, samples: Samples, noise: NoiseModel) -> Array:
     return squared_residuals(errors(model, samples), samples, noise)
+
+
+def isolated_outliers(fit: Fit, samples: Samples) -> np.ndarray:
+    """True for samples far outside the spread of the fit whose neighbours in time are not, (N,)."""
+    far = outlying(fit.model, fit.noise, samples)
+    order = np.lexsort((samples.stamps, samples.frame))
+    of_order = far[order].astype(float)
+    window = np.ones(2 * _NEIGHBOURS + 1)
+    crowd = np.convolve(of_order, window, mode="same") - of_order
+    alone = np.zeros(len(far), bool)
+    alone[order] = crowd < _NEIGHBOURS
+    return far & alone
+
+
+def rejected_share(fit: Fit) -> float:
+    """Share of the samples that a fit gives no weight."""
+    return float(np.mean(fit.weights == 0.0))
+
+
+def with_uncontradicted(final: Fit, train: Samples, distances: Sequence[AnyDistance]) -> tuple[Fit, np.ndarray | None]:
+    """The fit with rejected samples taken in that nothing speaks against, if then fewer are rejected, and which these
+    are, (N,); None where there are none.
+    """
+    rejected = final.weights == 0.0
+    alone = uncontradicted(final.model, train, rejected)
+    if not alone.any():
+        return final, None
+    start = final.start.with_effects(final.model.effects)
+    some = train.select(~rejected | alone)
+    bent = identify(start, some, final.parameters, distances, tolerance=FITTED, begin=final.values, reject=False)
+    start = final.start.with_effects(bent.model.effects)
+    again = identify(start, train, final.parameters, distances, tolerance=FITTED, begin=bent.values)
+    if rejected_share(again) >= rejected_share(final):
+        return final, None
+    return again, alone & (again.weights > 0.0)

@@ -2,7 +2,7 @@
 
 A scan is weighed by trials with random signs, whose best scores are of noise whatever is left. So what the chosen
 effects leave is weighed against the same trials, without a fit, where an answer is as clear as one that a scan gives
-early (:func:`chance.is_clear`) and where an effect explains many times what it must; else the round ends.
+early (:func:`explained.is_clear`) and where an effect explains many times what it must; else the round ends.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Fit, Model, Uncertainty, without
-from modcal_core.diagnosis.chance import is_clear
-from modcal_core.diagnosis.choice import EffectChoice, choose
+from modcal_core.diagnosis.choice import EffectChoice, choose, other_forms
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.diagnosis.forms import other_forms
+from modcal_core.diagnosis.explained import is_clear
 from modcal_core.diagnosis.pruning import MIN_GAIN
 from modcal_core.effects import Effect, is_large_move, is_turned
 

@@ -23,15 +23,19 @@ from modcal_core.calibration import (
     uncertainty,
     without,
 )
-from modcal_core.diagnosis.causes import Cause, Diagnosis
-from modcal_core.diagnosis.chance import FLIPS
-from modcal_core.diagnosis.choice import EffectChoice, choose
+from modcal_core.diagnosis.causes import Cause, Diagnosis, evidence_map
+from modcal_core.diagnosis.choice import EffectChoice, better_choice, choose, other_forms
 from modcal_core.diagnosis.evidence import MIN_FREEDOM, Evidence, Scanner
-from modcal_core.diagnosis.evidence_map import evidence_map
-from modcal_core.diagnosis.exchange import better_choice
-from modcal_core.diagnosis.forms import other_forms
-from modcal_core.diagnosis.outliers import isolated_outliers, rejected_share, with_uncontradicted
-from modcal_core.diagnosis.pruning import DRAWN_IN, MIN_GAIN, joint_size, needless
+from modcal_core.diagnosis.explained import FLIPS
+from modcal_core.diagnosis.pruning import (
+    DRAWN_IN,
+    MIN_GAIN,
+    isolated_outliers,
+    joint_size,
+    needless,
+    rejected_share,
+    with_uncontradicted,
+)
 from modcal_core.diagnosis.rounds import chosen_together, surely_worth
 from modcal_core.effects import Drivers, Effect, candidates, family_named, nothing_plainer
 from modcal_core.measurements import Samples, spread_rows

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from modcal_core.calibration import Fit, Groups, RowView, linearise
-from modcal_core.diagnosis.known_sums import Key, KnownSums
+from modcal_core.diagnosis.spectra import Key, KnownSums
 from modcal_core.effects import Drivers, Effect
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples

@@ -23,12 +23,12 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ACROSS", "ALL", "AS_LIKELY", "AXIS", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS", "LENGTH"]
-__all__ += ["BY_HAND", "PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL"]
+__all__ = ["ACROSS", "ALL", "AS_LIKELY", "AXIS", "BY_HAND", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS"]
+__all__ += ["LENGTH", "PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL"]
 __all__ += ["AxisCurves", "Carried", "DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity"]
-__all__ += ["ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs"]
-__all__ += ["candidates", "claimed", "columns", "companionless", "complexity", "component_names", "curve"]
-__all__ += ["curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move", "is_turned", "knots_of"]
-__all__ += ["known_families", "motion", "nothing_plainer", "one_motion", "periodic", "place_index", "plain_columns"]
-__all__ += ["prior_stds", "public_driver", "put_back_first", "remembered", "require_known", "shape_columns"]
-__all__ += ["unit_of", "value", "with_companions"]
+__all__ += ["ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "candidates"]
+__all__ += ["claimed", "columns", "companionless", "complexity", "component_names", "curve", "curve_sizes"]
+__all__ += ["drivers_at", "family_named", "is_large_move", "is_move", "is_turned", "knots_of", "known_families"]
+__all__ += ["motion", "nothing_plainer", "one_motion", "periodic", "place_index", "plain_columns", "prior_stds"]
+__all__ += ["public_driver", "put_back_first", "remembered", "require_known", "shape_columns", "unit_of", "value"]
+__all__ += ["with_companions"]

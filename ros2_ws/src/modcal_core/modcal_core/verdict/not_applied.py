@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, averaged, outside_drivers
+from modcal_core.calibration import Calibration, Model, averaged, cost_of_holding, outside_drivers
 from modcal_core.effects import STEPS, Effect, NominalArm
 from modcal_core.measurements import Samples
 from modcal_core.verdict.grounds import NotApplied
@@ -34,24 +34,23 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
     left: list[NotApplied] = []
     stood_in: list[str] = []
     partly: list[str] = []
-    for i, effect in enumerate(model.effects):
-        why = _lacking(effect, calibration, samples)
+    for effect, typical in zip(model.effects, map(calibration.typical_of, range(len(model.effects))), strict=True):
+        why, cost = _lacking(effect, calibration, samples), 0.0 if typical is None else 1e6 * typical.cost
         if why is None:
             effects.append(effect)
             for what, count in _gaps(effect, samples).items():
                 if what == "effort" and arm.weighed:
                     partly.append(f"{effect.label} at {count} of {len(samples)} samples")
                     continue
-                cost = _cost(calibration, i, samples) * count / len(samples)
-                left.append(NotApplied(effect.label, f"{count} of {len(samples)} samples carry no {what}", 1e6 * cost))
+                said = f"{count} of {len(samples)} samples carry no {what}"
+                left.append(NotApplied(effect.label, said, cost * count / len(samples)))
         elif effect.driver.startswith("effort:") and arm.weighed:
             effects.append(_by_gravity(effect))
             stood_in.append(effect.label)
         else:
-            typical = calibration.typical_of(i)
             if typical is not None:
                 effects.append(averaged(effect, typical.mean))
-            left.append(NotApplied(effect.label, why, 1e6 * _cost(calibration, i, samples)))
+            left.append(NotApplied(effect.label, why, cost))
     model = model.with_effects(tuple(effects))
     return Applied(model, tuple(left), (*_notes(left, stood_in, partly), *_limits_note(model, calibration, samples)))
 
@@ -62,19 +61,17 @@ def carried_over(calibration: Calibration, samples: Samples) -> Applied:
     Nothing goes by the time of its own recording then: a drift stays where it ended, and is held at its average where
     rows have no times. What was moved stands where it was put last.
     """
-    model, effects = calibration.calibrated, list(calibration.calibrated.effects)
-    drivers, full = model.drivers(samples), model.predict_samples(samples)[:, :3, 3]
-    left = []
+    model, effects, left = calibration.calibrated, list(calibration.calibrated.effects), []
+    drivers = model.drivers(samples)
     for i, effect in enumerate(model.effects):
         if "time" not in outside_drivers(effect) or effect.shape.kind in STEPS:
             continue
         basis = effect.shape.basis(drivers.values(effect.driver, effect.lag))
         ended = samples.clock and effect.driver == "time"
-        effects[i] = averaged(effect, basis[:, int(np.argmax(samples.stamps))] if ended else basis.mean(axis=1))
-        without = model.with_effects((*model.effects[:i], effects[i], *model.effects[i + 1 :]))
-        gap = full - without.predict_samples(samples)[:, :3, 3]
+        held = basis[:, int(np.argmax(samples.stamps))] if ended else basis.mean(axis=1)
+        effects[i] = averaged(effect, held)
         why = "another recording does not continue its " + ("course of time" if samples.clock else "order of rows")
-        left.append(NotApplied(effect.label, why, 1e6 * float(np.mean(np.sum(gap**2, axis=1)))))
+        left.append(NotApplied(effect.label, why, 1e6 * cost_of_holding(model, i, held, samples)))
     notes = tuple(
         f"Another recording is predicted without {item.effect}, which costs {np.sqrt(item.cost_mm2):.3f} mm RMS here: "
         f"{item.why}. The held-out score has it, the claim and the verdict do not."
@@ -114,12 +111,6 @@ def _gaps(effect: Effect, samples: Samples) -> dict[str, int]:
     return out
 
 
-def _cost(calibration: Calibration, effect: int, samples: Samples) -> float:
-    """Mean square [m²] by which the tool is off where the effect with this number is held at its average."""
-    typical = calibration.typical_of(effect)
-    return _all_together(calibration, samples) if typical is None else typical.cost
-
-
 def _heard(name: str, samples: Samples) -> bool:
     return any(track.name == name and np.isfinite(track.values[:, 0]).sum() > 1 for track in samples.signals)
 
@@ -129,13 +120,6 @@ def _by_gravity(effect: Effect) -> Effect:
     linear = len(effect.amplitudes)
     values = np.r_[-effect.amplitudes, effect.values[linear:]]
     return replace(effect, driver=f"load:{effect.driver.partition(':')[2]}", values=values)
-
-
-def _all_together(calibration: Calibration, samples: Samples) -> float:
-    """Mean square [m²] between geometry beside the effects and alone, of calibrations that kept no size by effect."""
-    full = calibration.calibrated.with_effects(()).predict(samples.q)[:, :3, 3]
-    alone = calibration.geometric.predict(samples.q)[:, :3, 3]
-    return float(np.mean(np.sum((full - alone) ** 2, axis=1)))
 
 
 def _notes(left: list[NotApplied], stood_in: list[str], partly: list[str]) -> tuple[str, ...]:
