@@ -25,10 +25,10 @@ from modcal_core.calibration import (
     fit_cell,
     free_cell,
     identifiability,
-    outlying,
     parameter_count,
     places_of,
     readmitted,
+    rejected,
     require_enough,
     right_after_all,
     runs_of,
@@ -77,7 +77,7 @@ from modcal_core.verdict import (
     regimes_of,
     rejection,
     sane_inertias,
-    too_good,
+    too_small,
     with_places,
 )
 
@@ -159,7 +159,7 @@ def calibrate(
     require_plausible(nominal, final, train, samples, cell.distances, bool(cell.known))
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
-    wrong = outlying(final.model, final.noise, samples)
+    wrong = rejected(final, samples, sets.train, cell.distances)
     if wrong[sets.held_out].all():  # then it is the model that misses them
         wrong[sets.held_out] = False
     scored = held_out.select(~wrong[sets.held_out])
@@ -184,11 +184,17 @@ def calibrate(
         steps = (*steps, Step(TOGETHER, left["final"]))
 
     # the verdict
+    small = too_small(left, scored, samples, chain, cell.stated)
     grounds = Grounds(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
         regimes=regimes_of(final.model, samples),
-        contradictions=(*contradictions(final, train, samples, scored, wrong, left, distances, cell, chain), *absurd),
-        unproven=too_good(left, scored, chain, cell.stated),
+        contradictions=(
+            *small.contradictions,
+            *contradictions(final, train, samples, scored, wrong, left, distances, cell, chain),
+            *absurd,
+        ),
+        unproven=small.unproven,
+        not_asked=small.not_asked,
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
         rejected_places=places_of(samples, wrong),

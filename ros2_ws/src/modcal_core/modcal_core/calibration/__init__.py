@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from modcal_core.calibration.cell import Cell, StatedPayload, fit_cell, free_cell, own_statement, refit_cell
     from modcal_core.calibration.cell import together_stated, with_frames, with_sockets
     from modcal_core.calibration.covariance import GroupSizes, Identifiability, Uncertainty, identifiability
-    from modcal_core.calibration.covariance import likely_sizes, uncertainty, values_without, without
+    from modcal_core.calibration.covariance import likely_sizes, rejected, uncertainty, uncertainty_of, values_without
+    from modcal_core.calibration.covariance import with_doubt, without
     from modcal_core.calibration.data_split import SHARES, RejectedPlace, Split, block_length, consecutive, distinct
     from modcal_core.calibration.data_split import hold_out_all, in_order_of_time, independent_unit, places_of, runs_of
     from modcal_core.calibration.data_split import split, station_numbers, units_of_stations
@@ -74,8 +75,24 @@ __all__ += ["known_sigma", "least_change", "likely_sizes", "linearise", "log10_b
 __all__ += ["median_chi2", "model_at", "new_instruments", "nonnegative", "normal_equations", "objective", "of_rows"]
 __all__ += ["ordered_candidates", "outlying", "outside_drivers", "own_statement", "parameter_count"]
 __all__ += ["passing_directions", "place_instruments", "place_model", "places_of", "priors", "procrustes"]
-__all__ += ["quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all", "robust_weights"]
+__all__ += [
+    "quantile_chi2",
+    "readmitted",
+    "refit_cell",
+    "rejected",
+    "require_enough",
+    "right_after_all",
+    "robust_weights",
+]
 __all__ += ["row_weights", "runs_of", "score_of_one", "shared_noise", "sharpened", "split", "squared_residuals"]
 __all__ += ["standard_score", "stated_std", "station_numbers", "to_data", "together_stated", "tool_and_place"]
-__all__ += ["turns_left", "uncertainty", "uncontradicted", "units_of_stations", "usual_miss", "values_without"]
-__all__ += ["views_of", "visibility", "weigh", "with_frames", "with_sockets", "without"]
+__all__ += [
+    "turns_left",
+    "uncertainty",
+    "uncertainty_of",
+    "uncontradicted",
+    "units_of_stations",
+    "usual_miss",
+    "values_without",
+]
+__all__ += ["views_of", "visibility", "weigh", "with_doubt", "with_frames", "with_sockets", "without"]

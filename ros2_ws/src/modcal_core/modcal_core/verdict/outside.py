@@ -8,30 +8,30 @@ is surely larger than there, the model does not hold here, even where the return
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.contributions import mean_square, resampled
-from modcal_core.verdict.estimation import estimation
-from modcal_core.verdict.floor import Floors
+from modcal_core.verdict.floor import Floor
+from modcal_core.verdict.tails import Tail
+from modcal_core.verdict.verdict import Repeatability
 
 MAX_ABOVE_OWN = 1.44  # E² in units of that of the calibration's own recording: a fifth more in RMS
 
 
-def worse_outside(case: Case, known: Floors, outside: tuple[str, ...]) -> Iterator[str]:
+def worse_outside(case: Case, tail: Tail, outside: tuple[str, ...]) -> Iterator[str]:
     """A sentence where a frozen model misses by more than it did on its own recording, and is used outside of it.
 
-    known: the floors of this recording; what is no larger than them is the instrument's or the arm's scatter here.
-    outside: sentences on what lies outside.
+    tail: of positions here; what is no larger than its floor is the instrument's or the arm's scatter. outside:
+    sentences on what lies outside.
     """
     if case.fitted or not outside:
         return
     own = 1e6 * 3.0 * case.noise.position**2
-    square, (low, _) = resampled(mean_square(case.errors["final"], angle=False), case.samples.station[case.held_out])
-    here = max(own, known.position.square if known.position else 0.0)
-    if low > MAX_ABOVE_OWN * here + estimation(case)[0]:
+    here = max(own, tail.floor.square if tail.floor else 0.0)
+    if replace(tail, floor=Floor(here, (here, here), Repeatability(None, None), 0.0)).above(MAX_ABOVE_OWN):
         yield (
-            f"Position: {np.sqrt(square):.3g} mm RMS is left, and {np.sqrt(own):.3g} mm was on the calibration's own "
-            f"recording, and it is used outside that recording here. {' '.join(outside)}"
+            f"Position: {np.sqrt(tail.square):.3g} mm RMS is left, and {np.sqrt(own):.3g} mm was on the calibration's "
+            f"own recording, and it is used outside that recording here. {' '.join(outside)}"
         )
