@@ -139,7 +139,8 @@ def rejected(fit: Fit, samples: Samples, seen: np.ndarray, distances: Sequence[A
     """
     unseen = np.setdiff1d(np.arange(len(samples)), seen)
     known = uncertainty_of(fit, samples, seen, distances)
-    spread = with_doubt(samples, fit.model, known, unseen)
+    placed = np.unique(samples.frame[seen[fit.weights > 0.0]])  # a frame that is rejected whole is not uncertain
+    spread = with_doubt(samples, fit.model, known, unseen[np.isin(samples.frame[unseen], placed)])
     dimensions = Groups.of(samples, bool(fit.model.instruments)).dimensions
     square = squared_residuals(errors(fit.model, samples), spread, fit.noise, FINEST)
     values = len(fit.parameters) + sum(len(e.values) for e in fit.model.effects)

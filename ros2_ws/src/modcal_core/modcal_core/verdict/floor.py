@@ -55,7 +55,8 @@ class Floors:
     """Floors of position [mm²] and of orientation [deg²]; None where not known.
 
     returns: how many postures were come back to, known or not. contradictions: a sentence for each thing that returns
-    contradict: what was stated, or each other. unknown: why returns show no floor, as text.
+    contradict: what was stated, or each other. unknown: why returns show no floor, as text. seen: by how much returns
+    differ, in position and in orientation, whether that is a floor or not.
     """
 
     position: Floor | None = None
@@ -63,6 +64,7 @@ class Floors:
     returns: int = 0
     contradictions: tuple[str, ...] = ()
     unknown: str = ""
+    seen: tuple[Floor | None, Floor | None] = (None, None)
 
 
 def floors(
@@ -92,9 +94,10 @@ def floors(
         rotation = _of_returns(angles, posed, stated.instrument_deg, least)
         turned = _stated(stated.repeatability_deg, stated.instrument_deg)
         against = (*against, *_jumps(angles, posed, "°"), *_beyond(rotation, turned, "°"))
+    seen = position, rotation
     if unknown:
         position = rotation = None
-    return Floors(position or told, rotation or turned, len(visits), against, unknown)
+    return Floors(position or told, rotation or turned, len(visits), against, unknown, seen)
 
 
 def _no_floor(

@@ -189,10 +189,10 @@ def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
     stated = stated or Stated()
     limit = 1e3 * MAX_OF_REACH * case.model.chain.reach()
     for floor, most, own, unit in (
-        (known.position, limit, stated.rms_mm, " mm"),
-        (known.rotation, MAX_TURNED, stated.repeatability_deg, "°"),
+        (known.seen[0], limit, stated.rms_mm, " mm"),
+        (known.seen[1], MAX_TURNED, stated.repeatability_deg, "°"),
     ):
-        if floor is None or floor.repeatability.source != "revisits" or own is not None or floor.rms <= most:
+        if floor is None or own is not None or floor.rms <= most:
             continue
         yield (
             f"Postures that were visited again differ by {floor.rms:.3g}{unit} RMS; an arm of this size repeats to "
