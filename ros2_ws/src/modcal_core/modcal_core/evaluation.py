@@ -23,7 +23,7 @@ from modcal_core.calibration import (
 from modcal_core.diagnosis import frozen, located
 from modcal_core.measurements import Samples
 from modcal_core.plausibility import computed_in_part, proved
-from modcal_core.report import Report, Step, moved_note, offsets_of, unseen_note
+from modcal_core.report import Report, Step, moved_note, not_asked_note, offsets_of, unseen_note
 from modcal_core.verdict import (
     Grounds,
     applicable,
@@ -117,6 +117,7 @@ def evaluate(
             *moved_note(residuals["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
             *applied.notes,
+            *not_asked_note(judged),
         ),
         steps=(
             Step("geometry", residuals["geometric"]),

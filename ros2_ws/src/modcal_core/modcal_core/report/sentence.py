@@ -59,6 +59,14 @@ def short_status(verdict: Verdict | None) -> str:
     return "At the floor: " + _floor(verdict)
 
 
+def not_asked_note(verdict: Verdict) -> tuple[str, ...]:
+    """A sentence on what so few stations do not answer; none where everything could be asked."""
+    if not verdict.not_asked:
+        return ()
+    questions = ", or ".join(f"{question.what} (that needs {question.needs})" for question in verdict.not_asked)
+    return (f"These stations are too few to ask {questions}.",)
+
+
 def _counts(report: ReportContents) -> str:
     """How many stations there are and how many of them were rejected, and what never became one."""
     rejected = report.rejected_stations()

@@ -24,38 +24,8 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["COMPUTED", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Floor", "Grounds"]
-__all__ += [
-    "NotAsked",
-    "PoseTest",
-    "Rejected",
-    "Row",
-    "Share",
-    "Status",
-    "Tolerance",
-    "Verdict",
-    "applicable",
-    "assess",
-]
-__all__ += [
-    "assess_claim",
-    "carried",
-    "contradictions",
-    "doubtful",
-    "fitted_case",
-    "floors",
-    "frozen_case",
-    "interval",
-    "judge",
-]
-__all__ += [
-    "pose_test",
-    "reading_scatter_mm",
-    "regimes_of",
-    "rejection",
-    "resampled",
-    "sane_inertias",
-    "too_many",
-    "too_small",
-]
-__all__ += ["with_places"]
+__all__ = ["COMPUTED", "STATISTICS", "TOGETHER", "Applied", "Asked", "AtTool", "Floor", "Grounds", "NotAsked"]
+__all__ += ["PoseTest", "Rejected", "Row", "Share", "Status", "Tolerance", "Verdict", "applicable", "assess"]
+__all__ += ["assess_claim", "carried", "contradictions", "doubtful", "fitted_case", "floors", "frozen_case", "interval"]
+__all__ += ["judge", "own_rows", "pose_test", "reading_scatter_mm", "regimes_of", "rejection", "resampled"]
+__all__ += ["sane_inertias", "too_many", "too_small", "with_places"]
