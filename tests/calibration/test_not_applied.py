@@ -13,7 +13,7 @@ from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.prediction import driver_ranges, typical_sizes
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.effects.drivers import DriverLimits
-from modcal_core.effects.effect import AXIS, LENGTH, Effect
+from modcal_core.effects.effect import AXIS, LENGTH, SHIFT, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3
@@ -21,7 +21,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.urdf_inertias import Inertias
-from modcal_core.verdict.not_applied import applicable
+from modcal_core.verdict.not_applied import applicable, carried_over
 
 CHAIN = ur10()
 INERTIAS = Inertias(np.full(6, 3.0), np.tile([0.05, 0.0, 0.1], (6, 1)), np.zeros((6, 3, 3)))
@@ -222,3 +222,25 @@ def test_a_spring_is_found_by_effort_that_is_missing_in_places(weighed: bool) ->
 
 
 ELBOW = 2
+
+
+@pytest.mark.parametrize("clock", [True, False])
+def test_another_recording_does_not_continue_a_drift(clock: bool) -> None:
+    calibration, samples = frozen(BY_TIME, clock=clock)
+    carried = carried_over(calibration, samples)
+    grown = 2e-6 * (samples.stamps - RAMP["since"])  # m, along the link
+    held = grown[-1] if clock else grown.mean()
+    (item,) = carried.not_applied
+    assert item.cost_mm2 == pytest.approx(1e6 * np.mean((grown - held) ** 2), rel=1e-3)
+    p, at = carried.model.predict_samples(samples), int(np.argmin(np.abs(grown - held)))
+    assert np.linalg.norm(p[at, :3, 3] - samples.reading[at]) < 1.1 * np.abs(grown - held).min() + 1e-9
+    assert BY_TIME.label in carried.notes[0]
+
+
+def test_what_goes_by_no_time_is_carried_over() -> None:
+    moved = Effect("step", "tool", SHIFT, "time", Shape("until", {"at": 1.7e9 + 60.0})).started(np.array([1e-3, 0, 0]))
+    for effect in (BY_HEAT, BY_EFFORT, moved):
+        calibration, samples = frozen(effect)
+        carried = carried_over(calibration, samples)
+        assert (carried.not_applied, carried.notes) == ((), ())
+        assert carried.model.effects == calibration.calibrated.effects

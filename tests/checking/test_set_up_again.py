@@ -89,8 +89,8 @@ def test_an_unknown_frame_is_placed_and_no_change(cell: tuple[Recorded, Calibrat
         assert found.repaired is not None
         assert found.repaired.frames == ("tracker", "leica")
         assert missed(found.repaired, truth, "leica") < 1.2 * FLOOR
-        assert found.accuracy is not None
-        assert found.accuracy.repaired > found.accuracy.before
+        assert found.report.claim is not None
+        assert found.report.claim.mm["p95"].ci95[1] > 1e3 * missed(found.repaired, truth, "leica")
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
-from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.linearisation import RowView
 from modcal_core.calibration.stated import Stated
+from modcal_core.diagnosis.dependence_pairs import pairs
 from modcal_core.diagnosis.hysteresis import play
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3, so3
@@ -40,6 +42,21 @@ def with_error(made: Recorded, j: int, off: Array) -> Samples:
     noise = made.samples.reading - made.exact.reading
     moved = samples_of(CHAIN, made.samples.q, made.world.tool_in_tracker(q))
     return replace(moved, reading=moved.reading + noise)
+
+
+def test_no_driver_holds_what_was_read(made: Recorded) -> None:
+    """Errors of readings stand in the residuals alone; an instrument they are to depend on is where the model has it."""
+    model = fit_cell(CHAIN, made.exact, Cell()).model
+    rows = np.arange(len(made.exact))
+    for error in (np.zeros(3), np.random.default_rng(3).normal(0.0, 0.05, (len(rows), 3))):
+        samples = replace(made.exact, reading=made.exact.reading + error)
+        view = RowView.of(model, samples, model.drivers(samples))
+        every = pairs(model, samples, view, rows, constant=False)
+        columns = [pair.columns for pair in every if "a gear" not in pair.driver]  # whose teeth the residuals choose
+        if error.ndim == 1:
+            exact = columns
+    for one, other in zip(exact, columns, strict=True):
+        np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9 * max(np.abs(one).max(), 1.0))
 
 
 def test_nothing_is_located_on_a_clean_arm(made: Recorded) -> None:

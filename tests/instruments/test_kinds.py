@@ -171,8 +171,3 @@ def test_readings_that_say_nothing_are_left_out(kind: str, value: float) -> None
     assert f"/{kinds()[kind].topic} ({kind}): not finite in 1 of 30 messages" in clean.notes[0]
     with pytest.raises(BadRecording, match="not finite in all of 30 readings"):
         cleaned(recorded(kind, lambda v: np.full_like(v, value)), ur10().names)
-
-
-def test_every_kind_says_what_it_cannot_see() -> None:
-    for kind in kinds().values():
-        assert kind.direct or kind.blind.endswith(".")

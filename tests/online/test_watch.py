@@ -179,3 +179,18 @@ def test_a_slow_creep_is_noticed() -> None:
     alarm = after(watch_of(fit), readings(world, q, T, rng))
     assert alarm is not None
     assert alarm[0] < 80
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "place", "other"), [(0, "base", "tracker"), (5, "tool", "target")])
+def test_a_turn_about_an_outer_axis_is_what_people_put_back(joint: int, place: str, other: str) -> None:
+    world, fit = trusted(4)
+    rng = np.random.default_rng(60)
+    q = rng.uniform(-1.5, 1.5, (30, 6))
+    detector = watch_of(fit)
+    late = readings(world, q, world.tool_in_tracker(q + 1e-3 * np.eye(6)[joint]), rng)
+    assert any([detector.add(row) is not None for row in rows(late)])
+    hypothesis = find_change(detector, float(late.stamps[0]))
+    assert hypothesis.place == place
+    assert hypothesis.same_as[0] == f"{other} all by time (at once)"
+    assert f"{ur10().names[joint]} axis by time (at once)" in hypothesis.same_as

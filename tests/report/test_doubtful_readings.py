@@ -22,7 +22,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.verdict.computed import too_small
 from modcal_core.verdict.readings import copied, cut_off
-from modcal_core.verdict.tolerance import Asked, assess
+from modcal_core.verdict.tolerance import Asked, AtTool, assess
 from modcal_core.verdict.verdict import Verdict
 
 CHAIN = ur10()
@@ -74,7 +74,7 @@ def test_goals_that_the_joints_missed_by_a_little_are_doubted() -> None:
     judged = judgement(goals)
     assert judged.status == "cannot_tell"
     assert "before anything is calibrated" in judged.remedy
-    assert assess(np.full(40, 0.1), np.arange(40), Asked(1.0), judged).result == "CANNOT TELL"
+    assert assess(AtTool(0.1, (0.05, 0.2), "recorded ranges", 0.0, ""), Asked(1.0), judged).result == "CANNOT TELL"
     assert not judgement(goals, Cell(stated=Stated(repeatability_mm=0.1, instrument_mm=0.05))).unproven
     tracked = record(4, 70).samples
     assert not judgement(tracked).unproven

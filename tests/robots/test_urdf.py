@@ -81,6 +81,8 @@ TIPS = {
     "a joint that carries the gripper": (links("l0") + serial("rr") + links("gripper") + joint("gripper_z", "l2", "gripper", "prismatic"), "gripper"),
     "a hand by itself": (links("palm", "finger1", "finger2") + joint("a", "palm", "finger1") + joint("b", "finger1", "finger2"), "finger2"),
     "one arm of two": (links("l0") + serial("r") + serial("rrrrrr", "b", "l1") + serial("rrrrrr", "a", "l1"), "a6"),
+    "a cylinder that balances a link": (ARM + links("rod", "tool0") + joint("c", "l1", "rod", inside='<mimic joint="lj2"/>') + joint("t", "l6", "tool0", "fixed"), "tool0"),
+    "a cylinder beside the last joint": (ARM + links("rod", "tool0") + joint("c", "l4", "rod", inside='<mimic joint="lj6"/>') + joint("t", "l6", "tool0", "fixed"), "tool0"),
     "a camera on the arm": (links("l0") + serial("rrrrrr") + serial("rr", "c", "l3"), "l6"),
 }  # fmt: skip
 
@@ -175,6 +177,19 @@ def test_what_is_not_kinematics_does_not_matter(capfd: pytest.CaptureFixture[str
     assert capfd.readouterr() == ("", "")
 
 
+def test_what_the_parsers_of_ros_take() -> None:
+    """A prefix that nobody declared, an axis of a fixed joint, a mass of no value, limits the wrong way round off the arm."""
+    finger = joint("f", "tool0", "finger", inside='<limit lower="1" upper="-1"/>')
+    junk = f"""<gazebo><sensor:camera n:name="x"><link name="y"/></sensor:camera></gazebo><link name="finger"/>{finger}
+        <link name="e"><inertial><mass/></inertial></link>{joint("e", "tool0", "e", "fixed", '<axis xzy="1 0 0"/>')}"""
+    chain = read_chain(urdf("ur10").replace("</robot>", f"{junk}</robot>"), tip="tool0")
+    assert np.array_equal(chain.origins, read_chain(urdf("ur10")).origins)
+    with pytest.raises(BadRobot, match="is not XML .*mismatch"):
+        read_chain(urdf("ur10").replace("</robot>", "<sensor:camera></robot>"))
+    with pytest.raises(BadRobot, match="joint f: its limits run from 1 to -1"):
+        read_chain(urdf("ur10").replace("</robot>", f"{junk}</robot>"), tip="finger")
+
+
 # -- refusals ---------------------------------------------------------------------------------------------------------
 
 TWO = links("a", "b")
@@ -204,6 +219,7 @@ BAD = {
     "could not convert string to float: '1,5'": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1,5 0 0"/>')),
     "origin[@xyz]: Invalid vector length": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1 0"/>')),
     "joint elbow_joint: <origin xyz>: needs 3 finite": urdf("ur10").replace("-0.612 0 0", "-0.612 nan 0"),
+    "joint j: <axis>: has no xyz": robot(TWO, joint("j", "a", "b", inside='<axis xzy="1 0 0"/>')),
     "joint j: <axis>: needs 3 finite numbers": robot(TWO, joint("j", "a", "b", inside='<axis xyz="inf 0 0"/>')),
     "its axis has no length": urdf("ur10").replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', 1),
     "add up to 613 m, 20 m is the limit: it looks like millimetres": urdf("ur10").replace("-0.612 0 0", "-612 0 0"),

@@ -10,13 +10,14 @@ from cells import ur10
 from verdict.visits import tour, visited
 
 from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.covariance import without
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.stated import Stated
 from modcal_core.geometry import so3
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import fitted_case
-from modcal_core.verdict.contributions import DRAWS, contributions, resampled
+from modcal_core.verdict.contributions import DRAWS, contributions, left_without, resampled
 
 
 def geared(seed: int = 5, stations: int = 120) -> Samples:
@@ -75,6 +76,20 @@ def test_removal_costs_what_a_fit_without_the_effect_costs(found: tuple[Samples,
         assert part.mm2 == pytest.approx(cost, rel=0.1, abs=1e-5)
         assert part.ci95_mm2[0] > 0.0
         assert part.ci95_mm2[0] < part.mm2 < part.ci95_mm2[1]
+
+
+@pytest.mark.slow
+def test_a_model_without_an_effect_is_never_worse_than_geometry_alone(found: tuple[Samples, Solution]) -> None:
+    """Values so large that one step of the others ends far outside where it holds."""
+    samples, result = found
+    report, model = result.report, result.scored.model
+    wild = model.with_effects([replace(e, values=3e3 * e.values) for e in model.effects])
+    case = replace(fitted_case(result.scored, samples, report.sets, report.wrong, report.errors), model=wild)
+    alone = report.errors["geometric"]
+    assert errors(without(wild, case.known, (0,)), report.scored).position_norm.mean() > alone.position_norm.mean()
+    left = left_without(case, (0,), np.arange(0, len(case.held_out), 2))
+    np.testing.assert_array_equal(left.position, alone.position[::2])
+    np.testing.assert_array_equal(left.rotation, alone.rotation[::2])
 
 
 def test_what_is_left_is_what_does_not_repeat(found: tuple[Samples, Solution]) -> None:

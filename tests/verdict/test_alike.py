@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
-from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.cell import Cell, fit_cell
 from modcal_core.calibration.distances import Distance
 from modcal_core.calibration.noise import Errors
 from modcal_core.calibration.stated import Stated
@@ -40,7 +40,8 @@ def rejected(made: Recorded, wrong: np.ndarray, gap: Array, turn: Array) -> str:
     none: Any = None
     left = Errors(position, rotation)
     rows = np.flatnonzero(~wrong)
-    case = Case(made.samples, wrong, rows, "station", none, none, none, {}, left, fitted=True)
+    model = fit_cell(ur10(), made.exact, Cell()).model
+    case = Case(made.samples, wrong, rows, "station", model, none, none, {}, left, fitted=True)
     return " ".join(rejected_alike(case))
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from modcal_core.calibration.stated import Stated
     from modcal_core.calibration.store import Calibration
     from modcal_core.checkup import Checked
+    from modcal_core.claim.claim import Claim
     from modcal_core.errors import BadCommand, BadRecording, BadRobot, BadTable, MissingDriver, ModcalError
     from modcal_core.errors import NotEnoughData, NotPlannable, NotReachable, NotRepresentable, Overloaded
     from modcal_core.measurements.samples import Samples
@@ -47,7 +48,17 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["Assembly", "BadCommand", "BadRecording", "BadRobot", "BadTable", "Calibration", "Cell", "Chain", "Checked"]
-__all__ += ["Choice", "Delta", "Distance", "Library", "MissingDriver", "ModcalError", "Module", "NotEnoughData"]
+__all__ += [
+    "Choice",
+    "Claim",
+    "Delta",
+    "Distance",
+    "Library",
+    "MissingDriver",
+    "ModcalError",
+    "Module",
+    "NotEnoughData",
+]
 __all__ += ["NotPlannable", "NotReachable", "NotRepresentable", "Overloaded", "Plan", "Report", "Result", "Robot"]
 __all__ += ["Samples", "Site", "Stated", "Track", "articulate", "calibrate", "check", "evaluate", "plan"]
 

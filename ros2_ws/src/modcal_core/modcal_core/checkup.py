@@ -17,10 +17,9 @@ from modcal_core.checking import (
     NamedChange,
     Noticed,
     Recommendation,
-    RepairAccuracy,
     Status,
-    accuracy_of,
     advise,
+    alike_everywhere,
     beyond_ranges,
     frozen,
     named,
@@ -31,7 +30,6 @@ from modcal_core.checking import (
     require_accounted,
     require_one_setting,
     require_own_rows,
-    same_everywhere,
     search,
     spread_out,
     with_new_frames,
@@ -63,7 +61,6 @@ class Checked:
     - report: of the repaired model, or else the frozen one, at these stations, each predicted from the others.
     - joints: names, in the order of the stations' columns.
     - station_errors: distances [m] of every reading before and after the repair.
-    - accuracy: how well the repaired model is known; None without one.
     - far_apart: number of independent stations that these count as.
     - placed: frames unknown to the calibration, which these stations placed.
     """
@@ -84,7 +81,6 @@ class Checked:
     convention: str | None = None
     notes: tuple[str, ...] = ()
     station_errors: tuple[Array, Array] | None = None
-    accuracy: RepairAccuracy | None = None
     far_apart: float = np.inf
     placed: tuple[str, ...] = ()
     beyond: BeyondRanges | None = None
@@ -163,12 +159,12 @@ def checkup(
     if known.doubt is not None:
         require_accounted(found, known.doubt)
     fixed = None if found.more else repaired(calibration, found, begin.index)
-    everywhere = [same_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
+    alike = [alike_everywhere(c, calibration, begin.model, found.samples) for c in found.changes]
     N = len(found.samples)
     beyond = beyond_ranges(calibration, begin.model, found.samples)
     changes = tuple(
         named(change, _motions(found, i), 3 * N, same, beyond)
-        for i, (change, same) in enumerate(zip(found.changes, everywhere, strict=True))
+        for i, (change, same) in enumerate(zip(found.changes, alike, strict=True))
     )
     untried = any(UNTRIED in c.same_as for c in changes) or (found.more and beyond.mostly)
     used = fixed if fixed is not None else calibration
@@ -185,7 +181,7 @@ def checkup(
         stations=part.stations,
         aside=tuple(int(part.station[i]) + 1 for i in found.aside),
         noticed=noticed(found.opened, CheckState(begin.model, found.samples, begin.known), found.asked),
-        advice=advise(found, calibration, begin, everywhere, untried),
+        advice=advise(found, calibration, begin, alike, untried),
         repaired=fixed,
         report=report,
         joints=samples.names,
@@ -204,9 +200,6 @@ def checkup(
         far_apart=found.start.null.weight * part.stations,
         placed=new,
         beyond=beyond,
-        accuracy=None
-        if fixed is None
-        else accuracy_of((calibration, begin.model), (fixed, found.state.model), found.samples, MAX),
     )
 
 
@@ -247,7 +240,7 @@ def _status(found: FoundChanges, changes: tuple[NamedChange, ...]) -> Status:
         return "unexplained"
     if not changes:
         return "unchanged"
-    return "changed" if all(not c.same_as or c.everywhere for c in changes) else "ambiguous"
+    return "changed" if all(c.alike for c in changes) else "ambiguous"
 
 
 def _motions(found: FoundChanges, i: int) -> np.ndarray:

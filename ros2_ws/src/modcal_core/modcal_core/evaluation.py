@@ -20,6 +20,7 @@ from modcal_core.calibration import (
     with_frames,
     with_sockets,
 )
+from modcal_core.claim import claim_at_tool
 from modcal_core.diagnosis import frozen, located
 from modcal_core.measurements import Samples
 from modcal_core.plausibility import computed_in_part, proved
@@ -27,11 +28,11 @@ from modcal_core.report import Report, Step, moved_note, not_asked_note, offsets
 from modcal_core.verdict import (
     Grounds,
     applicable,
-    carried,
     doubtful,
     frozen_case,
     judge,
     own_rows,
+    own_uncertainty,
     rejection,
     too_many,
     too_small,
@@ -78,7 +79,7 @@ def evaluate(
     held_out = samples.select(sets.held_out)
     wrong = np.zeros(len(samples), bool)
     final, every = models["final"], np.arange(len(held_out))
-    spread = with_doubt(calibration.with_scatter(held_out), final, carried(calibration, final), every)
+    spread = with_doubt(calibration.with_scatter(held_out), final, own_uncertainty(calibration, final), every)
     wrong[sets.held_out] = outlying(final, calibration.noise, spread)
     single = not too_many(wrong[sets.held_out], held_out)
     rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
@@ -103,6 +104,9 @@ def evaluate(
         not_asked=small.not_asked,
         outside=(*unseen_note(scored, calibration, MAX_OUTSIDE), *applied.notes),
     )
+    accepted = samples.select(~wrong) if single else samples
+    stood = replace(calibration, nominal=models["nominal"], calibrated=models["final"])
+    claim = claim_at_tool(stood, accepted, cell, frozen=True)
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)
     judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
     return Report(
@@ -129,5 +133,6 @@ def evaluate(
         rejection=rejection(errors(models["final"], held_out), wrong, samples, sets.held_out, frozen=True),
         grounds=grounds,
         judged=judged,
+        claim=claim,
         left=located(frozen(models["final"], calibration.noise, again), samples) if judged.status == "open" else None,
     )

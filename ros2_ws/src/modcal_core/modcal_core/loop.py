@@ -72,6 +72,7 @@ from modcal_core.robots import Inertias, Mechanism, weightless
 from modcal_core.verdict import (
     TOGETHER,
     Grounds,
+    carried_over,
     contradictions,
     fitted_case,
     judge,
@@ -168,7 +169,10 @@ def calibrate(
     shipped = finalise(samples, chain, choice, cell, inertias, final, wrong & ~again, regimes, geometric, whole)
     if diagnosis.again is not None:
         again[sets.train] |= diagnosis.again
-    claim = claim_at_tool(shipped, samples.select(~wrong | again), cell)
+    kept = samples.select(~wrong | again)
+    carried = carried_over(shipped, kept)
+    claim = claim_at_tool(shipped, kept, cell, carried=carried.model if carried.not_applied else None)
+    shipped = replace(shipped, uncertainty=claim.known or shipped.uncertainty)
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))
@@ -189,6 +193,7 @@ def calibrate(
     grounds = Grounds(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
         regimes=regimes_of(final.model, samples),
+        not_applied=carried.not_applied,
         contradictions=(
             *small.contradictions,
             *contradictions(final, train, samples, scored, wrong, left, distances, cell, chain),
@@ -209,7 +214,7 @@ def calibrate(
         rejected=int(wrong.sum()),
         errors=left,
         effects=(
-            *findings(replace(diagnosis, fit=final), shipped.calibrated, samples, wrong, scored, case.known),
+            *findings(replace(diagnosis, fit=final), shipped.calibrated, case),
             *load_findings(loads, final.model, scored),
         ),
         left=diagnosis.left or (located(final, samples) if judged.status == "open" else None),
@@ -222,7 +227,8 @@ def calibrate(
             *instrument_notes(final),
             *load_notes(loads),
             *readmitted_note(taken_in),
-            *residual_notes(final.model, case.known, scored),
+            *residual_notes(case),
+            *carried.notes,
             *not_asked_note(judged),
         ),
         readmitted=taken_in,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modcal_core.calibration import Calibration, Fit
+from modcal_core.claim import Claim
 from modcal_core.files import write_folder
 from modcal_core.measurements import Samples
 from modcal_core.report import Report
@@ -27,6 +28,11 @@ class Result:
     robot: Robot
     samples: Samples
     scored: Fit = field(repr=False)
+
+    @property
+    def claim(self) -> Claim | None:
+        """How far the tool may be from where the calibration says over the recorded ranges, and whether to use it."""
+        return self.report.claim
 
     @property
     def converged(self) -> bool:

@@ -311,6 +311,20 @@ class RowView:
             view.position[:, sights.rows], view.reading[:, sights.rows] = sights.residual, sights.scale
         return view
 
+    @property
+    def expected(self) -> Array:
+        """What the model expects to be read, from the instrument's origin along the root's axes, (3, N).
+
+        What residuals are explained by holds no reading: its own error would stand on both sides.
+        """
+        out = self.reading - self.position
+        as_read = np.isin(
+            self.samples.frame, [f for f in range(len(self.samples.frames)) if self.samples.is_same_point(f)]
+        )
+        if self.sights is not None:
+            as_read[self.sights.rows] = True  # the motion per unit of scale, which the model gives
+        return np.where(as_read, self.reading, out)
+
     def column(self, place: int, twist: Array, out: Array) -> None:
         """Write the motion of the tool, (3 N + 3 M,), per unit of a twist (6,) at a place."""
         N, M = self.position.shape[1], self.rotation.shape[1]

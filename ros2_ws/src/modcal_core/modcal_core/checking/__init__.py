@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_core.checking.accounted import require_accounted
-    from modcal_core.checking.accuracy import RepairAccuracy, accuracy_of
-    from modcal_core.checking.advice import advise, noticed, same_everywhere
+    from modcal_core.checking.advice import advise, alike_everywhere, noticed
     from modcal_core.checking.beyond import UNTRIED, BeyondRanges, beyond_ranges
     from modcal_core.checking.contradicting import require_one_setting, require_own_rows
     from modcal_core.checking.history import Series, Values, series_of, values_of
@@ -23,7 +22,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["PATTERN", "UNTRIED", "BeyondRanges", "CheckState", "FoundChanges", "FrozenCalibration", "NamedChange"]
-__all__ += ["Noticed", "Recommendation", "RepairAccuracy", "Series", "SizeFound", "Status", "Values", "accuracy_of"]
-__all__ += ["advise", "beyond_ranges", "frozen", "named", "new_frames", "noticed", "pattern_of", "placed_anew"]
-__all__ += ["repaired", "require_accounted", "require_one_setting", "require_own_rows", "same_everywhere", "search"]
-__all__ += ["series_of", "spread_out", "values_of", "with_new_frames"]
+__all__ += ["Noticed", "Recommendation", "Series", "SizeFound", "Status", "Values", "advise", "alike_everywhere"]
+__all__ += ["beyond_ranges", "frozen", "named", "new_frames", "noticed", "pattern_of", "placed_anew", "repaired"]
+__all__ += ["require_accounted", "require_one_setting", "require_own_rows", "search", "series_of", "spread_out"]
+__all__ += ["values_of", "with_new_frames"]

@@ -11,12 +11,12 @@ from modcal_core.checking.beyond import tried_stations
 from modcal_core.checking.evidence import SIZES, ChangeJudge, log_priors
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, NOISE, TOOL, ZERO, CellChange
 from modcal_core.checking.known import FrozenCalibration
-from modcal_core.checking.outcome import Noticed, Recommendation
+from modcal_core.checking.outcome import Alike, Noticed, Recommendation
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.checking.searching import FALSE_ALARM, FoundChanges
 from modcal_core.checking.state import CheckState, state_at
 from modcal_core.geometry import Array
-from modcal_core.measurements import Samples
+from modcal_core.measurements import POSE, Samples
 
 STATIONS = 6  # that are proposed at a time
 _SAME = 0.0025  # of the squares: what differs by less over all recorded postures is the same motion (as plan --decide)
@@ -26,23 +26,36 @@ _SWEEP = 24  # stations that show a gear's curve: a wave of a turn or two, and s
 _UNSEEN_MM = 100.0  # RMS at the tool: a change that must be a decimetre is seen by eye, and not by these stations
 
 
-def same_everywhere(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> bool:
-    """Whether what explains a change as well makes the same motion at all recorded postures."""
-    if not change.same_as or not change.hypothesis.sizes or not len(calibration.postures):
-        return False
-    state = state_at(calibration.postures, model, samples, calibration.noise)
-    moved = state.columns(change.hypothesis) @ change.sizes
-    weight = _weights(state)
-    total = float(np.sum((weight * moved) ** 2))
+def alike_everywhere(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> Alike:
+    """How far a change and all that explains it as well make the same motion at the recorded postures.
+
+    They do where one contains the other: of its sizes none is refuted there, and a repair suits both.
+    """
+    if not change.same_as:
+        return "poses"
+    if not change.hypothesis.sizes or not len(calibration.postures):
+        return ""
+    state = state_at(calibration.postures, model, samples, calibration.noise, kind=POSE)
+    weight, position = _weights(state), slice(3 * len(state.samples))
+    own = weight[:, None] * state.columns(change.hypothesis)
+    out: Alike = "poses"
     for rival in change.same_as:
         h = rival.candidate.hypothesis
-        if not h.sizes:
-            return False
-        A = weight[:, None] * state.columns(h)
-        left = weight * moved - A @ np.linalg.lstsq(A, weight * moved, rcond=1e-9)[0]
-        if float(np.sum(left**2)) > _SAME * max(total, 1e-300):
-            return False
-    return True
+        other = weight[:, None] * state.columns(h) if h.sizes else np.zeros((len(own), 0))
+        if not h.sizes or not _contains(own[position], other[position], change.sizes):
+            return ""
+        if not _contains(own, other, change.sizes):
+            out = "positions"
+    return "" if out == "positions" and samples.is_pose.any() else out
+
+
+def _contains(A: Array, B: Array, sizes: Array) -> bool:
+    """Whether the motions B (n, l) are among A (n, k), or that of these sizes (k,) of A among B."""
+    moved = A @ sizes
+    return any(
+        float(np.sum((y - X @ np.linalg.lstsq(X, y, rcond=1e-9)[0]) ** 2)) <= _SAME * max(float(np.sum(y**2)), 1e-300)
+        for X, y in ((A, B), (B, moved))
+    )
 
 
 def telling_stations(change: FittedChange, calibration: Calibration, model: Model, samples: Samples) -> Array:
@@ -129,7 +142,7 @@ def _needed(k: int, n: int, log_prior: float, weight: float) -> float:
 
 
 def advise(
-    found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, everywhere: list[bool], untried: bool
+    found: FoundChanges, calibration: Calibration, frozen: FrozenCalibration, alike: Sequence[Alike], untried: bool
 ) -> Recommendation:
     """What to do. untried: whether what was found may be the calibration itself, where it was not made."""
     changes = found.changes
@@ -154,7 +167,7 @@ def advise(
             "check again with all of them; if the curve then has no simple form, calibrate again."
         )
         return Recommendation("add_stations", said, stations)
-    for change, same in zip(changes, everywhere, strict=True):
+    for change, same in zip(changes, alike, strict=True):
         if change.same_as and not same and change.hypothesis.kind != NOISE:
             stations = telling_stations(change, calibration, frozen.model, found.samples)
             every = [change.judged.label, *dict.fromkeys(j.label for j in change.same_as)]

@@ -15,7 +15,7 @@ import numpy as np
 
 from modcal_core.calibration import Deviations, Model, RowView, apply_deviations
 from modcal_core.checking.patterns import varying
-from modcal_core.effects import AXIS, Drivers, Effect, columns
+from modcal_core.effects import AXIS, Drivers, Effect, columns, one_motion
 from modcal_core.effects.families import compliance, gear_harmonic, gear_ratio, scale
 from modcal_core.geometry import Array, error_transform, error_values
 from modcal_core.measurements import Samples
@@ -49,7 +49,7 @@ class CellChange:
 
     motions: of geometry, one for every size, or all of one size (together). effect: with its sizes zero, or as they are
     where a known one grew (then replaces is its number). curve: index of the joint whose curve may take any course,
-    else -1. sample: index of the reading that is wrong, else -1.
+    else -1. sample: index of the reading that is wrong, else -1. names: others of the same thing.
     """
 
     kind: str
@@ -60,6 +60,12 @@ class CellChange:
     curve: int = -1
     sample: int = -1
     together: bool = False
+    names: tuple[str, ...] = ()
+
+    @property
+    def outside(self) -> bool:
+        """Whether it is no change of the arm: it is put back, or measured otherwise."""
+        return self.kind in (BASE, FRAME, TOOL, SCALE)
 
     @property
     def label(self) -> str:
@@ -96,12 +102,15 @@ def hypotheses(model: Model, samples: Samples) -> list[CellChange]:
     """All changes that these samples of this model can be asked about."""
     n = model.chain.tool_place
     eye = np.eye(6)
-    out = [CellChange(BASE, "base", tuple(GeometryMotion(0, _row(eye[d])) for d in range(6)))]
-    if len(model.frames) > 1:
+    several = len(model.frames) > 1
+    names = () if several else one_motion(BASE)
+    out = [CellChange(BASE, "base", tuple(GeometryMotion(0, _row(eye[d])) for d in range(6)), names=names)]
+    if several:
         for f, name in enumerate(model.frames):
             out.append(CellChange(FRAME, name, tuple(GeometryMotion(0, _row(eye[d]), f) for d in range(6))))
     turns = 6 if samples.is_pose.any() else 3
-    out.append(CellChange(TOOL, "tool", tuple(GeometryMotion(n, _row(eye[d])) for d in range(turns))))
+    motions = tuple(GeometryMotion(n, _row(eye[d])) for d in range(turns))
+    out.append(CellChange(TOOL, "tool", motions, names=one_motion(TOOL)))
     drivers = model.drivers(samples)
     out += _of_joints(model, samples, drivers)
     out += [CellChange(SCALE, "tracker", effect=_unsized(effect)) for effect in scale.candidates(drivers)]

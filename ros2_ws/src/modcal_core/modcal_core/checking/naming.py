@@ -6,7 +6,7 @@ import numpy as np
 
 from modcal_core.checking.beyond import UNTRIED, BeyondRanges
 from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LENGTH, LOAD, NOISE, SCALE, TOOL, ZERO, CellChange
-from modcal_core.checking.outcome import NamedChange, SizeFound
+from modcal_core.checking.outcome import Alike, NamedChange, SizeFound
 from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry import Array
 
@@ -16,7 +16,7 @@ _SHIFTS, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
 
 
 def named(
-    change: FittedChange, columns: Array, positions: int, everywhere: bool, beyond: BeyondRanges | None = None
+    change: FittedChange, columns: Array, positions: int, alike: Alike, beyond: BeyondRanges | None = None
 ) -> NamedChange:
     """The change for people.
 
@@ -29,21 +29,21 @@ def named(
     moved = (0.0, 0.0, 0.0) if h.kind == NOISE else _moved(change, columns[:positions])
     turned = None if h.kind == NOISE or len(columns) <= positions else _turned(change, columns[positions:])
     repairable = h.kind == NOISE or bool(h.sizes)
-    same_as = tuple(dict.fromkeys(j.label for j in change.same_as))
+    rivals = tuple(dict.fromkeys(j.label for j in change.same_as))
     shapeless = h.kind == NOISE or h.curve >= 0  # what any error would look like; a move that leaves noise is a move
     if shapeless and beyond is not None and beyond.doubts(moved[0]):
-        same_as, everywhere = (UNTRIED, *same_as), False
+        rivals, alike = (UNTRIED, *rivals), ""
     return NamedChange(
         h.kind,
         h.place,
         h.label,
-        _sentence(h, sizes, _at_the_tool(moved, turned), same_as, everywhere),
+        _sentence(h, sizes, _at_the_tool(moved, turned), rivals, alike),
         sizes,
         moved,
         turned,
         change.probability,
-        same_as,
-        everywhere,
+        (*h.names, *rivals),
+        alike,
         repairable,
     )
 
@@ -125,16 +125,14 @@ def _said(size: SizeFound) -> str:
     return f"{size.value:+.3g} {size.unit} ({size.low:.3g} … {size.high:.3g})"
 
 
-def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, same_as: tuple[str, ...], everywhere: bool) -> str:
+def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, rivals: tuple[str, ...], alike: Alike) -> str:
     if h.kind == NOISE:
         what = " and ".join(f"{s.value:.1f} times in {s.name}" for s in sizes)
         out = f"The readings scatter more than when the calibration was made: {what}."
     elif h.kind in (BASE, FRAME, TOOL):
         shift, turn = (float(np.linalg.norm([s.value for s in sizes if s.unit == unit])) for unit in ("mm", "mrad"))
-        who = {BASE: "The base has moved against the instrument", TOOL: "The tool has moved"}.get(
-            h.kind, f"Frame {h.place} has moved"
-        )
-        out = f"{who}: {shift:.3f} mm and {turn:.3f} mrad, {rms}."
+        who = f"Frame {h.place}" if h.kind == FRAME else " or the ".join((f"The {h.place}", *h.names))
+        out = f"{who} has moved: {shift:.3f} mm and {turn:.3f} mrad, {rms}."
     elif h.kind == ZERO:
         out = f"The zero of {h.place} has changed by {_said(sizes[0])}, {rms}."
     elif h.kind == LENGTH:
@@ -155,13 +153,14 @@ def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, same_as: tu
         assert h.effect is not None
         cycles = h.effect.shape.settings["cycles"]
         out = f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.4g} a turn, {rms}."
-    if not same_as:
+    if not rivals:
         return out
-    others = " or ".join(same_as[:_LISTED])
-    if len(same_as) > _LISTED:
-        others += f" or one of {len(same_as) - _LISTED} other changes"
-    if everywhere:
-        return (
-            f"{out} It may as well be {others}: the same motion at every posture, so the repaired poses are the same."
-        )
-    return f"{out} It may as well be {others}: these stations cannot tell."
+    others = " or ".join(rivals[:_LISTED])
+    if len(rivals) > _LISTED:
+        others += f" or one of {len(rivals) - _LISTED} other changes"
+    why = {
+        "poses": "the same motion at every posture, so the repaired poses are the same",
+        "positions": "the same positions at every posture, so these are repaired, but not the same orientations, which "
+        "poses would tell",
+    }.get(alike, "these stations cannot tell")
+    return f"{out} It may as well be {others}: {why}."

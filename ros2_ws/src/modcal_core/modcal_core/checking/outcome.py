@@ -13,6 +13,8 @@ Status = Literal["unchanged", "changed", "ambiguous", "unexplained"]
 # RMS, rad: six degrees, some teeth of a gear at an arm's joint. Angles that differ by more, by another amount at every
 # station, are another joint's or no angles of the arm, and a model with them repaired would be nobody's
 OF_A_GEAR = 0.1
+# how alike two changes are at every recorded posture: not, in the positions that are read, or in poses
+Alike = Literal["", "positions", "poses"]
 Action = Literal["nothing", "use_repaired", "refit_base", "add_stations", "calibrate_again", "check_instrument"]
 
 
@@ -33,8 +35,9 @@ class NamedChange:
 
     moved_mm: how far it moves the tool over these stations, RMS, with its 95 % interval. turned_deg: how far it turns
     it, RMS; None where no orientation is read. probability: of this one
-    among all that were looked for. same_as: others that explain the readings as well. everywhere: whether these make
-    the same motion at every recorded posture, so that no station can tell them apart. repairable: whether the sizes
+    among all that were looked for. same_as: other names of it, and others that explain the readings as well.
+    alike: how far these make the same motion at every recorded posture, so that no such station can tell them apart.
+    repairable: whether the sizes
     are enough to correct the model.
     """
 
@@ -47,7 +50,7 @@ class NamedChange:
     turned_deg: float | None
     probability: float
     same_as: tuple[str, ...]
-    everywhere: bool
+    alike: Alike
     repairable: bool
 
     @property

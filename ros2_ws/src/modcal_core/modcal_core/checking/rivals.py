@@ -9,10 +9,10 @@ import numpy as np
 
 from modcal_core.checking.evidence import JudgedChange, probabilities
 from modcal_core.checking.hypotheses import READING, CellChange
+from modcal_core.effects import AS_LIKELY
 from modcal_core.geometry import Array
 
 _AS_PROBABLE = 3.0  # in log-probability (20 to 1), within which two changes are not told apart
-_AS_LIKELY = 3.5  # the same of the largest likelihood, where one change contains the other
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def with_rivals(best: JudgedChange, every: Sequence[JudgedChange], prior: Array,
         if key == best.candidate.hypothesis.key or j.candidate.hypothesis.kind == READING:
             continue
         as_probable = p > own[0] * np.exp(-_AS_PROBABLE)
-        contained = bool(j.candidate.hypothesis.sizes) and j.likelihood > likely - _AS_LIKELY / weight
+        contained = bool(j.candidate.hypothesis.sizes) and j.likelihood > likely - AS_LIKELY / weight
         if as_probable or contained:
             rivals.append((p, j))
     rivals.sort(key=lambda pair: -pair[0])

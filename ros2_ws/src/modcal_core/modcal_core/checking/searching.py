@@ -26,6 +26,7 @@ from modcal_core.checking.rivals import with_rivals as fitted_with_rivals
 from modcal_core.checking.sizes import SizeCovariance, with_sizes
 from modcal_core.checking.state import CheckState
 from modcal_core.checking.waves import wave_of
+from modcal_core.effects import AS_LIKELY, put_back_first
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 
@@ -229,7 +230,34 @@ class _ChangeSearch:
                 if wave is not None and wave.log_factor > one.log_factor:
                     picked[i] = wave
                     now, log_e[-1] = self.taken(picked)
+        repaired = list(picked)
+        for i in range(len(picked)):
+            repaired[i] = self._outside(repaired, i)
+        if any(a is not b for a, b in zip(repaired, picked, strict=True)):
+            picked = self._needed(repaired, len(moved))
+            now, rest = self.taken(picked)
+            log_e = [*log_e[: len(picked) - len(moved)], rest]
         return _Picked(self, tuple(picked), tuple(log_e), now)
+
+    def _needed(self, picked: list[JudgedChange], moved: int) -> list[JudgedChange]:
+        """The changes without one that made up for what the arm was blamed for; the first ones are moved for sure."""
+        for one in picked[moved:] if len(picked) > moved + 1 else []:
+            others = [p for p in picked if p is not one]
+            if not _is_asked_for(self.taken(others)[1]):
+                return others
+        return picked
+
+    def _outside(self, picked: Sequence[JudgedChange], i: int) -> JudgedChange:
+        """One of the changes that were picked, or what outside the arm explains the readings as well."""
+        hypothesis, others = picked[i].candidate.hypothesis, [p for j, p in enumerate(picked) if j != i]
+        if hypothesis.outside or hypothesis.kind in (NOISE, READING):
+            return picked[i]
+        asked = [h for h in self.others(others) if h.outside]
+        every = self.beside(others).judge_all([*asked, hypothesis], bent=True)[0]
+        likely = np.array([j.likelihood for j in every])
+        outside = [True] * len(asked) + [False]
+        first = put_back_first(len(asked), outside, likely, AS_LIKELY / self.weight)
+        return picked[i] if first == len(asked) else every[first]
 
     def with_rivals(self, picked: Sequence[JudgedChange], i: int) -> FittedChange:
         """One of the changes that were picked, with what explains the readings as well."""

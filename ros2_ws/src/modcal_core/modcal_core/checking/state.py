@@ -76,9 +76,11 @@ class CheckState:
         return hypothesis_columns(hypothesis, self.model, self.view, self.drivers)
 
 
-def state_at(q: Array, model: Model, samples: Samples, noise: NoiseModel) -> CheckState:
-    """The model at other postures (k, n), watched as the first of the samples was, with exact readings."""
+def state_at(q: Array, model: Model, samples: Samples, noise: NoiseModel, kind: str | None = None) -> CheckState:
+    """The model at other postures (k, n), with exact readings as the first of the samples is, or of this kind."""
     like = samples.select(np.zeros(len(q), int))
+    if kind is not None:
+        like = replace(like, kind=np.full(len(q), kind, dtype=like.kind.dtype))
     poses = replace(
         like, q=q, station=np.arange(len(q)), velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
         acceleration=np.zeros_like(q), approach=np.zeros_like(q), following=np.full(q.shape, np.nan),

@@ -8,14 +8,16 @@ much as the scatter of the readings allows.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Cell, Model, RowView, linearise, procrustes
+from modcal_core.calibration import Calibration, Cell, Model, RowView, Uncertainty, linearise, procrustes
 from modcal_core.claim.evidence import Drawn, draw
+from modcal_core.claim.known import known, with_carried
 from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, joint_motion, neighbourhood, shows_base
+from modcal_core.claim.remedy import OpenDirection, open_direction
 from modcal_core.effects import STEPS
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples
@@ -46,8 +48,9 @@ class Claim:
     """mm, deg: by the statistic's name; deg None where no reading shows an orientation. over: which postures.
 
     shown_mm, unshown_mm: upper ends of the 95th percentile with what the readings show alone, and with what only the
-    usual size of errors holds. nominal_p95: of the nominal arm [mm]. apply: whether the calibrated arm is surely the
-    better one.
+    usual size of errors holds. open: what those directions are, and what shows them. nominal_p95: of the nominal arm
+    [mm]. apply: whether the calibrated arm is surely the better one. known: covariance of the calibrated model where
+    the readings do not show every direction of the tool, else None: it is that of the fit.
     """
 
     mm: Mapping[StatisticName, Statistic]
@@ -57,30 +60,55 @@ class Claim:
     unshown_mm: float
     nominal_p95: float
     apply: bool
+    open: OpenDirection
+    known: Uncertainty | None = field(repr=False, compare=False)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether most of the 95th percentile is held by what arms are like, and by no reading."""
+        return self.unshown_mm > _MOSTLY * self.mm["p95"].ci95[1]
+
+    @property
+    def remedy(self) -> str:
+        """What would make the claim narrower, as a sentence."""
+        return self.open.remedy if self.is_open else OpenDirection().remedy
 
     @property
     def sentence(self) -> str:
         """What a person should know of the tool."""
         p95 = self.mm["p95"]
         said = f"At the tool, over the {self.over}: 95 % of the errors are below {p95.ci95[1]:.3f} mm"
-        if self.unshown_mm > _MOSTLY * p95.ci95[1]:
+        if self.is_open:
             said += (
-                f" ({self.shown_mm:.3f} mm by the readings; {self.unshown_mm:.3f} mm is held only by what arms are "
-                "like, and a known distance, or positions, would show it)"
+                f" ({self.shown_mm:.3f} mm shown by the readings; {self.unshown_mm:.3f} mm held by what arms are like: "
+                f"{self.open.what})"
             )
         said += f"; the nominal arm's below {self.nominal_p95:.3f} mm."
+        if self.is_open:
+            said += f" {self.open.remedy}"
         if not self.apply:
             said += " It is not sure that the calibrated arm is the better one: do not apply it."
         return said
 
 
-def claim_at_tool(calibration: Calibration, samples: Samples, cell: Cell, postures: Array | None = None) -> Claim:
-    """The claim of a calibration made from these samples, none of them wrong.
+def claim_at_tool(
+    calibration: Calibration,
+    samples: Samples,
+    cell: Cell,
+    postures: Array | None = None,
+    frozen: bool = False,
+    carried: Model | None = None,
+) -> Claim:
+    """The claim of a calibration by these samples, none of them wrong.
 
-    postures: joint positions asked for (M, n) [rad, m]; None: random ones in the recorded ranges.
+    postures: joint positions asked for (M, n) [rad, m]; None: random ones in the recorded ranges. frozen: it was made
+    from other samples, and what it knows of its arm from them counts beside these; where base and tool are now, and
+    how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
+    that is less.
     """
     rng = np.random.default_rng(_SEED)
     about = neighbourhood(calibration.calibrated, calibration.nominal.chain, samples, cell)
+    about = with_carried(about, calibration) if frozen else about
     drawn = draw(about, _DRAWS, rng)
     asked = _asked(about, samples, postures, rng)
     frame = int(asked.frame[0])
@@ -88,15 +116,16 @@ def claim_at_tool(calibration: Calibration, samples: Samples, cell: Cell, postur
     at = linearise(about.model, about.parameters, about.values, asked)
     M = len(asked)
     J = _without_scale(about, at.J, asked)
-    apart = _apart(about.model, calibration.nominal, asked, placed)
+    apart = _apart(about.model, calibration.nominal.with_effects(()), asked, placed)
+    lost = _apart(calibration.calibrated, carried or calibration.calibrated, asked, placed)
     P = _unknown(about, drawn, J[:, : 3 * M], asked, placed)
-    move, other = _clear(J[:, : 3 * M], P), _clear(apart[None], P)[0]
+    move, other, lost = (_clear(rows, P) for rows in (J[:, : 3 * M], apart[None], lost[None]))
     error = drawn.values @ move
     joints = _joints(about, asked, drawn, cell, rng)
-    calibrated = _norms(error + joints, M)
+    calibrated = _norms(error + joints + lost, M)
     nominal = _norms(error + joints + other, M)
-    shown = _norms((drawn.values - drawn.open) @ move + joints, M)
-    unshown = _norms(drawn.open @ move, M)
+    shown = _norms((drawn.values - drawn.open) @ move + joints + lost, M)
+    unshown = drawn.open @ move
     mm = {name: _statistic(1e3 * calibrated, name) for name in NAMES}
     deg = None
     if samples.is_pose.any():
@@ -107,9 +136,11 @@ def claim_at_tool(calibration: Calibration, samples: Samples, cell: Cell, postur
         deg,
         "recorded ranges" if postures is None else "postures asked for",
         _statistic(1e3 * shown, "p95").ci95[1],
-        _statistic(1e3 * unshown, "p95").ci95[1],
+        _statistic(1e3 * _norms(unshown, M), "p95").ci95[1],
         float(np.median(_of(1e3 * nominal, "p95"))),
         bool(better >= _SURE),
+        open_direction(unshown, RowView.of(about.model, asked, about.model.drivers(asked)).f.p[-1], placed),
+        None if placed or frozen else known(about, float(np.exp(np.mean(np.log(drawn.width))))),
     )
 
 
@@ -149,13 +180,13 @@ def _without_scale(about: Neighbourhood, J: Array, asked: Samples) -> Array:
     return out
 
 
-def _apart(model: Model, nominal: Model, asked: Samples, placed: bool) -> Array:
-    """From the nominal model's tool to the calibrated one's, as seen from the latter's root, (3 M,) [m].
+def _apart(model: Model, other: Model, asked: Samples, placed: bool) -> Array:
+    """From another model's tool to the calibrated one's, as seen from the latter's root, (3 M,) [m].
 
     placed: whether the readings show where the base is; else it is put where it suits best.
     """
     p = model.predict_samples(asked)[:, :3, 3]
-    drawn = nominal.with_effects(()).predict(asked.q, asked.frame)[:, :3, 3]
+    drawn = other.predict_samples(asked)[:, :3, 3]
     drawn = drawn if placed else se3.apply(procrustes(drawn, p), drawn)
     R = (model.T_frame_base[asked.frame[0]] @ model.chain.T_base_root)[:3, :3]
     return np.asarray(((p - drawn) @ R).T.ravel())

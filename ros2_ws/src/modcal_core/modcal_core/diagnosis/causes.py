@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Fit, beyond_normal
-from modcal_core.diagnosis.choice import EffectChoice
+from modcal_core.diagnosis.choice import EffectChoice, one_motion_names
 from modcal_core.diagnosis.evidence_map import EvidenceMap
 from modcal_core.effects import Effect
 from modcal_core.measurements import Samples, joints_instead
@@ -34,9 +34,7 @@ def causes_of_moves(fit: Fit, samples: Samples) -> tuple[Cause, ...]:
     out = []
     for i, effect in enumerate(effects):
         model = fit.model.with_effects(effects[: i + 1])
-        same = joints_instead(samples, effect.shape.settings["at"])
-        if effect.place == "base":
-            same = (f"tracker all by {effect.public_driver}", *same)
+        same = (*one_motion_names(effect), *joints_instead(samples, effect.shape.settings["at"]))
         size = float(np.max(np.abs(effect.values) / np.maximum(effect.std, 1e-300)))
         out.append(Cause(effect, max(2.0 * beyond_normal(size), 1e-300), same, (), replace(fit, model=model)))
     return tuple(out)

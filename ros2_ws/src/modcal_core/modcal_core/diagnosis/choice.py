@@ -13,7 +13,7 @@ import numpy as np
 
 from modcal_core.calibration import Fit
 from modcal_core.diagnosis.evidence import Evidence, Scanner
-from modcal_core.effects import FREE, Effect, complexity, family_named
+from modcal_core.effects import BY_HAND, FREE, Effect, complexity, family_named, one_motion, put_back_first
 from modcal_core.geometry import Array
 
 _TIE = 2.0  # in −log10 p: a hundredfold in chance, which of odds is called decisive (Jeffreys 1961)
@@ -69,14 +69,12 @@ def choose(
     if incumbent is not None and any(evidence.effects[i].key == incumbent.key for i in alike):
         return None
     best: int = min(alike, key=lambda i: (*_simplicity(evidence.effects[i]), -score[i]))
-    best = _whole_curve(evidence, best, allowed)
+    best = _outside(evidence, _whole_curve(evidence, best, allowed), allowed)
     chosen = evidence.effects[best]
     if not family_named(chosen.family).plausible(chosen.started(scanner.amplitudes(fit, chosen))):
         return choose(evidence, scanner, fit, refused | {chosen.key}, incumbent)
     rivals = _rivals(evidence, best, alike)
-    names = tuple(effect.label for effect in rivals)
-    if chosen.place == "base" and chosen.direction == "all":
-        names = (f"tracker all by {chosen.public_driver}", *names)
+    names = (*one_motion_names(chosen), *(effect.label for effect in rivals))
     share = float(evidence.explained[best])
     started = tuple(rival.started(scanner.amplitudes(fit, rival)) for rival in rivals[:_MAX_RIVALS])
     return EffectChoice(chosen, evidence.p_value, names[:_MAX_NAMED], share, started, evidence.flips)
@@ -107,6 +105,22 @@ def _whole_curve(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
             if evidence.explained[i] - by_chance > enough:
                 return int(i)
     return best
+
+
+def _outside(evidence: Evidence, best: int, allowed: np.ndarray) -> int:
+    """What outside the arm went the same way at the same time and explains as much, else the best itself."""
+    effects, chosen = evidence.effects, evidence.effects[best]
+    alike = [i for i, e in enumerate(effects) if (e.driver, e.shape) == (chosen.driver, chosen.shape)]
+    same = [i for i in alike if i == best or (allowed[i] and effects[i].place in BY_HAND)]
+    left = np.maximum(1.0 - evidence.explained[same], 1e-300)
+    outside = [effects[i].place in BY_HAND for i in same]
+    likely = -0.5 * evidence.freedom * np.log(left) / max(evidence.inflation, 1.0)
+    return same[put_back_first(same.index(best), outside, likely)]
+
+
+def one_motion_names(effect: Effect) -> tuple[str, ...]:
+    """The names, as in ``same_as``, of what moves against the place of an effect: no reading tells which of both."""
+    return tuple(f"{place} {effect.direction} by {effect.public_driver}" for place in one_motion(effect.place))
 
 
 def _explain_together(

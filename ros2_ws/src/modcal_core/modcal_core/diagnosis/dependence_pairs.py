@@ -152,7 +152,7 @@ class _PairColumns:
 
     def of_instrument(self) -> Iterator[Pair]:
         """Readings that depend on where the target is, from the instrument's origin."""
-        x = self.view.reading  # (3, N), along the root's axes
+        x = self.view.expected  # (3, N), along the root's axes
         r = np.linalg.norm(x, axis=0)
         unit = r.mean()
         if unit == 0.0:  # sockets: the ball is always at their origin
@@ -187,7 +187,8 @@ class _PairColumns:
         scales = np.stack([np.ones_like(r), *one])
         changed = (steps[:, None] * scales[None]).reshape(-1, self.N)
         yield self._read(who, "the order of the stations: their scale or their frame changed", changed, along)
-        seen = self.samples.reading.T
+        R_frame_root = (self.model.T_frame_base @ self.chain.T_base_root)[self.samples.frame, :3, :3]
+        seen = np.einsum("nij,jn->in", R_frame_root, x)
         angles = [np.arctan2(seen[1], seen[0]), np.arcsin(np.clip(seen[2] / np.maximum(r, 1e-9), -1.0, 1.0))]
         waves = [f(k * a) * r / unit for a in angles for k in range(1, 5) for f in (np.sin, np.cos)]
         yield self._read(who, "the direction in which the tracker looks", np.stack(waves), along)
@@ -199,7 +200,8 @@ class _PairColumns:
 
     def _sight_in_tool(self) -> Array:
         R = self.view.f.rotation(-1)
-        x = self.view.reading / np.maximum(np.linalg.norm(self.view.reading, axis=0), 1e-9)
+        x = self.view.expected
+        x = x / np.maximum(np.linalg.norm(x, axis=0), 1e-9)
         return np.asarray(np.einsum("nji,jn->in", R, x))
 
     def _over_order(self) -> Array:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from modcal_core.effects.effect import columns, is_large_move, is_move, is_turned, knots_of, motion, place_index
     from modcal_core.effects.effect import plain_columns, prior_stds, shape_columns
     from modcal_core.effects.family import FREE, PLAIN, USUAL, Family, ReportEntry, nothing_plainer
+    from modcal_core.effects.placements import AS_LIKELY, BY_HAND, one_motion, put_back_first
     from modcal_core.effects.registry import both_signs, candidates, claimed, companionless, complexity, family_named
     from modcal_core.effects.registry import known_families, require_known, with_companions
     from modcal_core.effects.shapes import PERIODIC, Setting, Shape, ShapeKind, periodic
@@ -22,11 +23,12 @@ else:
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ACROSS", "ALL", "AXIS", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS", "LENGTH", "PAIRS"]
-__all__ += ["PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL", "AxisCurves", "Carried"]
-__all__ += ["DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity", "ReportEntry", "Setting"]
-__all__ += ["Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs", "candidates", "claimed", "columns"]
-__all__ += ["companionless", "complexity", "component_names", "curve", "curve_sizes", "drivers_at", "family_named"]
-__all__ += ["is_large_move", "is_move", "is_turned", "knots_of", "known_families", "motion", "nothing_plainer"]
-__all__ += ["periodic", "place_index", "plain_columns", "prior_stds", "public_driver", "remembered", "require_known"]
-__all__ += ["shape_columns", "unit_of", "value", "with_companions"]
+__all__ = ["ACROSS", "ALL", "AS_LIKELY", "AXIS", "EXPECTED_ANGLE", "EXPECTED_LENGTH", "FREE", "JOINTS", "LENGTH"]
+__all__ += ["BY_HAND", "PAIRS", "PERIODIC", "PLAIN", "RADIAL", "READING", "RODS", "SHIFT", "STEPS", "USUAL"]
+__all__ += ["AxisCurves", "Carried", "DriverLimits", "Drivers", "Effect", "Family", "Knots", "NominalArm", "Quantity"]
+__all__ += ["ReportEntry", "Setting", "Shape", "ShapeKind", "Sizes", "Term", "all_columns", "both_signs"]
+__all__ += ["candidates", "claimed", "columns", "companionless", "complexity", "component_names", "curve"]
+__all__ += ["curve_sizes", "drivers_at", "family_named", "is_large_move", "is_move", "is_turned", "knots_of"]
+__all__ += ["known_families", "motion", "nothing_plainer", "one_motion", "periodic", "place_index", "plain_columns"]
+__all__ += ["prior_stds", "public_driver", "put_back_first", "remembered", "require_known", "shape_columns"]
+__all__ += ["unit_of", "value", "with_companions"]

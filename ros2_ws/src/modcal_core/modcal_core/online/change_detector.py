@@ -8,7 +8,8 @@ little does so every time.
 
 Each thing that can happen to a cell is one hypothesis: columns of motions, all zero before the change. The one that
 takes most of the residual away, with what its number of columns would take by chance counted against it (Schwarz 1978),
-is named, and with it those that explain nearly as much. It is a suspicion: the diagnosis decides on more data.
+is named, or what outside the arm takes as much away, and with it those that explain nearly as much. It is a suspicion:
+the diagnosis decides on more data.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.calibration import INSTRUMENT, Model, ModelParameter, NoiseModel
+from modcal_core.effects import BY_HAND, one_motion, put_back_first
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.online.fixed_linearisation import FixedLinearisation
@@ -188,10 +190,17 @@ def find_change(detector: ChangeDetector, since: float) -> ChangeHypothesis:
         size, turn = (float(np.sqrt(np.mean(np.sum(m**2, axis=1)))) for m in (moved[:, :3], moved[:, 3:]))
         cost = A.shape[1] * np.log(residual.size)
         judged.append((gain - cost, hypothesis, gain, size, turn if moved.shape[1] == 6 else np.nan))
-    judged.sort(key=lambda j: -j[0])
-    score, best, gain, size, turn = judged[0]
-    rivals = tuple(h.label for s, h, *_ in judged[1:] if s > score - _AS_GOOD)
-    return ChangeHypothesis(best.place, best.direction, best.driver, since, size, turn, gain, total, rivals)
+    score = np.array([j[0] for j in judged])
+    outside = [j[1].place in (*BY_HAND, *detector.model.frames) for j in judged]
+    at = put_back_first(int(np.argmax(score)), outside, 0.5 * np.array([j[2] for j in judged]))
+    _, best, gain, size, turn = judged[at]
+    as_well = sorted(np.flatnonzero(score > score[at] - _AS_GOOD).tolist(), key=lambda i: -score[i])
+    names = one_motion(best.place) if len(detector.model.frames) == 1 or best.place == "tool" else ()
+    same = (
+        *(f"{name} {best.direction} by {best.driver}" for name in names),
+        *(judged[i][1].label for i in as_well if i != at),
+    )
+    return ChangeHypothesis(best.place, best.direction, best.driver, since, size, turn, gain, total, same)
 
 
 def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hypothesis]:
@@ -226,8 +235,8 @@ def _hypotheses(detector: ChangeDetector, seen: Sequence[Seen]) -> Iterator[_Hyp
             if along.any() and k > 0:
                 yield _Hypothesis(name, "length", driver, *of(k, np.r_[along, np.zeros(3)][None], scale))
             axis = every[[5 if chain.revolute[j] else 2]]
-            if k > 0:
-                yield _Hypothesis(name, "axis", driver, *of(k, axis, scale))
+            turned = of(k, axis, scale) if k else of_all_frames(axis, scale)
+            yield _Hypothesis(name, "axis", driver, *turned)
         if F > 1:
             for f, name in enumerate(detector.model.frames):
                 only = np.array([int(s.sample.frame[0]) == f for s in seen], dtype=float)

@@ -191,8 +191,9 @@ def claim_data(claim: Claim | None) -> dict[str, Any]:
         return {str(name): {"value": s.value, "ci95": list(s.ci95)} for name, s in found.items()}
 
     rest = {"over": claim.over, "shown_mm": claim.shown_mm, "unshown_mm": claim.unshown_mm}
+    opened = {"open": claim.open.what if claim.is_open else None, "remedy": claim.remedy}
     return {
-        "claim_mm": {**sizes(claim.mm), **rest, "nominal_p95": claim.nominal_p95},
+        "claim_mm": {**sizes(claim.mm), **rest, **opened, "nominal_p95": claim.nominal_p95},
         "claim_deg": None if claim.deg is None else {**sizes(claim.deg), "over": claim.over},
         "apply": claim.apply,
     }

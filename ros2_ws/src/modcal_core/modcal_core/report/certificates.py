@@ -1,7 +1,8 @@
 """The certificate: one page that says what was measured, on which arm, with which result, and what it may not say.
 
-The result is that of the tolerance (``verdict/tolerance.py``), never another. A PASS is stated without reservations
-only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out of the score.
+The result is that of the tolerance, which the claim at the tool decides, never another. A PASS is stated without
+reservations only where the verdict leaves no doubt: at the floor, the instrument's accuracy stated, nothing left out
+of the score.
 """
 
 from __future__ import annotations
@@ -136,10 +137,15 @@ def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
     if report.status == "open":
         out.append(f"The verdict is open: {report.open_because[0]}")
     if report.status == "cannot_tell":
+        out.append("The floor is not known: neither how well the arm repeats, nor whether the error could be smaller.")
+    claim = report.claim
+    if claim is not None and claim.is_open:
         out.append(
-            "The floor is not known: neither how well the arm repeats, nor whether the error could be smaller. "
-            "The result is an upper limit for postures like these."
+            f"{claim.unshown_mm:.3f} mm of the upper end are held by what arms are like, not by readings: "
+            f"{claim.open.what}. {claim.open.remedy}"
         )
+    if claim is not None and not claim.apply:
+        out.append("It is not sure that the calibrated arm is better than the nominal one.")
     asked = report.tolerance.asked.mm if report.tolerance else np.inf
     if stated.instrument_mm is None:
         out.append("The instrument's accuracy is not stated: its own error may be part of the result or hidden in it.")
@@ -190,6 +196,8 @@ def _scale(report: Report) -> Scale:
     assert met is not None
     before = report.size_mm("nominal")
     start = None if before is None else float(getattr(before, met.asked.statistic))
+    if report.claim is not None and met.asked.statistic == "p95":  # at the tool, as what is judged
+        start = report.claim.nominal_p95
     low, high = met.ci95
     # what is judged stays readable where the nominal model is far worse: that mark then stands at the edge
     largest = max(met.asked.mm, met.value_mm or 0.0, high or 0.0)
@@ -315,6 +323,8 @@ def _silent_on(report: Report, stated: Stated, tests: PoseTest) -> tuple[str, ..
         f"Single postures: the {of} is judged, and one of them may be off by more.",
         constant,
     ]
+    if report.claim is not None and report.claim.deg is None:
+        out.append("Orientation: the readings show the point of the target alone.")
     if report.searched is not None:
         out.append(
             "What lasts: stations of the same session were scored. modcal evaluate judges a later recording. "

@@ -10,7 +10,7 @@ import numpy as np
 
 from modcal_core.checking import NamedChange, Series, SizeFound
 from modcal_core.checkup import Checked
-from modcal_core.report.as_json import finite, tolerance_data
+from modcal_core.report.as_json import claim_data, finite, tolerance_data
 from modcal_core.report.page import AFTER, BEFORE, Chart, PageTable, plain_page
 from modcal_core.report.plots import Panel
 from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
@@ -59,13 +59,7 @@ def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
             {name: float(x) for name, x in zip(found.joints, q, strict=True)} for q in found.advice.stations
         ],
         "repaired": found.repaired is not None,
-        "known_to_mm": None
-        if found.accuracy is None
-        else {
-            "before": 1e3 * found.accuracy.before,
-            "repaired": 1e3 * found.accuracy.repaired,
-            "stations_to_be_alike": found.accuracy.more,
-        },
+        **claim_data(found.report.claim),
         "convention": found.convention,
         "tolerance": tolerance_data(found.report.tolerance),
         "notes": list(found.notes),
@@ -83,7 +77,8 @@ def _change(c: NamedChange) -> dict[str, Any]:
         "turned_deg": c.turned_deg,
         "probability": c.probability,
         "same_as": list(c.same_as),
-        "same_at_every_posture": c.everywhere,
+        "same_at_every_posture": bool(c.alike),
+        "same_orientation": c.alike == "poses",
         "repairable": c.repairable,
     }
 
@@ -109,8 +104,8 @@ def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
     out += [SummaryLine(note, "doubt") for note in found.notes]
     out.append(SummaryLine(found.sentence, _TONES[found.status]))
     out.append(SummaryLine(found.advice.sentence))
-    if found.accuracy is not None:
-        out.append(SummaryLine(found.accuracy.sentence, "legend"))
+    if found.report.claim is not None:
+        out.append(SummaryLine(f"{_judged(found)} {found.report.claim.sentence}", "legend"))
     met = found.report.tolerance
     if met is not None:
         tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
@@ -124,7 +119,7 @@ def _not_shown(found: Checked) -> str:
 
 
 def _judged(found: Checked) -> str:
-    return "(repaired model, each station predicted by the others)" if found.repaired is not None else "(frozen model)"
+    return "Repaired model:" if found.repaired is not None else "Frozen model:"
 
 
 def _row(change: NamedChange, s: SizeFound) -> tuple[str, ...]:
@@ -142,7 +137,7 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
         f"The error at these {found.stations} stations is {_pair(found.before)} by the model as it was calibrated; "
         f"{_pair(found.expected)} is expected while nothing has changed.",
         *([f"With what changed put in it is {_pair(found.after)}."] if found.changes else []),
-        *([found.accuracy.sentence] if found.accuracy is not None else []),
+        *([f"{_judged(found)} {found.report.claim.sentence}"] if found.report.claim is not None else []),
         (
             f"While nothing has changed, as much is named by chance in fewer than {_rarely(found.chance)} checks."
             if found.changes
@@ -153,7 +148,7 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
     ]
     met = found.report.tolerance
     if met is not None:
-        lines.insert(1, f"{met.result} {_judged(found)}: {met.because}")
+        lines.insert(1, f"{met.result}. {_judged(found)} {met.because}")
     return plain_page(
         title,
         found.sentence,
@@ -183,8 +178,7 @@ def _tables(found: Checked) -> tuple[PageTable, ...]:
         out.append(PageTable("What changed", _SIZES, rows, 2, below))
     if found.changes:
         rivals = tuple(
-            (c.label, ", ".join(c.same_as) or "none", "yes" if c.everywhere else "", f"{100.0 * c.probability:.1f} %")
-            for c in found.changes
+            (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
         )
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
         out.append(PageTable("What it may as well be", columns, rivals, 3))

@@ -35,8 +35,7 @@ from modcal_core.verdict import (
     Tolerance,
     Verdict,
     assess,
-    assess_claim,
-    interval,
+    interval_of_rms,
 )
 from modcal_core.version import __version__
 
@@ -192,8 +191,7 @@ class ReportContents:
         if stage not in self.errors or not len(self.scored):
             return None
         if stage not in self._intervals:  # page, data and command ask for the same
-            low, high = interval(1e3 * self.errors[stage].position_norm, self.units, "rms")
-            self._intervals[stage] = None if low is None or high is None else (low, high)
+            self._intervals[stage] = interval_of_rms(1e3 * self.errors[stage].position_norm, self.units)
         return self._intervals[stage]
 
     @cached_property
@@ -204,12 +202,11 @@ class ReportContents:
         """The report with the result for a tolerance; the same where none is asked for."""
         if asked is None:
             return self
-        if self.claim is not None:
-            found, open_mm = self.claim.mm[asked.statistic], self.claim.unshown_mm
-            at_tool = AtTool(found.value, found.ci95, self.claim.over, open_mm)
-            return replace(self, tolerance=assess_claim(at_tool, asked, self.judged))
-        norms = 1e3 * self.errors["final"].position_norm
-        return replace(self, tolerance=assess(norms, self.units, asked, self.judged))
+        at_tool = None
+        if (one := self.claim) is not None:
+            found = one.mm[asked.statistic]
+            at_tool = AtTool(found.value, found.ci95, one.over, one.unshown_mm, one.remedy)
+        return replace(self, tolerance=assess(at_tool, asked, self.judged))
 
     def rejected_rows(self) -> np.ndarray:
         """Rows of the samples that were left out, the farthest first."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.calibration import REJECT_Z, Errors, Fit, Model, Uncertainty, beyond_normal, errors, outlying, without
+from modcal_core.calibration import REJECT_Z, Errors, Fit, Model, beyond_normal, errors, outlying
 from modcal_core.diagnosis import Diagnosis, Loads, by_weight
 from modcal_core.effects import (
     ALL,
@@ -32,10 +32,9 @@ from modcal_core.effects import (
     with_companions,
 )
 from modcal_core.effects.families import outliers, payload
-from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.robots import Mechanism
-from modcal_core.verdict import resampled
+from modcal_core.verdict import Case, left_without, resampled
 
 
 def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence[Effect] = ()) -> Sizes:
@@ -115,14 +114,12 @@ class Finding:
         return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
 
 
-def findings(
-    diagnosis: Diagnosis, shipped: Model, samples: Samples, wrong: np.ndarray, scored: Samples, known: Uncertainty
-) -> tuple[Finding, ...]:
+def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding, ...]:
     """Entries in the order found; the same place and driver found again joins its entry.
 
-    shipped: the model fitted to all samples, its effects in the same order. wrong: samples far from the scored fit.
-    scored: the held-out samples it is judged by. known: how well the scored fit's values are known.
+    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit.
     """
+    samples = case.samples
     groups: dict[tuple[object, ...], list[int]] = {}
     for i, effect in enumerate(shipped.effects):
         if not claimed(effect):
@@ -130,7 +127,6 @@ def findings(
         # each move is an entry of its own
         key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
         groups.setdefault(key, []).append(i)
-    left = errors(diagnosis.fit.model, scored).position_norm ** 2 if groups and len(scored) else None
     few = samples.select(spread_rows(len(samples), _MAX_SEEN))
     entries = []
     for numbers in groups.values():
@@ -143,7 +139,7 @@ def findings(
             for e, c in zip(effects, causes, strict=True)
             for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *c.same_as)
         )
-        before, after, gain, interval = _worth(diagnosis.fit.model, known, together, scored, left)
+        before, after, gain, interval = _worth(case, together)
         first = effects[0]
         entries.append(
             Finding(
@@ -160,21 +156,17 @@ def findings(
                 sampled=min(c.sampled for c in causes),
             )
         )
-    wrong = wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
+    wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
     return (*_outliers(diagnosis.fit, samples, wrong), *entries)
 
 
-def _worth(
-    model: Model, known: Uncertainty, numbers: Sequence[int], scored: Samples, with_them: Array | None
-) -> tuple[float, float, float | None, tuple[float, float] | None]:
-    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples.
-
-    with_them: squares that the whole model leaves, (N,) [m²]; None where none are scored.
-    """
-    if with_them is None:
+def _worth(case: Case, numbers: Sequence[int]) -> tuple[float, float, float | None, tuple[float, float] | None]:
+    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples."""
+    if not len(case.held_out):
         return float("nan"), float("nan"), None, None
-    without_them = errors(without(model, known, numbers), scored).position_norm ** 2
-    cost, interval = resampled(1e6 * (without_them - with_them), scored.station)
+    with_them = case.errors["final"].position_norm ** 2
+    without_them = left_without(case, numbers).position_norm ** 2
+    cost, interval = resampled(1e6 * (without_them - with_them), case.samples.station[case.held_out])
     return float(np.sqrt(without_them.mean())), float(np.sqrt(with_them.mean())), cost, interval
 
 
@@ -208,11 +200,9 @@ def _rms(residuals: Errors) -> float:
     return float(np.sqrt(np.mean(residuals.position_norm**2))) if len(residuals.position) else float("nan")
 
 
-def residual_notes(model: Model, known: Uncertainty, scored: Samples) -> tuple[str, ...]:
-    """A sentence on the effects of the scored model that no entry contains, largest joint first; none without them.
-
-    known: how well the model's values are known. scored: held-out samples.
-    """
+def residual_notes(case: Case) -> tuple[str, ...]:
+    """A sentence on the effects of the scored model that no entry contains, largest joint first; none without them."""
+    model, scored = case.model, case.samples.select(case.held_out)
     numbers = companionless(model.effects)
     if not numbers or not len(scored):
         return ()
@@ -222,7 +212,7 @@ def residual_notes(model: Model, known: Uncertainty, scored: Samples) -> tuple[s
         of_joint.setdefault(model.effects[i].place, []).append(i)
     size = {joint: 1e3 * at_tool(model, own, few) for joint, own in of_joint.items()}
     shares = ", ".join(f"{joint} {size[joint]:.3f} mm" for joint in sorted(size, key=lambda j: -size[j]))
-    with_them, alone = (1e3 * _rms(errors(m, scored)) for m in (model, without(model, known, numbers)))
+    with_them, alone = (1e3 * _rms(each) for each in (case.errors["final"], left_without(case, numbers)))
     return (
         f"Beside what is named, small curves of joints, each held as small as these stations make likely, were learned "
         f"together (RMS at the tool: {shares}); without them the error would be {alone:.3f} instead of {with_them:.3f} "

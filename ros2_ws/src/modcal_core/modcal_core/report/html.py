@@ -23,6 +23,7 @@ TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "w
 MAX_BYTES = 950_000  # of a page: below 1 MB, with what a mail puts around it
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.04)  # of the usual marks that charts have, tried in turn
 _MAX_COLUMNS = 28  # drivers of a map
+STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest"}
 _MAX_LISTED = 30  # stations that were left out
 
 
@@ -91,6 +92,8 @@ def _page(report: ReportContents, files: tuple[str, ...], calibration: str, shar
         accounts=[(one, one.drawn()) for one in accounts(report.judged)],
         counts_rejected=report.counts_rejected,
         data=data,
+        claim=report.claim and report.claim.sentence,
+        statistics=STATISTICS.items(),
         tiles=_tiles(report, data),
         stages=[stage for stage in STAGES if data["error_mm"][stage]],
         histogram=error_histogram(report),
@@ -160,9 +163,12 @@ def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]
         out.append(("orientation, final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
     floor, recording = data["noise_floor_mm"], data["recording"]
     out.append(("floor of arm and instrument", "not known" if floor is None else f"{floor:.3f} mm"))
+    if claim := data["claim_mm"]:
+        out.append(("tool, 95 % of the errors, at most", f"{claim['p95']['ci95'][1]:.3f} mm"))
+        if not data["apply"]:
+            out.append(("apply the calibration", "no"))
     if met := data["tolerance"]:
-        name = {"mean": "mean", "rms": "RMS", "p95": "95 %", "max": "largest"}[met["statistic"]]
-        out.append((f"tolerance {met['asked_mm']:g} mm, {name}", met["result"]))
+        out.append((f"tolerance {met['asked_mm']:g} mm, {STATISTICS[met['statistic']]}", met["result"]))
     out.append(("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}"))
     return out
 

@@ -160,12 +160,12 @@ _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated"
 
 
 def instrument_notes(fit: Fit) -> tuple[str, ...]:
-    """For each kind of reading that is no position what it cannot see, and how it scatters about the model."""
+    """For each kind of reading that is no position how it scatters about the model."""
     out = []
     for name, size in fit.noise.others.items():
         kind = kinds()[name]
         said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
-        out.append(f"Readings of kind {name} scatter about the model by {said}. {kind.blind}")
+        out.append(f"Readings of kind {name} scatter about the model by {said}.")
     return tuple(out)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array
 from modcal_core.robots.chain import Chain
-from modcal_core.robots.urdf_tree import TURNS, Joint, Tree, parse
+from modcal_core.robots.urdf_tree import FIX, TURNS, Joint, Tree, parse
 
 # --- Where an arm ends when nobody says so: past its joints and its flange, short of a gripper's fingers
 
@@ -51,12 +51,14 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
     been meant as well.
 
     Among several, one with a tool's usual name (tool0, tcp, ee, flange), then the one with the longest way, then the
-    first by name. The way ends before joints that mimic or are mimicked, before those that a chain cannot hold, before
-    a gripper's own, and where it forks into a hand. recorded: names of the joints that were recorded; of arms whose
+    first by name. The way ends before joints that mimic, before those that others mimic unless the arm goes on behind
+    them (a cylinder that balances a link mimics its joint), before those that a chain cannot hold, before a gripper's
+    own, and where it forks into a hand. recorded: names of the joints that were recorded; of arms whose
     joints were all recorded the longest is taken, and where there is none the longest at all, so that the missing
     joints can be named. Raises BadRobot when nothing moves.
     """
     led = {joint.mimics for joint in tree.joints if joint.mimics is not None}
+    led -= {joint.name for joint in tree.joints if joint.name in led and _goes_on(tree, joint, led)}
     ends: list[_End] = []
 
     def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool) -> None:
@@ -81,6 +83,17 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
         if end.unknown == best.unknown and len(end.moving) == len(best.moving) and end.moving != best.moving:
             rivals.setdefault(end.moving, end)
     return best.link, tuple(end.link for end in rivals.values())
+
+
+def _goes_on(tree: Tree, joint: Joint, led: Collection[str | None]) -> bool:
+    """Whether joints that nothing leads, or a tool's frame, are behind a joint."""
+    if any(pattern.search(joint.child.lower()) for pattern in _TOOL_NAMES):
+        return True
+    return any(
+        (j.moves and j.mimics is None and j.name not in led) or _goes_on(tree, j, led)
+        for j in tree.below[joint.child]
+        if j.mimics is None
+    )
 
 
 def _fingers(tree: Tree, link: str, before: int) -> set[str]:
@@ -137,6 +150,8 @@ def read_chain(
             raise BadRobot(f"joint {joint.name}", said, "give another --base or --tip")
         if joint.mimics is not None:
             raise BadRobot(f"joint {joint.name}", f"mimics {joint.mimics}", "give a --tip before it")
+        if not joint.lower <= joint.upper:
+            raise BadRobot(f"joint {joint.name}", f"its limits run from {joint.lower:g} to {joint.upper:g}", FIX)
         moving.append(joint)
         origins.append(np.eye(4))
     chain = Chain.build(

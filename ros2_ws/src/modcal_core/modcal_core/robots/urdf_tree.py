@@ -27,7 +27,7 @@ from modcal_core.geometry import Array, se3, so3
 
 # Moving joints that a chain may hold: True where the joint turns.
 TURNS = {"revolute": True, "continuous": True, "prismatic": False}
-_FIX = "correct the URDF"
+FIX = "correct the URDF"
 _NO_XML = "give a URDF file; modcal import TABLE --out arm.urdf makes one of a DH or CPC table"
 _ONE_ROBOT = "describe one robot, with meshes in files of their own"
 _MAX_TURN = 4.0 * np.pi  # rad; an <origin rpy> beyond this was meant in degrees
@@ -56,6 +56,7 @@ _ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "mass": ("value",),
     "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
 }
+_NEEDED = {"axis": "xyz", "parent": "link", "child": "link", "mimic": "joint"}
 
 
 @dataclass(frozen=True)
@@ -164,13 +165,11 @@ def document(urdf_xml: str) -> Any:
     if len(urdf_xml) > _MAX_TEXT:
         said = f"has {1e-6 * len(urdf_xml):.0f} million characters, {1e-6 * _MAX_TEXT:.0f} million is the limit"
         raise BadRobot("robot description", said, _ONE_ROBOT)
-    # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
-    parser = etree.XMLParser(encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True)
     text = urdf_xml.lstrip("\ufeff \t\r\n")
     if not text:
         raise BadRobot("robot description", "is not XML (it is empty)", "give a URDF file")
     try:
-        root = etree.fromstring(text.encode("utf-8", errors="replace"), parser)
+        root = _element(text.encode("utf-8", errors="replace"))
     except (etree.XMLSyntaxError, ValueError) as error:
         if "<xacro:" in text:
             raise _unexpanded() from error
@@ -179,9 +178,29 @@ def document(urdf_xml: str) -> Any:
         raise BadRobot("robot description", f"is not XML ({said})", remedy) from error
     if _local(root) != "robot":
         raise BadRobot("robot description", f"is <{_local(root)}>, not <robot>", "give a URDF file")
-    if any(isinstance(e.tag, str) and "xacro" in (etree.QName(e).namespace or e.tag) for e in root.iter()):
+    if any(isinstance(e.tag, str) and ("xacro" in e.tag.partition("}")[0] or "xacro:" in e.tag) for e in root.iter()):
         raise _unexpanded()
     return root
+
+
+def _element(text: bytes) -> Any:
+    """The root element. Elements of a prefix that nobody declared are passed over, as the parsers of ROS do."""
+    # A declared encoding was true of the bytes; this is text already. Outside entities are nobody's business here.
+    parsers = (
+        etree.XMLParser(
+            encoding="utf-8", resolve_entities=False, no_network=True, remove_comments=True, recover=recover
+        )
+        for recover in (False, True)
+    )
+    try:
+        return etree.fromstring(text, next(parsers))
+    except etree.XMLSyntaxError as error:
+        parser = next(parsers)
+        root = etree.fromstring(text, parser)
+        faults = [e for e in parser.error_log if e.domain != etree.ErrorDomains.NAMESPACE]
+        if faults:
+            raise ValueError(f"{faults[0].message}, line {faults[0].line}, column {faults[0].column}") from error
+        return root
 
 
 def _unexpanded() -> BadRobot:
@@ -190,7 +209,7 @@ def _unexpanded() -> BadRobot:
 
 def _local(element: Any) -> str:
     """The name of an element; one with a prefix is somebody else's and has none."""
-    if not isinstance(element.tag, str) or element.prefix is not None:
+    if not isinstance(element.tag, str) or element.prefix is not None or ":" in element.tag.rpartition("}")[2]:
         return ""
     return str(etree.QName(element).localname)
 
@@ -206,6 +225,12 @@ def _essential(element: Any) -> Any:
         name = _local(child)
         if name == "limit" and not (child.get("lower") or child.get("upper")):
             continue  # it states effort and speed only; the parser would read a range of 0 to 0
+        if name == "axis" and element.get("type") == "fixed":
+            continue
+        if name == "inertial" and not any(_local(e) == "mass" and e.get("value") for e in child):
+            continue  # it weighs nothing
+        if (needed := _NEEDED.get(name)) and not child.get(needed):
+            raise BadRobot(f"{tag} {element.get('name')}: <{name}>", f"has no {needed}", FIX)
         if name in _CHILDREN.get(tag, ()) and (tag == "robot" or copy.find(name) is None):
             copy.append(_essential(child))
     return copy
@@ -218,16 +243,14 @@ def _parsed(root: Any) -> Any:
         if "${" in str(error.e) or "$(" in str(error.e):
             raise _unexpanded() from error
         said = " ".join(str(error.e).split()) or type(error.e).__name__
-        raise BadRobot(f"robot description, {error.path}", said, _FIX) from error
+        raise BadRobot(f"robot description, {error.path}", said, FIX) from error
     except (AssertionError, KeyError, ValueError, TypeError, AttributeError) as error:
-        raise BadRobot("robot description", f"is not a URDF ({error})", _FIX) from error
+        raise BadRobot("robot description", f"is not a URDF ({error})", FIX) from error
 
 
 def _joint(joint: Any) -> Joint:
     limit = joint.limit if joint.type != "continuous" else None
     lower, upper = (-np.inf, np.inf) if limit is None else (float(limit.lower), float(limit.upper))
-    if not lower <= upper:
-        raise BadRobot(f"joint {joint.name}", f"its limits run from {lower:g} to {upper:g}", _FIX)
     axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
     offset = 0.0 if joint.mimic is None else float(joint.mimic.offset or 0.0)
     factor = 1.0 if joint.mimic is None or joint.mimic.multiplier is None else float(joint.mimic.multiplier)
@@ -250,7 +273,7 @@ def _inertial(link: Any) -> Inertial:
     what = f"link {link.name}: <inertial>"
     mass = float(_finite([link.inertial.mass or 0.0], 1, f"{what} <mass>")[0])
     if mass < 0.0:
-        raise BadRobot(f"{what} <mass>", f"{mass:g} kg is below 0", _FIX)
+        raise BadRobot(f"{what} <mass>", f"{mass:g} kg is below 0", FIX)
     T = _origin(link.inertial.origin, f"{what} <origin")
     inertia = np.zeros((3, 3)) if link.inertial.inertia is None else np.array(link.inertial.inertia.to_matrix(), float)
     R = T[:3, :3]
@@ -271,7 +294,7 @@ def _origin(origin: Any, what: str) -> Array:
 def _finite(values: Any, count: int, what: str) -> Array:
     out = np.array([float(v) for v in values])
     if out.shape != (count,) or not np.isfinite(out).all():
-        raise BadRobot(what, f"needs {count} finite numbers", _FIX)
+        raise BadRobot(what, f"needs {count} finite numbers", FIX)
     return out
 
 

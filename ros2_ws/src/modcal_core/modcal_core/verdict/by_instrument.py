@@ -30,7 +30,7 @@ def by_instrument(model: Model, samples: Samples, weight: Array, by_parameters: 
     seen = np.flatnonzero(count >= _MIN).tolist()
     if not 2 <= len(seen) <= _MAX or samples.sockets:
         return
-    reading = RowView.of(model, samples, model.drivers(samples)).reading.copy()
+    reading = RowView.of(model, samples, model.drivers(samples)).expected.copy()
     for f in range(len(samples.frames)):
         rows = samples.frame == f
         reading[:, rows] -= reading[:, rows].mean(axis=1, keepdims=True) if rows.any() else 0.0

@@ -116,7 +116,7 @@ def frozen_case(
 
     model: its final one, base and tool refitted if asked. unit: see :class:`Case`. rows: those that are scored, (k,).
     """
-    known, free = carried(calibration, model), _base_and_tool(model, refit_base, refit_tool)
+    known, free = own_uncertainty(calibration, model), _base_and_tool(model, refit_base, refit_tool)
     if free:
         train = ~wrong
         train[rows] = False
@@ -134,7 +134,7 @@ def _base_and_tool(model: Model, base: bool, tool: bool) -> tuple[ModelParameter
     return (*(frames if base else ()), *(at_tool if tool else ()))
 
 
-def carried(calibration: Calibration, model: Model) -> Uncertainty:
+def own_uncertainty(calibration: Calibration, model: Model) -> Uncertainty:
     """The covariance that a calibration kept, for the frames of this model; nothing is uncertain where it kept none."""
     values = sum(len(e.values) for e in model.effects)
     kept = calibration.uncertainty

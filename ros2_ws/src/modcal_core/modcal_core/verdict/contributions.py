@@ -39,18 +39,17 @@ class Contribution:
 def contributions(case: Case) -> tuple[Contribution, ...]:
     """One for each effect of the final model that a report names, in its order, and one for all others together.
 
-    The others are fitted again by one step (:mod:`modcal_core.calibration.covariance`). The cost is then that of the
-    model so changed, without linearising.
+    The cost is that of the model so changed (:func:`left_without`), without linearising.
     """
     effects = case.model.effects
     if not effects or not len(case.held_out):
         return ()
-    rows = case.held_out[spread_rows(len(case.held_out), _MAX)]
-    scored = case.samples.select(rows)
+    rows = spread_rows(len(case.held_out), _MAX)
+    scored = case.samples.select(case.held_out[rows])
     with_all = errors(case.model, scored)
     out = []
     for label, numbers in _entries(effects):
-        gone = errors(without(case.model, case.known, numbers), scored)
+        gone = left_without(case, numbers, rows)
         mm2 = 1e6 * (gone.position_norm**2 - with_all.position_norm**2)
         cost, interval = resampled(mm2, scored.station)
         turned = (None, None)
@@ -59,6 +58,24 @@ def contributions(case: Case) -> tuple[Contribution, ...]:
             turned = resampled(deg2, scored.station[scored.is_pose])  # type: ignore[assignment]
         out.append(Contribution(numbers[0], label, cost, interval, *turned))
     return tuple(out)
+
+
+def left_without(case: Case, effects: Sequence[int], rows: np.ndarray | None = None) -> Errors:
+    """Errors of scored samples without the effects of these numbers, all else fitted again.
+
+    The fit is one step (:mod:`modcal_core.calibration.covariance`). Where that leads further off than geometry alone,
+    it has left the range in which it holds, and geometry alone, which any fit without them can choose, stands for it.
+    rows: among those scored, (k,); None: all.
+    """
+    rows = np.arange(len(case.held_out)) if rows is None else rows
+    scored = case.samples.select(case.held_out[rows])
+    gone = errors(without(case.model, case.known, effects), scored)
+    alone = case.errors.get("geometric")
+    if alone is None or np.mean(gone.position_norm**2) <= np.mean(alone.position_norm[rows] ** 2):
+        return gone
+    pose = case.samples.is_pose[case.held_out]
+    turned = (np.cumsum(pose) - 1)[rows[pose[rows]]]
+    return Errors(alone.position[rows], alone.rotation[turned], None if alone.lever is None else alone.lever[rows])
 
 
 def _entries(effects: Sequence[Effect]) -> Iterator[tuple[str, tuple[int, ...]]]:

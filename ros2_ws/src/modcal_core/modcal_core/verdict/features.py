@@ -171,7 +171,7 @@ class _GroupBuilder:
 
     def on_the_way(self, by_parameters: Array) -> Group:
         """See the function of this name."""
-        x = self.view.reading
+        x = self.view.expected
         x = (x - x.mean(axis=1, keepdims=True)) / max(float(x.std()), 1e-12)
         scales = np.zeros((3, 3, 6, len(self.samples)))
         for i in range(3):

@@ -31,14 +31,13 @@ _MAX_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they
 
 @dataclass(frozen=True)
 class Floor:
-    """F² and its parts [mm² or deg²], RMS over space squared. interval: 95 % interval of F².
+    """F² and its parts [mm² or deg²], RMS over space squared.
 
     instrument: 0 where it is contained in the repeatability, as with returns. returns: how many were used. freedom:
     degrees of freedom that it is known by, 0 where it was stated.
     """
 
     square: float
-    interval: Interval
     repeatability: Repeatability
     instrument: float
     returns: int = 0
@@ -48,6 +47,14 @@ class Floor:
     def rms(self) -> float:
         """F [mm or deg]."""
         return float(np.sqrt(self.square))
+
+    @property
+    def interval(self) -> Interval:
+        """95 % interval of F² by χ²; a stated one has no width."""
+        if not self.freedom:
+            return self.square, self.square
+        low, high = (self.freedom / quantile_chi2(p, self.freedom) for p in (0.975, 0.025))
+        return low * self.square, high * self.square
 
 
 @dataclass(frozen=True)
@@ -234,7 +241,6 @@ def _of_returns(
     square = float(scatter[good].sum() / freedom[good].sum())
     return Floor(
         square,
-        _interval(square, scatter[good], freedom[good]),
         Repeatability(float(np.sqrt(max(square - (instrument or 0.0) ** 2, 0.0))), "revisits"),
         min((instrument or 0.0) ** 2, square),
         int(freedom[good].sum()),
@@ -265,18 +271,11 @@ def _median_factor(freedom: Array) -> Array:
     return np.array([_median_of(int(f)) for f in freedom])
 
 
-def _interval(square: float, scatter: Array, freedom: Array) -> Interval:
-    """95 % interval of F² by χ²."""
-    degrees = axes_of(scatter / freedom, freedom) * float(freedom.sum())
-    low, high = (degrees / quantile_chi2(p, degrees) for p in (0.975, 0.025))
-    return low * square, high * square
-
-
 def _stated(repeatability: float | None, instrument: float | None) -> Floor | None:
     if repeatability is None or instrument is None:
         return None
     square = repeatability**2 + instrument**2
-    return Floor(square, (square, square), Repeatability(repeatability, "stated"), instrument**2)
+    return Floor(square, Repeatability(repeatability, "stated"), instrument**2)
 
 
 def reading_scatter_mm(samples: Samples) -> float | None:

@@ -22,7 +22,9 @@ class Regime:
 
 @dataclass(frozen=True)
 class NotApplied:
-    """An effect of the model that this recording lacks a driver for, why, and what that costs on held-out [mm²]."""
+    """An effect of the model that this recording lacks a driver for, or that another one cannot continue, why, and what
+    that costs [mm²].
+    """
 
     effect: str
     why: str

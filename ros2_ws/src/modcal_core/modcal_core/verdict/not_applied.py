@@ -1,7 +1,8 @@
 """What of a frozen calibration a recording allows: effects whose drivers it lacks are named, with their cost.
 
 Gravity stands in for measured effort where the arm's masses are known. Any other effect without its driver is held at
-what it was on average, and so are effects of time where either recording has no clock.
+what it was on average, and so are effects of time where either recording has no clock. A calibration's own score is
+judged in the same way, as another recording would use it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model, averaged, outside_drivers
-from modcal_core.effects import Effect, NominalArm
+from modcal_core.effects import STEPS, Effect, NominalArm
 from modcal_core.measurements import Samples
 from modcal_core.verdict.grounds import NotApplied
 
@@ -53,6 +54,33 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
             left.append(NotApplied(effect.label, why, 1e6 * _cost(calibration, i, samples)))
     model = model.with_effects(tuple(effects))
     return Applied(model, tuple(left), (*_notes(left, stood_in, partly), *_limits_note(model, calibration, samples)))
+
+
+def carried_over(calibration: Calibration, samples: Samples) -> Applied:
+    """The calibrated model as the recording of another day gets it, and what that costs on these samples, its own.
+
+    Nothing goes by the time of its own recording then: a drift stays where it ended, and is held at its average where
+    rows have no times. What was moved stands where it was put last.
+    """
+    model, effects = calibration.calibrated, list(calibration.calibrated.effects)
+    drivers, full = model.drivers(samples), model.predict_samples(samples)[:, :3, 3]
+    left = []
+    for i, effect in enumerate(model.effects):
+        if "time" not in outside_drivers(effect) or effect.shape.kind in STEPS:
+            continue
+        basis = effect.shape.basis(drivers.values(effect.driver, effect.lag))
+        ended = samples.clock and effect.driver == "time"
+        effects[i] = averaged(effect, basis[:, int(np.argmax(samples.stamps))] if ended else basis.mean(axis=1))
+        without = model.with_effects((*model.effects[:i], effects[i], *model.effects[i + 1 :]))
+        gap = full - without.predict_samples(samples)[:, :3, 3]
+        why = "another recording does not continue its " + ("course of time" if samples.clock else "order of rows")
+        left.append(NotApplied(effect.label, why, 1e6 * float(np.mean(np.sum(gap**2, axis=1)))))
+    notes = tuple(
+        f"Another recording is predicted without {item.effect}, which costs {np.sqrt(item.cost_mm2):.3f} mm RMS here: "
+        f"{item.why}. The held-out score has it, the claim and the verdict do not."
+        for item in left
+    )
+    return Applied(model.with_effects(tuple(effects)), tuple(left), notes)
 
 
 def _lacking(effect: Effect, calibration: Calibration, samples: Samples) -> str | None:

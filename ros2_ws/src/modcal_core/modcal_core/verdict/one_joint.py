@@ -163,7 +163,8 @@ def _parts(case: Case, chain: Chain, rows: np.ndarray) -> tuple[Array, Array, Ar
     ]
     motions = np.stack([spread_out(view.unit_column(*where)) for where in axes])
     target = [spread_out(view.unit_column(chain.tool_place, d)) for d in range(3)]
-    sight = view.reading / max(float(np.abs(view.reading).max()), 1e-9)
+    sight = view.expected
+    sight = sight / max(float(np.abs(sight).max()), 1e-9)
     instrument = []
     for part in (slice(0, 3), slice(3, 6)):
         for axis in _AXES:

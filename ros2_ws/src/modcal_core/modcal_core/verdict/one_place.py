@@ -117,7 +117,7 @@ def _known(chain: Chain, view: RowView, unit: Array) -> list[Array]:
         _column(view, place_index(name, chain), 5 if turns else 2)
         for name, turns in zip(chain.names, chain.revolute, strict=True)
     ]
-    x = view.reading.T  # from the instrument, along the root's axes
+    x = view.expected.T  # from the instrument, along the root's axes
     N = len(x)
     out = [(column / unit)[..., None] for column in places]
     sight, across = np.zeros((N, 6, 1)), np.zeros((N, 6, 3))

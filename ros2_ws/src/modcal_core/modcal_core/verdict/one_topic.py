@@ -58,8 +58,9 @@ def one_topic(case: Case) -> OneTopic | None:
     all_of = samples.select(ranged)
     view = RowView.of(case.model, all_of, case.model.drivers(all_of))
     weight = weights(case.noise, all_of)[0]
-    length = np.linalg.norm(view.reading, axis=0)
-    way = view.reading / np.maximum(length, 1e-12)
+    expected = view.expected
+    length = np.linalg.norm(expected, axis=0)
+    way = expected / np.maximum(length, 1e-12)
     residual = np.sum(view.position * way, axis=0) * weight
     number = station_numbers(samples)[ranged]
     rng = np.random.default_rng(0)

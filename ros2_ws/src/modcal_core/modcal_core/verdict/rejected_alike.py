@@ -82,7 +82,13 @@ def _apart(case: Case) -> Iterator[str]:
     if float(np.median(speed)) > _SPEED:
         of.append(("where the arm moves fast", "where the arm moves slowly", speed))
     if len(samples.frames) == 1 and not samples.sockets:
-        of.append(("far from the tracker", "near the tracker", np.linalg.norm(samples.reading, axis=1)))
+        of.append(
+            (
+                "far from the tracker",
+                "near the tracker",
+                np.linalg.norm(case.model.predict_samples(samples)[:, :3, 3], axis=1),
+            )
+        )
     a, b = int(wrong.sum()), int((~wrong).sum())
     spread = np.sqrt((a + b + 1) / (12.0 * a * b))
     for more, less, value in of:

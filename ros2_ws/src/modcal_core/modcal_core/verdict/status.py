@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.one_joint import LARGELY, one_joint
 from modcal_core.verdict.one_place import one_place
 from modcal_core.verdict.one_topic import one_topic
-from modcal_core.verdict.outside import worse_outside
 from modcal_core.verdict.predictable import MIN_STATIONS, Predictable, predictable
 from modcal_core.verdict.rejected import too_many
 from modcal_core.verdict.tails import Tail, tail_of
@@ -73,7 +73,7 @@ def judge(
         *_reasons("above_floor", _above_floor(rotation, angle=True) if angles else ()),
     )
     if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
-        reasons = (*reasons, *_reasons("above_floor", worse_outside(case, position, grounds.outside)))
+        reasons = (*reasons, *_reasons("above_floor", _worse_outside(case, position, grounds.outside)))
     # what scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out
     tail: ReasonKind = "cut_off" if case.wrong.any() else "predictable"
     # what is predictable, or falls into groups, is no scatter
@@ -157,7 +157,7 @@ def _not_applied(case: Case, grounds: Grounds) -> Iterator[str]:
     for item in grounds.not_applied:
         if item.cost_mm2 > MAX_NOT_APPLIED * square:
             yield (
-                f"The effect '{item.effect}' could not be applied ({item.why}); that costs {item.cost_mm2:.3g} mm² of "
+                f"The effect '{item.effect}' is not applied, because {item.why}; that costs {item.cost_mm2:.3g} mm² of "
                 f"{square:.3g} mm²."
             )
 
@@ -256,6 +256,22 @@ def _above_floor(tail: Tail, angle: bool) -> Iterator[str]:
         f"{what}: {np.sqrt(tail.square):.3g}{unit} RMS is left, and {floor.rms:.3g}{unit} is what "
         f"{how} for the arm and the instrument."
     )
+
+
+def _worse_outside(case: Case, tail: Tail, outside: tuple[str, ...]) -> Iterator[str]:
+    """A frozen model that misses by more than it did on its own recording, and is used outside of it.
+
+    Few returns know the floor to a factor of two; how far a calibration missed where it was made is known far better.
+    """
+    own = 1e6 * 3.0 * case.noise.position**2
+    here = max(own, tail.floor.square if tail.floor else 0.0)
+    if case.fitted or not outside:
+        return
+    if replace(tail, floor=Floor(here, Repeatability(None, None), 0.0)).above(MAX_ABOVE_FLOOR):
+        yield (
+            f"Position: {np.sqrt(tail.square):.3g} mm RMS is left, and {np.sqrt(own):.3g} mm was on the calibration's "
+            f"own recording, and it is used outside that recording here. {' '.join(outside)}"
+        )
 
 
 def _vague(tail: Tail, seen: Predictable, unit: str) -> str:

@@ -1,13 +1,9 @@
-"""Whether an error stays within a tolerance: PASS, FAIL or CANNOT TELL, by the interval of a held-out statistic.
+"""Whether the tool's error stays within a tolerance: PASS, FAIL or CANNOT TELL, by the claim; the interval of an RMS.
 
 Units of the held-out set (a station, or a block of neighbours) are independent of each other, samples within one are
-not. The interval of mean and RMS comes from drawing whole units again: the bootstrap-t interval of the logarithm (Efron
-& Tibshirani 1993, chapter 12), which keeps its level for few units and skew errors, where percentiles of the draws are
-too narrow. That of the 95th percentile comes from order statistics, which ask for no distribution; drawing again gives
-too low an upper end, for no draw exceeds the largest error seen. Below 72 units even the largest one lies under the
-true percentile too often, so it is scaled by how far that would be if the error were normal along one axis, of normal
-errors in space the one with the longest tail. The largest error itself has no upper limit that stations can show, only
-a share of postures that lies below the largest one seen.
+not. The interval of the RMS comes from drawing whole units again: the bootstrap-t interval of the logarithm (Efron &
+Tibshirani 1993, chapter 12), which keeps its level for few units and skew errors, where percentiles of the draws are
+too narrow.
 """
 
 from __future__ import annotations
@@ -47,8 +43,8 @@ class Asked:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What came of it. value_mm: the held-out statistic. ci95: its 95 % interval [mm]; an end that the data do not show
-    is None. because: a sentence for a person.
+    """What came of it. value_mm: the statistic at the tool, None where nothing is claimed. ci95: its ends [mm], each
+    passed with a chance of 5 %, None where nothing is claimed. because: a sentence for a person.
     """
 
     asked: Asked
@@ -61,17 +57,20 @@ class Tolerance:
 @dataclass(frozen=True)
 class AtTool:
     """What is claimed of the statistic asked for, at the tool [mm]. over: which postures. open_mm: what of it only the
-    usual size of errors holds.
+    usual size of errors holds. remedy: what would show that, or make the interval narrower.
     """
 
     value: float
     ci95: tuple[float, float]
     over: str
     open_mm: float
+    remedy: str
 
 
-def assess_claim(claim: AtTool, asked: Asked, verdict: Verdict | None) -> Tolerance:
+def assess(claim: AtTool | None, asked: Asked, verdict: Verdict | None) -> Tolerance:
     """The result for a claim at the tool, which has what is predictable in it; all else that is open bars a PASS."""
+    if claim is None:
+        return Tolerance(asked, None, (None, None), "CANNOT TELL", "Nothing is known of the tool's error.")
     low, high = claim.ci95
     name, limit = _NAMES[asked.statistic], f"{asked.mm:g} mm"
     said = f"The tool's error over the {claim.over} ({name}) is {claim.value:.3f} mm"
@@ -81,12 +80,8 @@ def assess_claim(claim: AtTool, asked: Asked, verdict: Verdict | None) -> Tolera
     if high > asked.mm:
         because = f"{said}, its interval {low:.3f} … {high:.3f} mm contains {limit}."
         if claim.open_mm > asked.mm:
-            because += (
-                f" {claim.open_mm:.3f} mm of it only the usual size of an arm's errors holds, no reading: a known "
-                "distance, or an instrument that reads positions, shows it."
-            )
-        else:
-            because += " More stations make it narrower."
+            because += f" {claim.open_mm:.3f} mm of it only what arms are like holds, no reading."
+        because += f" {claim.remedy}"
         return Tolerance(asked, claim.value, claim.ci95, "CANNOT TELL", because)
     against = _against(verdict)
     if against:
@@ -103,69 +98,13 @@ def _against(verdict: Verdict | None) -> str:
     return _lower(reasons[0]) if reasons else _lower(verdict.unproven) if verdict.unproven else ""
 
 
-def assess(norms_mm: Array, unit: np.ndarray, asked: Asked, verdict: Verdict | None) -> Tolerance:
-    """The result for these held-out errors [mm], (N,), that belong to these units, (N,): of a frozen calibration.
-
-    A predictable share alone does not stand in the way of a PASS: it says that the error could be smaller still. Every
-    other reason for an open verdict does, and so does doubt whether the readings were measured.
-    """
-    count = len(np.unique(unit))
-    if not count:
-        return Tolerance(asked, None, (None, None), "CANNOT TELL", "No station was held out.")
-    value = float(statistic(norms_mm, asked.statistic))
-    low, high = interval(norms_mm, unit, asked.statistic)
-    name, limit = _NAMES[asked.statistic], f"{asked.mm:g} mm"
-    if low is not None and low > asked.mm:
-        said = f"The {name} is {value:.3f} mm, and at least {low:.3f} mm with 95 % confidence: more than {limit}."
-        return Tolerance(asked, value, (low, high), "FAIL", said)
-    because = _cannot(norms_mm, count, asked, value, low, high)
-    if not because and verdict is None:
-        because = "No verdict was made."
-    if not because and (against := _against(verdict)):
-        because = f"The {name} is at most {high:.3f} mm, but {against}"
-    if because:
-        return Tolerance(asked, value, (low, high), "CANNOT TELL", because)
-    said = f"The {name} is {value:.3f} mm, and at most {high:.3f} mm with 95 % confidence: within {limit}."
-    return Tolerance(asked, value, (low, high), "PASS", said)
-
-
-def statistic(norms: Array, name: Statistic) -> Array:
-    """A statistic of errors along the last axis."""
-    if name == "mean":
-        return np.asarray(norms.mean(axis=-1))
-    if name == "rms":
-        return np.asarray(np.sqrt(np.mean(norms**2, axis=-1)))
-    return np.asarray(np.percentile(norms, 95, axis=-1) if name == "p95" else norms.max(axis=-1))
-
-
-def interval(norms: Array, unit: np.ndarray, name: Statistic) -> tuple[float | None, float | None]:
-    """95 % interval of a statistic of errors (N,) that belong to these units (N,), in the unit of the errors.
-
-    An end is None where the data do not show it: both of few units, the upper one of the largest error. The lower end
-    of that is the largest error seen.
-    """
-    if name == "max":
-        return float(norms.max()), None
+def interval_of_rms(norms: Array, unit: np.ndarray) -> tuple[float, float] | None:
+    """95 % interval of the RMS of errors (N,) that belong to these units (N,), in their unit; None of too few units."""
     _, rows_of = np.unique(unit, return_inverse=True)
-    count = int(rows_of.max()) + 1
-    if count < _MIN_UNITS:
-        return None, None
-    if name == "p95":
-        return _interval_of_p95(np.sort(norms), count)
-    if name == "mean":
-        return _interval_of_mean(norms, rows_of)
+    if int(rows_of.max()) + 1 < _MIN_UNITS:
+        return None
     low, high = _interval_of_mean(norms**2, rows_of)
     return float(np.sqrt(low)), float(np.sqrt(high))
-
-
-def tail_factor(count: int) -> float:
-    """By how much the largest of so many errors must be scaled to lie above the 95th percentile with a chance of
-    97.5 %, were they the sizes of normal numbers; no less than 1.
-    """
-    from scipy.special import ndtri
-
-    reached = _TAIL ** (1.0 / count)  # the largest of n lies below the quantile u with chance u ** n
-    return float(max(ndtri(0.975) / ndtri(0.5 + 0.5 * reached), 1.0))
 
 
 def _interval_of_mean(x: Array, rows_of: np.ndarray) -> tuple[float, float]:
@@ -197,40 +136,6 @@ def _drawn_again(count: int) -> Array:
     times = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), size=_DRAWS).astype(float)
     times.flags.writeable = False
     return times
-
-
-def _interval_of_p95(ordered: Array, count: int) -> tuple[float, float]:
-    """95 % interval of the 95th percentile, from errors in order (N,) that belong to so many units.
-
-    The k-th of n independent errors lies above the percentile with the chance that fewer than k lie below it. Of units
-    with several errors the same shares of all errors are taken, as if those of a unit were all alike.
-    """
-    from scipy.special import bdtr
-
-    fewer = bdtr(np.arange(count), count, 0.95)  # chance that at most 0, 1, … n − 1 lie below
-    low = int(np.searchsorted(fewer, _TAIL, side="right"))  # as many errors are surely below the percentile
-    low_end = ordered[max(int(np.ceil(low / count * len(ordered))) - 1, 0)]
-    if not (fewer >= 1.0 - _TAIL).any():
-        return float(low_end), float(ordered[-1]) * tail_factor(count)
-    high = int(np.argmax(fewer >= 1.0 - _TAIL)) + 1
-    return float(low_end), float(ordered[int(np.ceil(high / count * len(ordered))) - 1])
-
-
-def _cannot(norms: Array, count: int, asked: Asked, value: float, low: float | None, high: float | None) -> str:
-    """Why the interval does not tell; empty where it does."""
-    if asked.statistic == "max":
-        share = 100.0 * _TAIL ** (1.0 / count)
-        return (
-            f"The largest error seen is {value:.3f} mm. Stations show no upper limit of the largest error: with 97.5 % "
-            f"confidence, {share:.3g} % of postures lie below that one. --tolerance-of p95 can be decided."
-        )
-    if low is None or high is None:
-        return f"{count} independent held-out stations or blocks; {_MIN_UNITS} are needed for an interval."
-    if high > asked.mm:
-        name = _NAMES[asked.statistic]
-        said = f"The {name} is {value:.3f} mm, its 95 % interval {low:.3f} … {high:.3f} mm contains {asked.mm:g} mm."
-        return f"{said} More stations make it narrower."
-    return ""
 
 
 def _lower(sentence: str) -> str:

@@ -30,10 +30,6 @@ class Bearing(Kind):
     unit = "rad"
     counts_as = POINT  # the scale is left to what is expected of the arm
     least = 6
-    blind = (
-        "Bearings have no scale: the nominal lengths of the arm, a known distance or another instrument give it; and "
-        "one station alone sees nothing along its line."
-    )
 
     def see(self, scene: Scene, values: Array, reading: Array) -> Sight:
         """Residuals across the line of sight [rad]."""

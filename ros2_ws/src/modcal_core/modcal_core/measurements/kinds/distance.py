@@ -31,10 +31,6 @@ class DistanceKind(Kind):
     frame = ORIGIN
     constants = (Constant("zero", "m", 0.05),)
     least = 5
-    blind = (
-        "A range sees only the motion along its line: turns about the anchor and turns of the tool about its target "
-        "are open, and with few anchors what moves the tool across all lines is hardly seen."
-    )
 
     def see(self, scene: Scene, values: Array, reading: Array) -> Sight:
         """Residuals along the line from the anchor to the target."""

@@ -79,8 +79,8 @@ class Kind:
     dimensions: directions in which a reading sees, of six. unit: of residuals and noise, m or rad. frame: what is to be
     known of its frame: its origin, its pose, or its plane z = 0. constants: fitted with it. target: whether it watches
     a point of the tool. counts_as: kind whose parameters are fitted, where it is another, because nothing but priors
-    tells what this one cannot see. least: readings in a frame that it can be placed from. blind: what it cannot see,
-    for a person. direct: whether readings are positions in the frame, which need none of the rest.
+    tells what this one cannot see. least: readings in a frame that it can be placed from. direct: whether readings
+    are positions in the frame, which need none of the rest.
     """
 
     name: str
@@ -94,7 +94,6 @@ class Kind:
     target: bool = True
     counts_as: str = ""
     least: int = 3
-    blind: str = ""
     direct: bool = False
 
     def start(self) -> Array:

@@ -53,10 +53,6 @@ class Ray(Kind):
     )
     target = False
     least = 10
-    blind = (
-        "A range sensor on the gripper sees along the plane's normal only: shifts in the plane and turns about its "
-        "normal are open, and the tool point is not observable, only the ray."
-    )
 
     def start(self) -> Array:
         """A ray along the tool's z from its origin: origin [m], direction, (6,)."""

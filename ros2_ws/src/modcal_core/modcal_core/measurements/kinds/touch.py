@@ -30,10 +30,6 @@ class Touch(Kind):
     dimensions = 1
     frame = PLANE
     least = 6
-    blind = (
-        "A plane that is touched shows heights only: shifts in it and turns about its normal are open, and so is the "
-        "scale; three planes, steeply to each other, or a known distance show more."
-    )
 
     def see(self, scene: Scene, values: Array, reading: Array) -> Sight:
         """Residuals along the normal."""

@@ -1,0 +1,87 @@
+"""What a calibration knows of itself, the directions that its readings do not show included.
+
+A fit leaves out what others can say as well to the instrument that was there. Beside positions that is what base and
+tool can say, and the tool is where it was. Beside contacts, bearings or sockets it may be the size of the arm, which
+moves the tool: there the covariance holds every direction of the tool, each as wide as arms are likely to be off.
+
+A frozen calibration takes what it says of the arm to other readings, and nothing of base and tool, which may have been
+moved since.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from modcal_core.calibration import Calibration, Uncertainty, View, choose_parameters, general_samples, linearise
+from modcal_core.claim.neighbourhood import ARM, UNNAMED, Neighbourhood
+from modcal_core.geometry import Array
+from modcal_core.measurements import POINT, POSE
+
+_EXACT = 1e-10  # m or rad, and share of a variance; nothing is known better
+
+
+def known(about: Neighbourhood, width: float) -> Uncertainty:
+    """The covariance of parameters and of the values of effects, with every direction of the tool.
+
+    width: of links, in usual errors.
+    """
+    views = [View(POSE, f) for f in range(len(about.model.frames))]
+    bare = about.model.with_effects(())
+    of_tool = {p.name for p in choose_parameters(bare, views).parameters}
+    kept = [not p.of_arm or p.name in of_tool for p in about.parameters]
+    rows = np.flatnonzero(np.r_[kept, about.kind[len(kept) :] != UNNAMED])
+    std = about.std[rows] * np.where(about.kind[rows] == ARM, width, 1.0)
+    size, V = np.linalg.eigh(about.H[np.ix_(rows, rows)] * np.outer(std, std))
+    half = std[:, None] * V / np.sqrt(1.0 + np.maximum(size, 0.0))
+    own = [p for p, keep in zip(about.parameters, kept, strict=True) if keep]
+    wide = tuple(replace(p, prior_std=float(x)) for p, x in zip(own, std, strict=False))
+    return Uncertainty(wide, half @ half.T)
+
+
+def with_carried(about: Neighbourhood, calibration: Calibration) -> Neighbourhood:
+    """The neighbourhood of other readings, with what the calibration knows of the arm and its effects beside them."""
+    kept = calibration.uncertainty
+    if kept is None:
+        return about
+    P, names = len(kept.parameters), len(about.parameters)
+    own = [j for j, p in enumerate(kept.parameters) if p.of_arm]
+    as_kept = np.zeros((len(own), len(about.kind)))
+    as_kept[:, :names] = _as_kept(about, calibration)[own]
+    widths = [kept.parameters[j].prior_std for j in own]
+    effects = calibration.calibrated.effects
+    values = len(kept.covariance) - P
+    if values and [e.key for e in effects] == [e.key for e in about.model.effects[: len(effects)]]:
+        as_kept = np.r_[as_kept, np.eye(len(about.kind))[names : names + values]]
+        own, widths = own + list(range(P, P + values)), widths + [np.inf] * values
+    C = kept.covariance[np.ix_(own, own)]
+    std = np.sqrt(np.maximum(np.diag(C), _EXACT**2))
+    size, V = np.linalg.eigh(C / np.outer(std, std))
+    half = V / np.sqrt(np.maximum(size, _EXACT)) / std[:, None]
+    told = half @ half.T - np.diag(np.array(widths) ** -2.0)
+    count = float(np.sum(told * C))  # of directions that it tells, each off by its deviation
+    more, x = as_kept.T @ told @ as_kept, about.shipped
+    square = about.square + float(x @ more @ x) + count
+    return replace(about, H=about.H + more, g=about.g + more @ x, square=square, rows=about.rows + count)
+
+
+def _as_kept(about: Neighbourhood, calibration: Calibration) -> Array:
+    """Each of the neighbourhood's parameters as a motion of those that the calibration keeps, (P, names)."""
+    assert calibration.uncertainty is not None
+    kept = calibration.uncertainty.parameters
+    whole = calibration.calibrated
+    model = replace(
+        whole, frames=whole.frames[:1], T_frame_base=whole.T_frame_base[:1], effects=(), instruments=(), leaders=()
+    )
+    kind = POINT if calibration.kind == POINT else POSE
+    samples = general_samples(model, [View(kind, 0)], each=60)
+    usable = [j for j, p in enumerate(kept) if p.instrument < 0 and p.frame <= 0]
+    arm = [j for j, p in enumerate(about.parameters) if p.of_arm]
+    every = [*(kept[j] for j in usable), *(about.parameters[j] for j in arm)]
+    J = linearise(model, every, np.zeros(len(every)), samples).J
+    scale = np.maximum(np.linalg.norm(J[: len(usable)], axis=1), 1e-300)
+    out = np.zeros((len(kept), len(about.parameters)))
+    solved = np.linalg.lstsq(J[: len(usable)].T / scale, J[len(usable) :].T, rcond=1e-9)[0]
+    out[np.ix_(usable, arm)] = solved / scale[:, None]
+    return out
