@@ -349,7 +349,7 @@ def share_of_known(marks: tuple[int, ...], samples: Samples, rounded: bool = Fal
     without marks.
 
     rounded: of positions to a tenth of a millimetre, at postures to a milliradian, at whatever time. Copies that were
-    written with fewer digits agree in nearly all; readings that are made anew agree in some, where the arm came back.
+    written with fewer digits agree in nearly all; new readings agree in some, where the arm came back.
     """
     kept = np.array([m for m in marks if m % 2 == rounded], int)
     own = _rounded_marks(samples) if rounded else _marks(samples)
