@@ -20,10 +20,7 @@ LIMIT = 1.3
 
 
 def main() -> int:
-    parser = harness.parser(__doc__, seeds=0)
-    for name, default in (("stations", 150), ("poses", 50), ("visits", 4), ("seed", 21)):
-        parser.add_argument(f"--{name}", type=int, default=default)
-    given = harness.parsed(parser)
+    given = harness.options(__doc__, seeds=0, stations=150, poses=50, visits=4, seed=21)
     with harness.scratch() as folder:
         outcome = close_the_loop(folder, given.stations, given.poses, given.visits, given.seed)
     harness.say(outcome.table())

@@ -14,7 +14,6 @@ Exit code 1 where a tick's 99th percentile of the processor's time is above 2 ms
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 
@@ -23,6 +22,7 @@ import harness
 # isort: split
 import conftest  # noqa: F401 (finds the install tree)
 import numpy as np
+from harness import over
 from impedance.gentle import LIMITS, TASK
 from impedance.test_safety_monitor import fuzz as fuzz_guard
 from impedance.toy import PANDA, Toy, door, drawer, pull
@@ -33,35 +33,29 @@ from nodes.random_requests import RandomRequests
 from modcal_core.impedance.operation import Operation
 
 LIMIT_MS = 2.0
-COUNTS = {"attempts": 100_000, "messages": 100_000, "requests": 300, "seed": 7}
+TOOK: list[harness.Result] = []  # of all ticks
 
 
 class Timed(Operation):
-    """An operation whose ticks are timed: (phase, processor's ms, ms by the clock)."""
-
-    def __init__(self, *arguments: object) -> None:
-        super().__init__(*arguments)  # type: ignore[arg-type]
-        self.took: list[tuple[str, float, float]] = []
+    """An operation whose ticks are timed [ms]."""
 
     def tick(self, *arguments: object) -> object:  # type: ignore[override]
         begun, used = time.perf_counter(), time.process_time()
         answer = super().tick(*arguments)  # type: ignore[arg-type]
-        self.took.append((self.phase, 1e3 * (time.process_time() - used), 1e3 * (time.perf_counter() - begun)))
+        spent = {"processor": 1e3 * (time.process_time() - used), "clock": 1e3 * (time.perf_counter() - begun)}
+        TOOK.append({"phase": self.phase, **spent})
         return answer
 
 
 def ticks(rng: np.random.Generator) -> float:
     """Print the table; the 99th percentile of all ticks [ms of the processor]."""
-    took, rows = [], []
     for toy in (Toy(door()), Toy(drawer(), friction=6.0, spring=10.0, inertia=4.0)):
-        operation = Timed(PANDA, TASK, LIMITS)
-        pull(toy, operation, 0.1, revise=0.003, rng=rng)
-        took += operation.took
-    for phase in ("tare", "explore", "check", "follow", "all"):
-        of = np.array([row[1:] for row in took if row[0] == phase or phase == "all"])
-        rows.append([phase, len(of), *(float(x) for k in (0, 1) for x in np.percentile(of[:, k], [50.0, 99.0]))])
-    harness.table("", ("phase", "ticks", "processor ms, median", "99 %", "clock ms, median", "99 %"), rows)
-    return rows[-1][3]
+        pull(toy, Timed(PANDA, TASK, LIMITS), 0.1, revise=0.003, rng=rng)
+    late = lambda values: float(np.percentile(values, 99.0))  # noqa: E731
+    kinds = (("median", harness.median), ("99 %", late))
+    columns = {f"{of} ms, {what}": over(of, f) for of in ("processor", "clock") for what, f in kinds}
+    harness.summary("", TOOK, "phase", columns, sums=True)
+    return over("processor", late)(TOOK)
 
 
 def over_dds(rng: np.random.Generator, messages: int, requests: int) -> None:
@@ -87,10 +81,7 @@ def over_dds(rng: np.random.Generator, messages: int, requests: int) -> None:
 
 
 def main() -> int:
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, count in COUNTS.items():
-        made.add_argument(f"--{name}", type=int, default=count)
-    given = made.parse_args()
+    given = harness.options(__doc__, seeds=0, attempts=100_000, messages=100_000, requests=300, seed=7)
     rng = np.random.default_rng(given.seed)
     p99 = ticks(rng)
     passed = fuzz_guard(given.attempts, rng)

@@ -22,7 +22,6 @@ import sys
 import tempfile
 import time
 import traceback
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import product
@@ -34,13 +33,15 @@ os.environ.update(dict.fromkeys(THREADS, "1"))
 
 BENCH = Path(__file__).resolve().parent
 ROOT = BENCH.parent
+ROBOTS = ROOT / "examples" / "robots"
 DATA = ROOT.parent / "shared" / "data"
 WIDTH = 170  # of tables that go to a file
 # Where benches find one another's truth, and what the tests share; a bench's own folder comes first.
-sys.path.extend(str(ROOT / folder) for folder in ("tests", "bench/undeclared", "bench/verdict"))
+sys.path.extend(str(ROOT / folder) for folder in ("tests", "bench", "bench/undeclared", "bench/verdict"))
 _BEGUN: set[Path] = set()  # files of results that this run has written to
 Task = dict[str, Any]
 Result = dict[str, Any]
+One = Callable[[Task], Result]
 
 
 def data(*parts: str) -> Path:
@@ -52,17 +53,24 @@ def data(*parts: str) -> Path:
 
 
 def parser(
-    doc: str | None, *, seeds: int | None = 1, first: int | None = 0, names: Iterable[str] = (), jobs: int = 2
+    doc: str | None,
+    *,
+    seeds: int | None = 1,
+    first: int | None = 0,
+    names: Iterable[str] = (),
+    jobs: int = 2,
+    **own: Any,
 ) -> argparse.ArgumentParser:
-    """The common options; a bench adds its own and parses with ``parsed``.
+    """The common options and a bench's own; ``parsed`` reads them.
 
-    names: what ``--only`` chooses from; without any there is no option. seeds: of each; 0: no option; None: the
-    bench says what it is where it is not given.
+    names: what ``--only`` chooses from; without any there is no option. seeds: of each; 0: no option; None: the bench
+    says what it is where it is not given. own: defaults by name; False is a switch, a list takes several values, a
+    tuple is a choice of which the first is the default, and a type is an option without a default.
     """
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = list(names)
     if known:
-        made.add_argument("--only", nargs="+", default=[], help="names, or parts of them: " + ", ".join(known))
+        made.add_argument("--only", nargs="+", default=[], help="names, or parts of them: " + ", ".join(known[:60]))
     if seeds != 0:
         made.add_argument("--seeds", type=int, default=seeds, help=f"of each; default: {seeds or 'by name'}")
         made.add_argument(
@@ -71,6 +79,17 @@ def parser(
     made.add_argument("--jobs", type=int, default=jobs, help=f"processes; 1: this one; default: {jobs}")
     made.add_argument("--json", type=Path, default=None, metavar="FILE", help="a line of JSON for each task")
     made.add_argument("--resume", action="store_true", help="take from that file what it holds already")
+    for name, usual in own.items():
+        about: dict[str, Any] = {"type": type(usual), "default": usual, "help": f"default: {usual}".replace("%", "%%")}
+        if usual is False:
+            about = {"action": "store_true"}
+        elif isinstance(usual, type):
+            about = {"type": usual}
+        elif isinstance(usual, list):
+            about |= {"nargs": "+", "type": type(usual[0])}
+        elif isinstance(usual, tuple):
+            about = {"choices": usual, "default": usual[0]}
+        made.add_argument(f"--{name.replace('_', '-')}", **about)
     made.set_defaults(known=known)
     return made
 
@@ -86,14 +105,17 @@ def parsed(made: argparse.ArgumentParser, arguments: Sequence[str] | None = None
 
 
 def options(doc: str | None, **about: Any) -> argparse.Namespace:
-    """The common options, parsed: for a bench that adds none."""
     return parsed(parser(doc, **about))
 
 
-def chosen(known: Iterable[str], only: Iterable[str]) -> list[str]:
-    """The known names that are asked for: a whole name, or every one that holds a part. Commas separate as well.
+def told(given: argparse.Namespace, *names: str) -> Task:
+    """Some of the options, as a part of a task."""
+    return {name: getattr(given, name) for name in names}
 
-    Raises LookupError for what is no part of a known name.
+
+def chosen(known: Iterable[str], only: Iterable[str]) -> list[str]:
+    """The known names that are asked for: a whole name, or every one that holds a part. Commas separate as well. Raises
+    LookupError for what is no part of one.
     """
     known, parts = list(known), [part for text in only for part in text.split(",") if part]
     for part in parts:
@@ -103,16 +125,20 @@ def chosen(known: Iterable[str], only: Iterable[str]) -> list[str]:
     return [n for n in known if not parts or n in whole or any(p in n for p in parts if p not in whole)]
 
 
-def tasks(given: argparse.Namespace, **axes: Iterable[Any]) -> list[Task]:
-    """A task for each combination of the axes and of the seeds, which change fastest."""
+def tasks(given: argparse.Namespace, counts: dict[str, int] | None = None, **axes: Iterable[Any]) -> list[Task]:
+    """A task for each combination of the axes and of the seeds, which change fastest. counts: of seeds by values of the
+    first axis, where the options say no number.
+    """
     axes = {name: list(values) for name, values in axes.items()}
-    if hasattr(given, "seeds"):
-        axes["seed"] = range(given.first, given.first + given.seeds)
-    return [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    out = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    if not hasattr(given, "seeds"):
+        return out
+    numbers = [counts[next(iter(t.values()))] if counts and given.seeds is None else given.seeds for t in out]
+    return [{**t, "seed": given.first + k} for t, number in zip(out, numbers, strict=True) for k in range(number)]
 
 
 def each(
-    one: Callable[[Task], Result],
+    one: One | dict[str, One],
     tasks: Sequence[Task],
     given: argparse.Namespace,
     line: Callable[[Result], str] | None = None,
@@ -120,8 +146,9 @@ def each(
 ) -> list[Result]:
     """The tasks with what ``one`` makes of each added, in their order.
 
-    ``one`` stands at the top of its module. What it raises is kept as ``failed``; a task that went well has None there.
-    Every result goes to standard error as a ``line`` and to ``--json`` at once. fresh: a process for each task.
+    ``one`` stands at the top of its module; several of them go by the first value of a task. What it raises is kept as
+    ``failed``; a task that went well has None there. Every result goes to standard error as a ``line`` and to
+    ``--json`` at once. fresh: a process for each task.
     """
     done = dict(_before(tasks, given))
     waiting = [i for i in range(len(tasks)) if i not in done]
@@ -143,19 +170,20 @@ def each(
 
 
 def _made(
-    one: Callable[[Task], Result], tasks: Sequence[Task], waiting: list[int], jobs: int, fresh: bool
+    one: One | dict[str, One], tasks: Sequence[Task], waiting: list[int], jobs: int, fresh: bool
 ) -> Iterator[tuple[int, Result]]:
+    ones = {i: one[next(iter(tasks[i].values()))] if isinstance(one, dict) else one for i in waiting}
     if jobs <= 1 and not fresh:
-        yield from ((i, _kept(one, tasks[i])) for i in waiting)
+        yield from ((i, _kept(ones[i], tasks[i])) for i in waiting)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=1 if fresh else None) as pool:
-        going = {pool.submit(_kept, one, tasks[i]): i for i in waiting}
+        going = {pool.submit(_kept, ones[i], tasks[i]): i for i in waiting}
         for future in as_completed(going):
             yield going[future], future.result()
 
 
-def _kept(one: Callable[[Task], Result], task: Task) -> Result:
+def _kept(one: One, task: Task) -> Result:
     began, clock = time.process_time(), time.perf_counter()
     try:
         result = {"failed": None, **one(task)}
@@ -201,7 +229,6 @@ def succeeded(*arguments: object, codes: tuple[int, ...] = (0,)) -> str:
 
 
 def report_of(folder: Path) -> dict[str, Any]:
-    """The ``report.json`` in the folder of a result."""
     return dict(json.loads((folder / "report.json").read_text(encoding="utf-8")))
 
 
@@ -225,15 +252,13 @@ def rms(values: Any) -> float:
 
 def interval(hits: int, count: int, sure: float = 0.95) -> tuple[float, float]:
     """The interval of a share (Clopper & Pearson 1934)."""
-    from scipy.stats import beta
+    from scipy.stats import binomtest
 
-    low = 0.0 if hits == 0 else float(beta.ppf(0.5 - 0.5 * sure, hits, count - hits + 1))
-    high = 1.0 if hits == count else float(beta.ppf(0.5 + 0.5 * sure, hits + 1, count - hits))
-    return low, high
+    found = binomtest(hits, count).proportion_ci(sure)
+    return float(found.low), float(found.high)
 
 
 def share(hits: Iterable[bool]) -> str:
-    """How many of how many."""
     told = list(hits)
     return f"{sum(told)} of {len(told)}"
 
@@ -261,6 +286,8 @@ def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object] | No
 
 
 def _cell(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_cell, value))
     if value is None or value != value:
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
@@ -270,16 +297,63 @@ def counts(
     title: str, results: Sequence[Result], by: str, of: str, outcomes: Sequence[str] = (), sums: bool = True
 ) -> None:
     """Print how often each outcome came of each group: a row a value of ``by``, a column a value of ``of``."""
-    columns = list(outcomes) or list(dict.fromkeys(str(r.get(of)) for r in results))
-    groups = list(dict.fromkeys(r[by] for r in results))
-    rows: list[Sequence[object] | None] = []
-    for group in [*groups, *([None] if sums and len(groups) > 1 else [])]:
-        here = [r for r in results if group is None or r[by] == group]
-        counted = Counter(str(r.get(of)) for r in here)
-        if group is None:
-            rows.append(None)
-        rows.append([("all" if group is None else group), len(here), *(counted[c] or "" for c in columns)])
-    table(title, [by, "runs", *columns], rows)
+    columns = {
+        outcome: lambda found, outcome=outcome: sum(str(r.get(of)) == outcome for r in found) or ""
+        for outcome in outcomes or dict.fromkeys(str(r.get(of)) for r in results)
+    }
+    summary(title, [{**r, "failed": None} for r in results], by, columns, sums)
+
+
+def grouped(results: Iterable[Result], *by: str) -> dict[Any, list[Result]]:
+    """Results that did not fail, by the value of a key, or of several together, in the order in which they come."""
+    out: dict[Any, list[Result]] = {}
+    for r in results:
+        if r.get("failed") is None:
+            out.setdefault(r[by[0]] if len(by) == 1 else tuple(r[key] for key in by), []).append(r)
+    return out
+
+
+def over(key: str | Callable[[Result], Any], make: Callable[[list[Any]], Any]) -> Callable[[list[Result]], Any]:
+    """A column of ``summary``: what ``make`` makes of a value of every result that has one."""
+
+    def column(results: list[Result]) -> Any:
+        values = [r.get(key) if isinstance(key, str) else key(r) for r in results]
+        known = [v for v in values if v is not None]
+        return make(known) if known else None
+
+    return column
+
+
+def median(values: list[float]) -> float:
+    import numpy as np
+
+    return float(np.median(values))
+
+
+def summary(
+    title: str,
+    results: Iterable[Result],
+    by: str | Sequence[str],
+    columns: dict[str, Callable[[list[Result]], Any]],
+    sums: bool = False,
+) -> None:
+    """Print a row for each value of ``by``: how many results did not fail, and what each column makes of them."""
+    keys = [by] if isinstance(by, str) else list(by)
+    groups = {k if isinstance(k, tuple) else (k,): found for k, found in grouped(results, *keys).items()}
+    made = [[*name, len(found), *(column(found) for column in columns.values())] for name, found in groups.items()]
+    if sums and len(groups) > 1:
+        found = [r for some in groups.values() for r in some]
+        every = ["all", *([""] * (len(keys) - 1)), len(found), *(column(found) for column in columns.values())]
+        made += [None, every]
+    if made:
+        table(title, [*keys, "runs", *columns], made)
+
+
+def rows(title: str, results: Iterable[Result], keys: Sequence[str]) -> None:
+    """Print a row for each result that did not fail: its values of these keys."""
+    found = [[r.get(key) for key in keys] for r in results if r.get("failed") is None]
+    if found:
+        table(title, keys, found)
 
 
 def failures(results: Sequence[Result]) -> int:
@@ -297,3 +371,14 @@ def met(*targets: tuple[str, bool]) -> int:
     for what in missed:
         say(f"not met: {what}")
     return int(bool(missed))
+
+
+def judged(rows: Sequence[tuple[str, object, str, bool]]) -> int:
+    """Print what was measured beside its limit; exit code 0 where every row is good."""
+    table("", ("", "measured", "limit"), [row[:3] for row in rows])
+    return met(*((row[0], row[3]) for row in rows))
+
+
+def ended(results: Sequence[Result], *targets: tuple[str, bool]) -> int:
+    """Exit code: 0 where nothing failed and every target is met; what is not is printed."""
+    return int(bool(failures(results))) | met(*targets)

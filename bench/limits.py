@@ -36,10 +36,7 @@ def best_weights(job: PickAndPlace, windows: Window, rounds: int, rng: np.random
 
 
 def main() -> int:
-    parser = harness.parser(__doc__, seeds=0)
-    for name, default in (("postures", 2000), ("seed", 0), ("rounds", 60)):
-        parser.add_argument(f"--{name}", type=int, default=default)
-    given = harness.parsed(parser)
+    given = harness.options(__doc__, seeds=0, postures=2000, seed=0, rounds=60)
     rng, job = np.random.default_rng(given.seed), PickAndPlace()
     q = job.workspace(given.postures, rng)
     along = job.path.at(np.linspace(0.0, job.path.length, 200))[0]

@@ -9,11 +9,11 @@ or more than 1 GB. How fast rosbags reads beside it: `make bench NAME=speed ARGS
 
 from __future__ import annotations
 
-import argparse
 import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import harness
@@ -24,8 +24,7 @@ import numpy as np
 from cells import record
 from mcap.writer import CompressionType, Writer
 
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 from modcal_msgs_py.layout import MessageLayout, definition, fields_of, message_class, serialise
 from modcal_msgs_py.mcap_read import read_recording
 
@@ -37,23 +36,21 @@ JOINTS, POSE, TEXT = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStampe
 POSITION = [*(f"pose/position/{a}" for a in "xyz"), *(f"pose/orientation/{a}" for a in "xyzw")]
 
 
-class Stamped:
-    """Messages of one type that differ in stamps and numbers only."""
+def stamped(type_name: str, sample: object) -> Callable[[Array, dict[str, Array]], list[bytes]]:
+    """Makes messages of one type, by stamps [ns] (n,) and numbers (n, k) by path, in which they differ."""
+    whole = serialise(sample, type_name)
+    layout = MessageLayout.of(fields_of(type_name, {type_name: definition(type_name)[0]}), whole)
 
-    def __init__(self, type_name: str, sample: object) -> None:
-        self._bytes = serialise(sample, type_name)
-        layout = MessageLayout.of(fields_of(type_name, {type_name: definition(type_name)[0]}), self._bytes)
-        self._at = {path: (column.at, column.dtype) for path, column in layout.columns.items()}
-
-    def all(self, stamps: Array, columns: dict[str, Array]) -> list[bytes]:
-        """The messages. stamps: nanoseconds (n,). columns: numbers (n, k) by path."""
-        rows = np.tile(np.frombuffer(self._bytes, np.uint8), (len(stamps), 1))
+    def made(stamps: Array, columns: dict[str, Array]) -> list[bytes]:
+        rows = np.tile(np.frombuffer(whole, np.uint8), (len(stamps), 1))
         sec, nanosec = np.divmod(stamps[:, None], 10**9)
         for path, values in {"header/stamp/sec": sec, "header/stamp/nanosec": nanosec, **columns}.items():
-            at, dtype = self._at[path]
-            raw = np.ascontiguousarray(values, dtype=dtype).view(np.uint8).reshape(len(stamps), -1)
-            rows[:, at : at + raw.shape[1]] = raw
+            column = layout.columns[path]
+            raw = np.ascontiguousarray(values, dtype=column.dtype).view(np.uint8).reshape(len(stamps), -1)
+            rows[:, column.at : column.at + raw.shape[1]] = raw
         return [row.tobytes() for row in rows]
+
+    return made
 
 
 def write(path: Path, minutes: float, compression: CompressionType) -> int:
@@ -65,9 +62,9 @@ def write(path: Path, minutes: float, compression: CompressionType) -> int:
     kind = {key: message_class(f"geometry_msgs/msg/{key}") for key in ("Pose", "Point", "Quaternion")}
     header, stamp_of = message_class("std_msgs/msg/Header"), message_class("builtin_interfaces/msg/Time")
     zeros = np.zeros(6)
-    states = Stamped(JOINTS, message_class(JOINTS)(header(stamp_of(0, 0), ""), list(made.names), zeros, zeros, zeros))
+    states = stamped(JOINTS, message_class(JOINTS)(header(stamp_of(0, 0), ""), list(made.names), zeros, zeros, zeros))
     pose = kind["Pose"](kind["Point"](0.0, 0.0, 0.0), kind["Quaternion"](0.0, 0.0, 0.0, 1.0))
-    readings = Stamped(POSE, message_class(POSE)(header(stamp_of(0, 0), "tracker"), pose))
+    readings = stamped(POSE, message_class(POSE)(header(stamp_of(0, 0), "tracker"), pose))
     with path.open("wb") as file:
         writer = Writer(file, compression=compression)
         writer.start("ros2", "bench")
@@ -75,8 +72,8 @@ def write(path: Path, minutes: float, compression: CompressionType) -> int:
         for topic, type_name in (("/joint_states", JOINTS), ("/tracker/pose", POSE), ("/robot_description", TEXT)):
             schema = writer.register_schema(type_name, "ros2msg", definition(type_name)[0].encode())
             channels[topic] = writer.register_channel(topic, "cdr", schema)
-        urdf = (harness.ROOT / "examples" / "robots" / "ur10.urdf").read_text()
-        writer.add_message(channels["/robot_description"], START, serialise(message_class(TEXT)(urdf), TEXT), START)
+        urdf = serialise(message_class(TEXT)((harness.ROBOTS / "ur10.urdf").read_text()), TEXT)
+        writer.add_message(channels["/robot_description"], START, urdf, START)
         since = np.arange(int(period * RATE)) / RATE
         u = np.clip((since - STAND) / TRAVEL, 0.0, 1.0)
         u = (u**3 * (10.0 - 15.0 * u + 6.0 * u**2))[:, None]
@@ -86,9 +83,9 @@ def write(path: Path, minutes: float, compression: CompressionType) -> int:
             q = made.q[k] + u * (made.q[k + 1] - made.q[k]) + 1e-6 * rng.normal(size=(len(stamps), 6))
             noisy = np.tile(poses[k], (len(seen), 1))
             noisy[:, :3] += 2e-5 * rng.normal(size=(len(seen), 3))
-            read = readings.all(stamps[seen], {name: noisy[:, i : i + 1] for i, name in enumerate(POSITION)})
+            read = readings(stamps[seen], {name: noisy[:, i : i + 1] for i, name in enumerate(POSITION)})
             reading = dict(zip(seen.tolist(), read, strict=True))
-            for i, said in enumerate(states.all(stamps, {"position": q})):
+            for i, said in enumerate(states(stamps, {"position": q})):
                 writer.add_message(channels["/joint_states"], int(stamps[i]), said, int(stamps[i]))
                 if i in reading:
                     writer.add_message(channels["/tracker/pose"], int(stamps[i]), reading[i], int(stamps[i]))
@@ -98,10 +95,7 @@ def write(path: Path, minutes: float, compression: CompressionType) -> int:
 
 
 def main() -> int:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--minutes", type=float, default=60.0)
-    asked.add_argument("--compression", choices=("zstd", "none"), default="zstd")
-    given = asked.parse_args()
+    given = harness.options(__doc__, seeds=0, minutes=60.0, compression=("zstd", "none"))
     packed = CompressionType[given.compression.upper()]
     with harness.scratch() as folder:
         bag, part = folder / "hour.mcap", folder / "part.mcap"

@@ -34,8 +34,10 @@ from typing import Any
 import numpy as np
 import recorded
 import scenarios as kinds
-from arm import ROBOTS as TIPS
-from recordings import Cell, plant, point_to_point, record
+from arms import ROBOTS as TIPS
+from harness import over
+from recordings import plant, record
+from sites import Cell, point_to_point
 
 from modcal_core.calibration.noise import errors
 from modcal_core.evaluation import evaluate
@@ -74,9 +76,9 @@ def of_arrays(chain: Any, q: Array, read: Array, stamps: Array | None = None) ->
 def real(name: str, every: int) -> tuple[Any, Samples, dict[str, Any], int]:
     """Chain, samples, what a calibration is told, and how many joints are looked at."""
     if name in recorded.GRIDS:
-        chain = read_robot(harness.ROOT / "examples" / "robots" / f"{name}.yaml")
+        chain = read_robot(harness.ROBOTS / f"{name}.yaml")
         return chain, of_arrays(chain, *recorded.grid(name)), {}, len(chain.names)
-    chain = read_chain((harness.ROOT / "examples/robots/ur10.urdf").read_text(encoding="utf-8"))
+    chain = read_chain((harness.ROBOTS / "ur10.urdf").read_text(encoding="utf-8"))
     if name == "cubes":
         return chain, of_arrays(chain, *recorded.ur10("series_d_iso_cubes.csv")[1:]), {"block": 10}, 5
     table, q, poses = recorded.ur10("series_a_grid.csv", every)
@@ -145,7 +147,8 @@ def compared(missed: dict[str, Array], size: Any = harness.rms) -> harness.Resul
     sizes = {f"{name}_mm": 1e3 * float(size(each)) for name, each in missed.items()}
     low, high = difference(missed["shipped"], missed["geometry"])
     full = "full" in missed and difference(missed["full"], missed["geometry"])[0] > 0.0
-    return {"full_mm": None, **sizes, "interval_mm2": [low, high], "worse": low > 0.0, "full_worse": bool(full)}
+    out = {"full_mm": None, **sizes, "shipped² − geometry²": f"{low:+.4f} … {high:+.4f} mm²"}
+    return {**out, "worse": bool(low > 0.0), "full_worse": bool(full)}
 
 
 def difference(final: Array, geometric: Array) -> tuple[float, float]:
@@ -171,33 +174,22 @@ def outer_fifth(places: Array) -> Array:
     return np.where(outside, np.searchsorted(edges, angle), -1)
 
 
+MODELS = ("nominal_mm", "geometry_mm", "full_mm", "shipped_mm")
+
+
 def main() -> int:
-    """Exit code: 0 where nothing that is shipped is worse than geometry."""
-    parser = harness.parser(__doc__, seeds=4, first=FIRST, names=(*FIFTHS, *REAL, "planted"))
-    parser.add_argument("--every", type=int, default=15, help="so manyth pose of the UR10's series")
-    given = harness.parsed(parser)
+    given = harness.options(__doc__, seeds=4, first=FIRST, names=(*FIFTHS, *REAL, "planted"), every=15)
     tasks = [{"part": part, "every": given.every} for part in given.names if part != "planted"]
     if "planted" in given.names:
         tasks += harness.tasks(given, part=["planted"], robot=("panda", "xarm7"), fault=PLANTED)
     results = harness.each(one, tasks, given, lambda r: f"{sum(p['worse'] for p in r['parts'])} worse")
-    rows, sums = [], []
-    models = ("nominal_mm", "geometry_mm", "full_mm", "shipped_mm")
-    good = [r for r in results if not r["failed"]]
-    for r in good:
-        name = " ".join(str(r[k]) for k in ("part", "robot", "fault", "seed") if k in r)
-        for p in r["parts"]:
-            interval = "{:+.4f} … {:+.4f}{}".format(*p["interval_mm2"], "  WORSE" if p["worse"] else "")
-            rows.append([f"{name} {p['what']}", p["postures"], *(p[m] for m in models), interval])
-    harness.table("mm", ["part", "postures", "nominal", "geometry", "full", "shipped", "shipped² − geometry²"], rows)
-    for part in given.names:
-        own = [p for r in good if r["part"] == part for p in r["parts"]]
-        if own:
-            worse = [sum(p[k] for p in own) for k in ("full_worse", "worse")]
-            means = [float(np.mean([p[m] or np.nan for p in own])) for m in models[1:]]
-            sums.append([part, len(own), *worse, *means])
-    harness.table("Means", ["", "parts", "full worse", "shipped worse", "geometry", "full", "shipped"], sums)
-    failed, worse = harness.failures(results), sum(row[3] for row in sums)
-    return int(bool(failed)) or harness.met((f"{worse} parts are worse than geometry", not worse))
+    told = ("part", "robot", "fault", "seed")
+    parts = [{**{k: r.get(k) for k in told}, **p} for r in results if not r["failed"] for p in r["parts"]]
+    harness.rows("mm", parts, (*told, "what", "postures", *MODELS, "shipped² − geometry²", "worse"))
+    columns = {"full worse": over("full_worse", sum), "shipped worse": over("worse", sum)}
+    harness.summary("Means", parts, "part", columns | {key: over(key, np.mean) for key in MODELS[1:]})
+    worse = sum(p["worse"] for p in parts)
+    return harness.ended(results, (f"{worse} parts are worse than geometry", not worse))
 
 
 if __name__ == "__main__":

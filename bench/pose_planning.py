@@ -26,7 +26,6 @@ from modcal_core.planning.criteria import CRITERIA, criterion
 from modcal_core.planning.fedorov import best_candidate
 from modcal_core.planning.planner import chosen_stations, min_stations
 from modcal_core.planning.posture_pool import PosturePool, random_accuracies, survey
-from modcal_core.robots.chain import Chain
 from modcal_core.robots.urdf import read_chain
 
 WHERE = 200  # postures at which the error is taken
@@ -34,15 +33,10 @@ ARMS, READINGS, SIZES = ("ur10", "irb1410", "panda"), ("point", "pose"), (1.0, 1
 OTHERS = tuple(which for which in CRITERIA if which not in ("accuracy", "o1"))  # o1 is d
 
 
-def robot(name: str) -> Chain:
-    if name == "irb1410":
-        return irb1410()
-    return read_chain((harness.ROOT / "examples" / "robots" / f"{name}.urdf").read_text())
-
-
 def one(task: harness.Task) -> harness.Result:
     """Both errors [mm], their ratio with its interval, what was foretold; or what low-rank updates save."""
-    chain, reading = robot(task["robot"]), task["reading"]
+    name, reading = task["robot"], task["reading"]
+    chain = irb1410() if name == "irb1410" else read_chain((harness.ROBOTS / f"{name}.urdf").read_text())
     there = survey(chain, hall(), np.random.default_rng(8), reading)
     if task["criterion"] == "updates":
         return {"times_as_fast": updates(there), "candidates": len(there.rows)}
@@ -59,8 +53,9 @@ def one(task: harness.Task) -> harness.Result:
     low, high = np.percentile([harness.rms(planned[i]) / harness.rms(drawn[i]) for i in again], [2.5, 97.5])
     foretold = np.median([a.model for a in random_accuracies(there, count, np.random.default_rng(2))])
     sizes = [1e3 * v for v in (harness.rms(planned), best.accuracy.model, harness.rms(drawn), foretold)]
-    ratio = f"{sizes[0] / sizes[2]:.2f} ({low:.2f} to {high:.2f})"
-    return {"count": count, "mm": sizes, "ratio": ratio, "same": same_at_random(there, best.accuracy.model)}
+    out = dict(zip(("planned mm", "foretold", "random mm", "and foretold"), sizes, strict=True))
+    out |= {"stations": count, "ratio": f"{sizes[0] / sizes[2]:.2f} ({low:.2f} to {high:.2f})"}
+    return {**out, "random for the same": same_at_random(there, best.accuracy.model)}
 
 
 def same_at_random(there: PosturePool, model: float) -> str:
@@ -97,26 +92,19 @@ def updates(there: PosturePool) -> float:
 
 
 def main() -> int:
-    parser = harness.parser(__doc__, seeds=24, names=[f"{arm}_{reading}" for arm in ARMS for reading in READINGS])
-    given = harness.parsed(parser)
+    given = harness.options(__doc__, seeds=24, names=[f"{arm}_{reading}" for arm in ARMS for reading in READINGS])
     tasks = []
     for name in given.names:
-        arm, _, reading = name.rpartition("_")
         kinds = [("accuracy", size) for size in SIZES]
         if name == "ur10_point":
             kinds += [*((which, 1.5) for which in OTHERS), ("updates", 1.0)]
-        told = {"robot": arm, "reading": reading, "arms": given.seeds}
+        told = {**dict(zip(("robot", "reading"), name.split("_"), strict=True)), "arms": given.seeds}
         tasks += [{**told, "criterion": which, "size": size} for which, size in kinds]
     results = harness.each(one, tasks, given)
-    keys = ("robot", "reading", "count", "criterion")
-    good = [r for r in results if not r["failed"]]
-    rows = [[*(r[k] for k in keys), *r["mm"], r["ratio"], r["same"]] for r in good if "mm" in r]
-    heads = ("arm", "readings", "stations", "criterion", "planned mm", "foretold", "random mm", "foretold", "ratio")
-    harness.table("", (*heads, "random for the same"), rows)
-    for r in good:
-        if "times_as_fast" in r:
-            harness.say(f"{r['candidates']} candidates: {r['times_as_fast']:.0f} times as fast as whole determinants")
-    return int(bool(harness.failures(results)))
+    keys = ("robot", "reading", "stations", "criterion", "planned mm", "foretold", "random mm", "and foretold", "ratio")
+    harness.rows("", [r for r in results if "ratio" in r], (*keys, "random for the same"))
+    harness.rows("whole determinants", [r for r in results if "candidates" in r], ("candidates", "times_as_fast"))
+    return harness.ended(results)
 
 
 if __name__ == "__main__":

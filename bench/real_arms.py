@@ -37,7 +37,6 @@ def one(task: harness.Task) -> harness.Result:
 
 
 def main() -> int:
-    """Exit code: 0 where every recording could be calibrated."""
     harness.data()
     given = harness.options(__doc__, seeds=0, names=(*SERIES, FROZEN, *SOCKETS))
     keys = ("recording", "nominal", "geometric", "final", "status", "effects")

@@ -28,14 +28,15 @@ import itertools
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import yaml
+from harness import over
 
 from modcal_core.modules.coding import BASES, Coding
 from modcal_core.modules.evaluation import Effort, Evaluator, uses_of
-from modcal_core.modules.genetic import Archive, SearchSettings, evolve, valid
+from modcal_core.modules.genetic import SearchSettings, evolve, valid
 from modcal_core.modules.library import published
 from modcal_core.modules.poe import chain_of
 from modcal_core.modules.synthesis import SynthesisTask
@@ -49,24 +50,7 @@ JOINTS = 5
 GENE_BITS, BASE_BITS = 10, 5
 
 
-@dataclass
-class Run:
-    """One search.
-
-    judged, descents, seconds: until the first arm, or until it gave up; error: of that arm, or NaN. cost: the least of
-    all in the end; whole: seconds until then.
-    """
-
-    judged: int = 0
-    descents: int = 0
-    seconds: float = 0.0
-    error: float = np.nan
-    cost: float = np.inf
-    whole: float = 0.0
-
-    @property
-    def found(self) -> bool:
-        return self.error < LIMIT
+Batches = Iterator[np.ndarray]
 
 
 def two_poses() -> SynthesisTask:
@@ -83,36 +67,45 @@ def checked(task: SynthesisTask, genome: np.ndarray, q: np.ndarray) -> float:
     return max(float(max(target.miss(T[k]))) for k, target in enumerate(task.targets))
 
 
-def ours(task: SynthesisTask, seed: int, budget: int) -> Run:
-    run, start = Run(), time.process_time()
+def ours(task: SynthesisTask, seed: int, budget: int) -> harness.Result:
+    out, start = {"found": False}, time.process_time()
     evaluator = Evaluator(LIBRARY, task.targets, task.uses, seed)
     settings = SearchSettings(generations=budget, patience=budget)
 
-    def enough(archive: Archive) -> bool:
+    def enough(archive: Any) -> bool:
         at = archive.verdicts
-        if not run.found:
-            run.seconds = time.process_time() - start
-            run.judged, run.descents = archive.judged, int(at.descents.sum())
+        if not out["found"]:
+            out.update(judged=archive.judged, descents=int(at.descents.sum()), seconds=time.process_time() - start)
             if at.met.any():
                 best = at.order()[0]
-                run.error = checked(task, archive.genomes[best], at.q[best])
+                out["error"] = checked(task, archive.genomes[best], at.q[best])
+                out["found"] = out["error"] < LIMIT
         return archive.judged >= budget
 
     archive = evolve(CODING, JOINTS, evaluator, np.random.default_rng([seed, JOINTS]), settings, enough=enough)
-    run.cost, run.whole = float(archive.verdicts.cost.min()), time.process_time() - start
-    return run
+    return {**out, "cost": float(archive.verdicts.cost.min()), "whole": time.process_time() - start}
+
+
+def at_random(task: SynthesisTask, seed: int, budget: int) -> harness.Result:
+    rng, evaluator = np.random.default_rng([seed, JOINTS]), Evaluator(LIBRARY, task.targets, task.uses, seed)
+    batches = (valid(CODING, JOINTS, 128, rng) for _ in itertools.count())
+    return searched(task, evaluator, batches, budget, [])
+
+
+def as_published(task: SynthesisTask, seed: int, budget: int) -> harness.Result:
+    weights = {u.name: {**u.options, "weight": u.weight} for u in task.uses if u.weight}
+    uses = uses_of({"structure": {}, "reachability": {"tolerance": 0.01}, **weights})
+    plain = Effort(starts=1, again=0, hopeless=np.inf, within_limits=False)
+    evaluator, verdicts = Evaluator(LIBRARY, task.targets, uses, seed, plain), []
+    batches = printed_search(np.random.default_rng([seed, JOINTS]), verdicts)
+    return searched(task, evaluator, batches, budget, verdicts, Evaluator(LIBRARY, task.targets, task.uses, seed))
 
 
 def searched(
-    task: SynthesisTask,
-    evaluator: Evaluator,
-    batches: Iterator[np.ndarray],
-    budget: int,
-    tell: list,
-    again: Evaluator | None = None,
-) -> Run:
+    task: SynthesisTask, evaluator: Evaluator, batches: Batches, budget: int, tell: list, again: Evaluator | None = None
+) -> harness.Result:
     """Judges batch after batch; ``tell`` gets the verdicts, for the search that makes the next one."""
-    run, start, judged, sure = Run(), time.process_time(), 0, np.inf
+    out, start, judged, sure = {"found": False, "descents": 0, "cost": np.inf}, time.process_time(), 0, np.inf
     kept: dict[bytes, tuple[float, np.ndarray]] = {}
     for genomes in batches:
         verdicts = evaluator(genomes)
@@ -120,41 +113,23 @@ def searched(
         judged += len(genomes)
         met = np.flatnonzero(verdicts.met)
         kept |= {genomes[i].tobytes(): (float(verdicts.cost[i]), genomes[i]) for i in met}
-        exact = [i for i in met if checked(task, genomes[i], verdicts.q[i]) < LIMIT]
-        sure = min([sure, *(float(verdicts.cost[i]) for i in exact)])
-        if not run.found:
-            run.judged, run.seconds = judged, time.process_time() - start
-            run.descents += int(verdicts.descents.sum())
-            run.error = min((checked(task, genomes[i], verdicts.q[i]) for i in exact), default=np.nan)
+        missed = {i: miss for i in met if (miss := checked(task, genomes[i], verdicts.q[i])) < LIMIT}
+        sure = min([sure, *(float(verdicts.cost[i]) for i in missed)])
+        if not out["found"]:
+            out |= {"judged": judged, "seconds": time.process_time() - start, "found": bool(missed)}
+            out["descents"] += int(verdicts.descents.sum())
+            out["error"] = min(missed.values(), default=None)
         if judged >= budget:
             break
-    run.whole = time.process_time() - start
+    out["whole"] = time.process_time() - start
     best = sorted(kept.values(), key=lambda pair: pair[0])[:50]
     if best:
-        run.cost = float(again(np.stack([g for _, g in best])).cost.min()) if again else best[0][0]
-        run.cost = min(run.cost, sure)
-    return run
+        cost = float(again(np.stack([g for _, g in best])).cost.min()) if again else best[0][0]
+        out["cost"] = min(cost, sure)
+    return out
 
 
-def at_random(task: SynthesisTask, seed: int, budget: int) -> Run:
-    rng = np.random.default_rng([seed, JOINTS])
-    evaluator = Evaluator(LIBRARY, task.targets, task.uses, seed)
-    batches = (valid(CODING, JOINTS, 128, rng) for _ in itertools.count())
-    return searched(task, evaluator, batches, budget, [])
-
-
-def as_published(task: SynthesisTask, seed: int, budget: int) -> Run:
-    rng = np.random.default_rng([seed, JOINTS])
-    weights = {u.name: {**u.options, "weight": u.weight} for u in task.uses if u.weight}
-    uses = uses_of({"structure": {}, "reachability": {"tolerance": 0.01}, **weights})
-    plain = Effort(starts=1, again=0, hopeless=np.inf, within_limits=False)
-    evaluator = Evaluator(LIBRARY, task.targets, uses, seed, plain)
-    again = Evaluator(LIBRARY, task.targets, task.uses, seed)
-    verdicts: list = []
-    return searched(task, evaluator, printed_search(rng, verdicts), budget, verdicts, again)
-
-
-def printed_search(rng: np.random.Generator, verdicts: list, size: int = 100, kept: int = 2) -> Iterator[np.ndarray]:
+def printed_search(rng: np.random.Generator, verdicts: list, size: int = 100, kept: int = 2) -> Batches:
     """Populations; ``verdicts`` holds what the last one was worth."""
     bits = rng.integers(0, 2, (size, BASE_BITS + JOINTS * GENE_BITS))
     while True:
@@ -183,42 +158,23 @@ SEARCHES |= {"random_longer": (at_random, 8, 2.5), "published_longer": (as_publi
 
 
 def one(task: harness.Task) -> harness.Result:
-    """What one search came to."""
+    """One search. judged, descents, seconds: until the first arm, or until it gave up; error: of that arm. cost: the
+    least of all in the end; whole: seconds until then.
+    """
     search, _, times = SEARCHES[task["search"]]
-    run = search(two_poses(), task["seed"], int(times * task["budget"]))
-    return {**asdict(run), "found": run.found}
+    return search(two_poses(), task["seed"], int(times * task["budget"]))
 
 
 def main() -> int:
-    parser = harness.parser(__doc__, seeds=None, names=SEARCHES)
-    parser.add_argument("--budget", type=int, default=1000, help="candidates that a search may judge")
-    given = harness.parsed(parser)
-    tasks = [
-        {"search": name, "seed": given.first + k, "budget": given.budget}
-        for name in given.names
-        for k in range(SEARCHES[name][1] if given.seeds is None else given.seeds)
-    ]
-    results = harness.each(one, tasks, given)
-    rows, keys = [], ("judged", "descents", "seconds", "cost", "whole")
-    for name in given.names:
-        runs = [r for r in results if r["search"] == name and not r["failed"]]
-        middle = {k: sorted(float(r[k]) for r in runs) for k in keys if runs}
-        told = [f"{np.median(v):.3g} ({v[0]:.3g} to {v[-1]:.3g})" for v in middle.values()]
-        worst = max((r["error"] for r in runs if r["found"]), default=np.nan)
-        rows.append([name, harness.share(r["found"] for r in runs), f"{worst:.0e}", *told])
-    heads = (
-        "search",
-        "found",
-        "worst error",
-        "judged till then",
-        "descents",
-        "time, s",
-        "least cost in the end",
-        "time, s",
-    )
-    harness.table("Medians and ranges", heads, rows)
+    given = harness.options(__doc__, seeds=None, names=SEARCHES, budget=1000)
+    counts = {name: count for name, (_, count, _) in SEARCHES.items()}
+    tasks = harness.tasks(given, counts, search=given.names, budget=[given.budget])
+    results, middle = harness.each(one, tasks, given), lambda v: f"{np.median(v):.3g} ({min(v):.3g} to {max(v):.3g})"
+    columns = {"found": over("found", harness.share), "worst error": over("error", max)}
+    columns |= {key: over(key, middle) for key in ("judged", "descents", "seconds", "cost", "whole")}
+    harness.summary("Medians and ranges", results, "search", columns)
     own = [r["found"] for r in results if r["search"] == "ours" and not r["failed"]]
-    return int(bool(harness.failures(results))) or harness.met(("ours in 95 %", not own or np.mean(own) >= 0.95))
+    return harness.ended(results, ("ours in 95 %", not own or np.mean(own) >= 0.95))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Joints of furniture told, fitted and followed: real tracks in ten variants, what is no joint, accuracy, time.
 
     make bench NAME=articulated                                           # all of it
-    make bench NAME=articulated ARGS="--only real --variants 'first 50 %'"
+    make bench NAME=articulated ARGS="--only real --variants 'first 50 %' --every 3"
     make bench NAME=articulated ARGS="--only beyond --sets design --online"
     make bench NAME=articulated ARGS="--online --trust-after 0.4"         # trust waits for so many metres of path
 
@@ -32,6 +32,7 @@ import numpy as np
 import tracks
 from articulation.furniture_tracks import recorded
 from articulation.objects import ideal, noisy
+from harness import over, share
 from tracks import DEGREE
 
 from modcal_core.articulation.choice import choose
@@ -52,7 +53,7 @@ HINGES = {
     "points over 60°, 1 mm": (False, 60.0, 1e-3, 0.0, np.inf, np.inf),
     "points over 60°, 3 mm": (False, 60.0, 3e-3, 0.0, 21.0, 2.8),
 }
-ONLINE = ("trusted %", "and wrong %", "at end %", "ever", "after, cm")
+PACES = ("200 poses", "200 points", "2000 poses", "2000 points")
 
 real_tracks = functools.cache(lambda: recorded(FOLDER))
 
@@ -86,8 +87,8 @@ def ahead_mm(track: Track, states: list[TrackerState]) -> float | None:
     return 1e3 * float(np.median(out)) if out else None
 
 
-def trust(track: Track, states: list[TrackerState]) -> tuple[float, float, float, float]:
-    """Shares trusted, and trusted although it fails; whether at the end; path [m] at which it was first, or nan."""
+def trust(track: Track, states: list[TrackerState]) -> harness.Result:
+    """Shares [%] trusted, and trusted although it fails; whether at the end; path [cm] at which it was first."""
     settings, way = TrackerSettings(), travelled(track)
     smooth = np.array([np.median(track.positions[max(0, i - 2) : i + 3], axis=0) for i in range(len(track))])
     sure, wrong = np.array([s.trusted for s in states]), np.zeros(len(track), dtype=bool)
@@ -98,137 +99,106 @@ def trust(track: Track, states: list[TrackerState]) -> tuple[float, float, float
             coming = smooth[(way > way[i]) & (way <= way[i] + far)]
             off = np.linalg.norm(model.position(model.configuration(coming)) - coming, axis=1)
             wrong[i] = off.max(initial=0.0) > 2.0 * settings.tolerance_m
-    first = next((s.path_m for s in states if s.trusted), float("nan"))
-    return float(sure.mean()), float(wrong.mean()), float(sure[-1]), first
+    first = next((100.0 * s.path_m for s in states if s.trusted), None)
+    shares = {"trusted %": sure.mean(), "and wrong %": wrong.mean(), "at end %": sure[-1]}
+    return {**{key: 100.0 * float(value) for key, value in shares.items()}, "after, cm": first}
 
 
-def one(task: harness.Task) -> harness.Result:
-    """Of one track: what was told with what certainty, and how the tracker followed it."""
+def pace(task: harness.Task) -> harness.Result:
+    """Time of an update [ms]."""
+    rng = np.random.default_rng(1)
+    made = noisy(
+        ideal("revolute", np.linspace(0.0, 1.2, int(task["name"].split()[0])), rng, 0.4), rng, 5e-4, 0.2 * DEGREE
+    )
+    _, spent = followed(Track(made.positions, made.rotations if "poses" in task["name"] else None), 0.01)
+    return dict(zip(("median", "p99"), map(float, np.quantile(spent, (0.5, 0.99))), strict=True))
+
+
+def accuracy(task: harness.Task) -> harness.Result:
+    """Errors of a hinge: centre [mm], axis [deg]."""
+    oriented, degrees, position, rotation, *_ = HINGES[task["name"]]
+    rng = np.random.default_rng(task["seed"])
+    made = noisy(ideal("revolute", np.linspace(0.0, degrees * DEGREE, 60), rng, 0.5), rng, position, rotation * DEGREE)
+    model = fit(Track(made.positions, made.rotations if oriented else None), "revolute").model
+    away = model.point - made.point
+    off = float(np.linalg.norm(away - made.axis * (made.axis @ away)))
+    return {"centre": 1e3 * off, "axis": float(np.degrees(np.arccos(min(1.0, abs(model.axis @ made.axis)))))}
+
+
+def track(task: harness.Task) -> harness.Result:
+    """What was told of a track with what certainty, and how the tracker followed it."""
     name, part = task["name"], task["part"]
-    if part == "pace":
-        rng = np.random.default_rng(1)
-        poses = int(name.split()[0])
-        made = noisy(ideal("revolute", np.linspace(0.0, 1.2, poses), rng, 0.4), rng, 5e-4, 0.2 * DEGREE)
-        _, spent = followed(Track(made.positions, made.rotations if "poses" in name else None), 0.01)
-        return dict(zip(("median", "p99"), map(float, np.quantile(spent, (0.5, 0.99))), strict=True))
-    if part == "accuracy":
-        oriented, degrees, position, rotation, *_ = HINGES[name]
-        rng = np.random.default_rng(task["seed"])
-        opening = np.linspace(0.0, degrees * DEGREE, 60)
-        made = noisy(ideal("revolute", opening, rng, 0.5), rng, position, rotation * DEGREE)
-        model = fit(Track(made.positions, made.rotations if oriented else None), "revolute").model
-        away = model.point - made.point
-        off = float(np.linalg.norm(away - made.axis * (made.axis @ away)))
-        return {"centre": 1e3 * off, "axis": float(np.degrees(np.arccos(min(1.0, abs(model.axis @ made.axis)))))}
     if part == "beyond":
-        truth, track = "none", tracks.seen(name, task["seed"])
+        truth, seen = "none", tracks.seen(name, task["seed"])
     else:
         truth, whole = real_tracks()[task["track"]]
-        rng = np.random.default_rng(zlib.crc32(f"{name} {task['track']}".encode()))
-        track = tracks.VARIANTS[name](whole, rng)
-    if len(track) < 8:
+        seen = tracks.VARIANTS[name](whole, np.random.default_rng(zlib.crc32(f"{name} {task['track']}".encode())))
+    if len(seen) < 8:
         return {"short": True}
-    out: harness.Result = {"truth": truth}
-    if task["offline"]:
-        choice = choose(track)
-        certain = bool(choice.enough and (part == "real" or choice.kind != "none"))
-        out |= {"kind": choice.kind, "certain": certain, "right": choice.kind == truth, "why": choice.why}
+    choice = choose(seen)
+    certain = bool(choice.enough and (part == "real" or choice.kind != "none"))
+    out = {"kind": choice.kind, "certain": certain, "right": choice.kind == truth, "why": choice.why}
+    out["false"] = certain and not out["right"]
     if task["online"] or name == "as recorded":
-        states, _ = followed(track, PERIOD, task["after"])
-        out["ahead"] = ahead_mm(track, states) if part == "real" else None
-        out["trust"] = trust(track, states) if task["online"] else None
+        states, _ = followed(seen, PERIOD, task["trust_after"])
+        out["ahead"] = ahead_mm(seen, states) if part == "real" else None
+        out |= trust(seen, states) if task["online"] else {}
     return out
 
 
-def row(name: str, found: list[harness.Result]) -> list[object]:
-    """Of one kind or variant: how often it was right, certain, and both wrong and certain; how it was trusted."""
-    told = [r for r in found if "kind" in r]
-    wrong = sum(r["certain"] and not r["right"] for r in told)
-    out = [name, len(found), sum(r["right"] for r in told), sum(r["certain"] for r in told), wrong]
-    trusts = np.array([r["trust"] for r in found if r.get("trust")], dtype=float).reshape(-1, 4)
-    if len(trusts):
-        after = trusts[np.isfinite(trusts[:, 3]), 3]
-        shares = [f"{100.0 * share:.1f}" for share in trusts[:, :3].mean(axis=0)]
-        out += [*shares, len(after), f"{100.0 * np.median(after):.0f}" if len(after) else None]
-    return out
+PARTS = {"pace": pace, "accuracy": accuracy, "real": track, "beyond": track}
 
 
 def main() -> int:
-    made = harness.parser(__doc__, seeds=5, names=("pace", "accuracy", "real", "beyond"))
-    made.add_argument("--sets", nargs="+", choices=list(tracks.SETS), default=list(tracks.SETS), help="of what is none")
-    made.add_argument("--variants", nargs="+", choices=list(tracks.VARIANTS), default=list(tracks.VARIANTS))
-    made.add_argument("--every", type=int, default=1, help="of real tracks, every so many")
-    made.add_argument("--hinges", type=int, default=100, help="for each row of the accuracy")
-    made.add_argument("--online", action="store_true", help="also how long the tracker trusts its model")
-    made.add_argument("--trust-after", type=float, default=0.0, help="path [m] before the tracker trusts")
-    made.add_argument("--not-offline", action="store_true", help="only how the tracker trusts")
-    given = harness.parsed(made)
-    about = {"offline": not given.not_offline, "online": given.online or given.not_offline, "after": given.trust_after}
-    names = {
-        "pace": ("200 poses", "200 points", "2000 poses", "2000 points"),
-        "beyond": [kind for some in given.sets for kind in tracks.SETS[some]],
-        "real": given.variants if FOLDER.is_dir() else [],
-        "accuracy": HINGES,
+    given = harness.options(
+        __doc__,
+        **{"seeds": 5, "names": PARTS, "every": 1, "hinges": 100, "online": False},
+        **{"trust_after": 0.0, "sets": list(tracks.SETS), "variants": list(tracks.VARIANTS)},
+    )
+    about, seeds = harness.told(given, "online", "trust_after"), range(given.first, given.first + given.seeds)
+    listed = list(real_tracks())[:: given.every] if FOLDER.is_dir() else []
+    made = {
+        "pace": [{"name": name} for name in PACES],
+        "accuracy": [{"name": name, "seed": seed} for name in HINGES for seed in range(given.hinges)],
+        "real": [{"name": name, "track": track, **about} for name in given.variants for track in listed],
+        "beyond": [{"name": n, "seed": k, **about} for some in given.sets for n in tracks.SETS[some] for k in seeds],
     }
-    tasks: list[harness.Task] = []
-    for part in given.names:
-        for name in names[part]:
-            each = {"part": part, "name": name}
-            if part == "pace":
-                tasks.append(each)
-            elif part == "real":
-                tasks += [{**each, "track": track, **about} for track in list(real_tracks())[:: given.every]]
-            else:
-                seeds = range(given.hinges) if part == "accuracy" else range(given.first, given.first + given.seeds)
-                tasks += [{**each, "seed": seed, **about} for seed in seeds]
-    line = lambda r: f"{r.get('certain', '')} {r.get('why', '')}"  # noqa: E731
+    tasks = [{"part": part, **task} for part in given.names for task in made[part]]
     paced, others = ([task for task in tasks if (task["part"] == "pace") == first] for first in (True, False))
     alone = argparse.Namespace(**{**vars(given), "jobs": 1})  # what is timed has the machine for itself
-    results = harness.each(one, paced, alone, line) + harness.each(one, others, given, line)
-    of = {
-        (part, name): [r for r in results if (r["part"], r["name"]) == (part, name)]
-        for part in names
-        for name in names[part]
-    }
-    targets: list[tuple[str, bool]] = [("every task is done", not harness.failures(results))]
-    if paces := [r for r in results if r["part"] == "pace"]:
-        harness.table(
-            "update, ms of the processor", ("", "median", "p99"), [[r["name"], r["median"], r["p99"]] for r in paces]
-        )
+    results = harness.each(PARTS, paced, alone) + harness.each(PARTS, others, given, lambda r: str(r.get("why", "")))
+    of, targets = harness.grouped(results, "part"), []
+    if paces := of.get("pace"):
+        harness.rows("update, ms of the processor", paces, ("name", "median", "p99"))
         targets.append((f"update p99 below {UPDATE_MS:g} ms", max(r["p99"] for r in paces) <= UPDATE_MS))
-    if "accuracy" in given.names:
-        rows = []
-        for name, (*_, centre, axis) in HINGES.items():
-            rows.append(
-                [name, *(float(np.quantile([r[k] for r in of["accuracy", name]], 0.95)) for k in ("centre", "axis"))]
-            )
-            targets.append((f"accuracy of {name}", rows[-1][1] <= centre and rows[-1][2] <= axis))
-        harness.table("95 % quantiles of errors", ("", "centre, mm", "axis, deg"), rows)
-    heads = ("", "tracks", "right", "certain", "and wrong", *(ONLINE if about["online"] else ()))
+    quantile = lambda values: float(np.quantile(values, 0.95))  # noqa: E731
+    columns = {"centre, mm": over("centre", quantile), "axis, deg": over("axis", quantile)}
+    harness.summary("95 % quantiles of errors", of.get("accuracy", []), "name", columns)
+    for name, some in harness.grouped(of.get("accuracy", []), "name").items():
+        errors = [column(some) for column in columns.values()]
+        targets.append((f"accuracy of {name}", errors[0] <= HINGES[name][4] and errors[1] <= HINGES[name][5]))
+    columns = {
+        what: over(key, sum) for what, key in (("right", "right"), ("certain", "certain"), ("and wrong", "false"))
+    }
+    if given.online:
+        columns |= {key: over(key, np.mean) for key in ("trusted %", "and wrong %", "at end %")}
+        columns |= {"ever": over("after, cm", len), "after, cm": over("after, cm", harness.median)}
     for part in ("beyond", "real"):
-        found = {name: rs for (p, name), rs in of.items() if p == part and rs}
-        everything = [row("all", [r for rs in found.values() for r in rs])] if part == "beyond" else []
-        if found:
-            harness.table(part, heads, [*(row(name, rs) for name, rs in found.items()), *everything])
-        for r in (r for rs in found.values() for r in rs):
-            if r.get("certain") and not r["right"]:
-                harness.say(f"certain and wrong: {r['name']} {r.get('track', r.get('seed'))}: {r['why']}")
-    judged = [r for r in of.get(("real", "as recorded"), []) if "kind" in r]
+        harness.summary(part, of.get(part, []), "name", columns, sums=part == "beyond")
+        for r in (r for r in of.get(part, []) if r.get("false")):
+            harness.say(f"certain and wrong: {r['name']} {r.get('track', r.get('seed'))}: {r['why']}")
+    judged = [r for r in of.get("real", []) if r["name"] == "as recorded" and "kind" in r]
     for kind, least in RIGHT.items() if judged else ():
         some = [r for r in judged if r["track"].startswith("pose/") == (kind == "pose")]
-        right, sure = (harness.share(r["right"] for r in which) for which in (some, [r for r in some if r["certain"]]))
+        right, sure = (share(r["right"] for r in which) for which in (some, [r for r in some if r["certain"]]))
         harness.say(f"{kind}: {right} right; of those said with certainty, {sure}")
         targets.append((f"kinds of {kind} tracks", sum(r["right"] for r in some) >= least * len(some)))
     if judged:
-        aheads, screws = (
-            [r["ahead"] for r in judged if r["ahead"] is not None],
-            sum(r["kind"] == "screw" for r in judged),
-        )
-        harness.say(
-            f"false screws: {screws}; ahead after trust: {np.median(aheads):.1f} mm median of {len(aheads)} tracks"
-        )
-        targets += [("false screws", screws <= SCREWS * len(judged)), ("prediction", np.median(aheads) <= AHEAD_MM)]
-    return harness.met(*targets)
+        ahead, screws = over("ahead", harness.median)(judged), sum(r["kind"] == "screw" for r in judged)
+        count = over("ahead", len)(judged)
+        harness.say(f"false screws: {screws}; ahead after trust: {ahead:.1f} mm median of {count} tracks")
+        targets += [("false screws", screws <= SCREWS * len(judged)), ("prediction", ahead <= AHEAD_MM)]
+    return harness.ended(results, *targets)
 
 
 if __name__ == "__main__":

@@ -15,10 +15,9 @@ from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.other_readings import ReadingsBeside, beside
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
+from modcal_core.geometry import Array, se3
 from modcal_core.measurements.samples import Samples
-from modcal_nodes.vision.detection import detect
+from modcal_nodes.vision import detect
 
 RULERS = (0.21, 0.15)  # m, as on the sheet of this board
 BOW_M, SIZES = 3e-4, ((640, 480), (1280, 720))

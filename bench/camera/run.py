@@ -2,9 +2,11 @@
 
     make bench NAME=camera ARGS="--only arms --first 44 --seeds 80 --rendered --faults 1.5 --measured-to-mm 0.05"
 
-arms: a board seen by a camera on the tip or in the world. size: sheets 2 % off what is stated (``--read``: at a length
-that nobody states who has not measured). named: late images, line time, a print's size, a bow. moved: camera, target or
-joint moved while the robot works, within five images. bodies: fixed cameras and a body of markers. speed: processor.
+arms: a board seen by a camera on the tip or in the world (--rendered: corners found in images that a ray tracer made;
+--faults: of every arm, 1 for 4 mm and 5 mrad a body; --measured-to-mm: of the sheet's rulers). size: sheets --off by
+2 % of what is stated (--read: at a length that nobody states who has not measured). named: late images, line time, a
+print's size, a bow. moved: camera, target or joint moved while the robot works, within five images. bodies: fixed
+cameras and a body of markers. speed: processor.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import harness
 
 # isort: split
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -28,6 +31,8 @@ from camera.bodies import BODY_ON_TIP, BodyScene
 from camera.by_tracker import missed_by_tracker
 from camera.render import render
 from camera.scenes import CameraScene, scene
+from harness import median, over, share
+from scipy.spatial.transform import Rotation
 
 from modcal_core.camera.bundle import BoardView
 from modcal_core.camera.causes import flange_in_tool
@@ -39,9 +44,8 @@ from modcal_core.camera.target_file import RULER_STD_M
 from modcal_core.camera.tool_error import postures_anywhere, postures_in_view
 from modcal_core.camera.watching import CameraWatch
 from modcal_core.errors import ModcalError
-from modcal_core.geometry import se3
-from modcal_core.geometry.so3 import Array
-from modcal_nodes.vision.detection import detect
+from modcal_core.geometry import Array, se3
+from modcal_nodes.vision import detect
 
 EXPECTED = {"delay": ("clock", "velocity", "all"), "line time": ("clock", "line", "all")}
 EXPECTED |= {"scale": ("target", "constant", "size"), "bow": ("target", "constant", "normal")}
@@ -67,14 +71,15 @@ def apart(a: Array, b: Array, turned: bool = False) -> float:
     """RMS distance [mm] of points (N, 3); turned: the frame of the first put where that is least."""
     if turned:
         a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-        U, _, Vt = np.linalg.svd(a.T @ b)
-        a = a @ U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        a = Rotation.align_vectors(b, a)[0].apply(a)
     return 1e3 * harness.rms(np.linalg.norm(a - b, axis=1))
 
 
-def millimetres(error: Any) -> list[float]:
-    """Value and 95 % interval."""
-    return [np.nan] * 3 if error is None else [1e3 * x for x in error.interval]
+def said(r: CameraSolution) -> harness.Result:
+    """The verdict, and values with 95 % intervals [mm] of the errors."""
+    errors = {"said": r.in_view, "alone_said": r.alone, "anywhere_said": r.anywhere}
+    out = {key: [np.nan] * 3 if e is None else [1e3 * x for x in e.interval] for key, e in errors.items()}
+    return {**out, "word": r.decision.word, "because": list(r.decision.because)}
 
 
 def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array, arm_alone: bool = False) -> float:
@@ -84,12 +89,10 @@ def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array, arm_alone: 
 
 
 def flange(fit: CameraFit) -> Array:
-    """The flange in the frame of the tool."""
     return se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
 
 
 def arms(task: harness.Task) -> harness.Result:
-    """An arm calibrated by a board."""
     seed = task["seed"]
     s = cells.arm(seed, task["rendered"], task["faults"], 1e-3 * task["measured_to_mm"])
     began = time.process_time()
@@ -99,12 +102,10 @@ def arms(task: harness.Task) -> harness.Result:
     z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[r.fit.poses.count + 1 :][:9]
     out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.causes]}
     out |= {"seconds": time.process_time() - began, "images": len(s.views), "lens_sigmas": list(z)}
-    out |= {"mounting": "tip" if s.on_tip else "world", "found": "tip" if r.fit.poses.camera_on_tip else "world"}
+    out["mounted"] = s.on_tip == r.fit.poses.camera_on_tip
     out |= {"true": true_error(s, r.fit, tip, near), "nominal": true_error(s, r.nominal, tip, near)}
     out |= {"alone": true_error(s, r.fit, tip, near, arm_alone=True), "anywhere": true_error(s, r.fit, tip, far)}
-    out |= {"said": millimetres(r.in_view), "alone_said": millimetres(r.alone)}
-    out |= {"anywhere_said": millimetres(r.anywhere), "found_of_camera": [f.sentence for f in r.findings]}
-    return {**out, "word": r.decision.word, "because": list(r.decision.because)}
+    return {**out, **said(r), "found_of_camera": [f.sentence for f in r.findings]}
 
 
 def against_opencv(s: CameraScene) -> float:
@@ -126,15 +127,13 @@ def against_opencv(s: CameraScene) -> float:
 
 
 def size(task: harness.Task) -> harness.Result:
-    """A sheet that is off what is stated."""
+    """A sheet that is off what is stated; if_wrong: the error said for a wrong statement [mm]."""
     s = cells.sheet(task["seed"], task["off"], 1.0 if task["faults"] is None else task["faults"], task["read"])
     r = solved(s, np.random.default_rng(3))
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
-    rests = r.rests_on
-    out = {"word": r.decision.word, "named": any("off its stated size" in said for said in r.decision.problems)}
-    out |= {"said": millimetres(r.in_view), "true": true_error(s, r.fit, flange(r.fit), q)}
-    out |= {"nominal": true_error(s, r.nominal, flange(r.nominal), q)}
-    return {**out, "if_wrong": None if rests is None else 1e3 * rests.if_wrong_m}
+    out = {"named": any("off its stated size" in words for words in r.decision.problems), **said(r)}
+    out |= {key: true_error(s, fit, flange(fit), q) for key, fit in (("true", r.fit), ("nominal", r.nominal))}
+    return {**out, "if_wrong": None if r.rests_on is None else 1e3 * r.rests_on.if_wrong_m}
 
 
 def named(task: harness.Task) -> harness.Result:
@@ -143,20 +142,21 @@ def named(task: harness.Task) -> harness.Result:
     r = solved(s, np.random.default_rng(task["seed"]), **told)
     right = [(f.family, f.driver, f.direction) == EXPECTED.get(task["kind"]) for f in r.findings]
     blamed = [f.sentence for f, good in zip(r.findings, right, strict=True) if not good]
-    return {"named": any(right), "blamed": blamed, "effects": [c.effect.label for c in r.causes]}
+    found = any(right) if task["kind"] in EXPECTED else None
+    return {"named": found, "blamed": blamed, "effects": [c.effect.label for c in r.causes]}
 
 
 def moved(task: harness.Task) -> harness.Result:
-    """[name of the change, seen, rightly named, and nothing else] of each change; and of quiet images the alarms."""
+    """Of each change: seen, rightly named, and nothing else; and of quiet images the alarms."""
     seed, on_tip = task["seed"], bool(task["seed"] % 2)
     length, angle = DISPLACED[seed // 2 % 2]
     s = scene(9000 + seed, on_tip, count=25, length_std=length, angle_std=angle, board=cells.MEASURED)
     rng = np.random.default_rng(seed)
     fit = solved(s, rng, look_for_effects=False).fit
     watch = CameraWatch(fit, s.board)
-    said = [watch.image(v, q) is not None for q, v in cells.images(s, rng, QUIET)]
-    out: dict[str, Any] = {"quiet": len(said), "changes": []}
-    out["alarms"] = sum(now and not before for before, now in zip([False, *said], said, strict=False))
+    quiet = [watch.image(v, q) is not None for q, v in cells.images(s, rng, QUIET)]
+    alarms = sum(now and not before for before, now in zip([False, *quiet], quiet, strict=False))
+    rows: list[harness.Result] = [{"change": "nothing", "images": len(quiet), "alarms": alarms}]
 
     def along(much: float) -> Array:
         direction = rng.normal(size=3)
@@ -176,29 +176,26 @@ def moved(task: harness.Task) -> harness.Result:
             watch = CameraWatch(fit, s.board)
             for q, v in cells.images(s, rng, BESIDE):
                 watch.image(v, q)
-            names = [seen.what for q, v in after[:FIVE] if (seen := watch.image(v, q)) is not None]
-            out["changes"].append(
-                [name, bool(names), what in " or ".join(names[-1:]).split(" or "), names[-1:] == [what]]
-            )
-    return out
+            names = [seen.what for q, v in after[:FIVE] if (seen := watch.image(v, q)) is not None][-1:]
+            among = what in " or ".join(names).split(" or ")
+            rows.append({"change": name, "seen": bool(names), "named": among, "alone": names == [what]})
+    return {"rows": rows}
 
 
 def bodies(task: harness.Task) -> harness.Result:
-    """Fixed cameras and a body of markers."""
     s, what = cells.body(task["seed"])
     first, *others = s.images
     began = time.process_time()
     rng = np.random.default_rng(task["seed"])
     r = solve_camera(s.chain, first.q, first.views, first.target, first.size, rng, further=others)
     spent, (q, _) = time.process_time() - began, postures_in_view(r.fit, np.random.default_rng(1))
-    out = {**what, "seconds": spent, "word": r.decision.word, "because": r.decision.because[0]}
-    out |= {"said": millimetres(r.in_view), "alone_said": millimetres(r.alone), "px": list(r.held_out_px)}
+    out = {**what, "seconds": spent, **said(r), "px": list(r.held_out_px)}
     for name, fit in (("", r.fit), ("nominal_", r.nominal)):
         out |= {name + key: value for key, value in of_body(s, fit, flange_in_tool(r.fit), q).items()}
-    out |= {
-        "effects": [c.effect.label for c in r.causes],
-        "findings": [f"{f.family} {f.direction}" for f in r.findings],
-    }
+    out["effects"], out["findings"] = (
+        [c.effect.label for c in r.causes],
+        [f"{f.family} {f.direction}" for f in r.findings],
+    )
     return {**out, "out": len(r.left_out), "corners_out": r.corners_out}
 
 
@@ -227,98 +224,98 @@ def speed(task: harness.Task) -> harness.Result:
 
 
 PART = {"arms": arms, "named": named, "size": size, "moved": moved, "bodies": bodies, "speed": speed}
+Column = Callable[[list[harness.Result]], Any]
 
 
-def inside(cell: harness.Result, true: str, said: str, below: bool = False) -> bool:
-    """Whether a true error is in what was said of it, or below its upper end."""
-    return (below or cell[said][1] <= cell[true]) and cell[true] <= cell[said][2]
+def inside(true: str, words: str, below: bool = False) -> Column:
+    """A column: whether a true error is in what was said of it, or below its upper end."""
+    return over(lambda r: (below or r[words][1] <= r[true]) and r[true] <= r[words][2], share)
+
+
+def where(which: Callable[[harness.Result], bool], column: Column) -> Column:
+    return lambda results: column([r for r in results if which(r)])
+
+
+def applied(r: harness.Result) -> bool:
+    return r["word"] == "apply"
+
+
+def errors(error: str, nominal: str) -> dict[str, Column]:
+    out: dict[str, Column] = {f"{key}, median": over(key, median) for key in (error, nominal, "alone", "seconds")}
+    for true, words in (("true", "said"), ("alone", "alone_said")):
+        out[f"{true} in its interval"], out[f"{true} below"] = inside(true, words), inside(true, words, True)
+        out[f"upper end over {true}, median"] = over(lambda r, t=true, w=words: r[w][2] / r[t], median)
+    out["apply, and worse than nominal"] = where(applied, over(lambda r: r[error] >= r[nominal], share))
+    out["below half of nominal, and apply"] = where(lambda r: r[error] < 0.5 * r[nominal], over(applied, share))
+    return out
+
+
+ARMS: dict[str, Column] = {
+    "anywhere below": inside("anywhere", "anywhere_said", True),
+    "at most 1 mm": over(lambda r: r["true"] <= 1.0, share),
+    "mounting told": over("mounted", share),
+    "intrinsics within 3 sigma": over("lens_sigmas", lambda z: f"{np.mean(np.abs(np.concatenate(z)) <= 3.0):.1%}"),
+    "cost over OpenCV's, less one": over("opencv", lambda v: f"{np.abs(v).max():.1e} at most"),
+    "cells with an effect": over(lambda r: bool(r["effects"]), share),
+}
+BODIES = {
+    "gear of joint 2 found": where(
+        lambda r: r["periodic"], over(lambda r: any("joint2" in e for e in r["effects"]), share)
+    ),
+    "blamed without one": where(lambda r: not r["periodic"], over(lambda r: bool(r["effects"]), share)),
+}
+SIZE = {
+    "named": over("named", sum),
+    "cannot tell": over(lambda r: r["word"] == "cannot tell", sum),
+    "apply": over(applied, sum),
+    "and worse": where(applied, over(lambda r: r["true"] >= r["nominal"], sum)),
+    "error said if wrong holds": where(
+        applied, over(lambda r: None if r["if_wrong"] is None else r["true"] <= r["if_wrong"], sum)
+    ),
+    "in its interval": inside("true", "said"),
+    "half of nominal, and apply": where(lambda r: r["true"] < 0.5 * r["nominal"], over(applied, share)),
+}
+NAMED = {"named": over("named", share), "something else of target or camera": over(lambda r: bool(r["blamed"]), share)}
+NAMED["of the arm"] = over(lambda r: bool(r["effects"]), share)
+MOVED = {f"within {FIVE} images": over("seen", share), "rightly named": over("named", share)}
+MOVED |= {"nothing else": over("alone", share), "images": over("images", sum), "false alarms": over("alarms", sum)}
 
 
 def show(part: str, good: list[harness.Result]) -> None:
-    """What the cells of a part come to."""
-    share = harness.share
     if part in ("arms", "bodies"):
-        error, nominal, own = "true", "nominal", ("images",)
-        if part == "bodies":
-            error, nominal, own = "tracker", "nominal_tracker", ("arm", "cameras", "postures", "true")
-        keys, pairs = ("seed", *own, nominal, error, "alone", "word"), (("true", "said"), ("alone", "alone_said"))
-        rows = [[*(r[k] for k in keys), *("{:.2f} ({:.2f} to {:.2f})".format(*r[s]) for _, s in pairs)] for r in good]
-        harness.table("Errors, mm", (*keys, "said, 95 %", "said of the arm alone"), rows)
-        says = {f"{t} inside its interval": share(inside(r, t, s) for r in good) for t, s in pairs}
-        says |= {f"{t} below its upper end": share(inside(r, t, s, True) for r in good) for t, s in pairs}
-        says |= {f"upper end over {t}, median": f"{np.median([r[s][2] / r[t] for r in good]):.2f}" for t, s in pairs}
-        says["apply, and worse than nominal"] = share(r[error] >= r[nominal] for r in good if r["word"] == "apply")
-        halved = [r["word"] == "apply" for r in good if r[error] < 0.5 * r[nominal]]
-        says["below half of nominal, and apply"] = share(halved)
-        says |= {f"{k}, median": f"{np.median([r[k] for r in good]):.2f}" for k in (error, nominal, "alone", "seconds")}
-    if part == "arms":
-        sigmas = np.abs(np.concatenate([r["lens_sigmas"] for r in good]))
-        says["anywhere below"] = share(inside(r, "anywhere", "anywhere_said", True) for r in good)
-        says["at most 1 mm"] = share(r["true"] <= 1.0 for r in good)
-        says["mounting told"] = share(r["mounting"] == r["found"] for r in good)
-        says["intrinsics within 3 sigma"] = f"{np.mean(sigmas <= 3.0):.1%} of {len(sigmas)}"
-        says["cost over OpenCV's, less one"] = f"{np.abs([r['opencv'] for r in good]).max():.1e} at most"
-        says["cells with an effect"] = share(bool(r["effects"]) for r in good)
-    elif part == "bodies":
-        says["gear of joint 2 found"] = share(any("joint2" in e for e in r["effects"]) for r in good if r["periodic"])
-        says["blamed without one"] = share(bool(r["effects"]) for r in good if not r["periodic"])
-    elif part == "size":
-        says = {}
-        for off in dict.fromkeys(r["off"] for r in good):
-            of = [r for r in good if r["off"] == off]
-            apply = [r for r in of if r["word"] == "apply"]
-            warned = [r["true"] <= r["if_wrong"] for r in apply if r["if_wrong"] is not None]
-            halved = share(r["word"] == "apply" for r in of if r["true"] < 0.5 * r["nominal"])
-            says[f"{off:+.0%}"] = (
-                f"named {sum(r['named'] for r in of)}, cannot tell {sum(r['word'] == 'cannot tell' for r in of)}, "
-                f"apply {len(apply)} (worse than nominal {sum(r['true'] >= r['nominal'] for r in apply)}; the error "
-                f"said for a wrong statement holds in {sum(warned)}) of {len(of)}; interval covers "
-                f"{share(inside(r, 'true', 'said') for r in of)}; below half of nominal, and apply {halved}"
-            )
-    elif part == "named":
-        says = {}
-        for kind in cells.KINDS:
-            of = [r for r in good if r["kind"] == kind]
-            others, arm = (share(bool(r[k]) for r in of) for k in ("blamed", "effects"))
-            told = f"named in {share(r['named'] for r in of)}, " if kind in EXPECTED else ""
-            says[kind] = f"{told}something else of target or camera in {others}, of the arm in {arm}"
+        error, nominal = ("true", "nominal") if part == "arms" else ("tracker", "nominal_tracker")
+        own = ("images",) if part == "arms" else ("arm", "cameras", "postures", "true")
+        harness.rows("Errors, mm", good, ("seed", *own, nominal, error, "alone", "word", "said", "alone_said"))
+        says = errors(error, nominal) | (ARMS if part == "arms" else BODIES)
+        harness.table(part, ("", ""), [(name, column(good)) for name, column in says.items()])
     elif part == "moved":
-        changes = [c for r in good for c in r["changes"]]
-        says = {"nothing": f"{sum(r['alarms'] for r in good)} false alarms in {sum(r['quiet'] for r in good)} images"}
-        for name in sorted({c[0] for c in changes}):
-            seen, among, alone = (share(c[k] for c in changes if c[0] == name) for k in (1, 2, 3))
-            says[name] = f"within {FIVE} images {seen}, rightly named {among}, and nothing else {alone}"
+        harness.summary(part, [row for r in good for row in r["rows"]], "change", MOVED)
+    elif part == "speed":
+        harness.rows(part, good, [key for key in good[0] if key not in ("part", "seed", "cpu_s", "s", "failed")])
     else:
-        says = {key: good[0][key] for key in ("images", "with target", "corners", "detection_s", "fit_s", "word")}
-    harness.table(part, ("", ""), list(says.items()))
+        harness.summary(part, good, *(("off", SIZE) if part == "size" else ("kind", NAMED)))
 
 
 def main() -> int:
-    """Exit code: 0 where nothing failed; what is refused is counted."""
-    parser = harness.parser(__doc__, seeds=None, names=SEEDS)
-    parser.add_argument("--rendered", action="store_true", help="make images and find the corners in them")
-    parser.add_argument("--faults", type=float, default=None, help="of every arm: 1 for 4 mm and 5 mrad a body")
-    parser.add_argument("--measured-to-mm", type=float, default=1e3 * RULER_STD_M, help="of the sheet's rulers")
-    parser.add_argument("--off", type=float, nargs="+", default=[-0.02, 0.02], help="of a sheet's size")
-    parser.add_argument("--read", action="store_true", help="rulers stated at lengths that only who measured states")
-    given = harness.parsed(parser)
+    given = harness.options(
+        __doc__,
+        **{"seeds": None, "names": SEEDS, "rendered": False, "faults": float, "measured_to_mm": 1e3 * RULER_STD_M},
+        **{"off": [-0.02, 0.02], "read": False},
+    )
     told = {"arms": ("rendered", "faults", "measured_to_mm"), "size": ("faults", "read")}
     rows = {"size": [{"off": off} for off in given.off], "named": [{"kind": kind} for kind in cells.KINDS]}
     tasks = [
-        {"part": part, "seed": given.first + k, **more, **{name: getattr(given, name) for name in told.get(part, ())}}
-        for part in given.names
-        for k in range(SEEDS[part] if given.seeds is None else given.seeds)
-        for more in rows.get(part, [{}])
+        {**task, **more, **harness.told(given, *told.get(task["part"], ()))}
+        for task in harness.tasks(given, SEEDS, part=given.names)
+        for more in rows.get(task["part"], [{}])
     ]
     results = harness.each(one, tasks, given, lambda r: r.get("refused", r.get("word", "")))
-    for part in given.names:
-        own = [r for r in results if r["part"] == part and not r["failed"]]
-        good = [r for r in own if "refused" not in r]
-        if good:
+    for part, own in harness.grouped(results, "part").items():
+        if good := [r for r in own if "refused" not in r]:
             show(part, good)
         refused = [f"  {r['seed']}: {r['refused']}" for r in own if "refused" in r]
         harness.say(f"{part}: {len(refused)} refused", *refused)
-    return int(bool(harness.failures(results)))
+    return harness.ended(results)
 
 
 if __name__ == "__main__":

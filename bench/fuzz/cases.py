@@ -99,31 +99,27 @@ def spoilt(data: bytes, rng: np.random.Generator) -> bytes:
     """The bytes with something changed: a bit, a number, a word, a piece gone, doubled or random."""
     if not data:
         return bytes(rng.integers(0, 256, int(rng.integers(0, 20)), dtype=np.uint8))
-    out = bytearray(data)
-    at = int(rng.integers(len(out)))
-    kind = int(rng.integers(8))
+    at, kind, new, end = int(rng.integers(len(data))), int(rng.integers(8)), b"", 0
     if kind == 0:
-        out[at] ^= 1 << int(rng.integers(8))
+        new, end = bytes([data[at] ^ 1 << int(rng.integers(8))]), 1
     elif kind == 1:
-        width = int(rng.choice((1, 2, 4, 8)))
-        out[at : at + width] = (one_of(NUMBERS, rng) % 256**width).to_bytes(width, "little")
+        end = int(rng.choice((1, 2, 4, 8)))
+        new = (one_of(NUMBERS, rng) % 256**end).to_bytes(end, "little")
     elif kind == 2:
-        word = one_of(WORDS, rng)
-        out[at : at + (len(word) if rng.integers(2) else 0)] = word
+        new = one_of(WORDS, rng)
+        end = len(new) if rng.integers(2) else 0
     elif kind == 3:
-        del out[at : at + int(rng.integers(1, 40))]
+        end = int(rng.integers(1, 40))
     elif kind == 4:
-        out[at:at] = out[at : at + int(rng.integers(1, 40))]
+        new = data[at : at + int(rng.integers(1, 40))]
     elif kind == 5:
-        special = one_of(SPECIAL, rng)
-        at -= at % 4
-        out[at : at + 8] = struct.pack("<d", special)
+        new, end, at = struct.pack("<d", one_of(SPECIAL, rng)), 8, at - at % 4
     elif kind == 6:
-        out[at:] = b""
+        end = len(data)
     else:
-        n = int(rng.integers(1, 9))
-        out[at : at + n] = bytes(rng.integers(0, 256, n, dtype=np.uint8))
-    return bytes(out)
+        end = int(rng.integers(1, 9))
+        new = bytes(rng.integers(0, 256, end, dtype=np.uint8))
+    return data[:at] + new + data[at + end :]
 
 
 @dataclass
@@ -139,23 +135,7 @@ class Chunk:
 Part = Record | Chunk
 
 
-def parts(data: bytes) -> list[Part]:
-    """The records of a whole file, chunks unpacked, without its index."""
-    out: list[Part] = []
-    for opcode, body in _records(data[len(MAGIC) :]):
-        if opcode == CHUNK:
-            (length,) = struct.unpack_from("<I", body, 28)
-            name, packed = body[32 : 32 + length], body[40 + length :]
-            content = zstandard.ZstdDecompressor().decompress(packed) if name == b"zstd" else packed
-            out.append(Chunk(_records(content), name))
-        elif opcode in (FOOTER, END):
-            break
-        else:
-            out.append((opcode, body))
-    return out
-
-
-def _records(data: bytes) -> list[Record]:
+def records_of(data: bytes) -> list[Record]:
     out, at = [], 0
     while at + 9 <= len(data):
         opcode, length = struct.unpack_from("<BQ", data, at)
@@ -164,8 +144,23 @@ def _records(data: bytes) -> list[Record]:
     return out
 
 
+def parts(data: bytes) -> list[Part]:
+    """The records of a whole file, chunks unpacked, without its index."""
+    out: list[Part] = []
+    for opcode, body in records_of(data[len(MAGIC) :]):
+        if opcode in (FOOTER, END):
+            break
+        if opcode == CHUNK:
+            (length,) = struct.unpack_from("<I", body, 28)
+            name, packed = body[32 : 32 + length], body[40 + length :]
+            content = zstandard.ZstdDecompressor().decompress(packed) if name == b"zstd" else packed
+            out.append(Chunk(records_of(content), name))
+        else:
+            out.append((opcode, body))
+    return out
+
+
 def whole(content: Sequence[Part]) -> bytes:
-    """A file of these records."""
     out = [MAGIC]
     for part in content:
         if isinstance(part, Chunk):
@@ -234,7 +229,6 @@ def _definition(content: list[Part], rng: np.random.Generator) -> None:
 
 
 def _order(content: list[Part], rng: np.random.Generator) -> None:
-    """Leave a record out, double it, or put it elsewhere."""
     if records := _list(content, rng):
         i, j = (int(k) for k in rng.integers(len(records), size=2))
         what = int(rng.integers(3))

@@ -26,14 +26,14 @@ from targets import Target, targets
 
 from modcal_core.errors import ModcalError, plain
 
-SLOW = 2.0  # s of processor
-LARGEST = 1 << 20  # kB
+SLOW, LARGEST = 2.0, 1 << 20  # s of processor; kB
 SHARE = {"mcap": 6}  # times as much of the time as another
+MIN_CASES = 40  # on a machine that is busy, seconds say little
 
 
 @dataclass
 class Result:
-    """What became of the cases of a target."""
+    """What became of the cases of a target; of each fault the number of the first case, and what was said."""
 
     cases: int = 0
     refused: int = 0
@@ -42,17 +42,12 @@ class Result:
     examples: dict[str, tuple[int, str]] = field(default_factory=dict)
 
 
-MIN_CASES = 40  # on a machine that is busy, seconds say little
-
-
 def fuzz(target: Target, seed: int, seconds: float, cases: int | None = None, first: int = 0) -> Result:
     """Run cases of one target for so much processor time [s], forty at least, or so many of them."""
-    out, began, number = Result(), time.process_time(), first
-    while number - first < (MIN_CASES if cases is None else cases) or (
-        cases is None and time.process_time() - began < seconds
-    ):
-        case = target.make(np.random.default_rng([seed, number]))
-        start = time.process_time()
+    out, began, least = Result(), time.process_time(), MIN_CASES if cases is None else cases
+    while out.cases < least or (cases is None and time.process_time() - began < seconds):
+        number = first + out.cases
+        case, start, found = target.make(np.random.default_rng([seed, number])), time.process_time(), {}
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # NumPy's, of numbers that a file holds
@@ -60,47 +55,40 @@ def fuzz(target: Target, seed: int, seconds: float, cases: int | None = None, fi
         except ModcalError as error:
             out.refused += 1
             if str(error) != plain(str(error)) or "\n" in str(error):
-                _fault(out, "a refusal with control characters", number, repr(str(error)[:300]))
+                found["a refusal with control characters"] = repr(str(error)[:300])
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
-            key = f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}"
-            _fault(out, key, number, traceback.format_exc())
+            found[f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}"] = traceback.format_exc()
         took = time.process_time() - start
-        out.slowest = max(out.slowest, took)
         if took > SLOW:
-            _fault(out, "slower than two seconds", number, f"{took:.1f} s")
-        number += 1
-    out.cases = number - first
+            found["slower than two seconds"] = f"{took:.1f} s"
+        out.slowest = max(out.slowest, took)
+        out.faults.update(found)
+        out.examples = {key: (number, said) for key, said in found.items()} | out.examples
+        out.cases += 1
     return out
 
 
-def _fault(out: Result, key: str, number: int, said: str) -> None:
-    out.faults[key] += 1
-    out.examples.setdefault(key, (number, said))
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Fuzz the targets that are asked for, and print a table. Returns the exit code."""
+def main() -> int:
     parser = argparse.ArgumentParser(description="Hostile input by the thousand.")
     parser.add_argument("--seconds", type=float, default=300.0, help="of processor time, in all")
     parser.add_argument("--cases", type=int, default=None, help="of each target, in place of a time")
     parser.add_argument("--from", dest="first", type=int, default=0, metavar="NUMBER", help="of the first case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="targets, with commas between")
-    asked = parser.parse_args(arguments)
+    asked = parser.parse_args()
     failed = total = 0
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
         wanted = [t for t in targets(Path(folder)) if not asked.only or t.name in asked.only.split(",")]
-        weights = [SHARE.get(t.name, 1) for t in wanted]
+        share = asked.seconds / sum(SHARE.get(t.name, 1) for t in wanted)
         print(f"{'target':12} {'cases':>8} {'refused':>8} {'slowest s':>10} {'faults':>7}")
-        for target, weight in zip(wanted, weights, strict=True):
-            out = fuzz(target, asked.seed, asked.seconds * weight / sum(weights), asked.cases, asked.first)
-            total += out.cases
-            row = f"{target.name:12} {out.cases:8} {out.refused:8} {out.slowest:10.3f} {sum(out.faults.values()):7}"
+        for target in wanted:
+            out = fuzz(target, asked.seed, share * SHARE.get(target.name, 1), asked.cases, asked.first)
+            total, failed = total + out.cases, failed + out.faults.total()
+            row = f"{target.name:12} {out.cases:8} {out.refused:8} {out.slowest:10.3f} {out.faults.total():7}"
             print(row, flush=True)
             for key, count in out.faults.most_common():
                 number, said = out.examples[key]
-                failed += count
                 print(f"\n{count} × {key}, first: --only {target.name} --seed {asked.seed} --from {number}\n{said}")
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(f"{total} cases, {failed} faults, at most {largest >> 10} MiB")

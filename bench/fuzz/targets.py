@@ -6,7 +6,7 @@ import contextlib
 import json
 import shutil
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -21,7 +21,7 @@ from modcal_core.calibration.model import Model
 from modcal_core.calibration.store import Calibration, from_data, to_data
 from modcal_core.camera.bundle import MarkerBundle
 from modcal_core.camera.target_file import any_target_from_data, target_from_data
-from modcal_core.correction.correction import Correction
+from modcal_core.correction import Correction
 from modcal_core.effects.effect import JOINTS, Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import ModcalError
@@ -49,29 +49,50 @@ from modcal_msgs_py.tables import import_tables
 from modcal_msgs_py.topics import Topics
 from modcal_nodes.calibrating.diagnostics import standing_of_json
 from modcal_nodes.io.inputs import read_cell, read_topics
+from modcal_nodes.vision import grey_of
 from modcal_nodes.vision.corner_table import corners_of_text
-from modcal_nodes.vision.grey import grey_of
 from modcal_nodes.vision.images import joints_of_text, lens_from_data
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-URDF = EXAMPLES / "robots" / "ur10.urdf"
+URDF = (EXAMPLES / "robots" / "ur10.urdf").read_text()
+BASES = yaml.safe_load(Path(__file__).with_name("bases.yaml").read_text(encoding="utf-8"))
+ROWS = "t;a;b;x;y;z;r;p;w;d\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3;2020010{t}\n" for t in range(1, 9))
 JOINT_NAMES = [f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
+URDF_WORDS = (
+    "nan", "inf", "1e400", "-1", "0 0 0", "0 0", "", "<link name='a'/>", "<joint", "</robot>", "<robot>", "&#0;", "&amp;", "<!--",
+    "<![CDATA[", "continuous", "prismatic", "planar", "floating", "mimic", "<mimic joint='elbow_joint'/>", "world", "base_link",
+    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "<inertial>", "\ud7ff", "\x1b", "name='elbow_joint'", "tool0", "1e308",
+)  # fmt: skip
+CSV_WORDS = (";", ",", "nan", "1e400", "-", "\n", '"', "\x00", "1_0", "٣", "0,0", ";;;;", "t", "\r")
+JSON_WORDS = ('"', "[" * 3000, "{", "nan", "\\ud800", "1e999", "9" * 5000, "null")
+YAML_WORDS = (
+    "- ", "? ", "[", "{", "&a ", "*a", "<<: *a", "!!python/object:os.system", "!!binary x", "2001-99-99", "0x" + "f" * 5000,
+    "9" * 5000, ": ", "\n", "\t", "---\n", "...", "%YAML 9", "|", ">", "!!set", "!!timestamp x", "1:2:3", ".nan", "~",
+)  # fmt: skip
 Rng = np.random.Generator
+Make = Callable[[Rng], Any]
+Run = Callable[[Any], Any]
 
 
 @dataclass(frozen=True)
 class Target:
-    """name; make: a case from random numbers; run: what is done with it; but for a ModcalError all it raises is a fault."""
+    """make: a case from random numbers; run: what is done with it; but for a ModcalError all it raises is a fault.
+    good: a case that is read.
+    """
 
     name: str
-    make: Callable[[Rng], Any]
-    run: Callable[[Any], Any]
+    make: Make
+    run: Run
+    good: Any
 
 
-def of_data(name: str, base: Any, run: Callable[[Any], Any]) -> Target:
-    """A target of data that are nearly right."""
+def of_data(name: str, base: Any, run: Run) -> Target:
     ways = places(base)
-    return Target(name, lambda rng: data_case(base, ways, rng), run)
+    return Target(name, lambda rng: data_case(base, ways, rng), run, base)
+
+
+def of_text(name: str, base: str, words: Sequence[str], run: Run) -> Target:
+    return Target(name, lambda rng: text_case(base, words, rng), run, base)
 
 
 def yaml_text(data: Any) -> str:
@@ -86,13 +107,10 @@ def recording() -> Recording:
     """A short recording of everything that a bag may hold."""
     t, q = 1.7e9 + np.arange(6.0), 0.1 * np.arange(36.0).reshape(6, 6)
     poses = se3.to_pose(se3.exp(q))
-    readings = (
-        ReadingTrack("pose", "tracker", t, poses, t),
-        ReadingTrack("range", "wire", t, poses[:, :1], t, "/tracker/range"),
-    )
+    wire = ReadingTrack("range", "wire", t, poses[:, :1], t, "/tracker/range")
     return Recording(
         (JointTrack(tuple(JOINT_NAMES), t, q, q, q, t),),
-        readings,
+        (ReadingTrack("pose", "tracker", t, poses, t), wire),
         (SignalTrack("temperature:base_link", t, poses[:, :1], "/temperature"),),
         "<robot name='r'><link name='a'/><link name='b'/><joint name='elbow_joint' type='revolute'><parent link='a'/>"
         "<child link='b'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint></robot>",
@@ -100,13 +118,17 @@ def recording() -> Recording:
     )
 
 
-def _others(bag: BagWriter) -> None:
-    """Transforms, odometry and a type that only the bag defines."""
+def messages(folder: Path) -> list[tuple[str, str, bytes, int]]:
+    write_recording(recording(), folder)
+    file = McapFile(next(folder.glob("*.mcap")))
+    return [(m.topic, m.type_name, bytes(m.cdr), m.received_ns) for m in file.messages()]
+
+
+def bag_bytes(folder: Path) -> bytes:
+    """A whole file with all of it, and with transforms, odometry and a type that only the bag defines."""
     header, stamp = message_class("std_msgs/msg/Header"), message_class("builtin_interfaces/msg/Time")
-    vector, quaternion, transform, stamped = (
-        message_class(f"geometry_msgs/msg/{name}")
-        for name in ("Vector3", "Quaternion", "Transform", "TransformStamped")
-    )
+    kinds = ("Vector3", "Quaternion", "Transform", "TransformStamped")
+    vector, quaternion, transform, stamped = (message_class(f"geometry_msgs/msg/{name}") for name in kinds)
     turn, nine = quaternion(0.0, 0.0, 0.0, 1.0), np.zeros(9)
     said = lambda frame, ns: header(stamp(1_700_000_000, ns), frame)  # noqa: E731
     one = stamped(said("tracker", 5), "tool", transform(vector(1.0, 2.0, 3.0), turn))
@@ -114,31 +136,19 @@ def _others(bag: BagWriter) -> None:
     still, weight = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 9.8)
     imu = message_class("sensor_msgs/msg/Imu")(said("imu", 0), turn, nine, still, nine, weight, nine)
     many = message_class("tf2_msgs/msg/TFMessage")
-    for topic, kind, message in (
-        ("/tf", "tf2_msgs/msg/TFMessage", many([two, one])),
-        ("/tf", "tf2_msgs/msg/TFMessage", many([one])),
-        ("/vrpn/pose", "geometry_msgs/msg/TransformStamped", one),
-        ("/imu", "sensor_msgs/msg/Imu", imu),
-    ):
-        bag.write(topic, kind, message, 1_700_000_000_000_000_000 + len(str(message)))
-
-
-def bag_bytes(folder: Path) -> bytes:
-    """A whole file with all of it."""
     with BagWriter(folder / "second") as bag:
         bag._flushed = float("inf")  # never due: a case is the same on a busy machine
-        for topic, kind, data, ns in _messages(folder / "first"):
+        for topic, kind, data, ns in messages(folder / "first"):
             bag.add_topic(topic, kind)
             bag.write_raw(topic, data, ns)
-        _others(bag)
+        for topic, kind, message in (
+            ("/tf", "tf2_msgs/msg/TFMessage", many([two, one])),
+            ("/tf", "tf2_msgs/msg/TFMessage", many([one])),
+            ("/vrpn/pose", "geometry_msgs/msg/TransformStamped", one),
+            ("/imu", "sensor_msgs/msg/Imu", imu),
+        ):
+            bag.write(topic, kind, message, 1_700_000_000_000_000_000 + len(str(message)))
     return next((folder / "second").glob("*.mcap")).read_bytes()
-
-
-def _messages(folder: Path) -> list[tuple[str, str, bytes, int]]:
-    """Those of the recording, which is written into the folder."""
-    write_recording(recording(), folder)
-    file = McapFile(next(folder.glob("*.mcap")))
-    return [(m.topic, m.type_name, bytes(m.cdr), m.received_ns) for m in file.messages()]
 
 
 def mcap_target(folder: Path) -> Target:
@@ -158,20 +168,19 @@ def mcap_target(folder: Path) -> Target:
                 chain = read_chain(seen.robot_description, None, None)
         inspect(seen, chain)
 
-    return Target("mcap", lambda rng: mcap_case(base, raw, rng), run)
+    return Target("mcap", lambda rng: mcap_case(base, raw, rng), run, raw)
 
 
 def sqlite_target(folder: Path) -> Target:
     """SQLite bags with bytes changed, and with messages changed."""
-    made, file = folder / "made.db3", folder / "case.db3"
+    made, file, known = folder / "made.db3", folder / "case.db3", dict[str, int]()
     with contextlib.closing(sqlite3.connect(made)) as base:
         base.executescript(
             "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, "
             "offered_qos_profiles TEXT); CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
             "data BLOB);"
         )
-        known: dict[str, int] = {}
-        for topic, kind, data, ns in _messages(folder / "for_sqlite"):
+        for topic, kind, data, ns in messages(folder / "for_sqlite"):
             if topic not in known:
                 known[topic] = len(known) + 1
                 base.execute("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", (known[topic], topic, kind))
@@ -185,7 +194,7 @@ def sqlite_target(folder: Path) -> Target:
             out = spoilt(out, rng)
         return out
 
-    return Target("sqlite", make, lambda data: file.write_bytes(data) and inspect(read_recording(file)))
+    return Target("sqlite", make, lambda data: file.write_bytes(data) and inspect(read_recording(file)), raw)
 
 
 def metadata_target(folder: Path) -> Target:
@@ -204,54 +213,21 @@ def metadata_target(folder: Path) -> Target:
     return of_data("metadata", yaml.safe_load(metadata.read_text()), run)
 
 
-URDF_WORDS = (
-    "nan", "inf", "1e400", "-1", "0 0 0", "0 0", "", "<link name='a'/>", "<joint", "</robot>", "<robot>", "&#0;", "&amp;", "<!--",
-    "<![CDATA[", "continuous", "prismatic", "planar", "floating", "mimic", "<mimic joint='elbow_joint'/>", "world", "base_link",
-    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "<inertial>", "\ud7ff", "\x1b", "name='elbow_joint'", "tool0", "1e308",
-)  # fmt: skip
-CSV_WORDS = (";", ",", "nan", "1e400", "-", "\n", '"', "\x00", "1_0", "٣", "0,0", ";;;;", "t", "\r")
-JSON_WORDS = ('"', "[" * 3000, "{", "nan", "\\ud800", "1e999", "9" * 5000, "null")
-YAML_WORDS = (
-    "- ", "? ", "[", "{", "&a ", "*a", "<<: *a", "!!python/object:os.system", "!!binary x", "2001-99-99", "0x" + "f" * 5000,
-    "9" * 5000, ": ", "\n", "\t", "---\n", "...", "%YAML 9", "|", ">", "!!set", "!!timestamp x", "1:2:3", ".nan", "~",
-)  # fmt: skip
-
-
-def urdf_target() -> Target:
-    """Robot descriptions, as chains and as loaded arms."""
-    text = URDF.read_text()
-
-    def run(case: str) -> None:
-        chain = read_chain(case, None, None)
-        chain.reach()
-        LoadedArm.read(case, chain.base, chain.tip)
-
-    return Target("urdf", lambda rng: text_case(text, URDF_WORDS, rng), run)
-
-
-ROWS = "t;a;b;x;y;z;r;p;w;d\n" + "".join(f"{t};0,{t};0,2;1,0;2,0;3,{t};0,1;0,2;0,3;2020010{t}\n" for t in range(1, 9))
-MAPPING = yaml.safe_load("""
-tables:
-- {files: rows.csv, delimiter: ";", decimal: ",", encoding: utf-8, header: true, time: {seconds: t},
-   joints: {unit: rad, columns: {j1: a, j2: b}}, temperature: {base: a},
-   pose: {frame: tracker, unit: m, position: [x, "y", z], inverse: false,
-          euler: {columns: [r, p, w], sequence: XYZ, unit: rad}}}
-- {files: rows.csv, delimiter: ";", decimal: ",", time: {order: {period_s: 10.0}},
-   joints: {unit: deg, columns: {j1: 1, j2: b}}, point: {frame: "{stem}", unit: mm, position: [x, 4, z]}}
-- {files: "row*.csv", delimiter: ";", decimal: ",", time: {column: d, format: "%Y%m%d"},
-   joints: {unit: deg, columns: {j1: 1, j2: b}},
-   pose: {frame: "{folder}", unit: mm, position: [x, 4, z], quaternion: {columns: [3, 4, 5, 6]}}}
-""")
+def run_urdf(case: str) -> None:
+    chain = read_chain(case, None, None)
+    chain.reach()
+    LoadedArm.read(case, chain.base, chain.tip)
 
 
 def mapping_target(folder: Path) -> Target:
     """Mappings of import with a table as it should be, and tables that are not with the mapping as it should be."""
-    ways, rows = places(MAPPING), folder / "rows.csv"
+    base, rows = BASES["mapping"], folder / "rows.csv"
+    ways = places(base)
 
     def make(rng: Rng) -> tuple[Any, str]:
         if rng.integers(4):
-            return data_case(MAPPING, ways, rng), ROWS
-        return MAPPING, text_case(ROWS, CSV_WORDS, rng)
+            return data_case(base, ways, rng), ROWS
+        return base, text_case(ROWS, CSV_WORDS, rng)
 
     def run(case: tuple[Any, str]) -> None:
         mapping, text = case
@@ -260,29 +236,10 @@ def mapping_target(folder: Path) -> Target:
         shutil.rmtree(folder / "imported", ignore_errors=True)
         write_recording(made, folder / "imported")
 
-    return Target("mapping", make, run)
-
-
-CELL = yaml.safe_load("""
-distances: [{between: [a, b], distance_m: 0.05, std_m: 1.0e-5}, {stamps: [1.0, 2.0], distance_m: 0.05}]
-fixed: [tool]
-known: [{frame: a, in: b, plane: {normal: [0, 0, 1], offset_m: 0.1}},
-        {frame: a, in: b, position_m: [0, 0, 1], quaternion: [0, 0, 0, 1]}]
-own_target: [a]
-sockets: [a]
-moved: [{stamp: 1.5, what: tool}]
-own_in_recordings: tool
-repeatability_mm: 0.02
-instrument_mm: 0.01
-instrument_deg: 0.01
-topics: {tracker/pose: /a, joint_states: [/b]}
-ignore: [/c]
-tf: "a:b"
-""")
+    return Target("mapping", make, run, (base, ROWS))
 
 
 def cell_target(folder: Path) -> Target:
-    """Cell files, through YAML as a person writes them."""
     file = folder / "cell.yaml"
 
     def run(case: Any) -> None:
@@ -290,12 +247,12 @@ def cell_target(folder: Path) -> Target:
         read_cell(file)
         read_topics(file, Topics())
 
-    return of_data("cell", CELL, run)
+    return of_data("cell", BASES["cell"], run)
 
 
 def calibration() -> dict[str, Any]:
     """A calibration with effects and parameters, as data."""
-    chain = read_chain(URDF.read_text(), None, "tool0")
+    chain = read_chain(URDF, None, "tool0")
     effects = (
         Effect("latency", "tracker", JOINTS, "velocity", Shape("linear")).started(np.zeros(1)),
         Effect("compliance", "elbow_joint", "axis", "load:elbow_joint", Shape("linear")).started(np.zeros(1)),
@@ -307,67 +264,37 @@ def calibration() -> dict[str, Any]:
     return dict(parse_yaml(to_yaml(to_data(whole)), "calibration"))
 
 
-def calibration_target() -> Target:
-    """Calibrations; one that is read must predict, correct, and be written again."""
-
-    def run(case: Any) -> None:
-        read = from_data(case, "calibration.yaml")
-        for model in (read.nominal, read.calibrated, read.geometric):
-            model.predict(np.zeros((2, len(read.nominal.chain.names))))
-        if isinstance(read.calibrated.chain, Chain):
-            Correction(read)
-        from_data(parse_yaml(to_yaml(to_data(read)), "again"), "again")
-
-    return of_data("calibration", calibration(), run)
+def run_calibration(case: Any) -> None:
+    """One that is read must predict, correct, and be written again."""
+    read = from_data(case, "calibration.yaml")
+    for model in (read.nominal, read.calibrated, read.geometric):
+        model.predict(np.zeros((2, len(read.nominal.chain.names))))
+    if isinstance(read.calibrated.chain, Chain):
+        Correction(read)
+    from_data(parse_yaml(to_yaml(to_data(read)), "again"), "again")
 
 
 def report_target() -> Target:
     """report.json as the calibrator reads it back, and any JSON there."""
     base = {"modcal_report": 1, "status": "open", "open_because": ["a"], "remedy": "b", "verdict": "c"}
     base["error_mm"] = {"final": {}}
-    ways = places(base)
+    ways, text = places(base), json.dumps(base)
 
     def make(rng: Rng) -> str:
         if rng.integers(3):
             return json.dumps(data_case(base, ways, rng), default=str)
-        return text_case(json.dumps(base), JSON_WORDS, rng)
+        return text_case(text, JSON_WORDS, rng)
 
-    return Target("report", make, standing_of_json)
-
-
-def yaml_target() -> Target:
-    """Texts that may be YAML."""
-    text = yaml_text(CELL) + "a: &a {b: 1}\nc: {<<: *a, d: 2001-01-01}\n"
-    return Target("yaml", lambda rng: text_case(text, YAML_WORDS, rng), lambda case: parse_yaml(case, "f.yaml"))
+    return Target("report", make, standing_of_json, text)
 
 
-FILES = yaml.safe_load("""
-printed target: {modcal_target: 1, type: charuco, columns: 7, rows: 5, square_m: 0.03, marker_m: 0.022,
-  dictionary: DICT_5X5_100, first_id: 0,
-  rulers: {x_m: 0.21, y_m: 0.15, measured_x_m: 0.209, measured_y_m: 0.1501, measured_std_m: 1.0e-4}}
-kalibr target: {target_type: aprilgrid, tagCols: 6, tagRows: 6, tagSize: 0.088, tagSpacing: 0.3}
-body: {modcal_target: 1, type: bundle, name: block, tolerance_m: 1.0e-3, tolerance_normal_m: 2.0e-4,
-  tolerance_rad: 0.01, size_tolerance: 5.0e-4, print_tolerance: 0.01, corner_order: [ul, ur, lr, ll],
-  markers: [{id: 1, size_m: 0.04, xyz: [0.0, 0.0, 0.09], rpy: [0.0, 0.0, 0.0]},
-            {id: 2, size_m: 0.04, xyz: [0.09, 0.0, 0.0], quaternion: [0.0, 0.6, 0.0, 0.8]}],
-  points: [{id: 30, xyz: [0.0, 0.05, 0.0]}]}
-tag bundles: {tag_bundles: [{name: block, layout: [{id: 1, size: 0.04, x: 0.1, qw: 1.0}]}]}
-corners: {rows: [[image, marker, corner, u, v, width, height], ["1", 1, 0, 10, 20, 640, 480]]}
-camera_info: {image_width: 640, image_height: 480, distortion_model: plumb_bob,
-  camera_matrix: {data: [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]},
-  distortion_coefficients: {data: [0.1, 0.0, 0.0, 0.0, 0.0]}}
-joints: {rows: [[image, a, b], [1.png, 0.1, 0.2], [2.png, "0.3", 1.0e-3], [3.png, -1, 2]]}
-""")
-
-
-def _csv(data: Any) -> str:
-    """Rows as CSV, whatever they hold."""
+def csv(data: Any) -> str:
     rows = data.get("rows") if isinstance(data, dict) else None
     lines = rows if isinstance(rows, list) else []
     return "\n".join(",".join(map(str, row)) if isinstance(row, list) else str(row) for row in lines)
 
 
-def _body(data: Any) -> Any:
+def body_of(data: Any) -> Any:
     """What a fit asks of a body."""
     target = any_target_from_data(data, "target.yaml")
     return target.place_prior() if isinstance(target, MarkerBundle) else target.points
@@ -377,86 +304,85 @@ def other_files_target() -> Target:
     """Kinematic tables, assemblies, tasks of synthesis, sites of planning, plans, stores of modules, what belongs to a
     camera: one reader each.
     """
-    chain = read_chain(URDF.read_text(), None, "tool0")
-    body = any_target_from_data(FILES["body"], "target.yaml")
+    names, body = read_chain(URDF, None, "tool0").names, any_target_from_data(BASES["files"]["body"], "target.yaml")
     example = lambda name: parse_yaml((EXAMPLES / name).read_text(), name)  # noqa: E731
-    plan = {"modcal_plan": 1, "joints": list(chain.names), "stations": [{"position": [0.0] * 6}] * 3}
-    bases = FILES | {
-        "table": example("robots/ur5.yaml"),
-        "assembly": example("modules/five_joints.yaml"),
-        "synthesis": example("synthesis/two_poses.yaml"),
-        "site": example("planning/hall.yaml"),
-        "library": parse_yaml(published_text(), "library"),
-        "plan": plan,
+    plan = {"modcal_plan": 1, "joints": list(names), "stations": [{"position": [0.0] * 6}] * 3}
+    files = {
+        "table": (example("robots/ur5.yaml"), from_table),
+        "assembly": (
+            example("modules/five_joints.yaml"),
+            lambda data: assembly_from_data(data, published(), "assembly.yaml"),
+        ),
+        "synthesis": (example("synthesis/two_poses.yaml"), lambda data: task_from_data(data, "task.yaml")),
+        "site": (example("planning/hall.yaml"), lambda data: site_from_data(data, "site.yaml")),
+        "library": (parse_yaml(published_text(), "library"), lambda data: library_from_data(data, "library.yaml")),
+        "plan": (plan, lambda data: stations_from_data(data, names, "plan.yaml")),
     }
-    readers: dict[str, Callable[[Any], Any]] = {
-        "table": from_table,
-        "assembly": lambda data: assembly_from_data(data, published(), "assembly.yaml"),
-        "synthesis": lambda data: task_from_data(data, "task.yaml"),
-        "site": lambda data: site_from_data(data, "site.yaml"),
-        "library": lambda data: library_from_data(data, "library.yaml"),
-        "plan": lambda data: stations_from_data(data, chain.names, "plan.yaml"),
+    readers: dict[str, Run] = {
         "printed target": lambda data: target_from_data(data, "target.yaml"),
         "kalibr target": lambda data: target_from_data(data, "aprilgrid.yaml"),
-        "body": _body,
-        "tag bundles": _body,
-        "corners": lambda data: corners_of_text(_csv(data), body, "corners.csv"),
+        "body": body_of,
+        "tag bundles": body_of,
+        "corners": lambda data: corners_of_text(csv(data), body, "corners.csv"),
         "camera_info": lambda data: lens_from_data(data, "camera.yaml"),
-        "joints": lambda data: joints_of_text(_csv(data), ("a", "b"), "joints.csv"),
+        "joints": lambda data: joints_of_text(csv(data), ("a", "b"), "joints.csv"),
     }
-    ways = {name: places(base) for name, base in bases.items()}
-    names = sorted(readers)
+    files |= {name: (BASES["files"][name], read) for name, read in readers.items()}
+    ways, order = {name: places(base) for name, (base, _) in files.items()}, sorted(files)
 
     def make(rng: Rng) -> tuple[str, Any]:
-        name = names[int(rng.integers(len(names)))]
-        return name, data_case(bases[name], ways[name], rng)
+        name = order[int(rng.integers(len(order)))]
+        return name, data_case(files[name][0], ways[name], rng)
 
-    return Target("others", make, lambda case: readers[case[0]](case[1]))
+    return Target("others", make, lambda case: files[case[0]][1](case[1]), ("site", files["site"][0]))
 
 
 _ENCODINGS = ("mono8", "rgb8", "bgra8", "bayer_rggb8", "yuv422", "8UC3", "16UC1", "", "bayer_x", "x" * 1000)
 _SIDES = (0, 1, 2, 3, 7, 64, -1, 2**31 - 1)
 
 
-def images_target() -> Target:
+def make_images(rng: Rng) -> tuple[Any, Any, Any]:
     """Messages with images, corners and lenses whose sizes, steps, offsets and bytes do not go together."""
+    pick = lambda *values: int(rng.choice(values))  # noqa: E731
+    stamp = SimpleNamespace(sec=int(rng.integers(-5, 5)), nanosec=int(rng.integers(10**9)))
+    header = SimpleNamespace(stamp=stamp, frame_id="camera")
+    width, height = (int(x) for x in rng.choice(_SIDES, 2))
+    data = rng.integers(0, 255, pick(0, 1, 10, 64 * 64, 64 * 64 * 3, 64 * 64 * 4)).astype(np.uint8)
+    about = {"header": header, "width": width, "height": height}
+    step, encoding = pick(0, 1, width, 3 * width, 5, 2**31 - 1), str(rng.choice(_ENCODINGS))
+    image = SimpleNamespace(**about, step=step, encoding=encoding, is_bigendian=0, data=data)
+    names, fields = [*(CORNER.names or ()), "x"], []
+    for i, name in enumerate(names):
+        said, offset = str(rng.choice(names)) if rng.random() < 0.1 else name, pick(4 * i, 4 * i, 4 * i, 1000, -4)
+        kind = 6 if rng.random() < 0.1 or name.startswith(("id", "image")) else 7
+        fields.append(SimpleNamespace(name=said, offset=offset, datatype=kind))
+    about |= {"width": pick(0, 1, 4, 170, -1), "height": 1, "point_step": pick(0, 4, 24, 24, 24, 10**9)}
+    cloud = SimpleNamespace(**about, fields=fields, is_bigendian=False, data=data.tobytes())
+    numbers = rng.choice([0.0, 1.0, 500.0, np.nan, np.inf, -3.0], pick(9, 9, 0, 4))
+    model = str(rng.choice(["plumb_bob", "fisheye"]))
+    return image, cloud, SimpleNamespace(width=width, height=height, k=numbers, d=numbers[:5], distortion_model=model)
 
-    def make(rng: Rng) -> tuple[Any, Any, Any]:
-        pick = lambda *values: int(rng.choice(values))  # noqa: E731
-        stamp = SimpleNamespace(sec=int(rng.integers(-5, 5)), nanosec=int(rng.integers(10**9)))
-        about = {"header": SimpleNamespace(stamp=stamp, frame_id="camera")}
-        width, height = (int(x) for x in rng.choice(_SIDES, 2))
-        data = rng.integers(0, 255, pick(0, 1, 10, 64 * 64, 64 * 64 * 3, 64 * 64 * 4)).astype(np.uint8)
-        about |= {"width": width, "height": height}
-        step, encoding = pick(0, 1, width, 3 * width, 5, 2**31 - 1), str(rng.choice(_ENCODINGS))
-        image = SimpleNamespace(**about, step=step, encoding=encoding, is_bigendian=0, data=data)
-        names = [*(CORNER.names or ()), "x"]
-        fields = []
-        for i, name in enumerate(names):
-            said, offset = str(rng.choice(names)) if rng.random() < 0.1 else name, pick(4 * i, 4 * i, 4 * i, 1000, -4)
-            kind = 6 if rng.random() < 0.1 or name.startswith(("id", "image")) else 7
-            fields.append(SimpleNamespace(name=said, offset=offset, datatype=kind))
-        about |= {"width": pick(0, 1, 4, 170, -1), "height": 1, "point_step": pick(0, 4, 24, 24, 24, 10**9)}
-        cloud = SimpleNamespace(**about, fields=fields, is_bigendian=False, data=data.tobytes())
-        numbers = rng.choice([0.0, 1.0, 500.0, np.nan, np.inf, -3.0], pick(9, 9, 0, 4))
-        model = str(rng.choice(["plumb_bob", "fisheye"]))
-        info = SimpleNamespace(width=width, height=height, k=numbers, d=numbers[:5], distortion_model=model)
-        return image, cloud, info
 
-    def run(case: tuple[Any, Any, Any]) -> None:
-        image, cloud, info = case
-        if (raw := raw_image(image, 1.0)) is not None:
-            grey_of(raw)
-        if (data := lens_data(info)) is not None:
-            with contextlib.suppress(ModcalError):
-                lens_from_data(data, "camera_info")
-        read_corners(cloud)
-
-    return Target("images", make, run)
+def run_images(case: tuple[Any, Any, Any]) -> None:
+    image, cloud, info = case
+    if (raw := raw_image(image, 1.0)) is not None:
+        grey_of(raw)
+    if (data := lens_data(info)) is not None:
+        with contextlib.suppress(ModcalError):
+            lens_from_data(data, "camera_info")
+    read_corners(cloud)
 
 
 def targets(folder: Path) -> list[Target]:
     """All targets; folder: for files that cases are written to."""
-    bags = [mcap_target(folder), sqlite_target(folder), metadata_target(folder)]
-    texts = [urdf_target(), mapping_target(folder), cell_target(folder), calibration_target(), report_target()]
-    return [*bags, *texts, yaml_target(), other_files_target(), images_target()]
+    text = yaml_text(BASES["cell"]) + "a: &a {b: 1}\nc: {<<: *a, d: 2001-01-01}\n"
+    return [
+        *(mcap_target(folder), sqlite_target(folder), metadata_target(folder)),
+        of_text("urdf", URDF, URDF_WORDS, run_urdf),
+        *(mapping_target(folder), cell_target(folder)),
+        of_data("calibration", calibration(), run_calibration),
+        report_target(),
+        of_text("yaml", text, YAML_WORDS, lambda case: parse_yaml(case, "f.yaml")),
+        other_files_target(),
+        Target("images", make_images, run_images, make_images(np.random.default_rng(0))),
+    ]

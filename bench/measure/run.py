@@ -5,7 +5,9 @@
 goal: stations until 0.1 mm are proven, chosen and at random under the same rule, proof included; whether what was
 promised is true. impossible: goals below what the arm repeats; whether they are refused, and how good the arm then is
 beside 400 planned stations. ties: pairs of explanations that one recording leaves open, and up to twelve stations more.
-ur5, ipa: how many stations of a recorded grid give the error of the whole, at three tenths that are never offered.
+ur5, ipa: how many stations of a recorded grid give the error of the whole, at three tenths that are never offered;
+--seeds divisions, with --chosen no random stations beside. --first-cell: its seed; another one makes fresh cells.
+--noise: times the tracker's.
 """
 
 from __future__ import annotations
@@ -17,23 +19,32 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import harness
 
 # isort: split
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import recorded
-from cells import REPEATS, Bench
+from harness import over, share
+from recordings import plant
+from scenarios import SCENARIOS
+from sites import BEGIN, REPEAT, Cell, Stations
+from workplace import TRACKER, Workplace, distance
 
 from modcal_core.calibration.noise import errors
+from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
-from modcal_core.measuring.advice import Advisor
-from modcal_core.measuring.choose import deciding_stations, fit_stations, of_recording, one_motion
+from modcal_core.measuring import Advice, Advisor, Goal
+from modcal_core.measuring.choose import deciding_stations, fit_stations, of_recording, of_robot, one_motion
 from modcal_core.measuring.outlook import outlook
-from modcal_core.measuring.proof import Goal
 from modcal_core.measuring.refit import Refit, refit
-from modcal_core.measuring.session import POINT, POSE, Session, Station
+from modcal_core.measuring.session import FRAME, POINT, POSE, Session, Station
+from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot
-from modcal_nodes.measuring.folder import Replay
+from modcal_core.robots.urdf import read_chain
+from modcal_core.robots.urdf_inertias import read_inertias
+from modcal_nodes.measuring import Replay
 
+Array = np.ndarray
 ARMS, KINDS = ("ur10", "panda", "xarm7"), ("point", "pose")
 # effects of the arm that a frozen model can hold; what jumps or drifts while it is measured has no error to promise
 FAULTS = (
@@ -41,11 +52,93 @@ FAULTS = (
     "axis_wobble hose_drag approach_backlash hardening_spring gear_harmonic+compliance"
 )
 TIED = "compliance bearing_tilt gear_ratio axis_wobble encoder_eccentricity wrist_coupling hardening_spring"
+EACH, TRUTH = 8.0, 400  # s from one station to the next; random postures at which the error is taken
 GOAL, PLANNED, FIRST = 1e-4, 400, 40  # m; stations that a refusal is compared with, of which so many to begin with
 RECORDED, NARROW, MORE, AT_ONCE = 45, 0.45, 12, 4  # of ties: stations, share of the joints' ranges, further stations
 HELD, LARGE, WITHIN = 0.3, 3000, 1.1  # of a grid: share that scores; a large one; times the whole's error
 GRIDS = {"ur5": (5, 0.35), "ipa": (200, 0.15)}  # stations held out together, and the share that is claimed
-PARTS = ("goal", "impossible", "ties", *GRIDS)
+WAYS = ("planned", "random")
+
+
+class Measured(Workplace):
+    """A workplace where one station is measured after the other."""
+
+    def __init__(self, task: harness.Task, noise: float = 1.0, repeats: float = REPEAT) -> None:
+        self.seed, self.kind = task["seed"], task["kind"]
+        rng = np.random.default_rng([self.seed, 26])
+        cell = Cell(task["robot"], rng)
+        self.planted = plant(cell, SCENARIOS[task["fault"]], rng, 600.0)
+        super().__init__(cell, tuple(f.bend for f in self.planted), (noise * TRACKER[0], noise * TRACKER[1]), repeats)
+        self.chain = read_chain(cell.arm.urdf, None, cell.arm.tip)
+        self.inertias = read_inertias(cell.arm.urdf, self.chain)
+        ranges = zip(cell.arm.names, *cell.arm.range, strict=True)
+        site = Site(limits={n: (float(a), float(b)) for n, a, b in ranges}, noise=Noise(position=2e-5))
+        self.pool = of_robot(self.chain, site, self.kind, np.random.default_rng(self.seed))
+        self.begin(0)
+
+    def begin(self, seed: int) -> None:
+        """Another measurement in the same cell, with noise of its own."""
+        self.rng = np.random.default_rng([self.seed, 27, seed])
+        self.now, self.last = 0.0, np.zeros(self.chain.n)
+
+    def visit(self, station: Station) -> Station:
+        """Go to a station, from the side that is asked for, and read."""
+        self.now += EACH
+        way = np.sign(station.asked - self.last)
+        if station.approach is not None:
+            way = np.where(station.approach != 0.0, station.approach, way)
+        self.last = station.asked
+        pose = self.kind == "pose"
+        seen = self.read(Stations(station.asked[None], np.array([self.now]), way[None]), self.rng, pose)
+        reading = np.r_[seen.p[0], seen.R[0].as_quat()] if pose else seen.p[0]
+        return station.measured(reading, stamp=BEGIN + self.now, approach=way)
+
+    def done(self, session: Session) -> Session:
+        for number in session.pending:
+            session = session.with_station(number, self.visit(session.stations[number]))
+        return session
+
+    def asked(self, q: Array) -> Session:
+        """A session in which these postures (N, n) have been measured."""
+        return self.done(Session(self.chain.names, self.kind).asking([Station(row) for row in q]))
+
+    def refit(self, session: Session) -> Refit:
+        return refit(session.samples(session.fitted), self.chain, 0, None, self.inertias)
+
+    def run(self, goal: Goal, planned: bool) -> Advice:
+        self.begin(0)
+        advisor = Advisor(self.chain, self.pool, goal, 0, None, self.inertias, planned)
+        session = Session(self.chain.names, self.kind)
+        while (advice := advisor.advise(session, self.now)).outcome is None:
+            session = self.done(advice.session)
+        return advice
+
+    def at_random(self, seed: int, now: float) -> tuple[np.random.Generator, Stations]:
+        """Random allowed postures, each reached from a side of its own."""
+        rng = np.random.default_rng([self.seed, seed])
+        q = self.pool.q[self.pool.order[-TRUTH:]]
+        return rng, Stations(q, np.full(len(q), now), rng.choice([-1.0, 1.0], q.shape))
+
+    def floor(self) -> float:
+        """RMS over space [mm] of what the arm does not repeat at random allowed postures, as its truth has it."""
+        rng, stations = self.at_random(29, 0.0)
+        p = [self.cell.poses(told, self.faults).p for told in (stations, self.reached(stations, rng))]
+        return distance(*p)
+
+    def error(self, calibration: Calibration) -> float:
+        """RMS [mm] of the distance between where the model has the tool and where it is, at random allowed postures.
+
+        What the arm does not repeat is part of it; the instrument's noise never is.
+        """
+        rng, stations = self.at_random(28, self.now)
+        exact = self.cell.poses(self.reached(stations, rng), self.faults).p
+        samples = Samples.from_arrays(stations.q, points=exact, names=self.chain.names)
+        told = {"frames": (FRAME,), "approach": stations.came, "stamps": BEGIN + stations.t}
+        return missed(calibration, replace(samples, **told))
+
+
+def missed(calibration: Calibration, samples: Samples) -> float:
+    return 1e3 * harness.rms(errors(calibration.calibrated, samples).position_norm)
 
 
 def cells(count: int, first: int) -> list[harness.Task]:
@@ -56,73 +149,61 @@ def cells(count: int, first: int) -> list[harness.Task]:
     return [dict(zip(keys, (*picked[k % len(order)], KINDS[k % 2], first + k), strict=True)) for k in range(count)]
 
 
-def one(task: harness.Task) -> harness.Result:
-    """What came of one cell of a part."""
-    return PART[task["part"]](task)
-
-
 def goal(task: harness.Task) -> harness.Result:
-    """Stations until the goal is proven, chosen and at random."""
-    bench = Bench(task["robot"], task["fault"], task["seed"], task["kind"], task["noise"])
-    out = {}
-    for name, planned in (("planned", True), ("random", False)):
-        advice = bench.run(Goal(GOAL), planned)
-        s, true = advice.status, 1e3 * bench.error(advice.refitted.calibration)
-        out[name] = {"ending": advice.outcome.ending, "stations": s.measured, "fit": s.fitted}
-        out[name] |= {"proof": s.proving, "true_mm": true}
+    place, out = Measured(task, task["noise"]), {}
+    for name in WAYS:
+        advice = place.run(Goal(GOAL), name == "planned")
+        s, true = advice.status, place.error(advice.refitted.calibration)
+        told = {"ending": advice.outcome.ending, "stations": s.measured, "fit": s.fitted, "proof": s.proving}
+        out |= {f"{name} {key}": value for key, value in (told | {"true_mm": true}).items()}
     return out
 
 
 def impossible(task: harness.Task) -> harness.Result:
-    """A goal of six tenths of what the arm repeats."""
-    bench = Bench(task["robot"], task["fault"], task["seed"], task["kind"], repeats=4 * REPEATS)
-    floor = bench.floor()
-    advice = bench.run(Goal(0.6 * floor), True)
-    error = bench.error(advice.refitted.calibration)
-    out: harness.Result = {"ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": 1e3 * floor}
-    out |= {"true_mm": 1e3 * error, "best_mm": 1e3 * best_error(bench, PLANNED), "said": advice.outcome.sentence}
-    return out
-
-
-def best_error(bench: Bench, count: int) -> float:
-    """RMS error [m] of the model from so many stations, chosen for the error of the tool: the best to compare with."""
-    bench.begin(1)
-    pool, session = bench.pool, Session(bench.chain.names, bench.kind)
-    session = bench.done(session.asking([Station(pool.q[int(j)]) for j in pool.first(FIRST)]))
-    model = bench.refit(session)
-    view = outlook(model, pool.where, model.spread, np.random.default_rng(0))
-    more = fit_stations(pool, session, view, model, count - FIRST, True, np.random.default_rng(0), 0)
-    return bench.error(bench.refit(bench.done(session.asking(more.stations))).calibration)
+    """A goal of six tenths of what the arm repeats; error of the model then, and of as many planned stations."""
+    place = Measured(task, repeats=4 * REPEAT)
+    floor = place.floor()
+    advice = place.run(Goal(0.6e-3 * floor), True)
+    out: harness.Result = {"ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": floor}
+    out["true_mm"] = place.error(advice.refitted.calibration)
+    place.begin(1)
+    session = place.asked(place.pool.q[[int(j) for j in place.pool.first(FIRST)]])
+    model = place.refit(session)
+    view, rng = outlook(model, place.pool.where, model.spread, np.random.default_rng(0)), np.random.default_rng(0)
+    more = fit_stations(place.pool, session, view, model, PLANNED - FIRST, True, rng, 0)
+    best = place.error(place.refit(place.done(session.asking(more.stations))).calibration)
+    return {**out, "best_mm": best, "ratio": out["true_mm"] / best, "said": advice.outcome.sentence}
 
 
 def tie(task: harness.Task) -> harness.Result:
     """A recording of a part of the joints' ranges: what it leaves open, and whether further stations separate it."""
     seed = task["seed"]
-    bench = Bench(task["robot"], task["fault"], 500 + seed, task["kind"])
-    bench.begin(0)
-    rng, (low, high) = np.random.default_rng([bench.seed, 30]), bench.cell.arm.range
+    place = Measured({**task, "seed": 500 + seed})
+    rng, (low, high) = np.random.default_rng([place.seed, 30]), place.cell.arm.range
     middle = 0.5 * (low + high) + 0.25 * rng.uniform(-1.0, 1.0, len(low)) * (high - low)
     half = 0.5 * NARROW * (high - low)
-    q = np.clip(rng.uniform(middle - half, middle + half, (RECORDED, len(low))), low, high)
-    session = bench.done(Session(bench.chain.names, bench.kind).asking([Station(row) for row in q]))
-    model = bench.refit(session)
+    session = place.asked(np.clip(rng.uniform(middle - half, middle + half, (RECORDED, len(low))), low, high))
+    model = place.refit(session)
     before, used = open_pairs(model), 0
-    stations, between = deciding_stations(model, bench.pool, AT_ONCE, np.random.default_rng(seed))
+    stations, between = deciding_stations(model, place.pool, AT_ONCE, np.random.default_rng(seed))
     if not stations:
         return {"open": False}
     while stations and used < MORE:
         stations = stations[: MORE - used]
-        session = bench.done(session.asking(stations))
+        session = place.done(session.asking(stations))
         used += len(stations)
-        model = bench.refit(session)
-        stations, _ = deciding_stations(model, bench.pool, AT_ONCE, np.random.default_rng(seed + used))
+        model = place.refit(session)
+        stations, _ = deciding_stations(model, place.pool, AT_ONCE, np.random.default_rng(seed + used))
     name, _, other = between.partition(" or ")
     decided = not {(name, other), (other, name)} & open_pairs(model)
     # a curve that was taken for an effect can be told from its rival, and the line that is left cannot
-    same = not decided and (name, other) in one_motion(model, bench.pool, np.random.default_rng(seed))
+    same = not decided and (name, other) in one_motion(model, place.pool, np.random.default_rng(seed))
     out: harness.Result = {"open": True, "between": between, "more": used, "decided": decided, "one_motion": same}
     out |= {"open_before": len(before), "open_after": len(open_pairs(model))}
-    out |= {"effects": [e.label for e in model.calibration.calibrated.effects], "true": [f.place for f in bench.faults]}
+    out |= {
+        "effects": [e.label for e in model.calibration.calibrated.effects],
+        "true": [f.place for f in place.planted],
+    }
     return out
 
 
@@ -137,7 +218,7 @@ def grid(name: str) -> tuple[Robot, Samples]:
     if name == "ipa":
         with harness.scratch() as folder:
             return recorded.series("a", folder)
-    robot = Robot.from_table(harness.ROOT / "examples" / "robots" / "ur5.yaml")
+    robot = Robot.from_table(harness.ROBOTS / "ur5.yaml")
     q, p = recorded.grid("ur5")
     return robot, Samples.from_arrays(q, points=p).of_joints(robot.names)
 
@@ -149,32 +230,29 @@ def replay(task: harness.Task) -> harness.Result:
     block = np.arange(len(samples)) // size
     held = np.isin(block, np.random.default_rng(seed).permutation(block[-1] + 1)[: round(HELD * (block[-1] + 1))])
     offered, scored = samples.select(~held), samples.select(held)
-
-    def error(found: Refit) -> float:
-        return 1e3 * harness.rms(errors(found.calibration.calibrated, scored).position_norm)
-
-    whole = error(refit(offered, robot.mechanism, seed, None, robot.inertias))
-    out: dict[str, Any] = {"offered": len(offered), "scored": len(scored), "whole_mm": whole}
-    for name in ("planned", "random"):
+    whole = missed(refit(offered, robot.mechanism, seed, None, robot.inertias).calibration, scored)
+    out: dict[str, Any] = {"offered": len(offered), "scored": len(scored), "whole_mm": whole, "steps": []}
+    for name in WAYS[: 1 if task["chosen"] else 2]:
         measurer, pool = Replay(offered), of_recording(offered.q, np.random.default_rng(seed))
         aim = Goal(None, stations=max(int(limit * len(offered)), 20))
-        session, rows, reached = Session(robot.names, POSE if measurer.kind == POSE else POINT), [], None
-        while True:
+        session, advice = Session(robot.names, POSE if measurer.kind == POSE else POINT), None
+        steps: list[list[Any]] = []
+        while advice is None or advice.outcome is None:
+            for number in session.pending:
+                session = session.with_station(number, measurer.measure(session.stations[number]))
             # half as many again each time, of a large recording twice as many, for time: what is asked is how few do
             batch = max(12, len(session.rows()) // (1 if len(offered) > LARGE else 2))
             plan = Advisor(robot.mechanism, pool, aim, seed, None, robot.inertias, name == "planned", batch)
             advice = plan.advise(session)
             session = advice.session
             if advice.refitted is not None:
-                rows.append((len(session.rows()), error(advice.refitted), len(advice.status.effects)))
-                reached = (reached or rows[-1][0]) if rows[-1][1] <= WITHIN * whole else None
-            if advice.outcome is not None:
-                break
-            for number in session.pending:
-                session = session.with_station(number, measurer.measure(session.stations[number]))
-        out[name] = {"steps": rows, "reached": reached, "said": advice.outcome.sentence}
-        if task["chosen"]:
-            break
+                mm, count = missed(advice.refitted.calibration, scored), len(session.rows())
+                share = f"{count / len(offered):.1%}"
+                steps.append([f"{seed} {name}", count, share, mm, mm / whole, len(advice.status.effects)])
+        beyond = [k for k, step in enumerate(steps) if step[4] > WITHIN]
+        last = max(beyond, default=-1) + 1  # from here on within
+        out[f"{name} reached"] = steps[last][1] if last < len(steps) else None
+        out["steps"] += steps
     return out
 
 
@@ -182,59 +260,51 @@ PART = {"goal": goal, "impossible": impossible, "ties": tie, "ur5": replay, "ipa
 
 
 def show(part: str, results: list[harness.Result]) -> None:
-    """What a part comes to."""
+    told = ("robot", "fault", "kind")
     if part == "goal":
-        both = [r for r in results if r["planned"]["ending"] == r["random"]["ending"] == "proven"]
-        proven = [r[n] for r in results for n in ("planned", "random") if r[n]["ending"] == "proven"]
-        ratio = [r["planned"]["stations"] / r["random"]["stations"] for r in both]
-        rows = [
-            [r["robot"], r["fault"], r["kind"], *(r[n][k] for n in ("planned", "random") for k in r[n])]
-            for r in results
-        ]
-        told = ("ending", "stations", "fit", "proof", "true mm")
-        harness.table("Chosen, and at random", ("arm", "fault", "readings", *told, *told), rows)
-        medians = [np.median([r[n]["stations"] for r in both]) for n in ("planned", "random")]
+        keys = ("ending", "stations", "fit", "proof", "true_mm")
+        harness.rows("Chosen, and at random", results, (*told, *(f"{way} {key}" for way in WAYS for key in keys)))
+        both = [r for r in results if all(r[f"{way} ending"] == "proven" for way in WAYS)]
+        kept = [r[f"{n} true_mm"] <= 1e3 * GOAL for r in results for n in WAYS if r[f"{n} ending"] == "proven"]
+        ratio = [r["planned stations"] / r["random stations"] for r in both] or [np.nan]
+        medians = [over(f"{way} stations", harness.median)(both) for way in WAYS]
         harness.say(
             f"both proven in {len(both)} of {len(results)}; stations planned / random: median {np.median(ratio):.2f} "
-            f"({np.percentile(ratio, 25):.2f} to {np.percentile(ratio, 75):.2f}); medians {medians[0]:.0f} and "
-            f"{medians[1]:.0f}; promise kept in {harness.share(p['true_mm'] <= 1e3 * GOAL for p in proven)}"
+            f"({np.percentile(ratio, 25):.2f} to {np.percentile(ratio, 75):.2f}); medians {medians[0]} and "
+            f"{medians[1]}; promise kept in {share(kept)}"
         )
     elif part == "impossible":
-        keys = ("robot", "fault", "kind", "ending", "stations", "floor_mm", "true_mm", "best_mm")
-        harness.table("Goals that cannot be reached", keys, [[r[k] for k in keys] for r in results])
-        ratios = np.array([r["true_mm"] / r["best_mm"] for r in results])
-        refused = harness.share(r["ending"] == "no_station_helps" for r in results)
+        keys = (*told, "ending", "stations", "floor_mm", "true_mm", "best_mm")
+        harness.rows("Goals that cannot be reached", results, keys)
+        ratios, refused = np.array([r["ratio"] for r in results]), [r["ending"] == "no_station_helps" for r in results]
         harness.say(
-            f"refused {refused}; error over that of {PLANNED} planned stations: median {np.median(ratios):.3f}, "
+            f"refused {share(refused)}; error over that of {PLANNED} planned stations: median {np.median(ratios):.3f}, "
             f"{np.mean(ratios <= 1.1):.0%} within 1.1, largest {ratios.max():.2f}"
         )
     elif part == "ties":
-        keys = ("robot", "fault", "between", "more", "decided", "one_motion", "open_before", "open_after")
-        harness.table("Pairs that one recording leaves open", keys, [[r[k] for k in keys] for r in results])
-        decided, same = (harness.share(r[k] for r in results) for k in ("decided", "one_motion"))
+        keys = (*told[:2], "between", "more", "decided", "one_motion", "open_before", "open_after")
+        harness.rows("Pairs that one recording leaves open", results, keys)
+        decided, same = (share(r[k] for r in results) for k in ("decided", "one_motion"))
         harness.say(f"separated by at most {MORE} more: {decided}; one motion, which is said: {same}")
     else:
-        rows = [
-            [f"{r['seed']} {name}", n, f"{n / r['offered']:.1%}", mm, mm / r["whole_mm"], effects, r[name]["reached"]]
-            for r in results
-            for name in ("planned", "random")[: 1 + ("random" in r)]
-            for n, mm, effects in r[name]["steps"]
-        ]
-        heads = ("division", "stations", "share", "mm", "÷ whole", "effects", f"within {WITHIN} from")
-        harness.table(f"Replay of {part}", heads, rows)
+        heads = ("division", "stations", "share", "mm", "÷ whole", "effects")
+        harness.table(f"Replay of {part}", heads, [step for r in results for step in r["steps"]])
+        keys = ("seed", "whole_mm", *(f"{way} reached" for way in WAYS))
+        harness.rows(f"within {WITHIN} of the whole from", results, keys)
 
 
 def main() -> int:
-    """Exit code: 0 where nothing failed."""
-    parser = harness.parser(__doc__, seeds=1, names=PARTS)  # seeds: divisions of a grid
-    parser.add_argument("--cells", type=int, default=30)
-    parser.add_argument("--first-cell", type=int, default=100, help="its seed: another one makes fresh cells")
-    parser.add_argument("--noise", type=float, default=1.0, help="times the tracker's noise of bench/undeclared")
-    parser.add_argument("--chosen", action="store_true", help="of the grids no random stations beside")
-    given = harness.parsed(parser)
-    made = cells(given.cells, given.first_cell)
+    given = harness.options(
+        __doc__,
+        seeds=1,
+        names=("goal", "impossible", "ties", *GRIDS),
+        cells=30,
+        first_cell=100,
+        noise=1.0,
+        chosen=False,
+    )
+    made, tied = cells(given.cells, given.first_cell), TIED.split()
     tasks = {"goal": [{**cell, "noise": given.noise} for cell in made], "impossible": made}
-    tied = TIED.split()
     tasks["ties"] = [
         {"robot": ARMS[k % 3], "fault": tied[k // 3 % len(tied)], "kind": KINDS[k % 2], "seed": k + 1}
         for k in range(40 * given.cells)
@@ -245,7 +315,7 @@ def main() -> int:
         waiting, results = [{"part": part, **task} for task in tasks[part]], []
         while waiting:  # of the ties until so many pairs were left open
             some, waiting = (waiting[: given.cells], waiting[given.cells :]) if part == "ties" else (waiting, [])
-            done = harness.each(one, some, given)
+            done = harness.each(PART, some, given)
             failed += harness.failures(done)
             results += [r for r in done if not r["failed"] and r.get("open", True)]
             if part == "ties" and len(results) >= given.cells:

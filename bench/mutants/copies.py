@@ -1,18 +1,23 @@
-"""Copies of a checkout in which faults are put in and tests are run; the checkout itself is never changed."""
+"""Copies of this checkout in which faults are put in and tests are run; the checkout itself is never changed."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
+import queue
 import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from fragments import SOURCES
+from harness import ROOT
 
 PROBE = Path(__file__).with_name("probe.py")
 _MADE = re.compile(r"__pycache__|\.egg-info")
@@ -36,21 +41,20 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def environment(settings: Mapping[str, str]) -> dict[str, str]:
-    """The environment without another ROS, with these settings."""
     return {**{name: value for name, value in os.environ.items() if not _FOREIGN.fullmatch(name)}, **settings}
 
 
 class Copy:
     """One copy: a clone with what is not committed on top of it, its own build, and the probe."""
 
-    def __init__(self, folder: Path, root: Path, tests: Path | None = None) -> None:
+    def __init__(self, folder: Path, tests: Path | None = None) -> None:
         """Make it, or take one that stands there already. tests: a folder in place of the checkout's own."""
         self.root = folder / "main"
         self._process: subprocess.Popen[bytes] | None = None
         if not (folder / "ready").exists():
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
-            self._make(root, tests)
+            self._make(ROOT, tests)
             (folder / "ready").touch()
 
     def _make(self, root: Path, tests: Path | None) -> None:
@@ -89,6 +93,12 @@ class Copy:
         for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
             compiled.unlink()
 
+    def names(self, tests: Sequence[str]) -> str:
+        """A file with names of tests, for the probe."""
+        file = self.root.parent / "tests.json"
+        file.write_text(json.dumps(tests))
+        return str(file)
+
     def pytest(self, arguments: Sequence[str], settings: Mapping[str, str], seconds: float) -> int:
         """Exit code of a run of the tests; −1 where it took longer than this and was ended."""
         command = [str(self.root / ".venv/bin/python"), "-m", "pytest", "-q", "-p", "mutants_probe"]
@@ -109,3 +119,47 @@ class Copy:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
+
+
+class Copies:
+    """As many copies as there are workers. clean: takes out of one what an interrupted run has left."""
+
+    def __init__(self, folder: Path, tests: Path | None, count: int, clean: Callable[[Copy], None]) -> None:
+        self._folders, self._tests, self._clean = [folder / str(k) for k in range(count)], tests, clean
+        self._made: list[Copy] = []
+        self.ended = False  # interrupted: what still comes in says nothing
+
+    def all(self) -> list[Copy]:
+        """Made when they are needed first."""
+        if not self._made:
+            self._made = [Copy(folder, self._tests) for folder in self._folders]
+            for copy in self._made:
+                self._clean(copy)
+        return self._made
+
+    def share(self, work: Callable[[Copy, Any], None], items: Sequence[Any]) -> None:
+        """The work on every item, each on a copy of its own; then all copies are clean."""
+        free: queue.SimpleQueue[Copy] = queue.SimpleQueue()
+        for copy in self.all():
+            free.put(copy)
+
+        def one(item: Any) -> None:
+            copy = free.get()
+            try:
+                work(copy, item)
+            finally:
+                free.put(copy)
+
+        with ThreadPoolExecutor(len(self._made)) as pool:
+            try:
+                for done in [pool.submit(one, item) for item in items]:
+                    done.result()
+            except BaseException:
+                self.ended = True
+                pool.shutdown(wait=False, cancel_futures=True)
+                for copy in self._made:
+                    copy.end()
+                raise
+            finally:
+                for copy in self._made:
+                    self._clean(copy)

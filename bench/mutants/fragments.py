@@ -28,7 +28,6 @@ class Mutant:
 
     @property
     def name(self) -> str:
-        """What it is called: function and meaning."""
         return f"{self.function}: {self.what}"
 
 
@@ -43,7 +42,6 @@ class Place:
     line: int
 
     def mutated(self, new: str) -> str:
-        """The text of the file with the fault in it."""
         return self.text[: self.start] + new + self.text[self.end :]
 
 
@@ -75,7 +73,6 @@ class Function:
 
 
 def sample() -> tuple[Mutant, ...]:
-    """The mutants of sample.txt, in its order."""
     out, area = [], ""
     for line in SAMPLE.read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
@@ -107,7 +104,6 @@ def find(root: Path, mutant: Mutant) -> Place:
 
 @lru_cache
 def functions(sources: Path) -> tuple[Function, ...]:
-    """All functions and methods of the packages."""
     return tuple(f for path in sorted(sources.glob("*/*/**/*.py")) for f in _of(path, sources))
 
 

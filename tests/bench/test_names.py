@@ -19,7 +19,7 @@ def test_the_list_has_a_line_for_every_bench() -> None:
     lines = _bench().stdout.splitlines()[1:]
     named = {line.split(None, 1)[0]: line.split(None, 1)[1] for line in lines}
     folders = {file.parent.name for file in (ROOT / "bench").glob("*/run.py")}
-    assert folders | {"doors", "soak", "kills"} <= named.keys()
+    assert folders | {"delta", "outside"} <= named.keys()
     assert "harness" not in named
     assert all(len(words) > 20 for words in named.values()), named
 
@@ -32,7 +32,7 @@ def test_an_unknown_name_is_refused_with_the_list() -> None:
 
 
 def test_a_bench_gets_its_arguments() -> None:
-    assert "--recordings" in _bench("fleet", "--help").stdout
+    assert "--recordings" in _bench("fleet-workers", "--help").stdout
     assert _bench("long-bag", "--help").stdout.startswith("usage: long_bag.py")
 
 

@@ -10,13 +10,16 @@ from cells import Recorded, record, ur10
 from scipy.optimize import brentq
 
 from modcal_core.calibration.cell import Cell
-from modcal_core.claim.evidence import draw, widths_of_links
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.claim.claim import expected_claim
+from modcal_core.claim.evidence import _values, draw, widths_of_links
 from modcal_core.claim.neighbourhood import neighbourhood, shows_base
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.kinds.kind import KIND_NAMES
 from modcal_core.measurements.recording import TOUCH
 from modcal_core.measurements.samples import Samples
+from modcal_core.report.as_json import claim_data
 from modcal_core.robots.kinematics import chain_forward
 from modcal_core.verdict.tolerance import Asked
 
@@ -140,23 +143,76 @@ def test_arms_that_are_farther_off_are_found_to_be() -> None:
     assert far > 2.0 * usual
 
 
-def test_draws_are_those_of_the_posterior_written_out() -> None:
-    """Spread of what draws make of the tool, beside the whole information matrix with its priors, inverted."""
+def test_draws_of_given_widths_are_those_of_the_posterior_written_out() -> None:
     cell = record(7, 40, "point")
     fitted = calibrated(cell.samples).calibration.calibrated
     about = neighbourhood(fitted, ur10(), cell.samples, Cell(), functions=False)
-    drawn = draw(replace(about, pull=np.zeros_like(about.pull)), 20_000, np.random.default_rng(0))
-    width, scale = np.median(drawn.width), np.median(drawn.scale)
-    one = np.abs(np.log(drawn.width / width)) + np.abs(np.log(drawn.scale / scale)) < 0.1
-    assert one.sum() > 500
-    tail = {place: size / width for place, size in widths_of_links(about).items()}
-    std = np.array([x * width * tail[p] if p >= 0 else x * scale for x, p in zip(about.std, about.place, strict=True)])
-    C = np.linalg.inv(about.H / scale**2 + np.diag(std**-2.0))
+    D, noise = 1.3 * about.std, np.array([1.1])
+    _, drawn = _values(about, D, noise, 20_000, np.random.default_rng(0))
+    C = np.linalg.inv(about.H[0] / 1.1**2 + np.diag(D**-2.0))
+    mean = C @ (about.g[0] / 1.1**2 + about.pull - about.shipped / D**2)
     rows = np.flatnonzero(about.place >= 0)
     assert len(rows) == 30
-    assert np.allclose(drawn.values[one][:, rows].std(axis=0), np.sqrt(np.diag(C))[rows], rtol=0.15)
-    mean = C @ about.g / scale**2 - about.shipped
-    assert np.allclose(drawn.values[one][:, rows].mean(axis=0), mean[rows], atol=0.2 * np.sqrt(np.diag(C))[rows].max())
+    spread = np.sqrt(np.diag(C))
+    assert np.allclose(drawn.std(axis=0)[rows], spread[rows], rtol=0.03)
+    assert np.allclose(drawn.mean(axis=0)[rows], mean[rows], atol=0.03 * spread[rows].max())
+
+
+def test_without_readings_widths_are_those_expected_and_with_them_the_noise_is_found() -> None:
+    """The sampler by itself, of a model that says nothing, and of one that says all."""
+    cell = record(7, 40, "point")
+    fitted = calibrated(cell.samples).calibration.calibrated
+    about = neighbourhood(fitted, ur10(), cell.samples, Cell(), functions=False)
+    silent = replace(about.unread(), H=0.0 * about.H, square=0.0 * about.square, rows=0.0 * about.rows)
+    drawn = [draw(silent, 120, np.random.default_rng(seed)).widths[:, about.place >= 0] for seed in range(8)]
+    logs = np.log(np.concatenate(drawn))
+    assert abs(float(logs.mean()) - np.log(1.4)) < 0.5
+    assert 0.5 < float(logs.std()) < 1.8
+    for wider in (1.0, 2.0):
+        louder = replace(about, H=about.H * wider**2, g=about.g * wider**2, square=about.square * wider**2)
+        assert 0.85 * wider < float(draw(louder, 120, np.random.default_rng(1)).noise[0]) < 1.35 * wider
+
+
+def test_noise_of_a_few_readings_that_a_fit_met_exactly_is_as_usual() -> None:
+    cell = record(4, 30, "point")
+    fitted = calibrated(cell.samples).calibration.calibrated
+    about = neighbourhood(fitted, ur10(), cell.samples, Cell(), functions=False)
+    few = replace(about, square=np.zeros(1), rows=np.array([6.0]), g=0.0 * about.g, H=0.0 * about.H)
+    assert 0.2 < float(draw(few, 120, np.random.default_rng(1)).noise[0] / about.usual[0]) < 1.5
+
+
+def test_a_plan_is_told_what_its_stations_would_give() -> None:
+    few, many = record(6, 30, "point").samples, record(6, 120, "point").samples
+    found = calibrated(many)
+    noise = NoiseModel(3e-5, 2e-4)
+    claims = [expected_claim(found.calibration, s, Cell(), noise).mm["p95"].ci95[1] for s in (few, many)]
+    assert claims[1] < 0.9 * claims[0]
+    blind = replace(many, reading=np.zeros_like(many.reading))
+    assert expected_claim(found.calibration, blind, Cell(), noise).mm["p95"].ci95[1] == pytest.approx(
+        claims[1], rel=1e-6
+    )
+    rough = expected_claim(found.calibration, many, Cell(), NoiseModel(3e-4, 2e-4)).mm["p95"].ci95[1]
+    assert rough > 2.0 * claims[1]
+
+
+def test_where_joints_hardly_moved_it_is_applied_within_their_ranges_only() -> None:
+    cell = record(5, 80, "point")
+    whole = calibrated(cell.samples).report.claim
+    assert whole is not None
+    assert whole.apply
+    assert whole.ranges is None
+    q = cell.samples.q.copy()
+    q[:, :3] = q[0, :3]
+    p = cell.world.tool_in_tracker(q)[:, :3, 3] + 3e-5 * np.random.default_rng(0).standard_normal((len(q), 3))
+    part = calibrated(replace(cell.samples, q=q, reading=p))
+    claim = part.report.claim
+    assert claim is not None
+    assert claim.apply
+    assert claim.ranges is not None
+    assert claim.ranges[cell.samples.names[0]] == pytest.approx((q[0, 0], q[0, 0]))
+    assert "within the recorded joint ranges only" in claim.sentence
+    data = claim_data(claim)
+    assert data["apply_within"] == {name: list(ends) for name, ends in claim.ranges.items()}
 
 
 def test_a_socket_does_not_show_where_the_base_is() -> None:

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -74,20 +74,28 @@ def _forker() -> Forker:
 class Process:
     """One node process; its output is kept and shown when a test fails.
 
-    from_nothing: in an interpreter of its own, not one that was forked with everything imported.
+    from_nothing: in an interpreter of its own, not one that was forked with everything imported. command: another one in
+    place of the node's executable, likewise from nothing.
     """
 
     popen: subprocess.Popen[bytes] | Forked
 
     def __init__(
-        self, name: str, domain: int, folder: Path, *arguments: str, from_nothing: bool = False, **parameters: Any
+        self,
+        name: str,
+        domain: int,
+        folder: Path,
+        *arguments: str,
+        from_nothing: bool = False,
+        command: Sequence[str] = (),
+        **parameters: Any,
     ) -> None:
         settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         ros = ["--ros-args", *arguments, *settings] if arguments or settings else []
         self.log = folder / f"{name}-{time.monotonic_ns()}.log"
-        words, variables = [str(EXECUTABLES / name), *ros], environment(domain)
+        words, variables = [*(command or [str(EXECUTABLES / name)]), *ros], environment(domain)
         with self.log.open("wb") as stream:
-            if from_nothing:
+            if from_nothing or command:
                 self.popen = subprocess.Popen(words, env=variables, stdout=stream, stderr=subprocess.STDOUT, cwd=folder)
             else:
                 self.popen = _forker().start(words, variables, folder, stream.fileno())

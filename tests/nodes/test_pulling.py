@@ -24,7 +24,7 @@ pytestmark = pytest.mark.dds
 
 def opened(folder: Path, seed: int, share: float = 0.35, **chosen: Any) -> Opening:
     scene = draw(CHAIN, np.random.default_rng(seed), chosen)
-    # a third of the way that bench/doors.py goes: by then the model is known and followed at full speed
+    # a third of the way that bench/doors goes: by then the model is known and followed at full speed
     opening = open_it(folder, scene, {"seed": seed, **chosen, **PACED}, patience=150.0, share=share)
     print(f"{scene.kind}, {scene.grasp}, radius {scene.radius:.2f} m, {opening.seconds:.1f} s: {opening.pull}")
     return opening
@@ -32,7 +32,7 @@ def opened(folder: Path, seed: int, share: float = 0.35, **chosen: Any) -> Openi
 
 @pytest.mark.slow
 def test_a_screw_held_by_a_ball_opens_gently(tmp_path: Path) -> None:
-    """Of bench/doors.py a part; the stiff, straight pull takes 100 to 800 N there. A drawer: below; a door: test_door_demo."""
+    """Of bench/doors a part; the stiff, straight pull takes 100 to 800 N there. A drawer: below; a door: test_door_demo."""
     pull = opened(tmp_path, 3, kind="screw", grasp="ball").pull
     assert pull.done, pull
     assert pull.peak <= 40.0

@@ -29,7 +29,7 @@ JOINT_SHARES = (0.0, 0.3, 0.6, 0.9)  # of the spread that joints make, as far as
 _ONE_JOINT = 0.3  # prior that the pattern is that of one joint
 _OF_ONE = (1.0, 1.41)  # factors of the spread beside it
 # times the share of a pattern in the variance, where it is large: with a share of 0.15, places of the UR10 that
-# bench/check/real.py looks at leave up to five times the usual variance
+# bench/check looks at leave up to five times the usual variance
 _THERE = (8.0, 16.0)
 _NEVER = -6.0  # logarithm of a chance (1 in 400) below which stations do not all stand in such places
 _LARGE = 400  # rows, beyond which a coarser grid is kept: it is then known well from the data

@@ -13,7 +13,16 @@ from typing import Literal
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Cell, Model, RowView, Uncertainty, linearise, procrustes
+from modcal_core.calibration import (
+    Calibration,
+    Cell,
+    Model,
+    NoiseModel,
+    RowView,
+    Uncertainty,
+    linearise,
+    procrustes,
+)
 from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
 from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, joint_motion, neighbourhood, shows_base
@@ -22,7 +31,7 @@ from modcal_core.effects import STEPS
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
-from modcal_core.robots import takes
+from modcal_core.robots import Mechanism, takes
 
 StatisticName = Literal["mean", "rms", "p95", "max"]
 NAMES: tuple[StatisticName, ...] = ("mean", "rms", "p95", "max")
@@ -31,7 +40,7 @@ _DRAWS, _POSTURES = 400, 200
 _TRIES = 50  # for each posture of a robot that cannot take all of them
 _SURE = 0.95
 _MOSTLY = 0.5  # of the claim, from which what no reading shows is told
-_MARGIN = 1.12  # of what draws of a linear model are too narrow by
+_MARGIN = 1.0  # of what a linear model leaves out
 _UNKNOWN_M = 5e-3  # of a tool that is known no better, nothing is claimed along that direction
 
 
@@ -49,7 +58,8 @@ class Claim:
 
     shown_mm, unshown_mm: upper ends of the 95th percentile with what the readings show alone, and with what only the
     usual size of errors holds. open: what those directions are, and what shows them. nominal_p95: of the nominal arm
-    [mm]. apply: whether the calibrated arm is surely the better one. known: covariance of the calibrated model where
+    [mm]. apply: whether the calibrated arm is surely the better one. ranges: of the joints by name, in which it is, and
+    not over the whole of them; None: anywhere. known: covariance of the calibrated model where
     the readings do not show every direction of the tool, else None: it is that of the fit.
     """
 
@@ -60,6 +70,7 @@ class Claim:
     unshown_mm: float
     nominal_p95: float
     apply: bool
+    ranges: Mapping[str, tuple[float, float]] | None
     open: OpenDirection
     known: Uncertainty | None = field(repr=False, compare=False)
 
@@ -88,6 +99,8 @@ class Claim:
             said += f" {self.open.remedy}"
         if not self.apply:
             said += " It is not sure that the calibrated arm is the better one: do not apply it."
+        elif self.ranges is not None:
+            said += " Apply it within the recorded joint ranges only: beyond them the nominal arm may be better."
         return said
 
 
@@ -106,70 +119,143 @@ def claim_at_tool(
     how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
     that is less.
     """
-    rng = np.random.default_rng(_SEED)
     about = neighbourhood(calibration.calibrated, calibration.nominal.chain, samples, cell)
     about = with_carried(about, calibration) if frozen else about
+    claim, drawn = _claim(about, calibration, samples, cell, _Asked(postures, carried))
+    placed = shows_base(samples, _frame(samples))
+    return claim if placed or frozen else replace(claim, known=known(about, drawn))
+
+
+def expected_claim(
+    calibration: Calibration, planned: Samples, cell: Cell, noise: NoiseModel, postures: Array | None = None
+) -> Claim:
+    """The claim that readings at planned stations would give, by an instrument of this noise.
+
+    planned: stations with readings of any value. postures: asked for, (M, n) [rad, m]; None: in the planned ranges.
+    """
+    about = neighbourhood(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
+    return _claim(about.unread(), calibration, planned, cell, _Asked(postures))[0]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """postures: asked for; None: in the recorded ranges. carried: the model as another recording gets it."""
+
+    postures: Array | None = None
+    carried: Model | None = None
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Errors of the calibrated arm at M postures, by draws (D, 3 M) [m]. open: what no reading holds of them. other:
+    what the nominal arm is off besides (3 M,). samples: these postures. J: of all values, (K, 6 M).
+    """
+
+    calibrated: Array
+    open: Array
+    other: Array
+    samples: Samples
+    J: Array
+
+    def norms(self, errors: Array) -> Array:
+        """Lengths (D, M) of errors (D, 3 M)."""
+        return np.sqrt((errors.reshape(len(errors), 3, len(self.samples)) ** 2).sum(axis=1))
+
+    @property
+    def better(self) -> bool:
+        """Whether the calibrated arm is surely the better one."""
+        ours, other = (_of(self.norms(e), "rms") for e in (self.calibrated, self.calibrated + self.other))
+        return bool(np.mean(ours < other) >= _SURE)
+
+
+def _claim(
+    about: Neighbourhood, calibration: Calibration, samples: Samples, cell: Cell, asked: _Asked
+) -> tuple[Claim, Drawn]:
+    rng = np.random.default_rng(_SEED)
     drawn = draw(about, _DRAWS, rng)
-    asked = _asked(about, samples, postures, rng)
-    frame = int(asked.frame[0])
-    placed = shows_base(samples, frame)
-    at = linearise(about.model, about.parameters, about.values, asked)
-    M = len(asked)
-    J = _without_scale(about, at.J, asked)
-    apart = _apart(about.model, calibration.nominal.with_effects(()), asked, placed)
-    lost = _apart(calibration.calibrated, carried or calibration.calibrated, asked, placed)
-    P = _unknown(about, drawn, J[:, : 3 * M], asked, placed)
-    move, other, lost = (_clear(rows, P) for rows in (J[:, : 3 * M], apart[None], lost[None]))
-    error = drawn.values @ move
-    joints = _joints(about, asked, drawn, cell, rng)
-    calibrated = _norms(error + joints + lost, M)
-    nominal = _norms(error + joints + other, M)
-    shown = _norms((drawn.values - drawn.open) @ move + joints + lost, M)
-    unshown = drawn.open @ move
-    mm = {name: _statistic(1e3 * calibrated, name) for name in NAMES}
-    deg = None
+    low, high = samples.q.min(axis=0), samples.q.max(axis=0)
+    q = _random(about.model.chain, low, high, rng) if asked.postures is None else asked.postures
+    there = _at(about, samples, q if len(q) else samples.q, rng)
+    at = _errors(about, calibration, drawn, there, asked.carried)
+    M = len(at.samples)
+    joints = _joints(about, at.samples, drawn, cell, rng)
+    at = replace(at, calibrated=at.calibrated + joints)
+    shown, deg = at.norms(at.calibrated - at.open), None
     if samples.is_pose.any():
-        deg = {name: _statistic(np.degrees(_norms(drawn.values @ J[:, 3 * M :], M)), name) for name in NAMES}
-    better = np.mean(_of(calibrated, "rms") < _of(nominal, "rms"))
-    return Claim(
-        mm,
-        deg,
-        "recorded ranges" if postures is None else "postures asked for",
-        _statistic(1e3 * shown, "p95").ci95[1],
-        _statistic(1e3 * _norms(unshown, M), "p95").ci95[1],
-        float(np.median(_of(1e3 * nominal, "p95"))),
-        bool(better >= _SURE),
-        open_direction(unshown, RowView.of(about.model, asked, about.model.drivers(asked)).f.p[-1], placed),
-        None if placed or frozen else known(about, float(np.exp(np.mean(np.log(drawn.width))))),
+        angles = at.norms(drawn.values @ at.J[:, 3 * M :])
+        deg = {name: _statistic(np.degrees(angles), name) for name in NAMES}
+    whole = _random(about.model.chain, *_limits(about.model.chain, low, high), rng)
+    anywhere = len(whole) and _errors(about, calibration, drawn, _at(about, samples, whole, rng), asked.carried).better
+    ranges = {name: (float(a), float(b)) for name, a, b in zip(samples.names, low, high, strict=True)}
+    claim = Claim(
+        mm={name: _statistic(1e3 * at.norms(at.calibrated), name) for name in NAMES},
+        deg=deg,
+        over="recorded ranges" if asked.postures is None else "postures asked for",
+        shown_mm=_statistic(1e3 * shown, "p95").ci95[1],
+        unshown_mm=_statistic(1e3 * at.norms(at.open), "p95").ci95[1],
+        nominal_p95=float(np.median(_of(1e3 * at.norms(at.calibrated + at.other), "p95"))),
+        apply=at.better,
+        ranges=None if anywhere or not at.better else ranges,
+        open=open_direction(at.open, _view(about, at.samples).f.p[-1], there[1]),
+        known=None,
+    )
+    return claim, drawn
+
+
+def _errors(
+    about: Neighbourhood, calibration: Calibration, drawn: Drawn, asked: tuple[Samples, bool], carried: Model | None
+) -> _Errors:
+    samples, placed = asked
+    J = _without_scale(about, linearise(about.model, about.parameters, about.values, samples).J)
+    position = J[:, : 3 * len(samples)]
+    apart = _apart(about.model, calibration.nominal.with_effects(()), samples, placed)
+    lost = np.zeros(position.shape[1])
+    if carried is not None:
+        lost = _apart(calibration.calibrated, carried, samples, placed)
+    P = _unknown(about, drawn, position, samples, placed)
+    move, other, lost = (_clear(rows, P) for rows in (position, apart[None], lost[None]))
+    return _Errors(drawn.values @ move + lost, drawn.open @ move, other[0] - lost[0], samples, J)
+
+
+def _limits(chain: Mechanism, low: Array, high: Array) -> tuple[Array, Array]:
+    """Ends of the joints' whole ranges (n,), half a turn either way or what was recorded where there are none."""
+    turn = np.where(chain.revolute, np.pi, 0.0)
+    return (
+        np.where(np.isfinite(chain.lower), chain.lower, np.minimum(low, -turn)),
+        np.where(np.isfinite(chain.upper), chain.upper, np.maximum(high, turn)),
     )
 
 
-def _asked(about: Neighbourhood, samples: Samples, postures: Array | None, rng: np.random.Generator) -> Samples:
-    """Postures as samples of poses, in a frame that knows the base where there is one; beside each, what came with a
-    recorded sample after the last step.
+def _random(chain: Mechanism, low: Array, high: Array, rng: np.random.Generator) -> Array:
+    """Random postures between these ends that the robot can take, (M, n)."""
+    q = rng.uniform(low, high, (_TRIES * _POSTURES if chain.closed else _POSTURES, len(low)))
+    return q[takes(chain, q)][:_POSTURES] if chain.closed else q
+
+
+def _frame(samples: Samples) -> int:
+    """The first frame that knows the base, or the first."""
+    return next((f for f in range(len(samples.frames)) if shows_base(samples, f)), 0)
+
+
+def _at(about: Neighbourhood, samples: Samples, q: Array, rng: np.random.Generator) -> tuple[Samples, bool]:
+    """Postures q (M, n) as samples of poses, beside each what came with a recorded sample after the last step; and
+    whether readings show where the base is.
     """
-    q = postures
-    if q is None:
-        low, high = samples.q.min(axis=0), samples.q.max(axis=0)
-        chain = about.model.chain
-        q = rng.uniform(low, high, (_TRIES * _POSTURES if chain.closed else _POSTURES, samples.q.shape[1]))
-        q = q[takes(chain, q)][:_POSTURES] if chain.closed else q
-        q = q if len(q) else samples.q
     moved = [e.shape.settings["at"] for e in about.model.effects if e.shape.kind in STEPS]
     now = np.flatnonzero(samples.stamps >= min(max(moved, default=-np.inf), samples.stamps.max()))
-    beside = samples.select(rng.choice(now, len(q)))
-    direct = [f for f in range(len(samples.frames)) if shows_base(samples, f)]
-    return replace(
+    beside, frame = samples.select(rng.choice(now, len(q))), _frame(samples)
+    asked = replace(
         beside,
         q=q,
-        frame=np.full(len(q), direct[0] if direct else 0),
+        frame=np.full(len(q), frame),
         kind=np.full(len(q), POSE, dtype=KIND_NAMES),
         reading=np.zeros((len(q), 3)),
         R=np.tile(np.eye(3), (len(q), 1, 1)),
     )
+    return asked, shows_base(samples, frame)
 
 
-def _without_scale(about: Neighbourhood, J: Array, asked: Samples) -> Array:
+def _without_scale(about: Neighbourhood, J: Array) -> Array:
     """The derivatives without those of a reading's scale, which moves no tool."""
     out, j = J, len(about.parameters)
     for effect in about.model.effects:
@@ -198,8 +284,7 @@ def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, place
     """
     out = []
     if not placed:
-        at = about.model.drivers(asked)
-        p = RowView.of(about.model, asked, at).f.p[-1]
+        p = _view(about, asked).f.p[-1]
         p = p - p.mean(axis=1, keepdims=True)
         for axis in np.eye(3):
             out += [np.repeat(axis, len(asked)), so3.cross(np.repeat(axis[:, None], len(asked), axis=1), p).ravel()]
@@ -218,7 +303,7 @@ def _clear(rows: Array, basis: Array | None) -> Array:
 def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, cell: Cell, rng: np.random.Generator) -> Array:
     """What joints do not repeat, at every posture of every draw, (D, 3 M) [m]."""
     M, D = len(asked), len(drawn.scale)
-    view = RowView.of(about.model, asked, about.model.drivers(asked))
+    view = _view(about, asked)
     n = about.model.chain.n
     motions = np.stack([joint_motion(view, about.model.chain, j)[: 3 * M] for j in range(n)])
     likely = about.shares
@@ -235,9 +320,8 @@ def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, cell: Cell, rng:
     return out.reshape(D, 3 * M)
 
 
-def _norms(error: Array, M: int) -> Array:
-    """Lengths (D, M) of errors (D, 3 M)."""
-    return np.sqrt((error.reshape(len(error), 3, M) ** 2).sum(axis=1))
+def _view(about: Neighbourhood, asked: Samples) -> RowView:
+    return RowView.of(about.model, asked, about.model.drivers(asked))
 
 
 def _of(norms: Array, name: StatisticName) -> Array:

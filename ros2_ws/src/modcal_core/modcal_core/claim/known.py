@@ -15,25 +15,23 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration import Calibration, Uncertainty, View, choose_parameters, general_samples, linearise
-from modcal_core.claim.neighbourhood import ARM, UNNAMED, Neighbourhood
+from modcal_core.claim.evidence import Drawn
+from modcal_core.claim.neighbourhood import FREE, Neighbourhood
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE
 
 _EXACT = 1e-10  # m or rad, and share of a variance; nothing is known better
 
 
-def known(about: Neighbourhood, width: float) -> Uncertainty:
-    """The covariance of parameters and of the values of effects, with every direction of the tool.
-
-    width: of links, in usual errors.
-    """
+def known(about: Neighbourhood, drawn: Drawn) -> Uncertainty:
+    """The covariance of parameters and of the values of effects, with every direction of the tool."""
     views = [View(POSE, f) for f in range(len(about.model.frames))]
     bare = about.model.with_effects(())
     of_tool = {p.name for p in choose_parameters(bare, views).parameters}
     kept = [not p.of_arm or p.name in of_tool for p in about.parameters]
-    rows = np.flatnonzero(np.r_[kept, about.kind[len(kept) :] != UNNAMED])
-    std = about.std[rows] * np.where(about.kind[rows] == ARM, width, 1.0)
-    size, V = np.linalg.eigh(about.H[np.ix_(rows, rows)] * np.outer(std, std))
+    rows = np.flatnonzero(np.r_[kept, about.sort[len(kept) :] == FREE])
+    std = drawn.std[rows]
+    size, V = np.linalg.eigh(about.equations(drawn.noise)[0][np.ix_(rows, rows)] * np.outer(std, std))
     half = std[:, None] * V / np.sqrt(1.0 + np.maximum(size, 0.0))
     own = [p for p, keep in zip(about.parameters, kept, strict=True) if keep]
     wide = tuple(replace(p, prior_std=float(x)) for p, x in zip(own, std, strict=False))
@@ -47,23 +45,24 @@ def with_carried(about: Neighbourhood, calibration: Calibration) -> Neighbourhoo
         return about
     P, names = len(kept.parameters), len(about.parameters)
     own = [j for j, p in enumerate(kept.parameters) if p.of_arm]
-    as_kept = np.zeros((len(own), len(about.kind)))
+    as_kept = np.zeros((len(own), len(about.std)))
     as_kept[:, :names] = _as_kept(about, calibration)[own]
     widths = [kept.parameters[j].prior_std for j in own]
     effects = calibration.calibrated.effects
     values = len(kept.covariance) - P
     if values and [e.key for e in effects] == [e.key for e in about.model.effects[: len(effects)]]:
-        as_kept = np.r_[as_kept, np.eye(len(about.kind))[names : names + values]]
+        as_kept = np.r_[as_kept, np.eye(len(about.std))[names : names + values]]
         own, widths = own + list(range(P, P + values)), widths + [np.inf] * values
     C = kept.covariance[np.ix_(own, own)]
     std = np.sqrt(np.maximum(np.diag(C), _EXACT**2))
     size, V = np.linalg.eigh(C / np.outer(std, std))
     half = V / np.sqrt(np.maximum(size, _EXACT)) / std[:, None]
     told = half @ half.T - np.diag(np.array(widths) ** -2.0)
-    count = float(np.sum(told * C))  # of directions that it tells, each off by its deviation
-    more, x = as_kept.T @ told @ as_kept, about.shipped
-    square = about.square + float(x @ more @ x) + count
-    return replace(about, H=about.H + more, g=about.g + more @ x, square=square, rows=about.rows + count)
+    # a covariance that was changed since, as by a repair, may be wider than its prior somewhere: it says nothing there
+    unit = np.where(np.isfinite(widths), widths, std)
+    size, V = np.linalg.eigh(told * np.outer(unit, unit))
+    told = (V * np.maximum(size, 0.0)) @ V.T / np.outer(unit, unit)
+    return replace(about, stated=(about.stated[0] + as_kept.T @ told @ as_kept, about.stated[1]))
 
 
 def _as_kept(about: Neighbourhood, calibration: Calibration) -> Array:

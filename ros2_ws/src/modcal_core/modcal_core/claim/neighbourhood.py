@@ -9,7 +9,7 @@ arms are likely.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,6 @@ from modcal_core.calibration import (
     has_shared_noise,
     known_sigma,
     linearise,
-    normal_equations,
     of_rows,
     ordered_candidates,
     shared_noise,
@@ -45,24 +44,30 @@ from modcal_core.robots import Mechanism, is_delta, is_serial_arm
 
 LENGTH_M, ANGLE_RAD = 5e-4, 1e-3  # how far links of usual arms are off, times a width that the readings tell
 UNNAMED_RAD = 2e-4  # the same of functions for effects that nobody named, of one wave; of k waves 1/√k of it
+UNNAMED_M = 5e-5  # of each function by which the whole arm is off
 FREE_M, FREE_RAD = 0.5, 1.0  # of bases, tool and constants of instruments, of which nothing is expected
 _SHOWN = 1e6  # deviations; a free value that is known better than that needs no wider prior
 SHARES = np.linspace(0.05, 0.99, 16) ** 2  # of the scatter's square that joints may have
-_FINEST, _USUAL = 5e-6, 1e-4  # m or rad; what instruments other than trackers read no better than, and usually
-_ROUNDS = 6
+# rad; how well joints repeat, an arm of 1 m to some 0.02 mm, by Student's law of their logarithm, of two degrees
+_REPEATED, _SPREAD = 1.5e-5, np.log(2.0)
+_ROTATION = "~rotation"  # of poses, whose noise is its own; last among the kinds
+_FINEST, _USUAL = 5e-6, 5e-5  # m or rad; what instruments read no better than, and usually
 _NEAR = 1e-4  # rad or m, over which derivatives change
 _FREE_SHARE = 0.1  # of a row, at least
 _FEW = 200  # samples that say how joints move readings
-ARM, UNNAMED, FREE = 0, 1, 2  # what a value belongs to
+LENGTH, ANGLE, WAVE, LOAD, SIGN, WARP, FREE = range(7)  # sorts of values
 
 
 @dataclass(frozen=True)
 class Neighbourhood:
     """model: the calibrated one, with the functions as effects of no size. parameters: of the geometry. shipped: values
-    that the calibrated model has (K,), from the nominal arm. H (K, K), g (K,), square: normal equations of the values
-    and squared readings, in units of the fit's noise. rows: equations. std: usual size of each value (K,), and of
-    what it is one (K,): ARM, UNNAMED, FREE. joints: mean squared weighed reading per rad² of all joints, each alone.
-    shares: how likely each of SHARES is (S,). pull: what g is short of, per s² (K,). noise: of the readings.
+    that the calibrated model has (K,), from the nominal arm. H (S, K, K), g (S, K), square, rows (S,): by each kind of
+    reading normal equations about the calibrated model, squared residuals, in units of the fit's noise, and equations.
+    stated: H (K, K) and g (K,) of what is known besides. usual: noise that instruments usually have, in the same units
+    (S,). std: usual size of each value (K,). sort: of each, LENGTH … FREE (K,). group: a number of what it belongs to,
+    a link or one joint's functions of a sort (K,). place: of values of the arm, else -1 (K,). joints: mean squared
+    weighed reading of the main kind per rad² of all joints, each alone. shares: how likely each of SHARES is. main: the
+    kind with the most equations. pull: what g is short of (K,). noise: of the readings.
     """
 
     model: Model
@@ -70,15 +75,31 @@ class Neighbourhood:
     shipped: Array
     H: Array
     g: Array
-    square: float
-    rows: float
+    square: Array
+    rows: Array
+    stated: tuple[Array, Array]
+    usual: Array
     std: Array
-    kind: np.ndarray
+    sort: np.ndarray
+    group: np.ndarray
     place: np.ndarray
     joints: float
     shares: Array
+    main: int
     pull: Array
     noise: NoiseModel
+
+    def equations(self, noise: Array) -> tuple[Array, Array]:
+        """H (K, K) and g (K,) of all that is known, given the noise of each kind (S,)."""
+        each = noise**-2.0
+        return np.tensordot(each, self.H, 1) + self.stated[0], each @ self.g + self.stated[1]
+
+    def unread(self) -> Neighbourhood:
+        """The same before the readings are there: they miss the model by their noise, about the calibrated arm."""
+        nothing, likely = np.zeros_like(self.shipped), np.exp(_of_repeating(self.joints))
+        return replace(
+            self, g=0.0 * self.g, square=self.rows, shipped=nothing, pull=nothing, shares=likely / likely.sum()
+        )
 
     @property
     def values(self) -> Array:
@@ -87,11 +108,19 @@ class Neighbourhood:
 
 
 def neighbourhood(
-    calibrated: Model, nominal: Mechanism, samples: Samples, cell: Cell, functions: bool = True
+    calibrated: Model,
+    nominal: Mechanism,
+    samples: Samples,
+    cell: Cell,
+    functions: bool = True,
+    noise: NoiseModel | None = None,
 ) -> Neighbourhood:
-    """What these samples say of all arms near the calibrated one. functions: with those for effects nobody named."""
+    """What these samples say of all arms near the calibrated one.
+
+    functions: with those for effects nobody named. noise: of the readings; None: what they miss the model by.
+    """
     named = calibrated.effects
-    more = unknown.functions(calibrated.drivers(samples)) if functions else ()
+    more = unknown.functions(calibrated.drivers(samples), calibrated.T_tip_tool[:3, 3]) if functions else ()
     model = replace(calibrated.with_effects((*named, *more)), fallback=None)
     around = model.drivers(samples)
     every = ordered_candidates(model.chain, model.frames, views_of(samples), model.instruments, model.leaders)
@@ -101,67 +130,115 @@ def neighbourhood(
     pose = samples.is_pose
     known_p, known_r = known_sigma(samples.sigma_position), known_sigma(samples.sigma_rotation[pose])
     groups = Groups.of(samples, bool(model.instruments))
-    weights, noise = weigh(left, pose, known_p, known_r, groups, 0.0, np.inf)
+    weights, missed = weigh(left, pose, known_p, known_r, groups, 0.0, np.inf)
+    noise = noise or replace(
+        missed,
+        position=max(missed.position, _FINEST),
+        rotation=max(missed.rotation, _FINEST),
+        others={name: max(size, _FINEST) for name, size in missed.others.items()},
+    )
     row_weight = of_rows(weights, noise.of(samples), noise.rotation, known_p, known_r, pose)
-    shipped = np.concatenate([_from_nominal(parameters, model.chain, nominal), np.zeros(len(values) - len(parameters))])
-    parts, by_kind = blocks_at(samples, around), {}
-    for name in samples.kinds:
-        mine = samples.kind == name
-        weight = np.concatenate(
-            [np.tile(row_weight[: len(samples)] * mine, 3), row_weight[3 * len(samples) :] * (name == POSE)]
-        )
-        H, g = normal_equations(model, parameters, values, samples, weight, parts)
-        by_kind[name] = H, g, float(weight @ left.residual**2), float((weights * dimensions(samples))[mine].sum())
-    std, kind = _expected(parameters, model, len(named), cell, around, np.diag(sum(one[0] for one in by_kind.values())))
-    scatter = _scatter(by_kind, noise, std, shipped) if len(by_kind) > 1 else dict.fromkeys(by_kind, 1.0)
-    for name, factor in scatter.items():
-        row_weight[: 3 * len(samples)].reshape(3, -1)[:, samples.kind == name] /= factor
-        row_weight[3 * len(samples) :] /= factor if name == POSE else 1.0
-    H = np.sum([one[0] / scatter[name] for name, one in by_kind.items()], axis=0)
-    g = np.sum([one[1] / scatter[name] for name, one in by_kind.items()], axis=0)
-    joints = _of_joints(model, parameters, values, samples, left.residual, row_weight, H, std)
-    square, rows = float(row_weight @ left.residual**2), float(weights @ dimensions(samples))
+    names = [*sorted(samples.kinds), *([_ROTATION] if pose.any() else [])]
     alike = shared_noise(samples, left, row_weight) if has_shared_noise(samples) else 1.0
-    H, g, square, rows = H / alike, g / alike, square / alike, rows / alike
+    H, g, square, rows = (x / alike for x in _by_kind(model, parameters, values, samples, row_weight, names))
+    stated = np.zeros(H.shape[1:]), np.zeros(len(values))
     if cell.distances:
         known = distance_rows(model, parameters, values, cell.distances)
-        H = H + (known.J / known.std**2) @ known.J.T
-        g = g + (known.J / known.std**2) @ known.residual
-        square, rows = square + known.cost, rows + len(known.residual)
-    # counted from the nominal arm, the readings are those that its neighbours are seen by
-    square += float(2.0 * shipped @ g + shipped @ H @ shipped)
-    moves = [p.of_arm or p.name.startswith("tool/") for p in parameters] + [False] * (len(values) - len(parameters))
-    pull = np.where(moves, joints.pull, 0.0) / alike * float(joints.shares @ SHARES) / max(joints.square, 1e-300)
-    place = np.array([p.place if p.of_arm else -1 for p in parameters] + [-1] * (len(values) - len(parameters)))
-    g = g + H @ shipped
+        stated = (known.J / known.std**2) @ known.J.T, (known.J / known.std**2) @ known.residual
+    std, sort, group = _expected(parameters, model, len(named), cell, around, np.diag(H.sum(axis=0)))
+    main = int(rows[: len(samples.kinds)].argmax())
+    own = np.flatnonzero(samples.kind == names[main])
+    said = H[main] + (H[-1] if names[main] == POSE else 0.0)
+    joints = _of_joints(model, parameters, samples.select(own), row_weight[_rows_of(samples, own)], said, std)
+    others = [False] * (len(values) - len(parameters))
+    of_arm = np.array([p.of_arm for p in parameters] + others)
+    moves = of_arm | np.array([p.name.startswith("tool/") for p in parameters] + others)
+    sizes = {**noise.others, _ROTATION: noise.rotation}
     return Neighbourhood(
-        model, parameters, shipped, H, g, square, rows, std, kind, place, joints.square, joints.shares, pull, noise
+        model=model,
+        parameters=parameters,
+        shipped=np.r_[_from_nominal(parameters, model.chain, nominal), np.zeros(len(others))],
+        H=H,
+        g=g,
+        square=square,
+        rows=rows,
+        stated=stated,
+        usual=np.array([_USUAL / sizes.get(name, noise.position) for name in names]),
+        std=std,
+        sort=sort,
+        group=group,
+        place=np.where(of_arm, group, -1),
+        joints=joints.square,
+        shares=joints.shares,
+        main=main,
+        pull=np.where(moves, joints.pull, 0.0) * float(joints.shares @ SHARES) / max(joints.square, 1e-300),
+        noise=noise,
     )
+
+
+def _by_kind(
+    model: Model,
+    parameters: Sequence[ModelParameter],
+    values: Array,
+    samples: Samples,
+    row_weight: Array,
+    names: Sequence[str],
+) -> tuple[Array, Array, Array, Array]:
+    """Normal equations (S, K, K), (S, K), squared residuals and equations (S,), of these kinds of readings."""
+    S, K, root = len(names), len(values), np.sqrt(row_weight)
+    out = np.zeros((S, K, K)), np.zeros((S, K)), np.zeros(S), np.zeros(S)
+    for block in blocks_at(samples, model.drivers(samples)):
+        part = block.part
+        here = linearise(model, parameters, values, part, drivers=block.at or model.drivers(part))
+        kind = np.searchsorted(names, part.kind)
+        each = np.concatenate([np.tile(kind, 3), np.full(3 * int(part.is_pose.sum()), S - 1)])
+        seen = np.concatenate([dimensions(part) - 3.0 * part.is_pose, np.full(int(part.is_pose.sum()), 3.0)])
+        for k in range(S):
+            rows = np.flatnonzero(each == k)
+            J, r = here.J[:, rows] * root[block.rows][rows], here.residual[rows] * root[block.rows][rows]
+            of = np.concatenate([kind, np.full(int(part.is_pose.sum()), S - 1)]) == k
+            for total, more in zip(out, (J @ J.T, J @ r, r @ r, seen[of].sum()), strict=True):
+                total[k] += more
+    return out
+
+
+def _rows_of(samples: Samples, own: np.ndarray) -> np.ndarray:
+    """The rows of a linearisation, (3 n + 3 m,), that belong to n of the samples."""
+    N, M = len(samples), int(samples.is_pose.sum())
+    turned = (np.cumsum(samples.is_pose) - 1)[own[samples.is_pose[own]]]
+    return np.concatenate([own, N + own, 2 * N + own, *(3 * N + M * d + turned for d in range(3))])
 
 
 def _expected(
     parameters: Sequence[ModelParameter], model: Model, named: int, cell: Cell, around: Drivers, seen: Array
-) -> tuple[Array, np.ndarray]:
-    std, kind = [], []
+) -> tuple[Array, np.ndarray, np.ndarray]:
+    groups: dict[tuple[str, str, str], int] = {}
+    std, sort, group = [], [], []
     for p in parameters:
         stated = stated_std(p, cell.tool, cell.known)
         if p.of_arm:
             std.append(LENGTH_M if p.unit == "m" else ANGLE_RAD)
         else:
             std.append(stated if stated is not None else FREE_RAD if p.unit == "rad" else FREE_M)
-        kind.append(ARM if p.of_arm else FREE)
+        sort.append(FREE if not p.of_arm else LENGTH if p.unit == "m" else ANGLE)
+        group.append(p.place)
     for i, effect in enumerate(model.effects):
         if i < named:
             std += prior_stds(effect, around).tolist()
+        elif effect.shape.kind == "warp":
+            std += [UNNAMED_M] * len(effect.values)
         elif effect.shape.kind == "turn":
             std += [UNNAMED_RAD / np.sqrt(effect.shape.settings["cycles"])] * 2
         else:
             size = float(np.sqrt(np.mean(around.values(effect.driver, effect.lag) ** 2)))
-            std.append(UNNAMED_RAD / max(size, 1e-9))
-        kind += [FREE if i < named else UNNAMED] * len(effect.values)
-    of, sizes = np.array(kind), np.array(std)
+            std += [UNNAMED_RAD / max(size, 1e-9)] * len(effect.values)
+        own = {"turn": WAVE, "linear": LOAD, "sign": SIGN, "warp": WARP}
+        sort += [FREE if i < named else own[effect.shape.kind]] * len(effect.values)
+        key = effect.place, effect.driver, effect.direction
+        group += [1000 + groups.setdefault(key, len(groups))] * len(effect.values)
+    of, sizes = np.array(sort), np.array(std)
     enough = _SHOWN / np.sqrt(np.maximum(seen, 1e-300))
-    return np.where(of == FREE, np.minimum(sizes, np.maximum(enough, 1e-12)), sizes), of
+    return np.where(of == FREE, np.minimum(sizes, np.maximum(enough, 1e-12)), sizes), of, np.array(group)
 
 
 def _from_nominal(parameters: Sequence[ModelParameter], chain: Mechanism, nominal: Mechanism) -> Array:
@@ -181,30 +258,6 @@ def _from_nominal(parameters: Sequence[ModelParameter], chain: Mechanism, nomina
     return out
 
 
-def _scatter(
-    by_kind: Mapping[str, tuple[Array, Array, float, float]], noise: NoiseModel, std: Array, shipped: Array
-) -> dict[str, float]:
-    """By kind, how much larger its scatter's square is than the fit took it to be, the values being held to what is
-    usual. A fit may meet the few readings of one instrument as if they were exact; so this begins from usual scatter.
-
-    by_kind: H, g, squared readings and equations of each.
-    """
-    least = {name: (_FINEST / noise.others[name]) ** 2 if name in noise.others else 0.0 for name in by_kind}
-    out = {name: max(1.0, (_USUAL / noise.others[name]) ** 2) if name in noise.others else 1.0 for name in by_kind}
-    for _ in range(_ROUNDS):
-        H = np.sum([one[0] / out[name] for name, one in by_kind.items()], axis=0)
-        g = np.sum([one[1] / out[name] for name, one in by_kind.items()], axis=0)
-        A = H * np.outer(std, std)
-        A.flat[:: len(A) + 1] += 1.0
-        C = np.linalg.inv(A) * np.outer(std, std)
-        x = C @ (g - shipped / std**2)
-        for name, (own, toward, square, count) in by_kind.items():
-            missed = square - 2.0 * float(x @ toward) + float(x @ own @ x)
-            free = max(count - float((C * own).sum()) / out[name], 1.0)
-            out[name] = max(missed / free, least[name], 1e-6)
-    return out
-
-
 @dataclass(frozen=True)
 class _OfJoints:
     """What joints that do not repeat do to the weighed readings.
@@ -220,35 +273,30 @@ class _OfJoints:
 
 
 def _of_joints(
-    model: Model,
-    parameters: Sequence[ModelParameter],
-    values: Array,
-    samples: Samples,
-    left: Array,
-    row_weight: Array,
-    H: Array,
-    std: Array,
+    model: Model, parameters: Sequence[ModelParameter], samples: Samples, row_weight: Array, H: Array, std: Array
 ) -> _OfJoints:
-    """left: residuals, (3 N + 3 M,). H, std: of all readings, and as expected, (K, K), (K,).
+    """H (K, K): of these samples. std: as expected (K,).
 
     Joints that do not repeat scatter more where an arm is stretched out, and across it; an instrument does not. What is
     missed there is divided by the share of it that the values do not take up. Readings that are all alike, of contacts
     and sockets, get closer to each other as the arm gets smaller, whatever its size: with n what the joints miss,
     E[Aᵀ J n] = ρ² Σ ∂A/∂qᵀ J is no sign of its size, and is taken out.
     """
-    N = len(samples)
-    rows = spread_rows(N, _FEW)
-    some, turned = samples.select(rows), (np.cumsum(samples.is_pose) - 1)[rows[samples.is_pose[rows]]]
-    M = (len(row_weight) - 3 * N) // 3
-    at = np.concatenate([rows, N + rows, 2 * N + rows, *(3 * N + M * d + turned for d in range(3))])
-    around, weight = model.drivers(some), row_weight[at]
+    rows = spread_rows(len(samples), _FEW)
+    weight, some = row_weight[_rows_of(samples, rows)], samples.select(rows)
+    around = model.drivers(some)
     view = RowView.of(model, some, around)
-    here, geometry = linearise(model, parameters, values, some, drivers=around).J, np.zeros(len(parameters))
+    geometry, bare = np.zeros(len(parameters)), model.with_effects(())
+    values = np.concatenate([geometry, *(e.values for e in model.effects)])
+    at = linearise(model, parameters, values, some, drivers=around)
+    here, left = at.J, at.residual
     root, pull = np.sqrt(weight), np.zeros(len(values))
     motions = np.stack([joint_motion(view, model.chain, j) for j in range(model.chain.n)])
     for motion, moved in zip(motions, np.eye(model.chain.n), strict=True):
-        there = linearise(model, parameters, geometry, replace(some, q=some.q + _NEAR * moved)).J
-        pull[: len(there)] += (there - here[: len(there)]) @ (weight * motion) / _NEAR
+        there, back = (
+            linearise(bare, parameters, geometry, replace(some, q=some.q + side * moved)).J for side in (_NEAR, -_NEAR)
+        )
+        pull[: len(there)] += (there - back) @ (weight * motion) / (2.0 * _NEAR)
 
     def of_each(x: Array) -> Array:  # (k, 3 n + 3 m) as (n, k, 6), zero where there is no orientation
         out = np.zeros((len(rows), len(x), 6))
@@ -262,13 +310,20 @@ def _of_joints(
     lower = np.linalg.cholesky(H * np.outer(std, std) + np.eye(len(H)))
     half = scipy.linalg.solve_triangular(lower, std[:, None] * here * root, lower=True)
     free = np.maximum(1.0 - (half**2).sum(axis=0), _FREE_SHARE)
-    missed = (of_each((left[at] * root / np.sqrt(free))[None]) @ axes)[:, 0] ** 2
+    missed = (of_each((left * root / np.sqrt(free))[None]) @ axes)[:, 0] ** 2
     spread = 1.0 - SHARES[:, None, None] + SHARES[:, None, None] * np.maximum(size, 0.0)
     scale = (missed / spread).sum(axis=(1, 2)) / seen
     blind = 6.0 * len(rows) - seen  # directions that no reading has, in which nothing is missed
     told = -0.5 * (np.log(spread).sum(axis=(1, 2)) - blind * np.log(1.0 - SHARES) + seen * np.log(scale))
+    told += _of_repeating(square)
     likely = np.exp(told - told.max())
-    return _OfJoints(square, likely / likely.sum(), pull * N / len(rows))
+    return _OfJoints(square, likely / likely.sum(), pull * len(samples) / len(rows))
+
+
+def _of_repeating(square: float) -> Array:
+    """How likely shares of the scatter (S,) are by how joints usually repeat, in logs. square: as of joints."""
+    away = np.log(np.sqrt(SHARES / max(square, 1e-300)) / _REPEATED) / _SPREAD
+    return np.asarray(-1.5 * np.log1p(0.5 * away**2) - 0.5 * np.log(SHARES))
 
 
 def shows_base(samples: Samples, frame: int) -> bool:

@@ -185,7 +185,7 @@ def finite(x: float) -> float | None:
 def claim_data(claim: Claim | None) -> dict[str, Any]:
     """The claim at the tool as ``report.json`` has it, and whether to use the calibration."""
     if claim is None:
-        return {"claim_mm": None, "claim_deg": None, "apply": None}
+        return {"claim_mm": None, "claim_deg": None, "apply": None, "apply_within": None}
 
     def sizes(found: Mapping[Any, Statistic]) -> dict[str, Any]:
         return {str(name): {"value": s.value, "ci95": list(s.ci95)} for name, s in found.items()}
@@ -196,6 +196,7 @@ def claim_data(claim: Claim | None) -> dict[str, Any]:
         "claim_mm": {**sizes(claim.mm), **rest, **opened, "nominal_p95": claim.nominal_p95},
         "claim_deg": None if claim.deg is None else {**sizes(claim.deg), "over": claim.over},
         "apply": claim.apply,
+        "apply_within": claim.ranges and {name: list(ends) for name, ends in claim.ranges.items()},
     }
 
 

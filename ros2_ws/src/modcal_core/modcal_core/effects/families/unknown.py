@@ -10,16 +10,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from modcal_core.effects.drivers import Drivers
-from modcal_core.effects.effect import ACROSS, ALL, AXIS, Effect
+from modcal_core.effects.effect import ACROSS, ALL, AXIS, SHIFT, Effect
 from modcal_core.effects.family import FREE, Family
 from modcal_core.effects.registry import base_and_tool, followed, moving_joints, signals
-from modcal_core.effects.shapes import Shape
-from modcal_core.robots import is_serial_arm
+from modcal_core.effects.shapes import Settings, Shape, ShapeKind
+from modcal_core.geometry import Array
+from modcal_core.robots import is_serial_arm, tool_frames
 
 NAME = "unknown"
 SMOOTH = 7  # functions in a smooth curve
 DEGREE = 3.0  # of a curve over a signal
-WAVES = 5  # a turn, of what stands for effects that nobody named
+WAVES = 3  # a turn, of what stands for effects that nobody named
 ORDER = 2.0  # turns of two joints together
 STATIONS_PER_FUNCTION = 2.5  # an amplitude of a free shape needs more than two, or it follows single stations
 
@@ -40,7 +41,7 @@ def constants(drivers: Drivers) -> Iterator[Effect]:
         yield Effect(NAME, name, AXIS, "constant", Shape("linear"))
 
 
-def functions(drivers: Drivers) -> tuple[Effect, ...]:
+def functions(drivers: Drivers, tool: Array) -> tuple[Effect, ...]:
     """For every joint what effects that nobody named may look like, of no size yet: waves, the direction of approach,
     and torque and moment of weight.
     """
@@ -55,7 +56,25 @@ def functions(drivers: Drivers) -> tuple[Effect, ...]:
                 along.append((ACROSS, f"moment:{joint}", Shape("linear")))
         for direction, driver, shape in along:
             out.append(Effect(NAME, joint, direction, driver, shape, np.zeros(shape.size), np.zeros(shape.size)))
-    return tuple(out)
+    driver = f"tool:{';'.join(map(repr, tool.tolist()))}"
+    at = drivers.values(driver)
+    middle, size = at.mean(axis=1), float(np.sqrt(at.var(axis=1).sum()))
+    settings = {**dict(zip("xyz", middle.tolist(), strict=True)), "size": max(size, 1e-3)}
+    return (*out, Effect(NAME, "base", SHIFT, driver, Shape("warp", settings), np.zeros(27), np.zeros(27)))
+
+
+def place(drivers: Drivers, tool: str) -> Array:
+    """Where the tool is as seen from the root (3, N) [m], the middle where a robot cannot be. tool: in the tip [m]."""
+    T = np.eye(4)
+    T[:3, 3] = [float(x) for x in tool.split(";")]
+    p = tool_frames(drivers.arm.chain, T, drivers.samples.q).p[-1]
+    return np.where(np.isfinite(p), p, np.nanmean(p, axis=1, keepdims=True))
+
+
+def warp(x: Array, s: Settings) -> Array:
+    """Coordinates (3, N) about a middle, in a size, and their squares and products (9, N)."""
+    u = (x - np.array([[s["x"]], [s["y"]], [s["z"]]])) / s["size"]
+    return np.concatenate([u, u * u, u * np.roll(u, 1, axis=0)])
 
 
 def _of_position(drivers: Drivers) -> Iterator[Effect]:
@@ -103,4 +122,10 @@ def _of_signals(drivers: Drivers) -> Iterator[Effect]:
                 yield Effect(NAME, place, direction, signal, bent)
 
 
-FAMILY = Family(NAME, candidates, complexity=lambda _: FREE)  # whatever has a name is plainer
+FAMILY = Family(
+    NAME,
+    candidates,
+    complexity=lambda _: FREE,  # whatever has a name is plainer
+    shapes={"warp": ShapeKind(warp, 9)},
+    drivers={"tool": place},
+)

@@ -1,19 +1,24 @@
-"""The processes of the chaos bench: a relay that spoils what it passes on, and nodes whose callbacks raise at times.
+"""Processes beside modcal's own: a relay that spoils messages, nodes whose callbacks raise at times, bare nodes.
 
 python parts.py relay LOG SEED       # /raw/... → /...; LOG: what was published, and what was done to it
 python parts.py node NAME LOG SEED [--ros-args ...]
+python parts.py bare spin FILE       # rclpy's executor, a callback a message; FILE: what was taken, and how late
+python parts.py bare rest FILE       # all that waits is taken at once, and then a rest, as nodes of modcal do
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import heapq
+import json
 import math
 import signal
 import struct
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -29,10 +34,10 @@ ORDER_EVERY, ORDER_FOR = 20.0, 3.0  # s
 RESTART_EVERY = 15.0  # s
 CLOCK_EVERY, CLOCK_FOR, CLOCK_STEP = 45.0, 4.0, 5  # s
 FAULTS_A_SECOND = 0.5
+REST = 0.003  # s, of a bare node
 
 
 def digest(cdr: bytes) -> bytes:
-    """What a message is known by."""
     return hashlib.blake2b(cdr, digest_size=KEY).digest()
 
 
@@ -161,13 +166,11 @@ class Relay:
         return float(struct.unpack("<d", struct.pack("<Q", number ^ (1 << int(self.rng.integers(64)))))[0])
 
     def close(self) -> None:
-        """Write what was done."""
         self.log.close()
         self.totals.write_text("\n".join(f"{count} {what}" for what, count in self.done.items()))
 
 
 def relay(log: str, seed: str) -> None:
-    """Relay until stopped on request."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 
@@ -216,6 +219,40 @@ def node(name: str, log: str, seed: str) -> None:
     import_module(f"modcal_nodes.nodes.{name}").main()
 
 
+def bare(way: str, out: str) -> None:
+    """Take and discard until told to stop; then write how old poses were when they were taken."""
+    import rclpy
+    from geometry_msgs.msg import PoseStamped
+    from sensor_msgs.msg import JointState
+
+    rclpy.init()
+    node, taken, late = rclpy.create_node("bare"), Counter[str](), deque[float](maxlen=20_000)
+
+    def take(topic: str, message: Any) -> None:
+        taken[topic] += 1
+        if topic == "tracker/pose":
+            stamp = message.header.stamp
+            late.append(time.time() - stamp.sec - 1e-9 * stamp.nanosec)
+
+    kinds = {"joint_states": JointState, "tracker/pose": PoseStamped}
+    heard = {topic: node.create_subscription(kind, topic, partial(take, topic), 1000) for topic, kind in kinds.items()}
+    with contextlib.suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        try:
+            if way == "spin":
+                rclpy.spin(node)
+            while True:
+                rclpy.spin_once(node)
+                for topic, subscription in heard.items():
+                    with subscription.handle:
+                        while (waits := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+                            take(topic, waits[0])
+                time.sleep(REST)
+        finally:  # a context that ends in the middle of a wait is an error of its own kind
+            ms = (1e3 * np.percentile(late or [np.nan], [50.0, 99.0])).tolist()
+            Path(out).write_text(json.dumps({"taken": [taken[topic] for topic in kinds], "late_ms": ms}))
+
+
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
-    {"relay": lambda: relay(*sys.argv[2:4]), "node": lambda: node(*sys.argv[2:5])}[sys.argv[1]]()
+    what, *words = sys.argv[1:]
+    {"relay": relay, "node": node, "bare": bare}[what](*words[: 3 if what == "node" else 2])
