@@ -20,7 +20,7 @@ from modcal_core.verdict.contributions import mean_square
 from modcal_core.verdict.floor import Floor, axes_of
 
 _MAX = 400  # scored samples; the mean over more is the same
-_SURE = 0.99
+_SURE = 0.975  # either end of a 95 % interval
 _NEAR = 0.05  # rad or m; an arm errs alike in postures that are closer, and gears turn by some cycles in as much
 _MANY = 1e9  # degrees of freedom of what is stated
 
