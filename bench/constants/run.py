@@ -1,6 +1,6 @@
 """Does a number that decides matter? Each one 30 % lower and higher, over recordings of the two public benchmarks.
 
-    make bench NAME=constants ARGS="--only status.MAX_REJECTED SIGNIFICANT --every 20"
+    make bench NAME=constants ARGS="--only status.MAX_ABOVE_FLOOR SIGNIFICANT --every 20"
 
 Recordings are those of ``bench/undeclared`` (is the planted effect named, how well is the second recording predicted?)
 and ``bench/verdict`` (is the verdict right?). A number that counts moves by at least one. One that is a default,

@@ -29,17 +29,23 @@ def test_a_recording_and_its_parts_are_known(count: int, clock: bool, rng: np.ra
     samples = Samples.from_arrays(rng.uniform(-1.5, 1.5, (count, chain.n)), points=rng.normal(size=(count, 3)))
     samples = replace(samples, clock=clock)
     marks = marks_of(samples)
-    assert len(marks) == min(count, 256)
-    assert share_of_known(marks, samples) == 1.0
-    assert share_of_known(marks, samples.select(slice(0, count // 2))) == 1.0
+    assert len(marks) == 2 * min(count, 256)
+    assert share_of_known(marks, samples)[0] == 1.0
+    assert share_of_known(marks, samples.select(slice(0, count // 2)))[0] == 1.0
     other = read_anew(samples, rng)
-    assert share_of_known(marks, other) == 0.0
+    assert share_of_known(marks, other)[0] == 0.0
     some = replace(other, **{
         name: np.concatenate([getattr(samples, name)[: count // 3], getattr(other, name)[count // 3 :]])
         for name in ("q", "reading")
     })  # fmt: skip
-    assert share_of_known(marks, some) == pytest.approx(1.0 / 3.0, abs=0.1)
-    assert share_of_known((), samples) == 0.0
+    assert share_of_known(marks, some)[0] == pytest.approx(1.0 / 3.0, abs=0.1)
+    assert share_of_known((), samples)[0] == 0.0
+    rounded = replace(
+        samples, q=np.round(samples.q, 5), reading=np.round(samples.reading, 4), stamps=samples.stamps + 9
+    )
+    assert share_of_known(marks, rounded)[0] == 0.0
+    assert share_of_known(marks, rounded, rounded=True)[0] > 0.95
+    assert share_of_known(marks, other, rounded=True)[0] < 0.75
 
 
 def met(report: Report) -> str:
@@ -51,7 +57,7 @@ def met(report: Report) -> str:
 def test_a_clock_tells_measurements_that_read_the_same(rng: np.random.Generator) -> None:
     samples = record(1, 60).samples
     assert samples.clock
-    assert share_of_known(marks_of(samples), replace(samples, stamps=samples.stamps + 86400.0)) == 0.0
+    assert share_of_known(marks_of(samples), replace(samples, stamps=samples.stamps + 86400.0))[0] == 0.0
 
 
 def test_an_error_on_the_own_recording_is_not_held_out(rng: np.random.Generator) -> None:

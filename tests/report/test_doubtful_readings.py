@@ -20,7 +20,8 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.verdict.readings import coarse, cut_off
+from modcal_core.verdict.computed import too_small
+from modcal_core.verdict.readings import copied, cut_off
 from modcal_core.verdict.tolerance import Asked, AtTool, assess
 from modcal_core.verdict.verdict import Verdict
 
@@ -30,6 +31,12 @@ CHAIN = ur10()
 def said(samples: Samples) -> str:
     report = calibrate(samples, CHAIN, np.random.default_rng(0), look_for_effects=False).report
     return " ".join(report.grounds.contradictions)
+
+
+def coarse(left: Errors, samples: Samples) -> tuple[str, ...]:
+    """What is said of the digits where the final model misses by so much, and the nominal one by an arm's error."""
+    nominal = Errors(left.position + 2e-3, left.rotation)
+    return too_small({"nominal": nominal, "final": left}, samples, samples, CHAIN, None).contradictions
 
 
 def judgement(samples: Samples, cell: Cell | None = None) -> Verdict:
@@ -76,16 +83,41 @@ def test_goals_that_the_joints_missed_by_a_little_are_doubted() -> None:
     assert "before anything is calibrated" in " ".join(frozen.grounds.unproven)
 
 
-def test_postures_that_were_read_again_show_that_somebody_measured() -> None:
-    """An arm that is built as it is described, and an instrument whose readings scatter where they are repeated."""
+def test_returns_do_not_show_that_an_arm_as_drawn_was_measured() -> None:
+    """Its readings scatter where they are repeated, and so do poses that a controller computes: only a person knows."""
     _, q, _ = tour(4, 80, 8)
     rng = np.random.default_rng(1)
     T = chain_forward(CHAIN, q + rng.normal(0.0, 1e-5, q.shape))
     T[:, :3, 3] += 5e-5 * rng.standard_normal((len(q), 3))
     T[:, :3, :3] = T[:, :3, :3] @ so3.exp(5e-5 * rng.standard_normal((len(q), 3)))
     judged = judgement(samples_of(CHAIN, q, T))
-    assert not judged.unproven
+    assert judged.status == "cannot_tell"
+    assert "before anything is calibrated" in judged.unproven
+    judged = judgement(samples_of(CHAIN, q, T), Cell(stated=Stated(repeatability_mm=0.02, instrument_mm=0.087)))
     assert judged.status == "at_floor", judged.open_because
+
+
+def test_rows_that_are_there_several_times_are_no_returns() -> None:
+    samples = record(5, 40).samples
+    assert copied(samples) == ()
+    twice = samples.select(np.tile(np.arange(40), 2))
+    twice = replace(twice, station=np.arange(80), stamps=np.arange(80.0))
+    assert "80 of 80 stations are there several times" in copied(twice)[0]
+    assert copied(replace(samples.select(np.repeat(np.arange(40), 2)), station=np.repeat(np.arange(40), 2))) == ()
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-5, 1e-4])
+def test_computed_readings_are_named_at_any_number(step: float) -> None:
+    for count in (8, 10, 15):
+        made = record(3, count)
+        samples = by_joints(made, step)
+        every = dict.fromkeys(("nominal", "final"), Errors(np.full((3, 3), 1e-4), np.zeros((3, 3))))
+        found = too_small(every, samples.select(slice(0, 3)), samples, CHAIN, None)
+        assert any("reproduces the readings" in said for said in found.contradictions), (count, step)
+        tracked = {"nominal": Errors(np.full((3, 3), 1e-3), np.zeros((3, 3))), "final": every["final"]}
+        found = too_small(tracked, made.samples.select(slice(0, 3)), made.samples, CHAIN, None)
+        assert not found.contradictions
+        assert not found.unproven
 
 
 @pytest.mark.slow

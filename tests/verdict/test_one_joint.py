@@ -73,7 +73,7 @@ def test_a_loose_encoder_is_named_beside_what_is_predictable(made: Recorded) -> 
 def test_a_joint_is_named_beside_one_that_hardly_moves_the_target(made: Recorded) -> None:
     """By points: of the last joint, which turns the tool about itself, nobody can say how it scatters."""
     names = ur10().names
-    q = np.array([0.3, -1.2, 1.6, -1.9, 1.2, 0.4]) + 0.25 * np.random.default_rng(3).uniform(-1.0, 1.0, (140, 6))
+    q = np.array([0.3, -1.2, 1.6, -1.9, 1.2, 0.4]) + 0.25 * np.random.default_rng(4).uniform(-1.0, 1.0, (140, 6))
     off = 1e-5 * np.random.default_rng(5).normal(size=q.shape)
     off[:, 2] *= 80.0
     read = made.world.tool_in_tracker(q + off)

@@ -39,8 +39,8 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.plausibility import recognised
-from modcal_core.report import Report, own_note, unseen_note
-from modcal_core.verdict import Applied, applicable
+from modcal_core.report import Report, unseen_note
+from modcal_core.verdict import Applied, applicable, own_rows
 
 MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
 _SAME_POSTURE = 1e-3  # rad or m; no change of interest shows between two stations that close
@@ -334,8 +334,9 @@ def _dated(calibration: Calibration, samples: Samples) -> tuple[str, ...]:
     """A sentence for a recording that is not later than the calibration's own, by its readings, or by the stamps of
     both; none by stamps that are a simulation's, or count from when a machine was switched on.
     """
-    if own := own_note(samples, calibration):
-        return own
+    own = own_rows(samples, calibration)
+    if own.contradictions or own.unproven:
+        return (*own.contradictions, *own.unproven)
     if calibration.watched is None or not (calibration.clock and samples.clock):
         return ()
     first, last = calibration.watched

@@ -16,6 +16,7 @@ from modcal_core.calibration import (
     refit_cell,
     runs_of,
     split,
+    with_doubt,
     with_frames,
     with_sockets,
 )
@@ -23,16 +24,18 @@ from modcal_core.claim import claim_at_tool
 from modcal_core.diagnosis import frozen, located
 from modcal_core.measurements import Samples
 from modcal_core.plausibility import computed_in_part, proved
-from modcal_core.report import Report, Step, moved_note, offsets_of, own_note, unseen_note
+from modcal_core.report import Report, Step, moved_note, not_asked_note, offsets_of, unseen_note
 from modcal_core.verdict import (
-    MAX_SINGLE,
     Grounds,
     applicable,
     doubtful,
     frozen_case,
     judge,
+    own_rows,
+    own_uncertainty,
     rejection,
-    too_good,
+    too_many,
+    too_small,
     with_places,
 )
 
@@ -75,16 +78,21 @@ def evaluate(
     models["final"] = replace(models["final"], fallback=beyond)
     held_out = samples.select(sets.held_out)
     wrong = np.zeros(len(samples), bool)
-    wrong[sets.held_out] = outlying(models["final"], calibration.noise, calibration.with_scatter(held_out))
-    single = wrong[sets.held_out].mean() <= MAX_SINGLE
+    final, every = models["final"], np.arange(len(held_out))
+    spread = with_doubt(calibration.with_scatter(held_out), final, own_uncertainty(calibration, final), every)
+    wrong[sets.held_out] = outlying(final, calibration.noise, spread)
+    single = not too_many(wrong[sets.held_out], held_out)
     rows = sets.held_out[~wrong[sets.held_out]] if single else sets.held_out
     scored = samples.select(rows)
     residuals = {stage: errors(model, scored) for stage, model in models.items()}
+    small = too_small(residuals, scored, samples, calibration.nominal.chain, cell.stated)
+    own = own_rows(samples, calibration)
     grounds = Grounds(
         converged=converged,
         not_applied=applied.not_applied,
         contradictions=(
-            *own_note(samples, calibration),
+            *own.contradictions,
+            *small.contradictions,
             *doubtful(residuals, scored, samples, calibration.nominal.chain),
             *computed_in_part(samples, calibration.nominal.chain, wrong),
             *samples.origin.doubts,
@@ -92,7 +100,8 @@ def evaluate(
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
         rejected_places=places_of(samples, wrong),
-        unproven=too_good(residuals, scored, calibration.nominal.chain, cell.stated),
+        unproven=(*own.unproven, *small.unproven),
+        not_asked=small.not_asked,
         outside=(*unseen_note(scored, calibration, MAX_OUTSIDE), *applied.notes),
     )
     accepted = samples.select(~wrong) if single else samples
@@ -112,6 +121,7 @@ def evaluate(
             *moved_note(residuals["final"], calibration, refit_base, refit_tool),
             *unseen_note(scored, calibration),
             *applied.notes,
+            *not_asked_note(judged),
         ),
         steps=(
             Step("geometry", residuals["geometric"]),

@@ -25,10 +25,10 @@ from modcal_core.calibration import (
     fit_cell,
     free_cell,
     identifiability,
-    outlying,
     parameter_count,
     places_of,
     readmitted,
+    rejected,
     require_enough,
     right_after_all,
     runs_of,
@@ -63,6 +63,7 @@ from modcal_core.report import (
     instrument_notes,
     load_findings,
     load_notes,
+    not_asked_note,
     offsets_of,
     readmitted_note,
     residual_notes,
@@ -78,7 +79,7 @@ from modcal_core.verdict import (
     regimes_of,
     rejection,
     sane_inertias,
-    too_good,
+    too_small,
     with_places,
 )
 
@@ -160,7 +161,7 @@ def calibrate(
     require_plausible(nominal, final, train, samples, cell.distances, bool(cell.known))
 
     # the score on what no fit has seen, and the model to ship, fitted to all of it
-    wrong = outlying(final.model, final.noise, samples)
+    wrong = rejected(final, samples, sets.train, cell.distances)
     if wrong[sets.held_out].all():  # then it is the model that misses them
         wrong[sets.held_out] = False
     scored = held_out.select(~wrong[sets.held_out])
@@ -188,12 +189,18 @@ def calibrate(
         steps = (*steps, Step(TOGETHER, left["final"]))
 
     # the verdict
+    small = too_small(left, scored, samples, chain, cell.stated)
     grounds = Grounds(
         converged=all(fit.converged for fit in (nominal, geometric, final)) and shipped.converged,
         regimes=regimes_of(final.model, samples),
         not_applied=carried.not_applied,
-        contradictions=(*contradictions(final, train, samples, scored, wrong, left, distances, cell, chain), *absurd),
-        unproven=too_good(left, scored, chain, cell.stated),
+        contradictions=(
+            *small.contradictions,
+            *contradictions(final, train, samples, scored, wrong, left, distances, cell, chain),
+            *absurd,
+        ),
+        unproven=small.unproven,
+        not_asked=small.not_asked,
         convention=convention,
         rejected_runs=runs_of(samples, wrong),
         rejected_places=places_of(samples, wrong),
@@ -222,6 +229,7 @@ def calibrate(
             *readmitted_note(taken_in),
             *residual_notes(case),
             *carried.notes,
+            *not_asked_note(judged),
         ),
         readmitted=taken_in,
         steps=steps,

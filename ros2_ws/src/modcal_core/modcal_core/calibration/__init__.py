@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from modcal_core.calibration.cell import Cell, StatedPayload, fit_cell, free_cell, own_statement, refit_cell
     from modcal_core.calibration.cell import together_stated, with_frames, with_sockets
     from modcal_core.calibration.covariance import GroupSizes, Identifiability, Uncertainty, identifiability
-    from modcal_core.calibration.covariance import likely_sizes, uncertainty, values_without, without
+    from modcal_core.calibration.covariance import likely_sizes, rejected, uncertainty, uncertainty_of, values_without
+    from modcal_core.calibration.covariance import with_doubt, without
     from modcal_core.calibration.data_split import SHARES, RejectedPlace, Split, block_length, consecutive, distinct
     from modcal_core.calibration.data_split import hold_out_all, in_order_of_time, independent_unit, places_of, runs_of
     from modcal_core.calibration.data_split import split, station_numbers, units_of_stations
@@ -74,8 +75,9 @@ __all__ += ["joint_ranges", "known_sigma", "least_change", "likely_sizes", "line
 __all__ += ["max_deviations", "median_chi2", "model_at", "new_instruments", "nonnegative", "normal_equations"]
 __all__ += ["objective", "of_rows", "ordered_candidates", "outlying", "outside_drivers", "own_statement"]
 __all__ += ["parameter_count", "passing_directions", "place_instruments", "place_model", "places_of", "priors"]
-__all__ += ["procrustes", "quantile_chi2", "readmitted", "refit_cell", "require_enough", "right_after_all"]
-__all__ += ["robust_weights", "row_weights", "runs_of", "score_of_one", "shared_noise", "sharpened", "split"]
-__all__ += ["squared_residuals", "standard_score", "stated_std", "station_numbers", "to_data", "together_stated"]
-__all__ += ["tool_and_place", "turns_left", "uncertainty", "uncontradicted", "units_of_stations", "usual_miss"]
-__all__ += ["values_without", "views_of", "visibility", "weigh", "with_frames", "with_sockets", "without"]
+__all__ += ["procrustes", "quantile_chi2", "readmitted", "refit_cell", "rejected", "require_enough"]
+__all__ += ["right_after_all", "robust_weights", "row_weights", "runs_of", "score_of_one", "shared_noise"]
+__all__ += ["sharpened", "split", "squared_residuals", "standard_score", "stated_std", "station_numbers", "to_data"]
+__all__ += ["together_stated", "tool_and_place", "turns_left", "uncertainty", "uncertainty_of", "uncontradicted"]
+__all__ += ["units_of_stations", "usual_miss", "values_without", "views_of", "visibility", "weigh", "with_doubt"]
+__all__ += ["with_frames", "with_sockets", "without"]

@@ -37,12 +37,25 @@ from modcal_core.calibration.equations import blocks_at, normal_equations
 from modcal_core.calibration.fit import Fit, inverse_of_triangle
 from modcal_core.calibration.linearisation import RowView, apply_deviations, deviations, effect_rows, linearise
 from modcal_core.calibration.model import Model
-from modcal_core.calibration.noise import has_shared_noise, row_weights, shared_noise
+from modcal_core.calibration.noise import (
+    FINEST,
+    REJECT_Z,
+    Groups,
+    NoiseModel,
+    errors,
+    has_shared_noise,
+    known_sigma,
+    median_chi2,
+    row_weights,
+    shared_noise,
+    squared_residuals,
+    standard_score,
+)
 from modcal_core.calibration.parameters import ModelParameter
 from modcal_core.calibration.prediction import outside_drivers
 from modcal_core.effects import Drivers, Effect, all_columns, is_large_move, motion, prior_stds
 from modcal_core.geometry import Array, so3
-from modcal_core.measurements import POINT, Samples
+from modcal_core.measurements import POINT, Samples, spread_rows
 from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.robots import is_serial_arm, tool_frames
 
@@ -98,6 +111,62 @@ def uncertainty(
         return Uncertainty(tuple(parameters), 0.5 * (covariance + covariance.T))
     half = inverse_of_triangle(lower) * scale
     return Uncertainty(tuple(parameters), half.T @ half)
+
+
+_LIKELY = 0.999  # chance that the noise is not underestimated by more
+_MAX_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
+
+
+def uncertainty_of(
+    fit: Fit, samples: Samples, seen: np.ndarray, distances: Sequence[AnyDistance] = (), noise: NoiseModel | None = None
+) -> Uncertainty:
+    """The uncertainty that a fit to some rows (``seen``) of these samples leaves. noise: of residuals; None: the fit's.
+
+    What judges the fit's misfit gives the noise, so that a large misfit does not excuse itself.
+    """
+    rows = spread_rows(len(seen), _MAX_FITTED)
+    weights = fit.weights[rows] * (len(seen) / max(len(rows), 1))
+    part = replace(fit, weights=weights, noise=noise or fit.noise)
+    return uncertainty(fit.model, samples.select(seen[rows]), fit.parameters, part, distances)
+
+
+def rejected(fit: Fit, samples: Samples, seen: np.ndarray, distances: Sequence[AnyDistance] = ()) -> np.ndarray:
+    """True for samples that lie outside the noise of a fit to some rows (``seen``) of them, (N,).
+
+    What the fit has not seen may be farther off by what its parameters are uncertain by. Of few samples it knows the
+    noise hardly: positions, or orientations, may take up all of its parameters. What it has not seen is then compared
+    with the usual size of that, as far as the degrees of freedom leave the noise open (F law).
+    """
+    unseen = np.setdiff1d(np.arange(len(samples)), seen)
+    known = uncertainty_of(fit, samples, seen, distances)
+    placed = np.unique(samples.frame[seen[fit.weights > 0.0]])  # a frame that is rejected whole is not uncertain
+    spread = with_doubt(samples, fit.model, known, unseen[np.isin(samples.frame[unseen], placed)])
+    dimensions = Groups.of(samples, bool(fit.model.instruments)).dimensions
+    square = squared_residuals(errors(fit.model, samples), spread, fit.noise, FINEST)
+    values = len(fit.parameters) + sum(len(e.values) for e in fit.model.effects)
+    freedom = max(float(np.minimum(dimensions[seen], 3.0).sum()) - values, 1.0)
+    if len(unseen):
+        usual = float(np.median(square[unseen] / [median_chi2(int(d)) for d in dimensions[unseen]]))
+        most = float(scipy.special.fdtri(float(dimensions[unseen].sum()), freedom, _LIKELY))
+        square[unseen] /= np.clip(usual, 1.0, max(most, 1.0))
+    return np.asarray(standard_score(square, dimensions) > REJECT_Z)
+
+
+def with_doubt(samples: Samples, model: Model, known: Uncertainty, rows: np.ndarray) -> Samples:
+    """The samples; to the standard deviations of some rows, which no fit has seen, is added what the model's own
+    uncertainty makes there (the trace of J C Jᵀ over its axes).
+    """
+    position, rotation = (known_sigma(s) ** 2 for s in (samples.sigma_position, samples.sigma_rotation))
+    values = np.concatenate([np.zeros(len(known.parameters)), *(e.values for e in model.effects)])
+    for part in np.split(rows, range(_CHUNK, len(rows), _CHUNK)) if len(known.covariance) else ():
+        seen = samples.select(part)
+        J = linearise(model, known.parameters, values, seen).J
+        variance = np.einsum("kr,kr->r", J, known.covariance @ J)
+        N, pose = len(seen), part[seen.is_pose]
+        axes = np.maximum(Groups.of(seen, bool(model.instruments)).dimensions - 3.0 * seen.is_pose, 1.0)
+        position[part] += variance[: 3 * N].reshape(3, N).sum(axis=0) / axes
+        rotation[pose] += variance[3 * N :].reshape(3, -1).sum(axis=0) / 3.0
+    return replace(samples, sigma_position=np.sqrt(position), sigma_rotation=np.sqrt(rotation))
 
 
 # --- What the data can tell: rank, condition, and by name the combinations that it leaves open

@@ -334,36 +334,53 @@ def _told(q: np.ndarray, after: np.ndarray) -> float:
 
 _KEPT = 256  # marks: a recording that holds a twentieth of these samples shares a dozen of them
 _FINEST = 1e-6  # m, rad, s; far above what another reader rounds, far below what an arm repeats and a clock counts
+_POSTURE, _TENTH = 1e-3, 1e-4  # rad or m, m: of marks that rounding spares
 _BITS = np.uint64(16)  # taken off, so that a mark is a number that any reader of YAML keeps
 
 
 def marks_of(samples: Samples) -> tuple[int, ...]:
-    """The least of the samples' marks, in order, at most 256."""
-    return tuple(np.unique(_marks(samples))[:_KEPT].tolist())
+    """The least of the samples' marks, in order, at most 256, and as many of rounded positions (odd numbers)."""
+    kept = [np.unique(marks)[:_KEPT] for marks in (_marks(samples), _rounded_marks(samples))]
+    return tuple(np.concatenate(kept).tolist())
 
 
-def share_of_known(marks: tuple[int, ...], samples: Samples) -> float:
-    """Which share of the samples is in the recording that had these marks, as far as they tell; 0 without marks."""
-    if not marks:
-        return 0.0
-    own = _marks(samples)
-    comparable = own if len(marks) < _KEPT else own[own <= marks[-1]]
-    return float(np.isin(comparable, marks).mean()) if len(comparable) else 0.0
+def share_of_known(marks: tuple[int, ...], samples: Samples, rounded: bool = False) -> tuple[float, int]:
+    """Which share of the samples is in the recording that had these marks, as far as they tell, and of how many; 0
+    without marks.
+
+    rounded: of positions to a tenth of a millimetre, at postures to a milliradian, at whatever time. Copies that were
+    written with fewer digits agree in nearly all; new readings agree in some, where the arm came back.
+    """
+    kept = np.array([m for m in marks if m % 2 == rounded], int)
+    own = _rounded_marks(samples) if rounded else _marks(samples)
+    comparable = own if len(kept) < _KEPT else own[own <= kept[-1]]
+    return (float(np.isin(comparable, kept).mean()), len(comparable)) if len(kept) and len(comparable) else (0.0, 0)
+
+
+def _rounded_marks(samples: Samples) -> np.ndarray:
+    """Odd marks of positions that were read, (n,)."""
+    read = np.array([frame not in samples.sockets for frame in samples.frames])[samples.frame]
+    rows = read & (samples.is_pose | (samples.kind == POINT))
+    return _numbered(np.column_stack([samples.q[rows] / _POSTURE, samples.reading[rows] / _TENTH])) + np.uint64(1)
 
 
 def _marks(samples: Samples) -> np.ndarray:
-    """A number of 48 bits for each sample, (N,): of its posture, its reading, and the time if that is one."""
+    """An even number for each sample, (N,): of its posture, its reading, and the time if that is one."""
     time = samples.stamps[:, None] if samples.clock else np.empty((len(samples), 0))
-    values = np.concatenate([samples.q, samples.reading, samples.R.reshape(-1, 9), time], axis=1)
+    return _numbered(np.concatenate([samples.q, samples.reading, samples.R.reshape(-1, 9), time], axis=1) / _FINEST)
+
+
+def _numbered(values: Array) -> np.ndarray:
+    """An even number of 48 bits for each row of values (N, K), of their whole parts."""
     with np.errstate(over="ignore"):
-        digits = np.round(values / _FINEST).astype(np.int64).view(np.uint64)
+        digits = np.round(values).astype(np.int64).view(np.uint64)
         mark = np.zeros(len(digits), np.uint64)
         for column in digits.T:  # splitmix64 (Steele, Lea and Flood 2014)
             mark = mark + column + np.uint64(0x9E3779B97F4A7C15)
             mark = (mark ^ (mark >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
             mark = (mark ^ (mark >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
             mark = mark ^ (mark >> np.uint64(31))
-    return mark >> _BITS
+    return (mark >> _BITS) & ~np.uint64(1)
 
 
 # --- Recordings one after the other, as they are joined to one

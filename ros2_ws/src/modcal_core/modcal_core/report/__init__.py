@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from modcal_core.report.sensitivity import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences
     from modcal_core.report.sensitivity import single_csv, to_text
     from modcal_core.report.sentence import REMEDY, STATUS_WORDS, counted, description_note, instrument_notes
-    from modcal_core.report.sentence import moved_note, own_note, readmitted_note, short_status, unseen_note
+    from modcal_core.report.sentence import moved_note, not_asked_note, readmitted_note, short_status, unseen_note
     from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone, summary
 else:
     from modcal_core.lazy import lazy_face
@@ -38,7 +38,7 @@ __all__ += ["camera_report", "camera_tolerance", "certificate", "certificate_htm
 __all__ += ["checkup_summary", "compare", "comparison_data", "comparison_summary", "counted", "delta_files"]
 __all__ += ["description_note", "figure", "findings", "history_data", "history_summary", "instrument_notes"]
 __all__ += ["is_made_from", "iso_date", "joint_limits", "limits_data", "limits_html", "lines", "load_findings"]
-__all__ += ["load_notes", "moved_note", "offsets_of", "own_note", "pictures", "plan_sentences", "planning_html"]
+__all__ += ["load_notes", "moved_note", "not_asked_note", "offsets_of", "pictures", "plan_sentences", "planning_html"]
 __all__ += ["readmitted_note", "report_files", "residual_notes", "sensitivity_data", "sensitivity_html"]
 __all__ += ["sensitivity_sentences", "short_status", "single_csv", "summary", "to_csv", "to_json_data", "to_plan_data"]
 __all__ += ["to_text", "to_trajectory_data", "unseen_note"]

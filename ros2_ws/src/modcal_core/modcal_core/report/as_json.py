@@ -155,6 +155,7 @@ def _judged(report: ReportContents) -> Mapping[str, Any]:
         "status": judged.status,
         "open_because": list(judged.open_because),
         "remedy": judged.remedy or None,
+        "not_asked": [asdict(question) for question in judged.not_asked],
         "noise_floor_mm": judged.floor_mm,
         "noise_floor_deg": judged.floor_deg,
         "account_mm2": _account(judged.account_mm2),

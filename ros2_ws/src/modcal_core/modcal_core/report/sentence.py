@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from modcal_core.calibration import Calibration, Errors, Fit, Readmitted
-from modcal_core.measurements import Samples, share_of_known, unexpected
+from modcal_core.measurements import Samples, unexpected
 from modcal_core.measurements.kinds import kinds
 from modcal_core.plausibility import LIMIT_OF_REACH
 from modcal_core.report.contents import ReportContents
@@ -57,6 +57,14 @@ def short_status(verdict: Verdict | None) -> str:
     if verdict.status == "open":
         return "Open: " + _reasons(verdict)
     return "At the floor: " + _floor(verdict)
+
+
+def not_asked_note(verdict: Verdict) -> tuple[str, ...]:
+    """A sentence on what so few stations do not answer; none where everything could be asked."""
+    if not verdict.not_asked:
+        return ()
+    questions = ", or ".join(f"{question.what} (that needs {question.needs})" for question in verdict.not_asked)
+    return (f"These stations are too few to ask {questions}.",)
 
 
 def _counts(report: ReportContents) -> str:
@@ -150,8 +158,6 @@ def _unsettled(verdict: Verdict) -> str:
 
 _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
 
-_OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
-
 
 def instrument_notes(fit: Fit) -> tuple[str, ...]:
     """For each kind of reading that is no position how it scatters about the model."""
@@ -200,19 +206,6 @@ def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, re
         return ()
     return (
         "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool fit them again.",
-    )
-
-
-def own_note(samples: Samples, calibration: Calibration) -> tuple[str, ...]:
-    """A sentence where samples are those that the calibration was fitted to, which make any fit look good."""
-    share = share_of_known(calibration.marks, samples)
-    if share <= _OWN:
-        return ()
-    many = "All" if share == 1.0 else f"About {share:.0%}"
-    return (
-        f"{many} of these samples are of the calibration's own recording, with the same joints and readings to the "
-        "micrometre. It was fitted to them: their error is smaller than that of others, and shows no change. Evaluate "
-        "another recording, or use the error that calibrate held out.",
     )
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from modcal_core.calibration import (
+    FINEST,
     AnyDistance,
     Calibration,
     Errors,
@@ -18,13 +20,13 @@ from modcal_core.calibration import (
     Split,
     Uncertainty,
     errors,
+    known_sigma,
     linearise,
-    uncertainty,
+    uncertainty_of,
 )
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 
-_MAX_FITTED = 1500  # samples that a covariance is made from; more are thinned and count for those left out
 _MAX_REFITTED = 400  # the same of base and tool
 _WIDE = 1.0  # m, rad; where base or tool may be that were found again
 
@@ -38,7 +40,8 @@ class Case:
     values of its effects. noise: of its residuals when it was fitted.
     errors: of the scored rows by stage. residuals: of the final model at all samples. fitted: whether the parameters
     were found from these samples; otherwise the model is frozen and ``known`` is all that may be blamed on them.
-    refitted: of a frozen model, the parameters of base and tool that were found again.
+    refitted: of a frozen model, the parameters of base and tool that were found again. again: of a fitted one, the
+    covariance that another noise leaves.
     """
 
     samples: Samples
@@ -52,6 +55,28 @@ class Case:
     residuals: Errors
     fitted: bool
     refitted: tuple[ModelParameter, ...] = ()
+    again: Callable[..., Uncertainty] | None = None
+
+    def with_floor(self, position_mm: float | None, rotation_deg: float | None) -> Case:
+        """The case with a covariance that comes from the floor (RMS), where that is known, and not from the misfit."""
+        if self.again is None or (position_mm, rotation_deg) == (None, None):
+            return self
+
+        def beside(rms: float | None, own: float, known: Array) -> float:
+            """Noise per axis [m or rad] beside what readings know of their own scatter."""
+            if rms is None or not len(known):
+                return own
+            return float(np.sqrt(max(rms**2 / 3.0 - float(np.median(known_sigma(known))) ** 2, FINEST**2)))
+
+        turned = self.samples.sigma_rotation[self.samples.is_pose]
+        mm = None if position_mm is None else 1e-3 * position_mm
+        rad = None if rotation_deg is None else float(np.radians(rotation_deg))
+        noise = NoiseModel(
+            beside(mm, self.noise.position, self.samples.sigma_position),
+            beside(rad, self.noise.rotation, turned),
+            self.noise.others,
+        )
+        return replace(self, known=self.again(noise=noise))
 
     @property
     def scored(self) -> Samples:
@@ -68,12 +93,12 @@ def fitted_case(
     distances: Sequence[AnyDistance] = (),
 ) -> Case:
     """The case of a fit to *train*. wrong: rejected samples (N,). left: errors of the held-out rows not rejected."""
-    rows = spread_rows(len(sets.train), _MAX_FITTED)
-    part = replace(fit, weights=fit.weights[rows] * (len(sets.train) / max(len(rows), 1)))
-    known = uncertainty(fit.model, samples.select(sets.train[rows]), fit.parameters, part, distances)
+    again = partial(uncertainty_of, fit, samples, sets.train, distances)
     held_out = sets.held_out[~wrong[sets.held_out]]
     residuals = errors(fit.model, samples)
-    return Case(samples, wrong, held_out, sets.unit, fit.model, known, fit.noise, left, residuals, fitted=True)
+    return Case(
+        samples, wrong, held_out, sets.unit, fit.model, again(), fit.noise, left, residuals, fitted=True, again=again
+    )
 
 
 def frozen_case(
@@ -91,7 +116,7 @@ def frozen_case(
 
     model: its final one, base and tool refitted if asked. unit: see :class:`Case`. rows: those that are scored, (k,).
     """
-    known, free = _carried(calibration, model), _base_and_tool(model, refit_base, refit_tool)
+    known, free = own_uncertainty(calibration, model), _base_and_tool(model, refit_base, refit_tool)
     if free:
         train = ~wrong
         train[rows] = False
@@ -109,7 +134,7 @@ def _base_and_tool(model: Model, base: bool, tool: bool) -> tuple[ModelParameter
     return (*(frames if base else ()), *(at_tool if tool else ()))
 
 
-def _carried(calibration: Calibration, model: Model) -> Uncertainty:
+def own_uncertainty(calibration: Calibration, model: Model) -> Uncertainty:
     """The covariance that a calibration kept, for the frames of this model; nothing is uncertain where it kept none."""
     values = sum(len(e.values) for e in model.effects)
     kept = calibration.uncertainty

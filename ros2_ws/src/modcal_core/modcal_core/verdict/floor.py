@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from modcal_core.calibration import REJECT_Z, Errors, Stated, standard_score
+from modcal_core.calibration import FINEST, REJECT_Z, Errors, Stated, known_sigma, quantile_chi2, standard_score
 from modcal_core.geometry import Array
 from modcal_core.measurements import MIN_RETURNS, SAME, Samples, others_at, returns
 from modcal_core.measurements.kinds import is_direct
@@ -21,26 +21,40 @@ from modcal_core.verdict.verdict import Interval, Repeatability
 
 _JUMP = 30.0  # times; six Gaussian differences along one line leave such a gap among their sizes once in some 700
 _MORE_THAN_STATED = 1.44  # times the square, as for the error itself
+_OF_REACH = (
+    2e-4  # that an arm may not repeat, RMS; data sheets have RP of 0.3 to 2e-4, which is twice the RMS (ISO 9283)
+)
+MIN_ASKED = 9  # returns; of fewer, random signs cannot be told from others with the chance below
+_CHANCE, _TRIES = 0.005, 999  # of each of two questions
 _MAX_REFUSED = 0.25  # share of postures that may be plainly wrong; beyond, they are no longer exceptions
 
 
 @dataclass(frozen=True)
 class Floor:
-    """F² and its parts [mm² or deg²], RMS over space squared. interval: 95 % interval of F².
+    """F² and its parts [mm² or deg²], RMS over space squared.
 
-    instrument: 0 where it is contained in the repeatability, as with returns. returns: how many were used.
+    instrument: 0 where it is contained in the repeatability, as with returns. returns: how many were used. freedom:
+    degrees of freedom that it is known by, 0 where it was stated.
     """
 
     square: float
-    interval: Interval
     repeatability: Repeatability
     instrument: float
     returns: int = 0
+    freedom: float = 0.0
 
     @property
     def rms(self) -> float:
         """F [mm or deg]."""
         return float(np.sqrt(self.square))
+
+    @property
+    def interval(self) -> Interval:
+        """95 % interval of F² by χ²; a stated one has no width."""
+        if not self.freedom:
+            return self.square, self.square
+        low, high = (self.freedom / quantile_chi2(p, self.freedom) for p in (0.975, 0.025))
+        return low * self.square, high * self.square
 
 
 @dataclass(frozen=True)
@@ -48,19 +62,25 @@ class Floors:
     """Floors of position [mm²] and of orientation [deg²]; None where not known.
 
     returns: how many postures were come back to, known or not. contradictions: a sentence for each thing that returns
-    contradict: what was stated, or each other.
+    contradict: what was stated, or each other. unknown: why returns show no floor, as text. seen: by how much returns
+    differ, in position and in orientation, whether that is a floor or not.
     """
 
     position: Floor | None = None
     rotation: Floor | None = None
     returns: int = 0
     contradictions: tuple[str, ...] = ()
+    unknown: str = ""
+    seen: tuple[Floor | None, Floor | None] = (None, None)
 
 
-def floors(residuals: Errors, samples: Samples, wrong: np.ndarray, stated: Stated | None) -> Floors:
-    """The floors of these samples, from returns where there are enough, else as stated.
+def floors(
+    residuals: Errors, samples: Samples, wrong: np.ndarray, stated: Stated | None, reach: float = np.inf
+) -> Floors:
+    """The floors of these samples, from returns where there are enough and they are exchangeable, else as stated.
 
     residuals: errors of the final model at all samples. wrong: samples (N,) that were rejected, and show no floor.
+    reach: of the arm [m], whose class tells what it repeats to at most.
     """
     stated = stated or Stated()
     visits = returns_of(samples, wrong) if is_direct(samples.kinds) else ()
@@ -70,6 +90,7 @@ def floors(residuals: Errors, samples: Samples, wrong: np.ndarray, stated: State
     residual = 1e3 * residuals.position
     position = _of_returns(residual, visits, stated.instrument_mm, least)
     told = _stated(stated.rms_mm, stated.instrument_mm)
+    unknown = _no_floor(position, residual, visits, samples, stated, reach)
     against = (*_jumps(residual, visits, "mm"), *_beyond(position, told, "mm"))
     rotation = turned = None
     if samples.is_pose.any():
@@ -80,7 +101,73 @@ def floors(residuals: Errors, samples: Samples, wrong: np.ndarray, stated: State
         rotation = _of_returns(angles, posed, stated.instrument_deg, least)
         turned = _stated(stated.repeatability_deg, stated.instrument_deg)
         against = (*against, *_jumps(angles, posed, "°"), *_beyond(rotation, turned, "°"))
-    return Floors(position or told, rotation or turned, len(visits), against)
+    seen = position, rotation
+    if unknown:
+        position = rotation = None
+    return Floors(position or told, rotation or turned, len(visits), against, unknown, seen)
+
+
+def _no_floor(
+    floor: Floor | None, residual: Array, visits: tuple[np.ndarray, ...], samples: Samples, stated: Stated, reach: float
+) -> str:
+    """Why these returns show no floor, as text: more or less than arms repeat to, or than chance alone."""
+    if floor is None:
+        return ""
+    if floor.rms < 1e3 * FINEST:
+        return "Postures that were visited again read the same to the last digit, which no instrument does."
+    known = known_sigma(samples.sigma_position)
+    instrument = stated.instrument_mm or 1e3 * float(np.sqrt(3.0 * np.median(known**2)))
+    limit = 1e3 * _OF_REACH * reach
+    if stated.rms_mm is None and floor.square > limit**2 + instrument**2:
+        return (
+            f"Postures that were visited again differ by {floor.rms:.3g} mm RMS, more than an arm of this size and its "
+            f"instrument are known to ({np.hypot(limit, instrument):.2g} mm): returns show no floor unless the arm's "
+            "repeatability, or the instrument's accuracy, is stated."
+        )
+    what = depends_on(residual, visits, samples)
+    if what:
+        return f"What returns differ by depends on {what}: it is more than what does not repeat, and shows no floor."
+    return ""
+
+
+def depends_on(residual: Array, visits: tuple[np.ndarray, ...], samples: Samples) -> str:
+    """What differences of returns depend on, as text; empty where that is nothing, or where they are too few to tell.
+
+    Visits that are exchangeable differ by d and by −d alike, whatever lies between them, and by as much everywhere
+    and at any time. The first is compared with random signs of the differences, the second with a random order of them.
+    """
+    a, b = (np.concatenate([rows[part] for rows in visits]) for part in (slice(None, -1), slice(1, None)))
+    if len(a) < MIN_ASKED:
+        return ""
+    d = residual[b] - residual[a]
+    rng = np.random.default_rng(0)
+    lag = samples.stamps[b] - samples.stamps[a]
+    side = samples.approach[b] - samples.approach[a]
+    names = samples.names or tuple(f"joint {j + 1}" for j in range(side.shape[1]))
+    along = {"the time between them": lag, "their order": np.ones(len(a))}
+    along |= {f"the side that {name} came from": side[:, j] for j, name in enumerate(names) if side[:, j].any()}
+    columns = np.stack(list(along.values()))
+    columns /= np.linalg.norm(columns, axis=1, keepdims=True)
+    signs = rng.choice([-1.0, 1.0], (_TRIES, len(a)))
+    moved = np.einsum("kp,tp,pc->tkc", columns, np.r_[np.ones((1, len(a))), signs], d)
+    height = (moved**2).sum(axis=2)
+    if (height[1:].max(axis=1) >= height[0].max()).mean() < _CHANCE:
+        return list(along)[int(np.argmax(height[0]))]
+    size = np.log(np.maximum((d**2).sum(axis=1), 1e-12))
+    over = {"the time between them": lag, "when they were made": samples.stamps[a] + samples.stamps[b]}
+    over |= {f"the position of {name}": samples.q[a, j] for j, name in enumerate(names)}
+    over |= {f"the frame {f}": samples.frame[a] == k for k, f in enumerate(samples.frames)}
+    some = {name: _ranks(x) for name, x in over.items() if np.ptp(x.astype(float)) > 0.0}
+    drawn = np.stack([_ranks(size), *(rng.permutation(_ranks(size)) for _ in range(_TRIES))])
+    height = np.abs(drawn @ np.stack(list(some.values())).T)
+    return list(some)[int(np.argmax(height[0]))] if (height[1:].max(axis=1) >= height[0].max()).mean() < _CHANCE else ""
+
+
+def _ranks(x: Array) -> Array:
+    """Ranks (N,) about their mean, of length one; equal values have equal ones."""
+    _, order = np.unique(x, return_inverse=True)
+    centred = order - order.mean()
+    return np.asarray(centred / np.linalg.norm(centred))
 
 
 def _scatter(residual: Array, visits: tuple[np.ndarray, ...]) -> tuple[Array, Array]:
@@ -154,11 +241,22 @@ def _of_returns(
     square = float(scatter[good].sum() / freedom[good].sum())
     return Floor(
         square,
-        _interval(square, scatter[good], freedom[good]),
         Repeatability(float(np.sqrt(max(square - (instrument or 0.0) ** 2, 0.0))), "revisits"),
         min((instrument or 0.0) ** 2, square),
         int(freedom[good].sum()),
+        axes_of(scatter[good] / freedom[good], freedom[good]) * float(freedom[good].sum()),
     )
+
+
+def axes_of(each: Array, count: Array) -> float:
+    """Degrees of freedom of one of these mean squares (N,), each of a count of differences (N,): from one to two.
+
+    Where one joint is what does not repeat, or where some postures scatter more than others, squares vary more than
+    those of three equal axes (Satterthwaite 1946), and few of them hardly show how much more.
+    """
+    mean = float(np.average(each, weights=count))
+    variance = float(np.average(count * (each - mean) ** 2, weights=count))
+    return float(np.clip(2.0 * mean**2 / max(variance, 1e-300), 1.0, 2.0)) if mean > 0.0 else 2.0
 
 
 @lru_cache(maxsize=64)
@@ -173,29 +271,11 @@ def _median_factor(freedom: Array) -> Array:
     return np.array([_median_of(int(f)) for f in freedom])
 
 
-def _interval(square: float, scatter: Array, freedom: Array) -> Interval:
-    """95 % interval of F² by χ².
-
-    Its degrees of freedom are between one and two a return: where one joint is what does not repeat, or where some
-    postures scatter more than others, the squares vary more than those of three equal axes (Satterthwaite 1946), and
-    few returns hardly show how much more.
-    """
-    from scipy.special import gammaincinv
-
-    each = scatter / freedom
-    mean = float(np.average(each, weights=freedom))
-    variance = float(np.average(freedom * (each - mean) ** 2, weights=freedom))
-    axes = float(np.clip(2.0 * mean**2 / max(variance, 1e-300), 1.0, 2.0)) if mean > 0.0 else 2.0
-    half = 0.5 * axes * float(freedom.sum())
-    low, high = (half / float(gammaincinv(half, p)) for p in (0.975, 0.025))
-    return low * square, high * square
-
-
 def _stated(repeatability: float | None, instrument: float | None) -> Floor | None:
     if repeatability is None or instrument is None:
         return None
     square = repeatability**2 + instrument**2
-    return Floor(square, (square, square), Repeatability(repeatability, "stated"), instrument**2)
+    return Floor(square, Repeatability(repeatability, "stated"), instrument**2)
 
 
 def reading_scatter_mm(samples: Samples) -> float | None:

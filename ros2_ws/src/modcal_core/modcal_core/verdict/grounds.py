@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from modcal_core.calibration import RejectedPlace
+from modcal_core.verdict.verdict import NotAsked
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Grounds:
     ("pose inverted"), None if nothing. rejected_runs: runs (first, last station in order of time) of at least three
     neighbours that were rejected and belong to no regime. rejected_places: the same of neighbours by a joint's
     position. outside: sentences on what lies outside what a frozen
-    calibration has seen. unproven: why it is not certain that the readings were measured; it counts where no returns
-    show that they scatter.
+    calibration has seen. unproven: why it is not certain that the readings were measured, which bars a PASS and
+    *at the floor*. not_asked: what the recording is too small for.
     """
 
     converged: bool = True
@@ -53,3 +54,4 @@ class Grounds:
     rejected_places: tuple[RejectedPlace, ...] = ()
     outside: tuple[str, ...] = ()
     unproven: tuple[str, ...] = ()
+    not_asked: tuple[NotAsked, ...] = ()

@@ -24,8 +24,9 @@ from modcal_core.plausibility import (
 )
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case, derivatives, weights
+from modcal_core.verdict.rejected import too_many
 from modcal_core.verdict.rejected_alike import rejected_alike
-from modcal_core.verdict.status import MAX_PREDICTABLE, MAX_REJECTED
+from modcal_core.verdict.status import MAX_PREDICTABLE
 from modcal_core.verdict.verdict import Verdict
 
 _Look = Callable[[Samples, Mechanism], Disagreement | None]
@@ -98,7 +99,7 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
 
     chain: the arm before it was fitted, for a fitted one has links that make up for what is wrong.
     """
-    many = bool(case.wrong.mean() > MAX_REJECTED)
+    many = too_many(case.wrong, case.samples)
     looks = _looks(case, chain, many)
     other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
     if many or _far(case.errors["final"], chain):

@@ -30,7 +30,7 @@ from modcal_core.verdict.sparse import SparseRegressor
 from modcal_core.verdict.verdict import Share
 
 _MAX = 500  # samples; a longer recording is thinned evenly
-_MIN_STATIONS = 15  # three in each fold; with fewer nothing can be said
+MIN_STATIONS = 15  # three in each fold; with fewer nothing can be said
 _FLIPS = 64  # trials of noise, to which a Gumbel law is fitted
 _DRAWS = 400  # bootstrap samples
 _FARTHEST = 5.0  # times the median size; no sample may rule alone
@@ -61,7 +61,7 @@ def predictable(case: Case) -> Predictable:
     rows = np.flatnonzero(~case.wrong) if case.fitted else case.held_out
     rows = rows[spread_rows(len(rows), _MAX)]
     samples = case.samples.select(rows)
-    if samples.stations < _MIN_STATIONS:
+    if samples.stations < MIN_STATIONS:
         return Predictable()
     fold, unit = _folds(samples, block_length(case.samples), case.samples)
     order = np.argsort(fold, kind="stable")

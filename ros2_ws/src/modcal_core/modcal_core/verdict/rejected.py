@@ -9,7 +9,16 @@ import numpy as np
 from modcal_core.calibration import Errors, ErrorSize
 from modcal_core.measurements import Samples
 
-MAX_SINGLE = 0.05  # share of readings up to which rejected ones are taken for single wrong readings
+_SINGLE = 0.03  # chance that a reading is wrong by itself: a reflection, a target that was lost
+_SURE = 0.01  # chance of as many single wrong readings, below which they are something else
+
+
+def too_many(wrong: np.ndarray, samples: Samples) -> bool:
+    """Whether more stations hold a rejected sample (True, (N,)) than single wrong readings make up (binomial)."""
+    from scipy.special import bdtrc
+
+    count, of = len(np.unique(samples.station[wrong])), samples.stations
+    return count > 0 and float(bdtrc(count - 1, of, _SINGLE)) < _SURE
 
 
 @dataclass(frozen=True)

@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration import FINEST, Stated
+from modcal_core.calibration import Stated
 from modcal_core.measurements import MIN_RETURNS
+from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.account import account
 from modcal_core.verdict.along_motion import along_motion
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.contributions import Contribution, contributions, mean_square, resampled
-from modcal_core.verdict.estimation import estimation
-from modcal_core.verdict.floor import Floor, Floors, floors
+from modcal_core.verdict.contributions import Contribution, contributions, mean_square
+from modcal_core.verdict.floor import MIN_ASKED, Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.one_joint import LARGELY, one_joint
 from modcal_core.verdict.one_place import one_place
 from modcal_core.verdict.one_topic import one_topic
-from modcal_core.verdict.outside import worse_outside
-from modcal_core.verdict.predictable import Predictable, predictable
+from modcal_core.verdict.predictable import MIN_STATIONS, Predictable, predictable
+from modcal_core.verdict.rejected import too_many
+from modcal_core.verdict.tails import Tail, tail_of
 from modcal_core.verdict.two_groups import two_groups
 from modcal_core.verdict.uneven import uneven
-from modcal_core.verdict.verdict import Reason, ReasonKind, Repeatability, Row, Status, Verdict
+from modcal_core.verdict.verdict import NotAsked, Reason, ReasonKind, Repeatability, Row, Status, Verdict
 
-MAX_REJECTED = 0.05  # share of the stations: one of twenty may be a wrong reading
 MAX_NOT_APPLIED = 0.10  # of E², that an effect which cannot be applied may cost: 5 % in RMS
 MAX_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
 MAX_OF_REACH = 5e-4  # that returns may differ by; industrial arms repeat to some 1e-4 of their reach (ISO 9283 RP)
 MAX_TURNED = 1.0  # deg; the same of orientations, which coarse instruments know to some tenths
 MAX_OVERSTATED = 4.0  # times what is left, in RMS; data sheets give what is never exceeded, some three times the usual
+_BOUNDED = 4.0  # of floor and parameters together, in E², that a few stations must surely lie below: twice in RMS
+_FINDERS = 40  # stations from which each of those that look for one part that scatters has enough
 MAX_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what six returns know a floor to (sweep)
 
 
@@ -48,10 +51,12 @@ def judge(
     if not len(case.held_out):
         return Verdict("cannot_tell", remedy="Record more stations: none was left for the score.")
     parts = contributions(case) if parts is None else parts
-    known = floors(case.residuals, case.samples, case.wrong, stated)
-    own = estimation(case)
-    seen = predictable(case)
+    reach = case.model.chain.reach() if is_serial_arm(case.model.chain) else np.inf
+    known = floors(case.residuals, case.samples, case.wrong, stated, reach)
+    case = case.with_floor(*(None if floor is None else floor.rms for floor in (known.position, known.rotation)))
     angles = bool(case.samples.is_pose[case.held_out].any())
+    position, rotation = tail_of(case, known.position, angle=False), tail_of(case, known.rotation, angle=True)
+    seen = predictable(case)
     reasons = (
         *_reasons("not_converged", _not_reached(grounds)),
         *_reasons("rejected", _rejected(case, grounds)),
@@ -59,16 +64,16 @@ def judge(
         *_reasons("contradiction", (*grounds.contradictions, *known.contradictions)),
         *(loose := tuple(_reasons("contradiction", _loose(case, known, stated)))),
         *_reasons("contradiction", _two_groups(case)),
-        *_reasons("contradiction", _below_stated(case, known.position, angle=False)),
-        *_reasons("contradiction", _below_stated(case, known.rotation, angle=True) if angles else ()),
+        *_reasons("contradiction", _below_floor(position, angle=False)),
+        *_reasons("contradiction", _below_floor(rotation, angle=True) if angles else ()),
         *_reasons("predictable", _predictable(seen)),
         *_reasons("predictable", _one_topic(case)),
         *_reasons("predictable", _along_motion(case, stated)),
-        *_reasons("above_floor", _above_floor(case, known.position, own[0], angle=False)),
-        *_reasons("above_floor", _above_floor(case, known.rotation, own[1], angle=True) if angles else ()),
+        *_reasons("above_floor", _above_floor(position, angle=False)),
+        *_reasons("above_floor", _above_floor(rotation, angle=True) if angles else ()),
     )
     if not any(reason.kind in ("rejected", "above_floor") for reason in reasons):
-        reasons = (*reasons, *_reasons("above_floor", worse_outside(case, known, grounds.outside)))
+        reasons = (*reasons, *_reasons("above_floor", _worse_outside(case, position, grounds.outside)))
     # what scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out
     tail: ReasonKind = "cut_off" if case.wrong.any() else "predictable"
     # what is predictable, or falls into groups, is no scatter
@@ -77,8 +82,10 @@ def judge(
     elif not grounds.rejected_runs and all(r.kind in ("rejected", "above_floor", "predictable") for r in reasons):
         reasons = (*reasons, *_reasons(tail, _mostly_scatter(case, stated, seen)))
     told = known.position is not None and (known.rotation is not None or not angles)
-    vague = "" if not told else _vague(known.position, own[0], " mm") or _vague(known.rotation, own[1], "°")
-    unproven = "" if _scattered(known) else " ".join(grounds.unproven)
+    not_asked = (*grounds.not_asked, *_not_asked(case, known, seen))
+    tails = [(position, " mm"), *([(rotation, "°")] if angles else [])]
+    vague = next((said for tail, unit in tails if told and (said := _vague(tail, seen, unit))), "")
+    unproven = " ".join(grounds.unproven) or " ".join(_spoken(n) for n in grounds.not_asked)
     status: Status = "open" if reasons else "at_floor" if told and not vague and not unproven else "cannot_tell"
     return Verdict(
         status=status,
@@ -86,8 +93,8 @@ def judge(
         remedy=(unproven or vague or _remedy(known, angles, stated)) if status == "cannot_tell" else "",
         floor_mm=known.position.rms if known.position else None,
         floor_deg=known.rotation.rms if known.rotation else None,
-        account_mm2=_account(case, parts, seen, own[0], known.position, angle=False),
-        account_deg2=_account(case, parts, seen, own[1], known.rotation, angle=True) if angles else None,
+        account_mm2=_account(case, parts, seen, position.estimation, known.position, angle=False),
+        account_deg2=_account(case, parts, seen, rotation.estimation, known.rotation, angle=True) if angles else None,
         predictable=seen.position,
         predictable_deg=seen.rotation,
         predictable_both=seen.both,
@@ -95,13 +102,25 @@ def judge(
         repeatability_deg=known.rotation.repeatability if known.rotation else Repeatability(None, None),
         returns=known.returns,
         unproven=unproven,
+        not_asked=not_asked,
     )
 
 
-def _scattered(known: Floors) -> bool:
-    """Whether postures that were visited again were read otherwise, as goals are not."""
-    floor = known.position
-    return floor is not None and floor.repeatability.source == "revisits" and floor.rms > 1e3 * FINEST
+def _spoken(question: NotAsked) -> str:
+    return f"It cannot be told {question.what}: that needs {question.needs}."
+
+
+def _not_asked(case: Case, known: Floors, seen: Predictable) -> Iterator[NotAsked]:
+    """What so few stations do not answer."""
+    stations = case.samples.stations
+    if seen.both is None:
+        yield NotAsked("whether the rest can be predicted", f"{MIN_STATIONS} stations ({stations} so far)")
+    if stations < _FINDERS:
+        what = "whether one joint, the base or the tool scatters more than the others, or stands in two places"
+        yield NotAsked(what, f"{_FINDERS} stations ({stations} so far)")
+    if known.position is not None and 0 < known.position.returns < MIN_ASKED:
+        needs = f"{MIN_ASKED} postures visited twice ({known.position.returns} so far)"
+        yield NotAsked("what returns differ by depends on time, side or posture", needs)
 
 
 def _account(
@@ -122,9 +141,8 @@ def _not_reached(grounds: Grounds) -> Iterator[str]:
 def _rejected(case: Case, grounds: Grounds) -> Iterator[str]:
     station = case.samples.station
     count, of = len(np.unique(station[case.wrong])), len(np.unique(station))
-    if count > MAX_REJECTED * of:
-        share = f"{count / of:.0%}; up to {MAX_REJECTED:.0%} may be wrong readings"
-        yield f"{count} of {of} stations were rejected ({share})."
+    if too_many(case.wrong, case.samples):
+        yield f"{count} of {of} stations were rejected ({count / of:.0%}): more than single wrong readings are."
     for first, last in grounds.rejected_runs:
         yield f"Stations {first} to {last} were rejected in sequence: something was different there."
     for place in grounds.rejected_places if not grounds.rejected_runs else ():
@@ -171,10 +189,10 @@ def _loose(case: Case, known: Floors, stated: Stated | None) -> Iterator[str]:
     stated = stated or Stated()
     limit = 1e3 * MAX_OF_REACH * case.model.chain.reach()
     for floor, most, own, unit in (
-        (known.position, limit, stated.rms_mm, " mm"),
-        (known.rotation, MAX_TURNED, stated.repeatability_deg, "°"),
+        (known.seen[0], limit, stated.rms_mm, " mm"),
+        (known.seen[1], MAX_TURNED, stated.repeatability_deg, "°"),
     ):
-        if floor is None or floor.repeatability.source != "revisits" or own is not None or floor.rms <= most:
+        if floor is None or own is not None or floor.rms <= most:
             continue
         yield (
             f"Postures that were visited again differ by {floor.rms:.3g}{unit} RMS; an arm of this size repeats to "
@@ -209,51 +227,82 @@ def _uneven(case: Case) -> Iterator[str]:
         yield found.sentence
 
 
-def _below_stated(case: Case, floor: Floor | None, angle: bool) -> Iterator[str]:
-    """An error surely far below a floor that was stated: no model predicts what an arm does not repeat."""
-    if floor is None or floor.repeatability.source != "stated":
+def _below_floor(tail: Tail, angle: bool) -> Iterator[str]:
+    """An error surely far below the floor: no model predicts what an arm does not repeat."""
+    floor = tail.floor
+    if floor is None or not tail.below(MAX_OVERSTATED**2):
         return
-    station = case.samples.station[case.held_out]
-    station = station[case.samples.is_pose[case.held_out]] if angle else station
-    square, (_, high) = resampled(mean_square(case.errors["final"], angle), station)
-    if high < floor.square / MAX_OVERSTATED**2:
-        unit, what = ("°", "orientation") if angle else (" mm", "position")
+    unit, what = ("°", "orientation") if angle else (" mm", "position")
+    if floor.repeatability.source == "stated":
         yield (
             f"{floor.rms:.3g}{unit} was stated for the {what} of arm and instrument together, and only "
-            f"{np.sqrt(square):.3g}{unit} is left: the statement cannot be true, and does not give the floor. See "
+            f"{np.sqrt(tail.square):.3g}{unit} is left: the statement cannot be true, and does not give the floor. See "
             "whether it is in the right unit."
         )
-
-
-def _above_floor(case: Case, floor: Floor | None, own: float, angle: bool) -> Iterator[str]:
-    if floor is None:
-        return
-    station = case.samples.station[case.held_out]
-    station = station[case.samples.is_pose[case.held_out]] if angle else station
-    square, (low, _) = resampled(mean_square(case.errors["final"], angle), station)
-    if low > MAX_ABOVE_FLOOR * floor.interval[1] + own:
-        unit, what = ("°", "Orientation") if angle else (" mm", "Position")
-        how = "returns show" if floor.repeatability.source == "revisits" else "was stated"
+    else:
         yield (
-            f"{what}: {np.sqrt(square):.3g}{unit} RMS is left, and {floor.rms:.3g}{unit} is what "
-            f"{how} for the arm and the instrument."
+            f"Postures that were visited again differ by {floor.rms:.3g}{unit} in {what}, and only "
+            f"{np.sqrt(tail.square):.3g}{unit} is left of what no fit has seen: these readings are copies of others."
         )
 
 
-def _vague(floor: Floor | None, own: float, unit: str) -> str:
-    """What to do where the parameters' own uncertainty surely leaves more than arm and instrument together."""
-    if floor is None or own <= floor.interval[1]:
-        return ""
-    return (
-        f"The parameters' uncertainty makes {np.sqrt(own):.3g}{unit} by itself, more than the {floor.rms:.3g}{unit} of "
-        "arm and instrument, and hides what is left beside it: record more different postures."
+def _above_floor(tail: Tail, angle: bool) -> Iterator[str]:
+    floor = tail.floor
+    if floor is None or not tail.above(MAX_ABOVE_FLOOR):
+        return
+    unit, what = ("°", "Orientation") if angle else (" mm", "Position")
+    how = "returns show" if floor.repeatability.source == "revisits" else "was stated"
+    yield (
+        f"{what}: {np.sqrt(tail.square):.3g}{unit} RMS is left, and {floor.rms:.3g}{unit} is what "
+        f"{how} for the arm and the instrument."
     )
+
+
+def _worse_outside(case: Case, tail: Tail, outside: tuple[str, ...]) -> Iterator[str]:
+    """A frozen model that misses by more than it did on its own recording, and is used outside of it.
+
+    Few returns know the floor to a factor of two; how far a calibration missed where it was made is known far better.
+    """
+    own = 1e6 * 3.0 * case.noise.position**2
+    here = max(own, tail.floor.square if tail.floor else 0.0)
+    if case.fitted or not outside:
+        return
+    if replace(tail, floor=Floor(here, Repeatability(None, None), 0.0)).above(MAX_ABOVE_FLOOR):
+        yield (
+            f"Position: {np.sqrt(tail.square):.3g} mm RMS is left, and {np.sqrt(own):.3g} mm was on the calibration's "
+            f"own recording, and it is used outside that recording here. {' '.join(outside)}"
+        )
+
+
+def _vague(tail: Tail, seen: Predictable, unit: str) -> str:
+    """What to do where parameters hide what is left, or where so few stations do not show that it is small."""
+    floor = tail.floor
+    if floor is None:
+        return ""
+    if tail.estimation > floor.interval[1]:
+        return (
+            f"The parameters' uncertainty makes {np.sqrt(tail.estimation):.3g}{unit} by itself, more than the "
+            f"{floor.rms:.3g}{unit} of arm and instrument, and hides what is left beside it: record more different "
+            "postures."
+        )
+    # what could not be asked may be as large as the stations leave room for
+    times = MAX_ABOVE_FLOOR if seen.both is None else _BOUNDED
+    if tail.upper > times * (floor.interval[1] + tail.estimation):
+        many = f"{tail.postures} posture{'s' if tail.postures != 1 else ''}"
+        return (
+            f"{np.sqrt(tail.square):.3g}{unit} is left at {many}, which say only that it is below "
+            f"{np.sqrt(tail.upper):.3g}{unit} (95 %), beside {floor.rms:.3g}{unit} of arm and instrument: record more "
+            "different postures."
+        )
+    return ""
 
 
 def _remedy(known: Floors, angles: bool, stated: Stated | None) -> str:
     stated = stated or Stated()
     ways = []
-    if known.position is None or known.returns < MIN_RETURNS:
+    if known.unknown:
+        ways.append(known.unknown)
+    elif known.position is None or known.returns < MIN_RETURNS:
         seen = f" ({known.returns} so far)" if known.returns else ""
         ways.append(f"visit {MIN_RETURNS} of these postures twice, from another side the second time{seen}")
     missing = []
@@ -266,5 +315,7 @@ def _remedy(known: Floors, angles: bool, stated: Stated | None) -> str:
     if missing:
         *others, last = missing
         ways.append(f"state {', '.join(others)}{' and ' * bool(others)}{last}")
+    if known.unknown and known.position is None:
+        return " ".join(ways[:1] if len(ways) == 1 else [ways[0], f"Else {', or '.join(ways[1:])}."])
     text = ", or ".join(ways)
     return f"To know how small the error can be: {text}." if text else ""

@@ -45,6 +45,14 @@ class Share:
 
 
 @dataclass(frozen=True)
+class NotAsked:
+    """A question that so few stations do not answer, and what it needs."""
+
+    what: str
+    needs: str
+
+
+@dataclass(frozen=True)
 class Repeatability:
     """What the arm does not repeat, RMS over space [mm or deg]. source: "revisits", "stated", or None if unknown."""
 
@@ -60,7 +68,7 @@ class Verdict:
     floor_deg: RMS of what cannot be modelled, None where it is not known. account_mm2, account_deg2: rows that sum to
     the squared error of the nominal model; None where readings have no length or no angle. predictable,
     predictable_deg: share of the held-out squared error that a regressor without physics predicts. unproven: why it is
-    not certain that the readings were measured: then they prove no floor and no tolerance.
+    not certain that the readings were measured: then they prove no floor and no tolerance. not_asked: see there.
     """
 
     status: Status
@@ -77,6 +85,7 @@ class Verdict:
     repeatability_deg: Repeatability = Repeatability(None, None)
     returns: int = 0
     unproven: str = ""
+    not_asked: tuple[NotAsked, ...] = ()
 
     @property
     def floor_known(self) -> bool:
