@@ -78,19 +78,20 @@ class Serial:
     def wrong(self, how: str, rng: np.random.Generator) -> Serial:
         """The arm as it was built: off from its drawing in one of the ways of LINKS."""
         n = len(self.origins)
+        length, angle = np.array([LENGTH, ANGLE]) * np.exp(rng.normal(0.0, 0.4, 2))
         size = 0.5 if how in ("one far", "one direction") else 1.0
-        off = size * rng.normal(0.0, [LENGTH] * 3 + [ANGLE] * 3, (n, 6))
+        off = size * rng.normal(0.0, [length] * 3 + [angle] * 3, (n, 6))
         origins = self.origins
         if how == "one far":
-            off[rng.integers(1, n - 1)] += rng.normal(0.0, [8.0 * LENGTH] * 3 + [8.0 * ANGLE] * 3)
+            off[rng.integers(1, n - 1)] += rng.normal(0.0, [8.0 * length] * 3 + [8.0 * angle] * 3)
         if how == "one direction":
-            off[:, :3] += rng.normal(0.0, 2.0 * LENGTH) * np.sign(self.origins[:, :3, 3])
-            off[:, 3:] += rng.normal(0.0, 2.0 * ANGLE, 3)
+            off[:, :3] += rng.normal(0.0, 2.0 * length) * np.sign(self.origins[:, :3, 3])
+            off[:, 3:] += rng.normal(0.0, 2.0 * angle, 3)
         if how == "bent":
             half = self.origins.copy()
             half[:, :3, 3] *= 0.5
             half[:, :3, :3] = np.eye(3)
-            bend = rng.normal(0.0, 4.0 * ANGLE, (n, 3)) * (rng.random(n) < 0.5)[:, None]
+            bend = rng.normal(0.0, 4.0 * angle, (n, 3)) * (rng.random(n) < 0.5)[:, None]
             origins = half @ pose(np.zeros((n, 3)), bend) @ np.linalg.inv(half) @ self.origins
         return replace(self, origins=origins @ pose(off[:, :3], off[:, 3:]))
 
