@@ -37,7 +37,7 @@ ROOT = BENCH.parent
 DATA = ROOT.parent / "shared" / "data"
 WIDTH = 170  # of tables that go to a file
 # Where benches find one another's truth, and what the tests share; a bench's own folder comes first.
-sys.path.extend(str(ROOT / folder) for folder in ("tests", "bench/undeclared", "bench/verdict"))
+sys.path.extend(str(ROOT / folder) for folder in ("tests", "bench", "bench/undeclared", "bench/verdict"))
 _BEGUN: set[Path] = set()  # files of results that this run has written to
 Task = dict[str, Any]
 Result = dict[str, Any]

@@ -34,8 +34,9 @@ from typing import Any
 import numpy as np
 import recorded
 import scenarios as kinds
-from arm import ROBOTS as TIPS
-from recordings import Cell, plant, point_to_point, record
+from arms import ROBOTS as TIPS
+from recordings import plant, record
+from sites import Cell, point_to_point
 
 from modcal_core.calibration.noise import errors
 from modcal_core.evaluation import evaluate

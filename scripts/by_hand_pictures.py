@@ -20,15 +20,14 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "bench" / "undeclared"), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "tests")]
 import conftest  # noqa: E402, F401 (finds the install tree)
 import matplotlib  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
-from recordings import REPEATABILITY, Cell  # noqa: E402
-from scenarios import Stations  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
+from sites import REPEAT, Cell, Stations  # noqa: E402
 
 from modcal_core.calibration.store import Calibration  # noqa: E402
 from modcal_core.robot import Robot  # noqa: E402
@@ -57,12 +56,12 @@ class Hall:
 
     def reading(self, q: np.ndarray) -> np.ndarray:
         """What the tracker says [mm] while the arm stands at these joints [rad]."""
-        stands = q + REPEATABILITY * self._rng.standard_normal(len(q))
+        stands = q + REPEAT * self._rng.standard_normal(len(q))
         return self.exact(stands[None])[0] + 1e3 * NOISE * self._rng.standard_normal(3)
 
     def exact(self, q: np.ndarray) -> np.ndarray:
         """Where the reflector is in the tracker's frame at postures (m, n), (m, 3) [mm]."""
-        return 1e3 * self._cell.poses(Stations(q, np.zeros(len(q)), np.ones_like(q)), ()).p
+        return 1e3 * self._cell.poses(Stations(q, np.zeros(len(q)), np.ones_like(q))).p
 
 
 def measured(folder: Path, hall: Hall) -> tuple[list[dict[str, Any]], list[list[str]]]:

@@ -29,10 +29,11 @@ from cells import KINDS, Workplace, at_joint, calibrated, distance, planted, sam
 from scipy.spatial.transform import Rotation
 
 import modcal_core as modcal
+from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.store import Calibration
-from modcal_core.checking.accuracy import expected_error
 from modcal_core.checking.known import pattern_of
 from modcal_core.checkup import Checked
+from modcal_core.claim.claim import claim_at_tool
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import se3
 from modcal_core.measurements.samples import Samples
@@ -94,8 +95,8 @@ def checked(
         for name, model in (("old", calibration), ("repaired", found.repaired), ("full", again)):
             p = model.predict(fresh.q)[:, :3, 3]
             result[f"{name}_mm"], result[f"{name}_true_mm"] = distance(p, fresh.p), distance(p, fresh.exact_p)
-            expected = expected_error(model, model.calibrated, samples, fresh.q)
-            result[f"{name}_expected_mm"] = None if expected is None else 1e3 * expected
+            claim = claim_at_tool(model, samples, Cell(), fresh.q, frozen=True)
+            result[f"{name}_expected_mm"] = claim.mm["rms"].value
     if task["follow"] and changes and len(found.advice.stations):
         more = place.measure(np.concatenate([seen.q, found.advice.stations]), rng, changes)
         after = modcal.check(calibration, samples_of(place, more, 1.72e9), pattern=share)

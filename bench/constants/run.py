@@ -23,8 +23,9 @@ import importlib.util
 import json
 import pkgutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import ModuleType
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 FACTORS = (0.7, 1.3)
@@ -76,9 +77,7 @@ def runner(bench: str) -> ModuleType:
     """The script of another bench; both are called run."""
     name = f"{bench}_run"
     if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, harness.BENCH / bench / "run.py")
-        assert spec is not None, bench
-        assert spec.loader is not None, bench
+        spec: Any = importlib.util.spec_from_file_location(name, harness.BENCH / bench / "run.py")
         sys.modules[name] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(sys.modules[name])
     return sys.modules[name]
@@ -86,18 +85,17 @@ def runner(bench: str) -> ModuleType:
 
 def one(task: harness.Task) -> harness.Result:
     """Outcome by recording, with one constant moved, or as it stands."""
-    constant, factor = task["constant"], task["factor"]
-    if constant == AS_IT_STANDS:
-        return {"outcomes": [outcome(*r) for r in task["recordings"]]}
-    with changed(*constant.split(":"), factor):
+    constant, still = task["constant"], task["constant"] == AS_IT_STANDS
+    with nullcontext() if still else changed(*constant.split(":"), task["factor"]):
         return {"outcomes": [outcome(*r) for r in task["recordings"]]}
 
 
 def outcome(bench: str, kind: str, seed: int) -> str:
     """What was said of a recording in a few words."""
-    run = runner("undeclared" if bench == "undeclared" else "verdict")
     if bench != "undeclared":
-        return str(run.one(run.Task(bench, kind, seed, "returns" if bench == "good" else ""))["outcome"])
+        task = {"group": bench, "kind": kind, "seed": seed, "way": "returns" if bench == "good" else ""}
+        return str(runner("verdict").one(task)["outcome"])
+    run = runner("undeclared")
     robot = list(run.ROBOTS)[seed % 3]
     try:
         found = run.one({"scenario": kind, "robot": robot, "seed": seed, "stations": run.STATIONS, "keep": None})
@@ -110,11 +108,9 @@ def outcome(bench: str, kind: str, seed: int) -> str:
 
 def recordings(every: int, benches: list[str]) -> list[tuple[str, str, int]]:
     """The panel: some of bench/undeclared, and every so manyth kind of bench/verdict; of the benches that are named."""
-    out = [("undeclared", kind, seed) for kind, seed in UNDECLARED] if "undeclared" in benches else []
-    if "verdict" in benches:
-        kinds = runner("verdict").KINDS
-        out += [(group, kind, 40 + k) for group in VERDICT for k, kind in enumerate(kinds[group])][::every]
-    return out
+    out = [("undeclared", kind, seed) for kind, seed in UNDECLARED if "undeclared" in benches]
+    kinds = runner("verdict").KINDS if "verdict" in benches else dict.fromkeys(VERDICT, ())
+    return out + [(group, kind, 40 + k) for group in VERDICT for k, kind in enumerate(kinds[group])][::every]
 
 
 def harms(recording: str, said: str) -> bool:
@@ -124,28 +120,28 @@ def harms(recording: str, said: str) -> bool:
 
 def main() -> int:
     """Exit code: 0 where no move of a number made a verdict calm and wrong, or a clean arm one with an effect."""
-    listed = [tuple(c) for c in json.loads((HERE / "constants.json").read_text(encoding="utf-8"))]
-    parser = harness.parser(__doc__, seeds=0, names=[f"{m.removeprefix('modcal_core.')}.{n}" for m, n in listed])
+    listed = json.loads((HERE / "constants.json").read_text(encoding="utf-8"))
+    constants = {f"{module.removeprefix('modcal_core.')}.{name}": (module, name) for module, name in listed}
+    parser = harness.parser(__doc__, seeds=0, names=constants)
     parser.add_argument("--bench", nargs="+", default=["undeclared", "verdict"], help="whose recordings")
     parser.add_argument("--every", type=int, default=8, help="of bench/verdict's kinds, one in so many")
     given = harness.parsed(parser)
-    constants = [c for c in listed if f"{c[0].removeprefix('modcal_core.')}.{c[1]}" in given.names]
-    for module, name in constants:
-        value_of(module, name)  # said now, not after an hour
+    for name in given.names:
+        value_of(*constants[name])  # said now, not after an hour
     panel = recordings(given.every, given.bench)
-    trials = [(AS_IT_STANDS, 1.0), *((":".join(c), factor) for c in constants for factor in FACTORS)]
+    trials = [(AS_IT_STANDS, 1.0), *((":".join(constants[name]), f) for name in given.names for f in FACTORS)]
     tasks = [{"constant": constant, "factor": factor, "recordings": panel} for constant, factor in trials]
-    results = harness.each(one, tasks, given, fresh=True)
+    first, *results = harness.each(one, tasks, given, fresh=True)
     rows, harmed = [], 0
-    for r in [r for r in results[1:] if not r["failed"] and not results[0]["failed"]]:
-        pairs = zip(panel, results[0]["outcomes"], r["outcomes"], strict=True)
+    for r in [r for r in results if not r["failed"] and not first["failed"]]:
+        pairs = zip(panel, first["outcomes"], r["outcomes"], strict=True)
         others = [(f"{kind} {seed}", was, said) for (_, kind, seed), was, said in pairs if said != was]
         harmed += any(harms(recording, said) for recording, _, said in others)
         words = "; ".join(f"{recording}: {was} → {said}" for recording, was, said in others)
         rows.append([r["constant"].replace(":", "."), r["factor"], words or "none"])
     title = f"Numbers that decide, 30 % lower and higher, over {len(panel)} recordings"
     harness.table(title, ("constant", "factor", "other outcomes"), rows)
-    return int(bool(harness.failures(results))) or harness.met(("no move does harm", not harmed))
+    return int(bool(harness.failures([first, *results]))) or harness.met(("no move does harm", not harmed))
 
 
 if __name__ == "__main__":

@@ -7,29 +7,26 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from fault import Stations
+import sites
+from arms import Array
 from scipy.spatial.transform import Rotation
-from workcell import BEGIN, Session
-from works import Exact, Planted, Row, carrying, floor_of
+from sites import BEGIN, PERIOD, Session, Stations, carrying, flow, joint_track, poses, reading, turn_noise, turned
+from works import Exact, Planted, Row
 
-from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recording, SignalTrack
+from modcal_core.measurements.recording import JointTrack, Recording, SignalTrack
 
-Array = np.ndarray
 Rng = np.random.Generator
 SERVO = 1e-5  # rad; what a joint that has arrived differs from its command, besides what is planted
 LATE, LEVELS = ("joint_lag",), {"ur10": (0.0, 1.0, 2.5, 4.0), "panda": (0.0, 0.5, 1.0, 2.0)}  # kg
 IN_MOTION = 2e-2 * np.sqrt(3.0)  # mm; noise of the readings on a course
 
 
-def joint_track(names: tuple[str, ...], t: Array, q: Array, topic: str = "/joint_states") -> JointTrack:
-    """Positions alone at stamps t since the session's beginning."""
-    unknown = np.full(q.shape, np.nan)
-    return JointTrack(names, BEGIN + t, q, unknown, unknown, BEGIN + t, topic)
+COMMANDS = "/joint_commands"
 
 
 def commanded(session: Session, told: Array) -> Recording:
     """The recording with commanded joints (N, n) on a topic of their own, at the stamps of the stations."""
-    track = joint_track(session.names, session.t, told, "/joint_commands")
+    track = joint_track(session.names, BEGIN + session.t, told, topic=COMMANDS)
     return replace(session.recording(), commands=(track,))
 
 
@@ -45,7 +42,7 @@ def lagging(works: Exact, count: int, share: float, effects: bool = False) -> tu
     if effects:
         k = works.any_joint(0, 3)
         cycles = float(rng.integers(20, 80))
-        bends.append(works.joint(k, lambda stations: 2e-4 * np.sin(cycles * stations.q[:, k])))
+        bends.append(turned(k, lambda s: 2e-4 * np.sin(cycles * s.q[:, k])))
     session = works.observe(q, again, *bends)
     before = np.concatenate([works.arm.range.mean(axis=0)[None], q[:-1]])
     short = np.clip(q - before, -1.0, 1.0)[:, j] * rng.uniform(5e-4, 1.5e-3) * rng.uniform(0.3, 1.0, count)
@@ -101,7 +98,7 @@ def payload(told: bool) -> Row:
         q, again = works.postures(140)
         elastic, levels = works.elastic(4e-4), np.array(LEVELS[works.robot])
         carried = np.repeat(levels[rng.integers(len(levels), size=-(-len(q) // every))], every)[: len(q)]
-        parts, t = [], 4.0 * np.arange(len(q))
+        parts, t = [], PERIOD * np.arange(len(q))
         for kg in levels:
             rows = np.flatnonzero(carried == kg)
             if len(rows):  # of a few changes some levels are never drawn
@@ -111,12 +108,9 @@ def payload(told: bool) -> Row:
         if told:
             changed = np.r_[True, np.diff(carried) != 0.0]
             when, what = t[changed] - 2.0, carried[changed]
-        order = np.argsort(np.concatenate([part.t for part in parts]), kind="stable")
-        joined = {k: np.concatenate([getattr(p, k) for p in parts])[order] for k in ("t", "q", "p", "again")}
-        turned = Rotation.concatenate([p.R for p in parts])[order]
         track = SignalTrack("signal:/payload_kg", BEGIN + when, what[:, None], "/payload_kg")
-        whole = replace(parts[0], **joined, R=turned, signals=(track,))
-        return Planted((whole.recording(),), floor_of(parts), (("compliance",), whole.names))
+        whole = replace(sites.joined(*parts), signals=(track,))
+        return Planted((whole.recording(),), whole.floor_mm, (("compliance",), whole.names))
 
     return Row(make, ("ur10", "panda"), (lambda rng: int(rng.integers(3, 36))) if told else None)
 
@@ -131,40 +125,32 @@ def effort_in_places(works: Exact, rng: Rng) -> Planted:
     return Planted((recording,), session.floor_mm, (("compliance",), session.names))
 
 
-def standing(session: Session, rng: Rng, t: Array, q: Array, at: Array, each: int, kept: float) -> Planted:
-    """Joints q at t, and ``each`` readings a station at times ``at``, which scatter; of these a share is kept."""
+def standing(session: Session, rng: Rng, track: JointTrack, at: Array, each: int, kept: float) -> Planted:
+    """Joint states, and ``each`` readings a station at times ``at``, which scatter; of these a share is kept."""
     scatter = 6e-5  # m, rad
     p = np.repeat(session.p, each, axis=0) + rng.normal(0, scatter, (len(at), 3))
-    turn = Rotation.from_rotvec(rng.normal(0, scatter, (len(at), 3)))
-    R = (Rotation.from_quat(np.repeat(session.R.as_quat(), each, axis=0)) * turn).as_quat()
-    read = BEGIN + at + 1.7e-3
-    reading = ReadingTrack("pose", "tracker", read, np.concatenate([p, R], axis=1), read)
-    recording = Recording((joint_track(session.names, t, q),), (reading,), (), session.urdf)
+    R = Rotation.from_quat(np.repeat(session.R.as_quat(), each, axis=0)) * turn_noise(rng, scatter, len(at))
+    recording = Recording((track,), (reading(BEGIN + at + 1.7e-3, poses(p, R)),), (), session.urdf)
     mean = 1e3 * scatter * np.sqrt(3.0 / (each * kept))
     return Planted((recording,), float(np.hypot(session.floor_mm, mean)), stations=False)
 
 
 def short_stands(works: Exact, rng: Rng) -> Planted:
     """Standstills of 0.4 s, nothing recorded between; readings scatter by more than a station's mean."""
-    session = works.clean(130, noise_mm=1e-3, noise_mrad=1e-3)
-    when = np.arange(0.0, 0.4, 1.0 / 25.0)
-    t = (4.0 * np.arange(len(session))[:, None] + when).ravel()
+    session, when = works.clean(130, noise_mm=1e-3, noise_mrad=1e-3), np.arange(0.0, 0.4, 1.0 / 25.0)
+    t = (PERIOD * np.arange(len(session))[:, None] + when).ravel()
     q = np.repeat(session.q, len(when), axis=0) + 2e-6 * rng.standard_normal((len(t), works.arm.n))
-    return standing(session, rng, t, q, t, len(when), 1.0)
+    return standing(session, rng, joint_track(works.names, BEGIN + t, q), t, len(when), 1.0)
 
 
 def short_pauses(works: Exact, rng: Rng) -> Planted:
     """An arm that goes from posture to posture, recorded all the time, and pauses for 0.4 s at each."""
-    session = works.clean(130, noise_mm=1e-3, noise_mrad=1e-3)
-    stand, leg = 0.4, 1.6
+    session, stand, leg = works.clean(130, noise_mm=1e-3, noise_mrad=1e-3), 0.4, 1.6
+    reached, when = leg + (stand + leg) * np.arange(len(session)), np.arange(0.0, stand, 0.02)
     t = np.arange(0.0, (stand + leg) * len(session), 0.01)
-    k = np.minimum((t / (stand + leg)).astype(int), len(session) - 1)
-    before = np.concatenate([session.q[:1] - 0.1, session.q[:-1]])
-    u = np.clip((t - (stand + leg) * k) / leg, 0.0, 1.0)[:, None]
-    q = before[k] + (10 * u**3 - 15 * u**4 + 6 * u**5) * (session.q - before)[k]
-    when = leg + np.arange(0.0, stand, 0.02)
-    at = ((stand + leg) * np.arange(len(session))[:, None] + when).ravel()
-    return standing(session, rng, t, q, at, len(when), 0.4)  # what is left after settling, and before it leaves
+    track = joint_track(works.names, BEGIN + t, flow(t, session.q, reached, leg, stand, 0.1))
+    # what is left after settling, and before it leaves
+    return standing(session, rng, track, (reached[:, None] + when).ravel(), len(when), 0.4)
 
 
 def moving(
@@ -182,15 +168,13 @@ def moving(
     t = np.arange(0.0, 90.0, 1.0 / rate)
     t = t + rng.uniform(-0.1, 0.1, len(t)) / rate
     at = np.arange(1.0, 89.0, 0.02)
-    exact = works.cell.poses(Stations(goes(at), at, np.ones((len(at), works.arm.n))), ())
+    exact = works.poses(Stations(goes(at), at, np.ones((len(at), works.arm.n))))
     p = exact.p + rng.normal(0, 2e-5, exact.p.shape)
-    R = exact.R * Rotation.from_rotvec(rng.normal(0, 2e-5, p.shape))
-    lag = np.broadcast_to(np.asarray(late, dtype=float), (works.arm.n,))
+    seen = reading(BEGIN + at + clock, poses(p, exact.R * turn_noise(rng, 2e-5, len(p))))
+    lag = np.broadcast_to(late, works.arm.n)
     q = np.stack([goes(t - lag[j])[:, j] for j in range(works.arm.n)], axis=1)
-    told = () if ahead is None else (joint_track(works.names, t, goes(t + ahead), "/joint_commands"),)
-    read = BEGIN + at + clock
-    reading = ReadingTrack("pose", "tracker", read, np.concatenate([p, R.as_quat()], axis=1), read)
-    return (Recording((joint_track(works.names, t, q),), (reading,), (), works.arm.urdf, commands=told),)
+    told = () if ahead is None else (joint_track(works.names, BEGIN + t, goes(t + ahead), topic=COMMANDS),)
+    return (Recording((joint_track(works.names, BEGIN + t, q),), (seen,), (), works.arm.urdf, commands=told),)
 
 
 def on_a_course(named: Any = None, never: tuple[str, ...] = (), **how: Callable[[Exact, Rng], Any]) -> Row:

@@ -4,34 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from arm import TILT_X, TILT_Y, TURN
-from workcell import BEGIN, Bend, Session
-from works import GRAVITY, OTHER, Exact, Planted, Row, carrying, floor_of, other_torque, with_other_arm
+from arms import TILT_X, TILT_Y, TURN, Array
+from sites import BEGIN, Bend, Session, carrying, floor_of, sprung, turned
+from works import GRAVITY, OTHER, Exact, Planted, Row, other_torque, with_other_arm
 
 from modcal_core.measurements.recording import SignalTrack
 
-Array = np.ndarray
 Rng = np.random.Generator
 PAUSE = 600.0  # s between two recordings
 CARRIED = {"ur10": (0.5, 8.0), "panda": (0.2, 2.5), "xarm7": (0.2, 3.0)}  # kg
 SPRINGS = ("compliance", "payload")
+ACROSS = slice(TILT_X, TILT_Y + 1)
 
 
 def pulled(works: Exact, rng: Rng) -> Array:
     """Weight pulls at 10° to 180° from straight down from now on: that unit vector in the base."""
     angle, way = rng.uniform(np.radians(10.0), np.pi), rng.uniform(0.0, 2.0 * np.pi)
     down = np.array([np.sin(angle) * np.cos(way), np.sin(angle) * np.sin(way), -np.cos(angle)])
-    works.arm._model.opt.gravity[:] = GRAVITY * down
+    works.arm.model.opt.gravity[:] = GRAVITY * down
     return down
 
 
-def off_centre(works: Exact, rng: Rng, i: int) -> Bend:
+def off_centre(rng: Rng, i: int) -> Bend:
     """An encoder that is off its centre."""
     size, phase = rng.uniform(2e-4, 4e-4), rng.uniform(0.0, 2.0 * np.pi)
-    return works.joint(i, lambda stations: size * np.sin(stations.q[:, i] + phase))
+    return turned(i, lambda s: size * np.sin(s.q[:, i] + phase))
+
+
+def sagging(works: Exact, share: float = 1.0, sag: float = 3e-4, payload: float = 0.0) -> Bend:
+    """Joints, some of them, that deflect by about ``sag`` [rad] under the arm's weight."""
+    soft = works.rng.random(works.arm.n) < share if share < 1.0 else True
+    return sprung(np.s_[:, TURN], np.where(soft, works.springs(sag), np.inf), 0.0, payload)
+
+
+def torque(works: Exact, kind: Any) -> float:
+    """RMS of gravity's torque on the first joint over sixty random postures [N m]."""
+    load = works.arm.loads(works.rng.uniform(*works.arm.range, (60, works.arm.n)))[:, :1, kind]
+    return float(np.sqrt(np.mean(np.sum(load.reshape(60, -1) ** 2, axis=1))))
 
 
 def single(session: Session, named: Any = None, **told: Any) -> Planted:
@@ -41,8 +54,7 @@ def single(session: Session, named: Any = None, **told: Any) -> Planted:
 def wall(works: Exact, rng: Rng) -> Planted:
     """An arm on a wall, a slope or a ceiling, of which nobody said so; some of its joints are elastic."""
     down = pulled(works, rng)
-    session = works.clean(140, works.sagging(rng.random(works.arm.n) < 0.8, 4e-4))
-    return single(session, (SPRINGS, session.names), down=down)
+    return single(works.clean(140, sagging(works, 0.8, 4e-4)), (SPRINGS, works.names), down=down)
 
 
 def wall_stiff(works: Exact, rng: Rng) -> Planted:
@@ -53,13 +65,13 @@ def wall_stiff(works: Exact, rng: Rng) -> Planted:
 
 def upright(works: Exact, rng: Rng) -> Planted:
     """An arm on the floor with elastic joints and an encoder off its centre: weight pulls straight down."""
-    off = off_centre(works, rng, works.any_joint(1, 4))
-    return single(works.clean(140, works.sagging(rng.random(works.arm.n) < 0.8, 3e-4), off), (SPRINGS, works.names))
+    off = off_centre(rng, works.any_joint(1, 4))
+    return single(works.clean(140, sagging(works, 0.8), off), (SPRINGS, works.names))
 
 
 def eccentric(works: Exact, rng: Rng) -> Planted:
     """A stiff arm on the floor, two encoders off their centres: the error of a joint, not a load of another way."""
-    off = [off_centre(works, rng, int(i)) for i in rng.choice(np.arange(1, 5), 2, replace=False)]
+    off = [off_centre(rng, int(i)) for i in rng.choice(np.arange(1, 5), 2, replace=False)]
     return single(works.clean(140, *off), (("gear_harmonic",), works.names), never=SPRINGS)
 
 
@@ -78,14 +90,10 @@ def payloads(works: Exact, rng: Rng, told: bool) -> Planted:
     low, high = CARRIED[works.robot]
     drawn = (0.0, *rng.uniform(low + 0.2 * (high - low), high, 2))
     masses = tuple(float(drawn[i]) for i in rng.permutation(3))
-    springs = works.sagging(np.ones(works.arm.n, bool), 3e-4)
-    sessions = several(works, masses, 70, lambda kg: carrying(springs, kg))
-    if told:
-        tracks = [
-            SignalTrack("signal:/payload_kg", BEGIN + s.t, np.full((len(s), 1), kg), "/payload_kg")
-            for kg, s in zip(masses, sessions, strict=True)
-        ]
-        sessions = [replace(s, signals=(track,)) for s, track in zip(sessions, tracks, strict=True)]
+    sessions = several(works, masses, 70, partial(carrying, sagging(works)))
+    for k, (kg, s) in enumerate(zip(masses, sessions, strict=True)):
+        track = SignalTrack("signal:/payload_kg", BEGIN + s.t, np.full((len(s), 1), kg), "/payload_kg")
+        sessions[k] = replace(s, signals=(track,)) if told else s
     recordings = tuple(s.recording() for s in sessions)
     return Planted(recordings, floor_of(sessions), (SPRINGS, works.names), carried=() if told else masses)
 
@@ -94,37 +102,27 @@ def payload_unknown(works: Exact, rng: Rng) -> Planted:
     """One recording with a payload that nobody stated; elastic joints."""
     low, high = CARRIED[works.robot]
     kg = float(rng.uniform(low + 0.4 * (high - low), high))
-    session = works.clean(160, works.sagging(np.ones(works.arm.n, bool), 3e-4, kg))
-    return single(session, (SPRINGS, session.names), carried=(kg,))
+    return single(works.clean(160, sagging(works, payload=kg)), (SPRINGS, works.names), carried=(kg,))
 
 
 def clean_recordings(works: Exact, rng: Rng) -> Planted:
     """Three recordings of a stiff arm: nothing is wrong."""
-    stiff = np.zeros(works.arm.n, bool)
-    sessions = several(works, (0.0, 1.0, 2.0), 60, lambda _: works.sagging(stiff, 3e-4))
+    sessions = several(works, (0.0, 1.0, 2.0), 60, lambda _: sprung(np.s_[:, TURN], np.inf * works.springs(3e-4)))
     return Planted(tuple(s.recording() for s in sessions), floor_of(sessions), never=("*",))
 
 
 def column(works: Exact, rng: Rng) -> Planted:
     """A lifting column that tilts under the moment of the arm that it carries."""
-    stiffness = float(works.rms_torque(0, slice(TILT_X, TILT_Y + 1))) / rng.uniform(2e-4, 6e-4)
-
-    def bend(arm: Any, stations: Any, deviation: Any) -> None:
-        deviation.linear[0, TILT_X : TILT_Y + 1] = stiffness
-
-    return single(works.clean(140, bend), (SPRINGS, ("lift", "lift_link")))
+    stiffness = torque(works, ACROSS) / rng.uniform(2e-4, 6e-4)
+    return single(works.clean(140, sprung((0, ACROSS), stiffness)), (SPRINGS, ("lift", "lift_link")))
 
 
 def other_arm(works: Exact, rng: Rng) -> Planted:
     """An elastic torso that carries another arm as well, whose joints are recorded beside the measured arm's."""
     turns = rng.uniform(-1.5, 1.5, (140, 2))
-    stiffness = float(works.rms_torque(0)) / rng.uniform(4e-4, 9e-4)
-
-    def bend(arm: Any, stations: Any, deviation: Any) -> None:
-        deviation.linear[0, TURN] = stiffness
-        deviation.x[:, 0, TURN] += other_torque(stations.q[:, 0], turns) / stiffness
-
-    session = works.clean(140, bend)
+    stiffness = torque(works, TURN) / rng.uniform(4e-4, 9e-4)
+    pull = turned(0, lambda s: other_torque(s.q[:, 0], turns) / stiffness)
+    session = works.clean(140, sprung((0, TURN), stiffness), pull)
     more = {name: turns[:, i] for i, (name, *_) in enumerate(OTHER)}
     return single(replace(session, urdf=with_other_arm(session.urdf), more=more), (SPRINGS, ("torso", "torso_link")))
 
@@ -132,8 +130,8 @@ def other_arm(works: Exact, rng: Rng) -> Planted:
 ROWS = {
     "other_arm": Row(other_arm, ("torso",)),
     "payload_unknown": Row(payload_unknown),
-    "payloads_unknown": Row(lambda works, rng: payloads(works, rng, False)),
-    "payloads_topic": Row(lambda works, rng: payloads(works, rng, True)),
+    "payloads_unknown": Row(partial(payloads, told=False)),
+    "payloads_topic": Row(partial(payloads, told=True)),
     "column": Row(column, ("lifted",)),
     "wall": Row(wall),
     "wall_stiff": Row(wall_stiff),

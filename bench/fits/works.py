@@ -1,4 +1,4 @@
-"""Cells whose floor is known, and what each planted row hands over: bench/undeclared's arm in bench/verdict's cell.
+"""Cells whose floor is known, and what each planted row hands over.
 
 ``Exact`` keeps, of each recording it makes, what no noise would have left of it. Two arms with bodies beside their
 chain are added to those of the examples: a UR10 on a lifting column, and on a torso that carries another arm as well.
@@ -6,21 +6,18 @@ chain are added to those of the examples: a UR10 on a lifting column, and on a t
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from arm import DESCRIBED, FOLDER, TURN
+from arms import DESCRIBED, Array, joint, link, standing
 from scipy.spatial.transform import Rotation
-from workcell import BEGIN, Bend, Session, Works
+from sites import BEGIN, EXACT, Bend, Cell, Session
 
 from modcal_core.measurements.recording import Recording
 from modcal_core.measurements.samples import Samples
 
-Array = np.ndarray
 ARMS = ("ur10", "panda", "xarm7")
 GRAVITY = 9.81
 # Of the other arm: joints, their axes and origins, and the masses [kg] behind them
@@ -61,7 +58,7 @@ class Row:
         return works, self.make(works, rng, *drawn)
 
 
-class Exact(Works):
+class Exact(Cell):
     """A cell that keeps its recordings without noise as well, of joints that repeat exactly."""
 
     def __init__(self, robot: str, rng: np.random.Generator) -> None:
@@ -72,27 +69,9 @@ class Exact(Works):
         """As of any cell; the same random numbers follow."""
         session = super().observe(q, again, *bends, **options)
         following = self.rng.bit_generator.state
-        none = {"noise_mm": 0.0, "noise_mrad": 0.0, "repeat": 0.0}
-        self.exact.append(super().observe(q, again, *bends, **{**options, **none}))
+        self.exact.append(super().observe(q, again, *bends, **options | EXACT))
         self.rng.bit_generator.state = following
         return session
-
-    def rms_torque(self, joint: int | slice = slice(None), kinds: int | slice = TURN) -> Array:
-        """RMS of gravity's torque [N m] over sixty random postures, of all joints or the size of some of one's."""
-        sample = self.arm.coordinates(self.rng.uniform(*self.arm.range, (60, self.arm.n)))
-        torque = self.arm.holding(sample)[:, joint, kinds]
-        return np.sqrt(np.mean(torque**2 if isinstance(kinds, int) else np.sum(torque**2, axis=1), axis=0))
-
-    def sagging(self, joints: Array, sag: float, payload: float = 0.0) -> Bend:
-        """Joints that deflect by about ``sag`` [rad] under the arm's weight."""
-        rms = self.rms_torque()
-        stiffness = np.where(joints, np.maximum(rms, 0.1 * rms.max()) / sag, np.inf)
-
-        def bend(arm: Any, stations: Any, deviation: Any) -> None:
-            deviation.linear[:, TURN] = stiffness
-            deviation.payload += payload
-
-        return bend
 
     def exact_samples(self, samples: Samples) -> Samples:
         """These samples with the readings that the recordings without noise have at their stamps."""
@@ -105,60 +84,27 @@ class Exact(Works):
         return replace(samples, reading=p[rows], R=R[rows])
 
 
-def carrying(bend: Bend, kg: float) -> Bend:
-    """The same arm with a payload."""
-
-    def both(arm: Any, stations: Any, deviation: Any) -> None:
-        bend(arm, stations, deviation)
-        deviation.payload += kg
-
-    return both
-
-
-def floor_of(sessions: list[Session]) -> float:
-    return float(np.sqrt(np.average([s.floor_mm**2 for s in sessions], weights=[len(s) for s in sessions])))
-
-
-def _link(name: str, mass: float, xyz: str) -> str:
-    """A link with a mass [kg] at a point [m], as URDF."""
-    i = 0.01 * mass
-    return (
-        f'<link name="{name}"><inertial><origin xyz="{xyz}" rpy="0 0 0"/><mass value="{mass}"/>'
-        f'<inertia ixx="{i}" ixy="0" ixz="0" iyy="{i}" iyz="0" izz="{i}"/></inertial></link>'
-    )
-
-
-def _joint(name: str, kind: str, xyz: str, rpy: str, parent: str, child: str, more: str = "") -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/><parent link="{parent}"/>'
-        f'<child link="{child}"/>{more}</joint>'
-    )
-
-
-def _moves(axis: str, low: float, high: float) -> str:
-    return f'<axis xyz="{axis}"/><limit lower="{low}" upper="{high}" effort="900" velocity="1"/>'
-
-
-def _on_a_joint(robot: str, joint: str, kind: str, xyz: str, moves: str, mass: float) -> None:
+def _on_a_joint(name: str, kind: str, xyz: str, moves: str, mass: float) -> tuple[str, str]:
     """The UR10 on a link that moves by one joint more, of this mass [kg]."""
-    text = (Path(FOLDER) / "ur10.urdf").read_text(encoding="utf-8")
-    children = set(re.findall(r'<child link="([^"]*)"', text))
-    root = next(name for name in re.findall(r'<link name="([^"]*)"', text) if name not in children)
-    parts = ['<link name="foot"/>', _link(f"{joint}_link", mass, "0.02 0 0.1")]
-    parts.append(_joint(joint, kind, xyz, "0 0 0", "foot", f"{joint}_link", moves))
-    parts.append(_joint(f"{joint}_mount", "fixed", "0.1 0.1 0.2", "0.3 0 0.2", f"{joint}_link", root))
-    DESCRIBED[robot] = text.replace("</robot>", "\n".join(parts) + "\n</robot>"), "tool0"
+    moved, mount = f"{name}_link", f"{name}_mount"
+    return standing(
+        "ur10",
+        lambda root: [
+            *(link("foot"), link(moved, mass, "0.02 0 0.1"), joint(name, f"foot {moved}", kind, xyz, axis=moves)),
+            joint(mount, f"{moved} {root}", xyz="0.1 0.1 0.2", rpy="0.3 0 0.2"),
+        ],
+    )
 
 
 def with_other_arm(urdf: str) -> str:
     """The description with the other arm on the torso's link."""
     parts, parent = [], "torso_link"
     for name, axis, xyz, mass in OTHER:
-        parts.append(_link(f"{name}_link", mass, "0.03 0 0.2"))
         at = " ".join(str(v) for v in xyz)
-        parts.append(_joint(name, "revolute", at, "0 0 0", parent, f"{name}_link", _moves(axis, -2, 2)))
+        parts += [link(f"{name}_link", mass, "0.03 0 0.2")]
+        parts += [joint(name, f"{parent} {name}_link", "revolute", at, axis=f"{axis} -2 2")]
         parent = f"{name}_link"
-    return urdf.replace("</robot>", "\n".join(parts) + "\n</robot>")
+    return urdf.replace("</robot>", "\n".join([*parts, "</robot>"]))
 
 
 def other_torque(torso: Array, turns: Array) -> Array:
@@ -173,5 +119,5 @@ def other_torque(torso: Array, turns: Array) -> Array:
     return np.sum([np.cross(lean.apply(p), w)[:, 1] for p, w in zip(at, weights, strict=True)], axis=0)
 
 
-_on_a_joint("lifted", "lift", "prismatic", "0.1 0 0.3", _moves("0 0 1", 0.0, 0.6), 25.0)
-_on_a_joint("torso", "torso", "revolute", "0 0 0.8", _moves("0 1 0", -0.6, 0.6), 12.0)
+DESCRIBED["lifted"] = _on_a_joint("lift", "prismatic", "0.1 0 0.3", "0 0 1 0.0 0.6", 25.0)
+DESCRIBED["torso"] = _on_a_joint("torso", "revolute", "0 0 0.8", "0 1 0 -0.6 0.6", 12.0)

@@ -6,17 +6,15 @@ orientation, units, direction of the pose, useless columns, names and order of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from arms import ARMS, Recorded, record
 from scipy.spatial.transform import Rotation
-from sheet import DIGITS, LENGTH
+from sheet import ARMS, DIGITS, LENGTH, Array, Recorded, Rng, Written, record
 
-Rng = np.random.Generator
 STYLES = ("generic", "spatial_analyzer", "faro", "vicon", "motive", "qualisys", "ndi", "rtde")
 UNITS = {"vicon": ["mm"], "motive": ["m", "mm", "cm"], "qualisys": ["mm"], "ndi": ["mm"], "faro": ["mm", "in", "m"]}
 UNITS |= {"rtde": ["m", "mm"]}
@@ -45,39 +43,28 @@ class Column:
     above: tuple[str, ...] = ()
 
 
-@dataclass
-class Export:
-    """A file, and what was written into it. whole: rows in which nothing is missing."""
-
-    path: Path
-    recorded: Recorded
-    whole: np.ndarray
-    style: str
-    about: dict[str, Any] = field(default_factory=dict)
-
-
 class Writer:
     """Draws the columns of one file: its style, its decimal sign, and what is noted about it."""
 
     def __init__(self, style: str, rng: Rng, decimal: str, about: dict[str, Any]) -> None:
         self.style, self.rng, self.decimal, self.about = style, rng, decimal, about
 
-    def cells(self, values: np.ndarray, digits: int) -> list[str]:
+    def cells(self, values: Array, digits: int) -> list[str]:
         return [f"{float(v):.{digits}f}".replace(".", self.decimal) for v in values]
 
     def columns(
-        self, labels: list[str], values: np.ndarray, digits: int, unit: str = "", above: tuple[str, ...] = ()
+        self, labels: list[str], values: Array, digits: int, unit: str = "", above: tuple[str, ...] = ()
     ) -> list[Column]:
         return [Column(label, self.cells(v, digits), unit, above) for label, v in zip(labels, values.T, strict=True)]
 
-    def position(self, p: np.ndarray, unit: str, pre: str) -> list[Column]:
+    def position(self, p: Array, unit: str, pre: str) -> list[Column]:
         generic = [[f"{pre}{a}" for a in "xyz"], [f"{pre}{a} [{unit}]" for a in "XYZ"]]
         generic += [[f"{pre}pos_{a}" for a in "xyz"], [f"{pre}{a}_{unit}" for a in "xyz"]]
         names = generic if self.style == "generic" else [PLACES.get(self.style, ["X", "Y", "Z"])]
         above = ("Rigid Body", "tool", "", "Position") if self.style == "motive" else ()
         return self.columns(names[int(self.rng.integers(len(names)))], p, DIGITS[unit], unit, above)
 
-    def pose(self, T: np.ndarray, p: np.ndarray, unit: str, stem: str) -> tuple[list[Column], list[Column]]:
+    def pose(self, T: Array, p: Array, unit: str, stem: str) -> tuple[list[Column], list[Column]]:
         """Columns of the position, and of the orientation."""
         rng, style, about, R = self.rng, self.style, self.about, Rotation.from_matrix(T[:, :3, :3])
         dot = str(rng.choice([" ", "_", "."]))
@@ -87,7 +74,7 @@ class Writer:
         degrees = bool(rng.random() < 0.6) if style not in ("spatial_analyzer", "qualisys", "ndi") else True
         above = ("Rigid Body", "tool", "", "Position") if style == "motive" else ()
 
-        def angles(values: np.ndarray, labels: list[str]) -> list[Column]:
+        def angles(values: Array, labels: list[str]) -> list[Column]:
             scaled, digits = (np.degrees(values), 5) if degrees else (values, 7)
             return self.columns(labels, scaled, digits, "deg" if degrees else "rad", above)
 
@@ -119,7 +106,7 @@ class Writer:
         label = [f"{pre}r{k}" for k in range(9)] if counted else [f"{pre}r{r}{c}" for r in "123" for c in "123"]
         return position, self.columns(label, flat, 7)
 
-    def quaternion(self, q: np.ndarray, form: str, pre: str) -> list[Column]:
+    def quaternion(self, q: Array, form: str, pre: str) -> list[Column]:
         rng, motive = self.rng, self.style == "motive"
         if rng.random() < 0.5:
             q = q * np.sign(q[:, 3:] + 1e-12)
@@ -169,7 +156,7 @@ class Writer:
         ]
         return [every[k] for k in rng.permutation(len(every))[: int(rng.integers(0, 4))]]
 
-    def time(self, stamps: np.ndarray) -> list[Column]:
+    def time(self, stamps: Array) -> list[Column]:
         way, N = str(self.rng.choice(CLOCKS.get(self.style, ANY_CLOCK))), len(stamps)
         self.about["clock"] = way in ("frame_seconds", "epoch", "iso", "seconds", "ms", "us_date")
         since, moments = stamps - stamps[0], [datetime.fromtimestamp(float(s), UTC) for s in stamps]
@@ -238,7 +225,7 @@ class Writer:
         path.write_bytes((end.join(lines) + end).encode(encoding, errors="replace"))
 
 
-def draw(seed: int, folder: Path) -> Export:
+def draw(seed: int, folder: Path) -> Written:
     """One file."""
     rng = np.random.default_rng([seed, 2])
     robot = str(rng.choice(list(ARMS)))
@@ -271,4 +258,5 @@ def draw(seed: int, folder: Path) -> Export:
                 c.values[i] = token
     path = folder / f"export_{seed:04d}{rng.choice(['.csv', '.txt', '.tsv'])}"
     writer.write(path, columns)
-    return Export(path, recorded, whole, style, about)
+    readings = {"point" if point_only else "pose": [recorded.T]}
+    return Written([path], recorded, readings, whole, about=about)

@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from exports import Export
 from scipy.spatial.transform import Rotation
-from sheet import Written
+from sheet import Array, Written
 
 from modcal_msgs_py.tables import import_tables, read_tables
 
-Array = np.ndarray
 KINDS = {"range": "range", "bearing": "bearing", "plane": "touch", "pose": "pose", "body": "pose", "point": "point"}
 
 
@@ -56,27 +54,24 @@ def differs(kind: str, got: Array, true: Array, T: Array) -> str | None:
     return None if gap < near[0] and turn < near[1] else f"{kind} off by {gap:.3g} m, {turn:.3g} rad"
 
 
-def judged(export: Export, mapping: dict[str, Any], folder: Path) -> str:
-    """Of joints and a pose: "right", or what is wrong."""
-    recording, truth = import_tables(mapping, folder, export.path.name), export.recorded
-    (joints,), (reading,) = recording.joints, recording.readings
+def judged(written: Written, mapping: dict[str, Any], folder: Path) -> str:
+    """Of joints and a pose, whatever else is used: "right", or what is wrong."""
+    recording, truth, rows = import_tables(mapping, folder, "bench"), written.recorded, np.flatnonzero(written.whole)
+    (joints,), (reading,), (kind,) = recording.joints, recording.readings, written.readings
     if set(joints.names) != set(truth.names):
         return f"joints {joints.names}"
-    rows = np.flatnonzero(export.whole)
     if len(reading.stamps) != len(rows):
         return f"{len(reading.stamps)} readings of {len(rows)}"
     here = np.searchsorted(joints.stamps, reading.stamps)
-    q = joints.position[here][:, [joints.names.index(n) for n in truth.names]]
-    if np.abs(q - truth.q[rows]).max() > 1e-4:
-        return f"joints off by {np.abs(q - truth.q[rows]).max():.3g}"
-    if recording.has_clock and export.about["clock"]:
-        steps, true = np.diff(reading.stamps), np.diff(truth.stamps[rows])
-        if np.abs(steps - true).max() > 1.1:
-            return f"steps of time off by {np.abs(steps - true).max():.3g} s"
-    wrong = differs("point" if reading.kind == "point" else "pose", reading.values, truth.T[rows], truth.T[rows])
-    if wrong is None and reading.kind == "point" and not export.about["point"]:
-        return "positions only"
-    return wrong or "right"
+    off = np.abs(joints.position[here][:, [joints.names.index(n) for n in truth.names]] - truth.q[rows]).max()
+    if off > 1e-4:
+        return f"joints off by {off:.3g}"
+    if recording.has_clock and written.about["clock"]:
+        apart = np.abs(np.diff(reading.stamps) - np.diff(truth.stamps[rows])).max()
+        if apart > 1.1:
+            return f"steps of time off by {apart:.3g} s"
+    wrong = differs(reading.kind, reading.values, truth.T[rows], truth.T[rows])
+    return wrong or ("right" if reading.kind == kind else f"{reading.kind} of a {kind}")
 
 
 def columns_judged(written: Written, mapping: dict[str, Any], folder: Path) -> tuple[str, list[str]]:
@@ -84,8 +79,7 @@ def columns_judged(written: Written, mapping: dict[str, Any], folder: Path) -> t
     tables = read_tables(mapping, folder, "bench")
     recording, truth = tables.recording, written.recorded
     (joints,) = recording.joints
-    wrong: list[str] = []
-    less: list[str] = []
+    wrong, less = list[str](), list[str]()
     if set(joints.names) != set(truth.names):
         return "wrong", [f"joints {joints.names}"]
     rows = np.flatnonzero(written.whole)
@@ -106,19 +100,17 @@ def columns_judged(written: Written, mapping: dict[str, Any], folder: Path) -> t
         """In the order of the truth; None where nothing is known."""
         return None if np.isnan(values).all() else values[:, [track.names.index(n) for n in truth.names]]
 
-    def at(values: Array | None) -> Array | None:
-        return None if values is None else values[every]
-
-    compare("joints", used(joints, joints.position), truth.q[every], 1e-4)
+    v, effort, commands = (
+        None if x is None else x[every] for x in (written.velocity, written.effort, written.commanded)
+    )
     # nobody can tell the unit of a standing arm's speeds where no label does
     told = written.about["scenario"] == "moving" or bool(written.about.get("velocity_told"))
-    v = written.velocity
-    compare(
-        "velocity", used(joints, joints.velocity), at(v), 0.0 if v is None else max(1e-3, 1e-2 * np.abs(v).max()), told
-    )
-    compare("effort", used(joints, joints.effort), at(written.effort), 2e-3)
+    near = 0.0 if v is None else max(1e-3, 1e-2 * np.abs(written.velocity).max())
+    compare("joints", used(joints, joints.position), truth.q[every], 1e-4)
+    compare("velocity", used(joints, joints.velocity), v, near, told)
+    compare("effort", used(joints, joints.effort), effort, 2e-3)
     found = tables.commanded
-    compare("commanded", None if found is None else used(found, found.position), at(written.commanded), 1e-4)
+    compare("commanded", None if found is None else used(found, found.position), commands, 1e-4)
     kinds = {kind: [r for r in recording.readings if r.kind == KINDS[kind]] for kind in written.readings}
     if sum(map(len, kinds.values())) != len(recording.readings):
         wrong.append(f"readings {[r.kind for r in recording.readings]}")
@@ -130,19 +122,13 @@ def columns_judged(written: Written, mapping: dict[str, Any], folder: Path) -> t
                 wrong.append(f"{kind}: {len(track.stamps)} readings of {len(rows)}")
             elif (said := differs(kind, track.values, values[rows], truth.T[rows])) is not None:
                 wrong.append(said)
-    stated = recording.readings[0].stated
+    stated, std = recording.readings[0].stated, None if written.std is None else written.std[rows]
     stated = None if stated is None or np.isnan(stated[:, 0]).all() else stated[:, 0]
-    true = None if written.std is None else written.std[rows]
-    compare(
-        "std",
-        stated if stated is None or true is None else stated / true,
-        None if true is None else np.ones(len(true)),
-        0.1,
-    )
-    signals = [s.values[:, 0] for s in recording.signals]
+    ratio = stated if stated is None or std is None else stated / std
+    compare("std", ratio, None if std is None else np.ones(len(std)), 0.1)
+    signals = [np.sort(s.values[:, 0]) for s in recording.signals]
     for values in written.signals:
-        alike = {len(rows): values[rows], len(values): values}
-        near = [v for v in signals if len(v) in alike and np.abs(np.sort(v) - np.sort(alike[len(v)])).max() < 2e-3]
-        if not near:
+        alike = {len(v): np.sort(v) for v in (values[rows], values)}
+        if not any(len(v) in alike and np.abs(v - alike[len(v)]).max() < 2e-3 for v in signals):
             less.append("signal")
     return ("wrong", wrong + less) if wrong else ("less", less) if less else ("right", [])

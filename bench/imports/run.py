@@ -19,7 +19,7 @@ import harness
 # isort: split
 import columns
 import exports
-from arms import ROBOTS
+from arms import FOLDER
 from judging import columns_judged, judged
 
 from modcal_core.errors import ModcalError
@@ -34,23 +34,19 @@ def one(task: harness.Task) -> harness.Result:
     """What came of one export."""
     plain = task["kind"] == "plain"
     with harness.scratch(task["keep"] and Path(task["keep"])) as folder:
-        export = (exports if plain else columns).draw(task["seed"], folder)
-        robot = Robot.from_urdf((ROBOTS / f"{export.recorded.robot}.urdf").read_text())
-        paths, inertias = ([export.path], None) if plain else (export.paths, robot.inertias)
+        written = (exports if plain else columns).draw(task["seed"], folder)
+        robot = Robot.from_urdf((FOLDER / f"{written.recorded.robot}.urdf").read_text())
         try:
-            made = proposal(find(paths, robot.chain, inertias=inertias), None)
-        except ModcalError as error:
-            return {**export.about, "outcome": "asked", "said": f"refused: {error}"}
-        if made.open:
-            return {**export.about, "outcome": "asked", "said": "; ".join(made.open)[:300]}
-        try:
+            made = proposal(find(written.paths, robot.chain, inertias=None if plain else robot.inertias), None)
+            if made.open:
+                return {**written.about, "outcome": "asked", "said": "; ".join(made.open)[:300]}
             if plain:
-                said: object = judged(export, dict(made.mapping), folder)
-                return {**export.about, "outcome": "right" if said == "right" else "wrong", "said": said}
-            outcome, said = columns_judged(export, dict(made.mapping), folder)
+                said = judged(written, dict(made.mapping), folder)
+                return {**written.about, "outcome": "right" if said == "right" else "wrong", "said": said}
+            outcome, said = columns_judged(written, dict(made.mapping), folder)
         except ModcalError as error:
-            return {**export.about, "outcome": "asked", "said": f"the mapping is refused: {error}"}
-    return {**export.about, "outcome": outcome, "said": said}
+            return {**written.about, "outcome": "asked", "said": f"refused: {error}"}
+    return {**written.about, "outcome": outcome, "said": said}
 
 
 def main() -> int:

@@ -10,13 +10,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 import pinocchio as pin
 import yaml
-from articulation.objects import Seen, ideal, noisy
+from articulation.objects import ideal, noisy
 from cells import record, ur10
 from cli.recordings import streams
-from peers import ROOT, ask
+from peers import ask
 from rosbags.rosbag2 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.optimize import least_squares
@@ -45,6 +46,7 @@ from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
 
+ROOT = harness.ROOT
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"
 POSTURES, ROWS, STATIONS, JUDGED = 10_000, 256, 160, 300
 POSES, DOORS = 100, 5
@@ -76,19 +78,15 @@ def kinematics() -> Iterator[Row]:
     for name, ours, theirs in (("FK", chain_forward, poses), ("Jacobian", spatial_jacobian, jacobians)):
         assert np.abs(theirs() - ours(chain, q)).max() < 1e-12
         times = pair_ms(lambda ours=ours: ours(chain, q), theirs, 7, 3)
-        yield Row("kinematics", f"{name}, {POSTURES} postures", times[0], "Pinocchio in a loop", times[1])
+        yield Row(f"{name}, {POSTURES} postures", times[0], "Pinocchio in a loop", times[1])
     chain, near = ur10(), np.array([0.3, -1.2, 1.4, -0.8, 1.1, 0.2])
     T = chain_forward(chain, near)
 
-    def gap(x: Any) -> Any:
-        return se3.log(se3.inverse(chain_forward(chain, x)) @ T)
-
-    def peer() -> Any:
-        return least_squares(gap, near + 0.01, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-
+    gap = lambda x: se3.log(se3.inverse(chain_forward(chain, x)) @ T)  # noqa: E731
+    peer = lambda: least_squares(gap, near + 0.01, xtol=1e-15, ftol=1e-15, gtol=1e-15).x  # noqa: E731
     assert np.abs(peer() - inverse(chain, T, near + 0.01)).max() < 1e-7
     times = pair_ms(lambda: inverse(chain, T, near + 0.01), peer, 25, 10)
-    yield Row("kinematics", "IK, from nearby", times[0], "SciPy least_squares", times[1])
+    yield Row("IK, from nearby", times[0], "SciPy least_squares", times[1])
 
 
 def online() -> Iterator[Row]:
@@ -109,8 +107,8 @@ def online() -> Iterator[Row]:
     watch = ChangeDetector(fit.model, fit.parameters, fit.covariance, fit.noise)
     batch = lambda: identify(fit.model, samples, parameters)  # noqa: E731
     ours, other = pair_ms(lambda: [estimator.update(row) for row in single[:ROWS]], batch, 5)
-    yield Row("online", "recursive update, one pose", ours / ROWS, "batch fit of 1000", other)
-    yield Row("online", "watch, one pose", median_ms(lambda: [watch.add(row) for row in single[:ROWS]], 3) / ROWS)
+    yield Row("recursive update, one pose", ours / ROWS, "batch fit of 1000", other)
+    yield Row("watch, one pose", median_ms(lambda: [watch.add(row) for row in single[:ROWS]], 3) / ROWS)
 
 
 def diagnosis() -> Iterator[Row]:
@@ -126,13 +124,7 @@ def diagnosis() -> Iterator[Row]:
         return len(effects)
 
     ms = median_ms(scan, 3)
-    yield Row("diagnosis", f"scan, {STATIONS} stations", ms, remark=f"{scan()} candidates, significance included")
-
-
-def _door(seed: int) -> Seen:
-    """A door with its handle 0.5 m from the hinge, opened once."""
-    rng = np.random.default_rng(seed)
-    return noisy(ideal("revolute", np.linspace(0.0, 1.2, POSES), rng, 0.5), rng, POSITION, ROTATION)
+    yield Row(f"scan, {STATIONS} stations", ms, remark=f"{scan()} candidates, significance included")
 
 
 def _apart(hinge: Array, other: Array) -> tuple[float, float]:
@@ -153,19 +145,18 @@ def _off(hinges: Array, truth: Array) -> str:
 
 def articulation() -> Iterator[Row]:
     """The fit of a known kind of joint, and the same by ripl_articulation's factor graph."""
-    seen = [_door(seed) for seed in range(DOORS)]
+    seen = []
+    for seed in range(DOORS):  # a door with its handle 0.5 m from the hinge, opened once
+        rng = np.random.default_rng(seed)
+        door = ideal("revolute", np.linspace(0.0, 1.2, POSES), rng, 0.5)
+        seen.append(noisy(door, rng, POSITION, ROTATION))
     tracks = [Track(s.positions, s.rotations) for s in seen]
-    truth = np.array([np.r_[s.point, s.axis] for s in seen])
     models = [fit_joint(track, "revolute").model for track in tracks]
-    ours = np.array([np.r_[m.point, m.axis] for m in models])
+    truth, ours = (np.array([np.r_[m.point, m.axis] for m in those]) for those in (seen, models))
     ms = float(np.median([median_ms(lambda t=track: fit_joint(t, "revolute"), 3) for track in tracks]))
     poses = np.tile(np.eye(4), (DOORS, POSES, 1, 1))
-    poses[..., :3, :3] = [s.rotations for s in seen]
-    poses[..., :3, 3] = [s.positions for s in seen]
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "poses.npz"
-        np.savez(file, poses=poses, position=POSITION, rotation=ROTATION)
-        answer = ask("ripl", str(file), seconds=120.0)
+    poses[..., :3, :3], poses[..., :3, 3] = [s.rotations for s in seen], [s.positions for s in seen]
+    answer = ask("ripl", seconds=120.0, arrays={"poses": poses, "position": POSITION, "rotation": ROTATION})
     remark = answer.remark
     if answer.found:
         theirs = np.reshape(answer.found, (DOORS, 6))
@@ -173,7 +164,7 @@ def articulation() -> Iterator[Row]:
             if (np.array(_apart(a, b)) > SAME_HINGE).any():
                 raise SystemExit(f"ripl_articulation: another hinge, {_apart(a, b)} m and rad away")
         remark = f"off the true hinge by {_off(theirs, truth)}, ours by {_off(ours, truth)}"
-    yield Row("articulation", f"hinge from {POSES} poses", ms, "ripl_articulation", answer.ms, remark)
+    yield Row(f"hinge from {POSES} poses", ms, "ripl_articulation", answer.ms, remark)
 
 
 def bags() -> Iterator[Row]:
@@ -198,13 +189,13 @@ def bags() -> Iterator[Row]:
             assert np.array_equal(q, read_recording(file).joints[0].position), "other joint positions"
             ours, other = pair_ms(lambda file=file: read_recording(file), lambda file=file: peer(file), 5, 3)
             rate = f"{len(read) / ours:.0f} k messages/s into arrays"
-            yield Row("bags", f"{len(read)} messages{kind}", ours, "rosbags", other, rate)
+            yield Row(f"{len(read)} messages{kind}", ours, "rosbags", other, rate)
             if not kind:
                 answer = ask("mcap", str(next(bag.glob("*.mcap"))))
-                yield Row("bags", f"{len(read)} messages", ours, "mcap-ros2-support", answer.ms, answer.remark)
+                yield Row(f"{len(read)} messages", ours, "mcap-ros2-support", answer.ms, answer.remark)
         track = recording.joints[0]
         ms = median_ms(lambda: cut_stations(recording, track.names), 3)
-        yield Row("bags", f"stations of {len(track.stamps)} joint states", ms)
+        yield Row(f"stations of {len(track.stamps)} joint states", ms)
 
 
 def synthesis() -> Iterator[Row]:
@@ -219,7 +210,7 @@ def synthesis() -> Iterator[Row]:
         judged.append(archive.judged)
 
     ms = spent_ms(search)
-    yield Row("synthesis", "one assembly judged", ms / judged[-1], remark=f"mean of {judged[-1]}, descents included")
+    yield Row("one assembly judged", ms / judged[-1], remark=f"mean of {judged[-1]}, descents included")
 
 
 def process_ms(*arguments: str, runs: int = 5) -> float:
@@ -238,9 +229,9 @@ def start() -> Iterator[Row]:
     """What the command costs before it does anything, beside an interpreter that does nothing, and NumPy alone."""
     command = str(Path(sys.executable).with_name("modcal"))
     bare, numpy = (process_ms(sys.executable, "-c", words) for words in ("pass", "import numpy"))
-    yield Row("start", "modcal --help", process_ms(command, "--help"), "python -c pass", bare, "0.1 s is the limit")
+    yield Row("modcal --help", process_ms(command, "--help"), "python -c pass", bare, "0.1 s is the limit")
     info = process_ms(command, "info", str(ROOT / "bags" / "ur10_cell"))
-    yield Row("start", "modcal info, a small bag", info, "import numpy", numpy, "0.3 s is the limit")
+    yield Row("modcal info, a small bag", info, "import numpy", numpy, "0.3 s is the limit")
     with tempfile.TemporaryDirectory() as folder:
         plan = process_ms(command, "plan", str(URDF), "--stations", "26", "--candidates", "500", "--out", folder)
-    yield Row("start", "modcal plan, 26 of 500 candidates", plan, "import numpy", numpy, "1.5 s is the limit")
+    yield Row("modcal plan, 26 of 500 candidates", plan, "import numpy", numpy, "1.5 s is the limit")

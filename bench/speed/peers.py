@@ -21,8 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-ENVIRONMENTS = ROOT / ".venv-bench"
+ENVIRONMENTS = Path(__file__).resolve().parents[2] / ".venv-bench"
 # a peer, and what it is pinned together with
 PINNED = {
     "mcap": "mcap-ros2-support==0.6.0",
@@ -61,16 +60,22 @@ def install() -> None:
     stamp.write_text(json.dumps(PINNED))
 
 
-def ask(peer: str, *arguments: str, seconds: float = 300.0) -> Answer:
-    """What this file prints in the environment of a peer."""
+def ask(peer: str, *arguments: str, seconds: float = 300.0, arrays: dict[str, Any] | None = None) -> Answer:
+    """What this file prints in the environment of a peer. arrays: of the file that is its first argument."""
     python = ENVIRONMENTS / peer / "bin" / "python"
     if not python.exists():
         return Answer(None, "not installed")
-    try:
-        command = [str(python), __file__, peer, *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds)
-    except subprocess.TimeoutExpired:
-        return Answer(None, f"not done after {seconds:.0f} s")
+    with tempfile.TemporaryDirectory() as folder:
+        if arrays is not None:
+            import numpy as np
+
+            arguments = f"{folder}/told.npz", *arguments
+            np.savez(arguments[0], **arrays)
+        try:
+            command = [str(python), __file__, peer, *arguments]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=seconds)
+        except subprocess.TimeoutExpired:
+            return Answer(None, f"not done after {seconds:.0f} s")
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["failed"])[-1]
         return Answer(None, "not installed" if "ModuleNotFoundError" in last else last[:60])
@@ -99,10 +104,8 @@ def mcap(file: str) -> dict[str, Any]:
 def pybotics(file: str) -> dict[str, Any]:
     """A UR10 fitted to positions, as the documentation of pybotics does; found: the RMS of what is left.
 
-    The file holds q (N, 6), position (N, 3), frame (4, 4): a guess of the base in the readings, and tool (4, 4). Fitted
-    are those of the DH parameters, the base and the tool's point that the readings tell apart at the start, by a QR of
-    the derivative that takes the largest first: with all of them it does not end, for what two parallel axes lack in DH
-    is sought in offsets of metres.
+    Fitted are those of the DH parameters, the base and the tool's point that the readings tell apart at the start, by a
+    QR of the derivative: with all of them it does not end, for two parallel axes lead to offsets of metres.
     """
     import numpy as np
     from pybotics.robot import Robot
@@ -141,9 +144,8 @@ def pybotics(file: str) -> dict[str, Any]:
 def figaroh(file: str, urdf: str, method: str) -> dict[str, Any]:
     """A UR10 fitted to positions, as the examples of FIGAROH do; found: what it predicts for the postures held out.
 
-    The file holds names (6,), q (N, 6), position (N, 3), held (M, 6). method: how FIGAROH chooses its parameters:
-    "structural", which it does unless told otherwise, or "excitation". As on our side, finding base and tool roughly
-    and choosing the parameters is not timed; a hundred readings do for it.
+    method: how FIGAROH chooses its parameters: "structural", which it does unless told otherwise, or "excitation". As
+    on our side, finding base and tool roughly and choosing the parameters is not timed; a hundred readings do for it.
     """
     import numpy as np
     import yaml
@@ -192,8 +194,7 @@ def figaroh(file: str, urdf: str, method: str) -> dict[str, Any]:
 def ripl(file: str) -> dict[str, Any]:
     """Hinges fitted to poses, as the test of ripl_articulation does; found: a point on the axis and the axis of each.
 
-    The file holds poses (K, N, 4, 4) of K handles, and the noise position [m] and rotation [rad] of every axis, which
-    it is told. The twist is that between two poses which ought to coincide at rest: the handle's start, and the handle.
+    The twist is that between two poses which ought to coincide at rest: the handle's start, and the handle.
     """
     import gtsam
     import numpy as np

@@ -15,18 +15,15 @@ from typing import Any
 import numpy as np
 
 Work = Callable[[], Any]
-
-# The same two pieces of work on the machine that the published figures of the peers come from [ms]
-_ELSEWHERE = 1.44 + 1.45
+_ELSEWHERE = 1.44 + 1.45  # ms, of machine_scale's work on the machine that the published figures of the peers come from
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line. group, work: what is done. ms: ours. peer, peer_ms: the other's name and time, None where there is none
-    or where it is not installed, which ``remark`` then says. size: N, where growth is of interest.
+    """One line. ms: ours. peer, peer_ms: the other's name and time, None where there is none or where it is not
+    installed, which ``remark`` then says. size: N, where growth is of interest.
     """
 
-    group: str
     work: str
     ms: float
     peer: str = ""
@@ -34,31 +31,23 @@ class Row:
     remark: str = ""
     size: int = 0
 
-    @property
-    def ratio(self) -> float | None:
-        """How many times longer the other takes."""
-        return None if self.peer_ms is None else self.peer_ms / self.ms
-
     def cells(self) -> tuple[str, ...]:
         """The row in words."""
         digits = 1 if self.ms >= 10.0 else 2 if self.ms >= 1.0 else 3
-        other = "" if self.peer_ms is None else f"{self.peer_ms:.{digits}f}"
-        ratio = "" if self.ratio is None else f"{self.ratio:.1f} x" if self.ratio < 20.0 else f"{self.ratio:.0f} x"
-        return self.work, f"{self.ms:.{digits}f}", self.peer, other, ratio, self.remark
+        if self.peer_ms is None:
+            return self.work, f"{self.ms:.{digits}f}", self.peer, "", "", self.remark
+        ratio = self.peer_ms / self.ms
+        told = f"{self.peer_ms:.{digits}f}", f"{ratio:.{1 if ratio < 20.0 else 0}f} x"
+        return self.work, f"{self.ms:.{digits}f}", self.peer, *told, self.remark
 
 
 def growth(rows: Sequence[Row]) -> dict[str, float]:
     """Exponent of N between the two largest sizes of the same work; 1 is linear."""
     sized: dict[str, dict[int, float]] = {}
-    for row in rows:
-        if row.size:
-            sized.setdefault(re.sub(r", N = \d+", "", row.work), {})[row.size] = row.ms
-    out = {}
-    for work, by_size in sized.items():
-        if len(by_size) > 1:
-            a, b = sorted(by_size)[-2:]
-            out[work] = float(np.log(by_size[b] / by_size[a]) / np.log(b / a))
-    return out
+    for row in [row for row in rows if row.size]:
+        sized.setdefault(re.sub(r", N = \d+", "", row.work), {})[row.size] = row.ms
+    largest = {work: sorted(by_size.items())[-2:] for work, by_size in sized.items() if len(by_size) > 1}
+    return {work: float(np.log(ms / less) / np.log(b / a)) for work, ((a, less), (b, ms)) in largest.items()}
 
 
 def spent_ms(work: Work) -> float:
@@ -74,9 +63,8 @@ def median_ms(work: Work, runs: int = 7) -> float:
     return float(np.median([spent_ms(work) for _ in range(runs)]))
 
 
-def pair_ms(ours: Work, other: Work, runs: int = 7, others: int | None = None) -> tuple[float, float]:
+def pair_ms(ours: Work, other: Work, runs: int = 7, others: int = 7) -> tuple[float, float]:
     """Medians of both sides [ms], which take turns. others: runs of the other side, where it is slow."""
-    others = runs if others is None else min(others, runs)
     ours()
     if others > 1:
         other()
@@ -95,9 +83,4 @@ def machine_scale() -> float:
     """
     rng = np.random.default_rng(0)
     q, J = rng.uniform(-3.0, 3.0, (6, 10_000)), rng.normal(size=(27, 30_000))
-
-    def work() -> None:
-        np.sin(q), np.cos(q)
-        J @ J.T
-
-    return median_ms(work, 15) / _ELSEWHERE
+    return median_ms(lambda: (np.sin(q), np.cos(q), J @ J.T), 15) / _ELSEWHERE

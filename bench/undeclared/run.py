@@ -20,7 +20,7 @@ import harness
 import json
 
 import numpy as np
-from arm import ROBOTS
+from arms import ROBOTS
 from recordings import STATIONS, make
 from scenarios import SCENARIOS
 from score import score
@@ -31,23 +31,17 @@ def one(task: harness.Task) -> harness.Result:
     scenario, robot, seed = task["scenario"], task["robot"], task["seed"]
     keep = task["keep"] and Path(task["keep"]) / scenario.replace("+", "_and_") / f"{robot}_{seed}"
     with harness.scratch(keep) as folder:
-        pair = make(scenario, robot, seed, folder, task["stations"])
-        truth = json.loads(pair.truth.read_text(encoding="utf-8"))
+        first, second, told = make(scenario, robot, seed, folder, task["stations"])
+        truth = json.loads(told.read_text(encoding="utf-8"))
         out, predicted = folder / "calibrated", folder / "predicted"
-        harness.succeeded("calibrate", pair.first, "--out", out)
+        harness.succeeded("calibrate", first, "--out", out)
         report = harness.report_of(out)
         s = score(report, truth)
-        harness.succeeded("evaluate", out / "calibration.yaml", pair.second, "--out", predicted)
+        harness.succeeded("evaluate", out / "calibration.yaml", second, "--out", predicted)
         left = harness.report_of(predicted)["error_mm"]["final"]["rms"]
-    out: harness.Result = {
-        "planted": bool(truth["effects"]),
-        "truth": truth,
-        "effects": report["effects"],
-        "error_mm": report["error_mm"],
-    }
-    out |= {"unexplained": report["unexplained"], "score": asdict(s), "attributed": s.attributed}
-    out |= {"error_over_floor": left / truth["floor_mm_second"]}
-    return out
+    out = {"planted": bool(truth["effects"]), "truth": truth, "score": asdict(s), "attributed": s.attributed}
+    out |= {key: report[key] for key in ("effects", "error_mm", "unexplained")}
+    return {**out, "error_over_floor": left / truth["floor_mm_second"]}
 
 
 def row(name: str, runs: list[harness.Result]) -> list[object]:
@@ -63,19 +57,17 @@ def row(name: str, runs: list[harness.Result]) -> list[object]:
 
 def show(results: list[harness.Result]) -> None:
     """The table, and how often a recording without an identifiable effect had one named."""
-    rows = [row(n, runs) for n in SCENARIOS if (runs := [r for r in results if r["scenario"] == n])]
     scored = [r for r in results if not r["failed"]]
-    for name, planted in (("all with a planted effect", True), ("all without", False)):
-        if runs := [r for r in scored if r["planted"] is planted]:
-            rows.append(row(name, runs))
+    groups = {name: [r for r in results if r["scenario"] == name] for name in SCENARIOS}
+    groups |= {"all with a planted effect": [r for r in scored if r["planted"]]}
+    groups |= {"all without": [r for r in scored if not r["planted"]]}
     heads = ("scenario", "runs", "attributed", "false", "failed", "error ÷ floor", "worst", "CPU s", "named most often")
+    rows = [row(name, runs) for name, runs in groups.items() if runs]
     harness.table("Undeclared effects: were they named, and is the next recording predicted?", heads, rows)
-    clean = [bool(r["score"]["entries"]) for r in scored if not r["planted"]]
-    if clean:
+    if clean := [bool(r["score"]["entries"]) for r in groups["all without"]]:
         upper = harness.interval(sum(clean), len(clean), 0.90)[1]
-        harness.say(
-            f"{harness.share(clean)} recordings without an identifiable effect had one named (95 %: < {upper:.1%})"
-        )
+        words = "recordings without an identifiable effect had one named"
+        harness.say(f"{harness.share(clean)} {words} (95 %: < {upper:.1%})")
 
 
 def line(r: harness.Result) -> str:

@@ -12,8 +12,8 @@ ANY = "*"
 
 @dataclass(frozen=True)
 class Score:
-    """attributed: every planted effect has an entry of its own in the report; matched: how many have. false: entries
-    that name no planted effect; entries: all of them. named: family, and whether the place is right, of each entry.
+    """matched: how many planted effects have an entry of their own in the report. false: entries that name no planted
+    effect; entries: all of them. named: family, and whether the place is right, of each entry.
     """
 
     planted: int
@@ -24,6 +24,7 @@ class Score:
 
     @property
     def attributed(self) -> bool:
+        """Every planted effect has an entry of its own; where none is planted, there is none."""
         return self.matched == self.planted and (self.planted > 0 or self.entries == 0)
 
 
@@ -33,13 +34,8 @@ def score(report: dict[str, Any], truth: dict[str, Any]) -> Score:
     fits = [[matches(entry, effect) for effect in planted] for entry in entries]
     padded = [*fits, *([[False] * len(planted)] * len(planted))]
     matched = max(sum(row[k] for k, row in enumerate(order)) for order in permutations(padded, len(planted)))
-    return Score(
-        planted=len(planted),
-        matched=matched,
-        false=sum(not any(row) for row in fits),
-        entries=len(entries),
-        named=tuple(f"{e.get('family')}@{_where(e, planted)}" for e in entries),
-    )
+    named = tuple(f"{e.get('family')}@{'ok' if any(_at(e, p) for p in planted) else 'wrong'}" for e in entries)
+    return Score(len(planted), matched, sum(not any(row) for row in fits), len(entries), named)
 
 
 def matches(entry: dict[str, Any], effect: dict[str, Any]) -> bool:
@@ -47,18 +43,23 @@ def matches(entry: dict[str, Any], effect: dict[str, Any]) -> bool:
 
     What is said to be the same may be another place for the same driver, another place and driver, or all three.
     """
-    family = _one_of(entry.get("family"), effect["family"])
-    driver = _one_of(entry.get("driver"), effect["driver"])
-    if family and driver and _one_of(entry.get("place"), effect["place"]):
+    family, place, driver = (_one_of(entry.get(key), effect[key]) for key in ("family", "place", "driver"))
+    if family and place and driver:
         return True
-    for text in map(str, entry.get("same_as") or []):
-        place = _says(text, effect["place"])
-        if place and (
-            (family and (driver or _says(text, effect["driver"])))
-            or (_says(text, effect["family"]) and _says(text, effect["driver"]))
-        ):
+    for text in [text for text in _same(entry) if _says(text, effect["place"])]:
+        other = _says(text, effect["driver"])
+        if (family and (driver or other)) or (other and _says(text, effect["family"])):
             return True
     return False
+
+
+def _same(entry: dict[str, Any]) -> list[str]:
+    return [str(text) for text in entry.get("same_as") or []]
+
+
+def _at(entry: dict[str, Any], effect: dict[str, Any]) -> bool:
+    """Whether the place is right."""
+    return _one_of(entry.get("place"), effect["place"]) or any(_says(text, effect["place"]) for text in _same(entry))
 
 
 def _one_of(name: Any, accepted: list[str]) -> bool:
@@ -67,15 +68,5 @@ def _one_of(name: Any, accepted: list[str]) -> bool:
 
 def _says(text: str, accepted: list[str]) -> bool:
     """Whether a text holds one of the names as a word of its own: a joint that is part of a driver is not a place."""
-    for name in accepted:
-        pattern = r"[\w/.-]+".join(re.escape(part) for part in name.split(ANY))
-        if re.search(rf"(?<![\w:/-]){pattern}(?![\w/-])", text):
-            return True
-    return False
-
-
-def _where(entry: dict[str, Any], planted: list[dict[str, Any]]) -> str:
-    """Whether an entry's place is right for any planted effect."""
-    same = [str(text) for text in entry.get("same_as") or []]
-    right = (_one_of(entry.get("place"), e["place"]) or any(_says(t, e["place"]) for t in same) for e in planted)
-    return "ok" if any(right) else "wrong"
+    patterns = [r"[\w/.-]+".join(re.escape(part) for part in name.split(ANY)) for name in accepted]
+    return any(re.search(rf"(?<![\w:/-]){pattern}(?![\w/-])", text) for pattern in patterns)

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from workcell import Array, Session, Works
+from sites import Array, Cell, Session
 
 
 @dataclass(frozen=True)
@@ -23,22 +23,19 @@ class Case:
     sessions: by the name of their bag. steps: arguments of modcal, ``{name}`` being a path in the case's folder and
     ``{out0}`` the first result; the last report is judged. fault: whether something is wrong. must_name: patterns
     (regular expressions, case ignored) of which the grounds have to hold one; empty where any word that it is open will
-    do. floor: whether the recording that is judged tells its floor. shown: whether its data show the fault; if not, it
-    is enough not to be calm; ``"if left"``: where more than 1.5 times the floor is left; ``"if missed"``: the same, and
-    nothing was planted, so that with less left it may be open for whatever else the arm has. files: others, by name.
-    tables: sessions that are no bags but files, to be imported. floor_mm: of what is judged, where that is no session.
-    aside: further steps; the last, on an untouched recording, says what is truly left of a calibration. must_not:
-    patterns that no cause may hold. planted: families of effects that the arm truly has besides.
+    do. shown: whether its data show the fault; if not, it is enough not to be calm; ``"if left"``: where more than 1.5
+    times the floor is left; ``"if missed"``: the same, and nothing was planted, so that with less left it may be open
+    for whatever else the arm has. files: others, by name. floor_mm: of what is judged, where that is no session. aside:
+    further steps; the last, on an untouched recording, says what is truly left of a calibration. must_not: patterns
+    that no cause may hold. planted: families of effects that the arm truly has besides.
     """
 
     sessions: dict[str, Session]
     steps: tuple[tuple[str, ...], ...]
     fault: bool
     must_name: tuple[str, ...] = ()
-    floor: bool = True
     shown: bool | str = True
     files: dict[str, str] = field(default_factory=dict)
-    tables: tuple[str, ...] = ()
     floor_mm: float | None = None
     aside: tuple[tuple[str, ...], ...] = ()
     must_not: tuple[str, ...] = ()
@@ -57,8 +54,7 @@ class Case:
     def write(self, folder: Path) -> None:
         """Every bag and file of it below a folder."""
         for name, session in self.sessions.items():
-            if name not in self.tables:
-                session.write(folder / name)
+            session.write(folder / name)
         for name, text in self.files.items():
             (folder / name).write_text(text, encoding="utf-8")
 
@@ -79,7 +75,7 @@ class Scene:
     fault bends the truth of the stations: q, t, came, and d, the deviation), or of the cell. i: the joint of ``pick``.
     """
 
-    def __init__(self, w: Works, rng: np.random.Generator) -> None:
+    def __init__(self, w: Cell, rng: np.random.Generator) -> None:
         self.w, self.rng, self.session = w, rng, None
         self.bends, self.used, self.parts, self.sessions = [], [], [], {}
         self.imports, self.command, self.options, self.planted = (), ("calibrate", "{bag}"), (), ()
@@ -95,7 +91,7 @@ class Scene:
     def at(self, stations: Any, deviation: Any = None) -> Scene:
         """The same scene while the truth at stations is bent."""
         seen = copy.copy(self)
-        seen.session = SimpleNamespace(q=stations.q, t=stations.t, came=stations.way, d=deviation)
+        seen.session = SimpleNamespace(q=stations.q, t=stations.t, came=stations.came, d=deviation)
         return seen
 
     def visited(self) -> tuple[Array, Array]:
@@ -174,8 +170,6 @@ class Row:
         if session is not None:
             sessions = {**sessions, "second" if sessions else "bag": session}
         told: dict[str, Any] = {"must_not": no, "planted": scene.planted}
-        if self.fault and session is not None and "--also" not in scene.command:
-            told["floor"] = bool(session.again.any())
         told |= {name: v(scene) if callable(v) else v for name, v in scene.truth.items()} | self.truth
         steps = (*scene.imports, (*scene.command, *scene.options))
         return Case(sessions, steps, self.fault, words, **told)

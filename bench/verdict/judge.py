@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import re
 import time
@@ -11,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 from case import Case
 
@@ -44,45 +43,41 @@ def judge(case: Case, folder: Path, known: bool | None = None) -> Outcome:
     """Records a case in a folder, runs its steps, and compares what is said with what is true."""
     case.write(folder)
     begin = time.perf_counter()
-    code, said, report = 0, "", {}
+    code, said, report = 0, "", None
     for k, step in enumerate(case.steps):
-        out = _path(folder, step[step.index("--out") + 1]) if "--out" in step else folder / f"out{k}"
-        code, said = modcal(folder, *step, *(() if "--out" in step else ("--out", str(out))))
+        code, said, found = modcal(folder, step, f"{{out{k}}}")
         if code not in (0, 3):
             break
-        if (out / "report.json").is_file():
-            report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+        report = found or report
     beside = _aside(case, folder) if code in (0, 3) else None
-    seconds = time.perf_counter() - begin
-    if code not in (0, 2, 3):
-        return Outcome(FAILED, f"exit {code}", said[-600:], seconds=seconds)
+    made = Outcome(FAILED, f"exit {code}", said[-600:])
     if code == 2:
-        return replace(_refused(case, (said.strip().splitlines() or [""])[-1]), seconds=seconds, known=known)
-    if report.get("status") is None:
-        return Outcome(FAILED, "no status", seconds=seconds, known=known)
-    return replace(_reported(case, report, known, beside), seconds=seconds, known=known)
+        made = _refused(case, (said.strip().splitlines() or [""])[-1])
+    elif code in (0, 3):
+        stated = report is not None and report.get("status") is not None
+        made = _reported(case, report, known, beside) if stated and report else Outcome(FAILED, "no status")
+    return replace(made, seconds=time.perf_counter() - begin, known=known)
 
 
 def _aside(case: Case, folder: Path) -> dict[str, Any] | None:
     """The report that tells what is truly left; None where the case has none, or the calibration cannot be used."""
-    if not case.aside or any(modcal(folder, *step)[0] not in (0, 3) for step in case.aside):
-        return None
-    out = _path(folder, case.aside[-1][case.aside[-1].index("--out") + 1])
-    return dict(json.loads((out / "report.json").read_text(encoding="utf-8")))
+    report = None
+    for step in case.aside:
+        code, _, report = modcal(folder, step)
+        if code not in (0, 3):
+            return None
+    return report
 
 
-def _path(folder: Path, name: str) -> Path:
-    return folder / name[1:-1]
-
-
-def modcal(folder: Path, *step: str) -> tuple[int, str]:
-    """Exit code, and what was said on both channels; ``{name}`` is a path in the folder."""
-    from modcal_nodes.cli.main import run
-
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        code = run([str(_path(folder, a)) if a.startswith("{") else a for a in step])
-    return code, said.getvalue()
+def modcal(folder: Path, step: tuple[str, ...], out: str = "") -> tuple[int, str, dict[str, Any] | None]:
+    """Exit code, what was said on both channels, and the report; ``{name}`` is a path in the folder."""
+    if "--out" in step:
+        out = step[step.index("--out") + 1]
+    else:
+        step = (*step, "--out", out)
+    code, said = harness.modcal(*(str(folder / a[1:-1]) if a.startswith("{") else a for a in step))
+    report = folder / out[1:-1] / "report.json"
+    return code, said, harness.report_of(report.parent) if report.is_file() else None
 
 
 def _refused(case: Case, said: str) -> Outcome:

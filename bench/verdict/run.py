@@ -1,6 +1,6 @@
 """Can modcal's verdict be trusted? Recordings with faults that nobody planned for and good ones, judged one by one.
 
-    python bench/verdict/run.py --only tool,quaternion --seeds 1 --jobs 2
+    make bench NAME=verdict ARGS="--groups main --only tool,quaternion --seeds 1"
 
 A fault counts as named when what makes the verdict open, or what was modelled, holds the joint, the place or the topic
 that is at fault; a cause is named falsely when it is none of the case's.
@@ -8,30 +8,22 @@ that is at fault; a cause is named falsely when it is none of the case's.
 
 from __future__ import annotations
 
-import os
-
-os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-import argparse
-import importlib
-import json
-import multiprocessing
 import sys
-import tempfile
-import traceback
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import harness
+
+# isort: split
+import importlib
 import zlib
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
 
 import judge as j
 import numpy as np
 from case import KINDS, Case
-from rich.console import Console
-from rich.table import Table
-from workcell import Works
+from sites import Cell
 from world import ARMS, World
 
 for _file in sorted((Path(__file__).parent / "kinds").glob("*.py")):
@@ -44,154 +36,111 @@ class Group:
 
     title: str
     seeds: int = 1
-    cell: type[Works] | type[World] = Works
+    cell: type[Cell] = Cell
     robots: tuple[str, ...] = ("ur10", "panda", "xarm7")
 
 
-ONCE = "Kinds once written after the last change"
+OWN = World, tuple(ARMS)[:3]
+ONCE = ("fresh", "fresh_again", "fresh_third", "fresh_fourth", "fresh_fifth", "fresh_sixth", "fresh_seventh")
 GROUPS = {
     "main": Group("Faults", 2),
     "real": Group("Faults in real recordings"),
     "later": Group("Kinds written later", 2),
-    "fresh": Group(ONCE),
-    "fresh_again": Group(f"{ONCE}, again"),
-    "fresh_third": Group(f"{ONCE}, third group"),
-    "fresh_fourth": Group(f"{ONCE}, fourth group"),
+    **{name: Group(f"Kinds once written after the last change: {name}") for name in ONCE},
     "nearby": Group("Kinds near those that were missed"),
-    "fresh_fifth": Group(f"{ONCE}, fifth group"),
-    "fresh_sixth": Group(f"{ONCE}, sixth group"),
-    "fresh_seventh": Group(f"{ONCE}, seventh group"),
-    "fresh_eighth": Group(f"{ONCE}, eighth group, in cells of its own", 1, World, tuple(ARMS)[:3]),
+    "fresh_eighth": Group("Kinds once written after the last change: eighth group, in cells of its own", 1, *OWN),
     "ninth": Group("Real recordings, tampered with"),
     "good": Group("Good recordings", 4),
     "good_fifth": Group("Good recordings of other builds"),
-    "good_eighth": Group("Good recordings, in cells of their own", 1, World, tuple(ARMS)[:3]),
+    "good_eighth": Group("Good recordings, in cells of their own", 1, *OWN),
 }
 FAULTS = (j.CALM_AND_WRONG, j.NAMED, j.FOUND, j.UNNAMED, j.SILENT, j.HARMLESS, j.FAILED)
 
 
-@dataclass(frozen=True)
-class Task:
-    """One recording to be judged. way: how the floor of a good one is known."""
-
-    group: str
-    kind: str
-    seed: int
-    way: str = ""
-
-    @property
-    def robot(self) -> str:
-        """The arm: those of the group in turn."""
-        robots = GROUPS[self.group].robots
-        return robots[(list(KINDS[self.group]).index(self.kind) + self.seed) % len(robots)]
+def robot_of(task: harness.Task) -> str:
+    """The arm: those of the group in turn."""
+    robots = GROUPS[task["group"]].robots
+    return robots[(list(KINDS[task["group"]]).index(task["kind"]) + task["seed"]) % len(robots)]
 
 
-def make(task: Task) -> Case:
+def make(task: harness.Task) -> Case:
     """The case of a task: the same for the same task."""
-    rng = np.random.default_rng([zlib.crc32(task.kind.encode()), task.seed])
-    case = KINDS[task.group][task.kind](GROUPS[task.group].cell(task.robot, rng), rng)
-    return j.variant(case, task.way) if task.way else case
+    rng = np.random.default_rng([zlib.crc32(task["kind"].encode()), task["seed"]])
+    case = KINDS[task["group"]][task["kind"]](GROUPS[task["group"]].cell(robot_of(task), rng), rng)
+    return j.variant(case, task["way"]) if task["way"] else case
 
 
-def one(task: Task) -> dict[str, Any]:
-    """The outcome of a task, as plain data."""
-    done = asdict(task) | {"robot": task.robot}
-    known = None if not task.way else task.way != "unknown"
-    try:
-        with tempfile.TemporaryDirectory(prefix="verdict_") as folder:
-            return done | asdict(j.judge(make(task), Path(folder), known))
-    except Exception:
-        return done | asdict(j.Outcome(j.FAILED, "raised", traceback.format_exc(limit=-3), known=known))
+def one(task: harness.Task) -> harness.Result:
+    """The outcome of a task, as plain data. way: how the floor of a good one is known."""
+    known = None if not task["way"] else task["way"] != "unknown"
+    with harness.scratch() as folder:
+        return {"robot": robot_of(task), **asdict(j.judge(make(task), folder, known))}
 
 
-def tasks_of(groups: list[str], only: list[str], seeds: int | None, first: int = 0) -> list[Task]:
-    """The tasks of some groups, of the kinds whose names hold one of ``only``; good ones with and without a floor."""
+def tasks_of(groups: list[str], only: list[str], seeds: int | None, first: int = 0) -> list[harness.Task]:
+    """The tasks of some groups, of all kinds or ``only`` some; good ones with and without a floor."""
     out = []
     for group in groups:
-        for name in (name for name in KINDS.get(group, {}) if not only or any(part in name for part in only)):
+        for kind in (name for name in KINDS.get(group, {}) if not only or name in only):
             for seed in range(first, first + (GROUPS[group].seeds if seeds is None else seeds)):
                 ways = ("stated" if seed % 3 == 2 else "returns", "unknown") if group.startswith("good") else ("",)
-                out += [Task(group, name, seed, way) for way in ways]
+                out += [{"group": group, "kind": kind, "seed": seed, "way": way} for way in ways]
     return out
 
 
-def confusion(results: list[dict[str, Any]], console: Console) -> None:
+def table(title: str, results: list[harness.Result], columns: tuple[str, ...]) -> Counter[str]:
+    """A row a kind and one of all, a column for each outcome and one of what is named falsely; the counts of all."""
+    rows: list[list[object] | None] = []
+    for kind in [*dict.fromkeys(r["kind"] for r in results), "all"]:
+        here = [r for r in results if kind in (r["kind"], "all")]
+        n = Counter(r["outcome"] for r in here)
+        n["falsely"] = sum(bool(r["false"]) for r in here)
+        rows += [None] * (kind == "all") + [[kind, *(n[name] or "" for name in (*columns, "falsely"))]]
+    harness.table(title, ["kind", *columns, "named falsely"], rows)
+    return n
+
+
+def show(results: list[harness.Result]) -> None:
     """The tables, calm and wrong first."""
-    for group, rows in ((g, [r for r in results if r["group"] == g]) for g in GROUPS if not g.startswith("good")):
-        title, n = GROUPS[group].title, Counter(r["outcome"] for r in rows)
-        shown, named = len(rows) - n[j.HARMLESS], n[j.NAMED] + n[j.FOUND]
-        told = (
-            f"{title}: calm and wrong {n[j.CALM_AND_WRONG]} of {len(rows)}; of {shown} whose data show the fault "
-            f"{n[j.NAMED]} open and named, {n[j.FOUND]} modelled down to the floor and named: "
-            f"{100 * named / max(shown, 1):.0f} %; named falsely in {sum(bool(r['false']) for r in rows)}\n"
-        )
-        table(console, title, rows, FAULTS, told)
-    rows = [r for r in results if r["group"].startswith("good")]
+    for group in [g for g in GROUPS if not g.startswith("good")]:
+        if rows := [r for r in results if r["group"] == group]:
+            n = table(GROUPS[group].title, rows, FAULTS)
+            shown, named = len(rows) - n[j.HARMLESS], n[j.NAMED] + n[j.FOUND]
+            harness.say(
+                f"calm and wrong {n[j.CALM_AND_WRONG]} of {len(rows)}; of {shown} whose data show the fault "
+                f"{n[j.NAMED]} open and named, {n[j.FOUND]} modelled down to the floor and named: "
+                f"{100 * named / max(shown, 1):.0f} %; named falsely in {n['falsely']}\n"
+            )
     for known, words, floor in ((True, "floor known", j.AT_FLOOR), (False, "floor not known", j.BESIDE)):
-        here = [r for r in rows if r["known"] is known]
-        n = Counter(r["outcome"] for r in here)
-        told = (
-            f"Good, {words}: {len(here)} recordings, {n[j.OPEN]} open, {n[floor]} at the floor "
-            f"({100 * n[floor] / max(len(here), 1):.0f} %), {n[j.CANNOT_TELL]} cannot tell, {n[j.FAILED]} failed; "
-            f"effects that nobody planted in {sum(bool(r['false']) for r in here)}\n"
-        )
-        table(console, f"Good recordings, {words}", here, (floor, j.CANNOT_TELL, j.OPEN), told)
+        if rows := [r for r in results if r["group"].startswith("good") and r["known"] is known]:
+            n = table(f"Good recordings, {words}", rows, (floor, j.CANNOT_TELL, j.OPEN, j.FAILED))
+            harness.say(f"effects that nobody planted in {n['falsely']} of {len(rows)}\n")
 
 
-def table(console: Console, title: str, rows: list[dict[str, Any]], columns: tuple[str, ...], told: str) -> None:
-    """A row a kind and one of all, a column for each outcome and one of what is named falsely; a sentence below."""
-    if not rows:
-        return
-    made = Table("kind", title=title)
-    for name in (*columns, "named falsely"):
-        made.add_column(name, justify="right")
-    for kind in [*dict.fromkeys(r["kind"] for r in rows), "all"]:
-        here = [r for r in rows if kind in (r["kind"], "all")]
-        n = Counter(r["outcome"] for r in here)
-        if kind == "all":
-            made.add_section()
-        counts = [*(n[name] for name in columns), sum(bool(r["false"]) for r in here)]
-        made.add_row(kind, *(str(v or ("0" if kind == "all" else "")) for v in counts))
-    console.print(made)
-    console.print(told)
+def line(r: harness.Result) -> str:
+    left = f", {r['left']:.2f} x floor" if r["left"] == r["left"] else ""
+    return f"{r['outcome']}: {r['status']}{left}, {r['seconds']:.1f} s: {r['text'][:400]}"
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Exit code: 0 where nothing is calm and wrong, and nothing failed."""
+    parser = harness.parser(__doc__, seeds=None)
     parser.add_argument("--groups", default=",".join(GROUPS), help="comma-separated; default: all")
-    parser.add_argument("--only", default="", help="comma-separated parts of kinds' names")
-    parser.add_argument("--seeds", type=int, help="of each kind; default: main and later 2, good 4, others 1")
-    parser.add_argument("--first", type=int, default=0, help="seed of each kind; default: 0")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument(
-        "--json", type=Path, default=Path(os.devnull), metavar="FILE", help="a line of JSON a recording"
-    )
-    given = parser.parse_args()
-    only = [part for part in given.only.split(",") if part]
-    tasks = tasks_of(given.groups.split(","), only, given.seeds, given.first)
-    spawn, results = multiprocessing.get_context("spawn"), {}
-    with given.json.open("w", encoding="utf-8") as log, ProcessPoolExecutor(given.jobs, mp_context=spawn) as pool:
-        waiting = {pool.submit(one, task): task for task in tasks}
-        for done, future in enumerate(as_completed(waiting), 1):
-            results[waiting[future]] = result = future.result()
-            print(f"[{done}/{len(tasks)}] {line(result)}", file=sys.stderr, flush=True)
-            print(json.dumps(result), file=log, flush=True)
-    said = [results[task] for task in tasks]
-    console = Console(width=None if sys.stdout.isatty() else 170)
-    confusion(said, console)
+    parser.add_argument("--only", dest="kinds", nargs="+", default=[], help="kinds, or parts of their names")
+    given = harness.parsed(parser)
+    try:
+        only = given.kinds and harness.chosen([name for rows in KINDS.values() for name in rows], given.kinds)
+    except LookupError as error:
+        parser.error(str(error).partition(";")[0])
+    results = harness.each(one, tasks_of(given.groups.split(","), only, given.seeds, given.first), given, line)
+    for r in results:
+        if r["failed"]:
+            r |= asdict(j.Outcome(j.FAILED, "raised", r["failed"], known=r["way"] != "unknown" if r["way"] else None))
+    show(results)
     for outcome in (j.CALM_AND_WRONG, j.UNNAMED, j.SILENT, j.FAILED, j.OPEN, j.BESIDE):
-        for r in (r for r in said if r["outcome"] == outcome):
-            console.print(line(r), markup=False, soft_wrap=True)
-    for r in (r for r in said if r["false"]):
-        console.print("named falsely:", *r["false"], line(r), sep=" | ", markup=False, soft_wrap=True)
-    return 1 if any(r["outcome"] in (j.CALM_AND_WRONG, j.FAILED) for r in said) else 0
-
-
-def line(r: dict[str, Any]) -> str:
-    """One recording in a line."""
-    way, left = f" {r['way']}" if r["way"] else "", f", {r['left']:.2f} x floor" if r["left"] == r["left"] else ""
-    here = f"{r['outcome']}: {r['kind']} {r['robot']} {r['seed']}{way}: {r['status']}{left}, {r['seconds']:.1f} s"
-    return f"{here}: {r['text'][:400]}"
+        harness.say(*(f"{r['kind']} {r['seed']} {r['way']}: {line(r)}" for r in results if r["outcome"] == outcome))
+    harness.say(*(f"named falsely: {r['kind']} {r['seed']}: {' | '.join(r['false'])}" for r in results if r["false"]))
+    return int(any(r["outcome"] in (j.CALM_AND_WRONG, j.FAILED) for r in results))
 
 
 if __name__ == "__main__":

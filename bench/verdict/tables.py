@@ -6,33 +6,31 @@ is kept aside and never tampered with, ``c.aside``: the truth about a calibratio
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
+import recorded
 import yaml
 from case import Scene, export
+from mechanisms import elsewhere
 from scipy.spatial.transform import Rotation
-from streams import elsewhere
+from sites import POINT, POSE, Array, Session
 from transforms import Of, described, put
-from workcell import POINT, POSE, Array, Session
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA, IMPORTS, ROBOTS = ROOT.parent / "shared" / "data", ROOT / "examples" / "import", ROOT / "examples" / "robots"
+DATA, IMPORTS, ROBOTS = harness.DATA, harness.ROOT / "examples" / "import", harness.ROOT / "examples" / "robots"
 GOAL, XYZ = ("x", "y", "z", "roll", "pitch", "yaw"), ("x", "y", "z")
-UR = tuple(f"{j}_joint" for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
-KNOWN = {  # file, what is left on rows kept aside [mm], a tolerance [mm]
-    "cubes": ("ipa_ur10/series_d_iso_cubes.csv", 0.24, 1.0),
-    "grid": ("ipa_ur10/series_a_grid.csv", 0.28, 1.0),
-    "ur5": ("serial_robots/ur5_grid.csv", 0.07, 0.3),
-    "wam7": ("serial_robots/wam_grid.csv", 1.75, 8.0),
+KNOWN = {  # the UR10's file, what is left on rows kept aside [mm], a tolerance [mm]
+    "cubes": ("series_d_iso_cubes.csv", 0.24, 1.0),
+    "grid": ("series_a_grid.csv", 0.28, 1.0),
+    "ur5": ("", 0.07, 0.3),
+    "wam7": ("", 1.75, 8.0),
 }
 REAL = "gear_harmonic", "compliance", "backlash", "thermal", "axis_wobble", "unknown"  # what is found in them untouched
 
@@ -84,32 +82,26 @@ class Table(Session):
         return (*lengths, ("import", f"{{{name}.yaml}}", "--urdf", urdf, "--out", f"{{{name}}}"))
 
 
-def _numbers(path: Path, delimiter: str) -> tuple[list[dict[str, str]], Callable[..., Array]]:
-    with path.open(encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream, delimiter=delimiter))
-    return rows, lambda names: np.array([[float(row[name].replace(",", ".")) for name in names] for row in rows])
-
-
 @lru_cache(maxsize=4)
 def published(name: str) -> Table:
     """The UR10's "cubes" or "grid", with a tracker's poses, or the grid of "ur5" or "wam7", with its points."""
-    poses, grid, t, more = name in ("cubes", "grid"), name == "grid", None, {}
     file, floor, tolerance = KNOWN[name]
-    rows, columns = _numbers(DATA / file, ";" if poses else ",")
-    if poses:
-        q, goal, p = columns(UR), columns([f"Goal {k}" for k in GOAL]), columns([f"measurement_{k}" for k in XYZ])
-        p, R = 1e-3 * p, Rotation.from_euler("XYZ", columns([f"measurement_r{k}" for k in XYZ]), degrees=True)
-        more = {"temperature": np.array([f"{row[0]:.3f}" for row in columns(["measurement_temperature"])])}
+    told: dict[str, Any] = {"tolerance_mm": tolerance}
+    if file:
+        table, q, read = recorded.ur10(file)
+        R, goal = Rotation.from_quat(read[:, 3:]), table.columns(*(f"Goal {k}" for k in GOAL))
+        heat = table.columns("measurement_temperature")[:, 0]
+        told |= {"more": {"temperature": np.array([f"{v:.3f}" for v in heat])}, "goal": goal}
+        t = [datetime.strptime(row["Timestamp"], "%Y%m%d%H%M%S").timestamp() for row in table.rows if name == "grid"]
+        names, text = recorded.UR10_JOINTS, (ROBOTS / "ur10.urdf").read_text(encoding="utf-8")
     else:
-        q = np.radians(columns([key for key in rows[0] if key.startswith("joint_")]))
-        goal, R = 1e-3 * columns([f"{k}_t" for k in XYZ]), Rotation.identity(len(q))
-        p = goal - 1e-3 * columns([f"{k}_dif" for k in XYZ])
-    if grid:
-        t = np.array([datetime.strptime(row["Timestamp"], "%Y%m%d%H%M%S").timestamp() for row in rows])
-    names = tuple(f"joint_{j + 1}" for j in range(7)) if name == "wam7" else UR
-    text = (ROBOTS / ("ur10.urdf" if poses else f"{name}.yaml")).read_text(encoding="utf-8")
-    told = {"kind": POSE if poses else POINT, "more": more, "tolerance_mm": tolerance, "goal": goal}
-    return Table(names, text, t, q, p, R, floor, np.zeros(len(q), bool), **told)  # type: ignore[arg-type]
+        (q, read), t = recorded.grid(name), []
+        goal = recorded.Table("serial_robots", recorded.GRIDS[name]).columns(*(f"{k}_t" for k in XYZ))
+        R, told = Rotation.identity(len(q)), told | {"kind": POINT, "goal": 1e-3 * goal}
+        names = tuple(f"joint_{j + 1}" for j in range(7)) if name == "wam7" else recorded.UR10_JOINTS
+        text = (ROBOTS / f"{name}.yaml").read_text(encoding="utf-8")
+    p, clock = read[:, :3], np.array(t) if t else None
+    return Table(names, text, clock, q, p, R, floor, np.zeros(len(q), bool), **told)  # type: ignore[arg-type]
 
 
 def recording(name: str) -> list[Table]:
@@ -196,7 +188,7 @@ def evaluated(c: Scene, *options: str) -> None:
 
 
 def _told(c: Scene, files: dict[str, str], *options: str) -> None:
-    c.truth |= {"floor": False, "floor_mm": c.floor_mm, "files": files}
+    c.truth |= {"floor_mm": c.floor_mm, "files": files}
     c.options, c.names, c.session = ("--tolerance-mm", str(c.tolerance_mm), *options), c.names, None
 
 
@@ -242,7 +234,7 @@ def _joints(arm: str) -> tuple[str, ...]:
 
 
 def _at_plates(c: Scene, floor_mm: float, files: dict[str, str], *options: str) -> None:
-    c.truth, c.planted = {"floor": False, "floor_mm": floor_mm, "files": files}, REAL
+    c.truth, c.planted = {"floor_mm": floor_mm, "files": files}, REAL
     c.options = ("--tip", "ball_link", "--cell", "{cell.yaml}", *options)
 
 

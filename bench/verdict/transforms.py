@@ -11,53 +11,74 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
-import mujoco
 import numpy as np
-from arm import Arm
+from arms import TURN, Arm
 from case import DERIVED, KINDS, Scene, export, kinds, take  # noqa: F401 (rows take all names from here)
 from recordings import plant
 from scenarios import SCENARIOS
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from words import *  # noqa: F403
-from workcell import (
-    BEGIN,
-    PERIOD,
-    REPEAT,
-    Array,
-    ReadingTrack,
-    Recording,
-    SignalTrack,
-    Stations,
-    Works,
-    joined,
-    joint_track,
-)
+from sites import *
+from sites import turned as off_by
 
 Of = Any  # a value, a name that ``let`` gave, or a function of the scene
 DAY = 86_400.0
-EXACT: dict[str, Any] = {"noise_mm": 0.0, "noise_mrad": 0.0, "repeat": 0.0}
+# Words that name what is wrong: patterns, and what depends on the scene, on the joint i that was drawn most of all.
+QUATERNION = ("quaternion", r"\borientation", "rotation")
+ORIENTATION = ("euler", "sequence", "convention", r"\borientation", "rotation")
+UNIT = (r"\bmm\b", "millimet", r"\bunits?\b", "1000")
+TOOL, BASE = (r"\btool\b",), (r"\bbase\b", r"\btracker\b")
+EITHER = (*TOOL, *BASE)
+LEFT_OUT = ("reject", "left out", "outlier", "plainly wrong", "shift", "apart")
+LOAD = ("payload", r"\bload", "compliance", r"\bmass", r"\bkg\b")
+COMPUTED = ("comput", "calculat")
+FEW = ("station", "readings", "parameters")
+BOLTED = ("geometry-only", "geometry only", "not looked for")
+TRACKER = (r"\btracker\b", r"\binstrument\b", "place of the target", "distance from", "direction in which")
+CLOCK = ("clock", "stamp", "delay", "late", r"\btime\b")
+ROW = (r"\brows?\b", r"\border\b", "station before", "previous", "shift", "late", "delay", *CLOCK)
+ORDER = (r"\border\b", r"\btime\b", "changed on the way", r"\bdrift\b", r"stations \d+ to")
+READINGS = (
+    r"\btracker",
+    r"\bcamera",
+    "reads wrong",
+    r"readings? (?:look|depend)",
+    "distance from",
+    "place of the target",
+)
+STATIONS = r"stations? \d"
+# joints by number; the link behind one; joints from the one that was drawn, counted from it, those that there are
+JOINT = lambda *numbers: lambda c: tuple(c.names[k] for k in numbers)  # noqa: E731
+LINK = lambda k: lambda c: str(c.arm.links[k])  # noqa: E731
+around = lambda low, high: lambda c: tuple(c.names[max(c.i + low, 0) : c.i + high])  # noqa: E731
+# the joint, the one before it, and at an end of the arm what is beyond; the first joint, and the link that it stands on
+OR_END = lambda c: (*around(-1, 1)(c), *(BASE if c.i == 0 else ("tool",) if c.i == c.n - 1 else ()))  # noqa: E731
+FOOT = lambda c: (c.names[0], c.arm.parents[0])  # noqa: E731
+J, JJ, JJJ, NEAR = around(0, 1), around(0, 2), around(0, 3), around(-1, 2)
+ALL, HAND, WRIST = attrgetter("names"), attrgetter("arm.hand"), JOINT(-3, -2, -1)
 DERIVED |= {
     "travel": lambda c: (c.x - c.arm.range[0, c.i]) / np.ptp(c.arm.range[:, c.i]),  # in its range, from 0 to 1 (N,)
     "middle": lambda c: c.arm.range.mean(axis=0),  # of the joints' ranges (n,)
-    "held": lambda c: c.arm.holding(c.arm.coordinates(c.q))[..., 3],  # torques that hold the arm up (N, n)
-    "flange": lambda c: tuple(v[:, -1] for v in c.arm.frames(c.arm.coordinates(c.q))),  # where, how turned (N, 3, 3)
-    "tool_axes": lambda c: c.flange[1] @ c.cell.tool[1].as_matrix(),  # (N, 3, 3)
-    "up": lambda c: c.cell.tracker[1].inv().apply([0.0, 0.0, 1.0]),  # in the tracker's frame (3,)
+    "held": lambda c: c.arm.loads(c.q)[..., TURN],  # torques that hold the arm up (N, n)
+    "links": lambda c: c.arm.frames(c.arm.coordinates(c.q)),  # where (N, n + 1, 3), how turned (N, n + 1, 3, 3)
+    "flange": lambda c: tuple(v[:, -1] for v in c.links),  # where, how turned (N, 3, 3)
+    "tool_axes": lambda c: c.flange[1] @ c.tool[1].as_matrix(),  # (N, 3, 3)
+    "up": lambda c: c.tracker[1].inv().apply([0.0, 0.0, 1.0]),  # in the tracker's frame (3,)
     "posture": lambda c: np.unique(c.q, axis=0, return_inverse=True)[1].ravel(),  # by number: second visits alike (N,)
     "far": lambda c: np.linalg.norm(c.p, axis=1, keepdims=True),  # distances of the readings (N, 1)
     "sight": lambda c: c.p / c.far,  # unit vectors from the instrument to the target (N, 3)
     "seen": lambda c: c.R.inv().apply(c.sight),  # the same along the tool's axes (N, 3)
     "azimuth": lambda c: np.arctan2(c.p[:, 1], c.p[:, 0]),  # of the readings (N,)
-    "forward": lambda c: c.p.mean(axis=0) / np.linalg.norm(c.p.mean(axis=0)),  # where the readings are seen (3,)
+    "forward": lambda c: unit(c.p.mean(axis=0)),  # where the readings are seen (3,)
 }
 VALUES: dict[str, Callable[..., Any]] = {
     # the moment (N, 3) of a centre of mass about the base, times weight, of a stand of two softnesses
     "moment": lambda com, x=1.0, y=1.0: np.stack([-x * com[:, 1], y * com[:, 0], np.zeros(len(com))], axis=1),
     # values brought, about their mean, to an RMS; behind a filter that has been at rest at the first
-    "scaled": lambda v, size: size / float(np.sqrt(np.mean(np.sum((v - v.mean(axis=0)) ** 2, axis=-1)))) * v,
+    "scaled": lambda v, size: size / rms(v - v.mean(axis=0)) * v,
     "filtered": lambda values, b, a=1.0: lfilter(b, a, values - values[0], axis=0) + values[0],
     # how far joints went to each station; to the first one from ``begin``, or not at all
     "moves": lambda q, begin=None: np.diff(q, axis=0, prepend=q[:1] if begin is None else np.asarray(begin)[None]),
@@ -83,18 +104,18 @@ STEPS: dict[str, Callable[..., Any]] = {
     "same": lambda c: let(c, bends=c.bends + c.used),
     # keeps a recording as a part of one; puts the parts and the recording into one bag
     "part": lambda c: c.parts.append(c.session),
-    "together": lambda c: [let(c, session=joined(one, c.session)) for one in reversed(c.parts)],
+    "together": lambda c: let(c, session=joined(*c.parts, c.session)),
     # options of the command, more of them; fields of the case
     "asked": lambda c, *options: let(c, options=c.options + options),
     "truth": lambda c, **fields: c.truth.update(fields),
     # bends of the truth, until the next recording: a joint is off by an error (N,) [rad]; the tracker stands elsewhere
-    "joint": lambda c, error, i="i": waits(c, c.joint(int(c.of(i)), lambda s: c.at(s).of(error))),
+    "joint": lambda c, error, i="i": waits(c, off_by(int(c.of(i)), lambda s: c.at(s).of(error))),
     "base": lambda c, shift, turn, when=None: tool(c, shift, turn, when, "tracker"),
     # springs that sag [rad] under the arm's weight, with a mass [kg]; a mass at the flange; a link that grows [m]
     "elastic": lambda c, sag=4e-4, payload=0.0: waits(
         c, c.elastic(sag, payload), "compliance", *("payload",) * bool(payload)
     ),
-    "payload": lambda c, kg: waits(c, lambda arm, s, d: setattr(d, "payload", d.payload + c.of(kg))),
+    "payload": lambda c, kg: waits(c, lambda s, d: setattr(d, "payload", d.payload + c.of(kg))),
     "grows": lambda c, size, begin=0.0, tau="tau": bend(
         c, "x", np.s_[:, 2, 0], lambda c: size * (1.0 - np.exp(-(c.t - begin) / c.of(tau)))
     ),
@@ -118,10 +139,11 @@ STEPS: dict[str, Callable[..., Any]] = {
         c, among=having(c, where, test), i=lambda c: c.names.index(c.among[int(c.rng.integers(len(c.among)))])
     ),
     # the cell: gravity in its base, another arm of its type in a cell of its own
-    "gravity": lambda c, *down: c.arm._model.opt.gravity.__setitem__(slice(None), down),
-    "spare": lambda c: Works(c.robot, np.random.default_rng(c.rng.integers(1 << 30))),
+    "gravity": lambda c, *down: c.arm.model.opt.gravity.__setitem__(slice(None), down),
+    "spare": lambda c: Cell(c.robot, np.random.default_rng(c.rng.integers(1 << 30))),
     # signals, streams
     "heat_told": lambda c: put(c, signals=signal(f"temperature:{c.arm.parents[2]}", *c.heat, "/temperature")),
+    "centres": lambda c, q="q": c.arm.centres(c.of(q)),  # of mass, in the base (N, 3)
     "written": lambda c, change: (lambda whole: put(c, spoken=lambda c: lambda s: whole))(
         change(c.session.recording())
     ),
@@ -175,14 +197,14 @@ def waits(c: Scene, bend: Any, *families: str) -> None:
 
 def tool(c: Scene, shift: Of, turn: Of, when: Of = None, part: str = "tool") -> None:
     """The tool is moved by a twist, at the stations that ``when`` says, or all."""
-    twist = c.vector(shift), c.vector(turn)
-    waits(c, c.moved(part, *twist, lambda s: np.ones(len(s.t)) if when is None else c.at(s).of(when)))
+    twist = np.concatenate([c.vector(shift), c.vector(turn)])
+    waits(c, twisted(part, twist, lambda s: np.ones(len(s.t)) if when is None else c.at(s).of(when)))
 
 
 def bend(c: Scene, part: str, where: Any, by: Of) -> None:
     """Adds to a part of the deviation (x, tool, tracker) where an index says; the scene has d, t, q, came then."""
 
-    def bent(arm: Any, s: Any, d: Any) -> None:
+    def bent(s: Any, d: Any) -> None:
         getattr(d, part)[where(c) if callable(where) else where] += c.at(s, d).of(by)
 
     waits(c, bent)
@@ -191,14 +213,14 @@ def bend(c: Scene, part: str, where: Any, by: Of) -> None:
 def gear(c: Scene, size: float = 4e-4, i: Of = "i") -> None:
     """A gear that errs, some times a turn."""
     cycles, k = int(c.rng.integers(20, 90)), c.of(i)
-    waits(c, c.joint(k, lambda s: size * np.sin(cycles * s.q[:, k])))
+    waits(c, off_by(k, lambda s: size * np.sin(cycles * s.q[:, k])))
 
 
 def tilted(c: Scene, turn: Of, pin: Any = (0.0, 0.0, 0.0)) -> None:
     """A stand turns about the base's origin, or another point, by rotation vectors (N, 3)."""
-    stand = c.cell.tracker[0]
+    stand = c.tracker[0]
 
-    def bent(arm: Any, s: Any, d: Any) -> None:
+    def bent(s: Any, d: Any) -> None:
         back = Rotation.from_rotvec(-c.at(s).of(turn))
         d.tracker += np.concatenate([pin + back.apply(stand - pin) - stand, back.as_rotvec()], axis=1)
 
@@ -208,40 +230,45 @@ def tilted(c: Scene, turn: Of, pin: Any = (0.0, 0.0, 0.0)) -> None:
 def pulled(c: Scene, force: float, hook: Array) -> None:
     """A balancer pulls the flange of an elastic arm towards a hook."""
 
-    def bent(arm: Any, s: Any, d: Any) -> None:
-        tip, turned = arm.frames(d.x)[0][:, -1], []
-        pull = force * (hook - tip) / np.linalg.norm(hook - tip, axis=1, keepdims=True)
-        for i in range(arm.n):
+    def bent(s: Any, d: Any) -> None:
+        tip, levers = c.arm.frames(d.x)[0][:, -1], []
+        for i in range(c.n):
             x = d.x.copy()
-            x[:, i, 3] += 1e-5
-            turned.append(np.sum((arm.frames(x)[0][:, -1] - tip) / 1e-5 * pull, axis=1))
-        d.x[..., 3] += 2e-5 * np.stack(turned, axis=1)
+            x[:, i, TURN] += 1e-5
+            levers.append((c.arm.frames(x)[0][:, -1] - tip) / 1e-5)
+        d.x[..., TURN] += 2e-5 * np.einsum("inx,nx->ni", levers, force * unit(hook - tip))
 
     waits(c, bent, "compliance")
 
 
 def scenario(c: Scene, name: str, count: int) -> None:
     """Faults of bench/undeclared, all of which the vocabulary has, wait."""
-    c.faults = plant(c.cell, SCENARIOS[name], c.rng, count * PERIOD)
+    c.faults = plant(c.w, SCENARIOS[name], c.rng, count * PERIOD)
     for fault in c.faults:
         waits(c, fault.bend, *fault.family, *(place for place in fault.place if place in ("tool", "base", "tracker")))
 
 
-def carrying(c: Scene, heavy: Of, mass: Of) -> None:
-    """An elastic arm at the postures that were drawn, with a payload at some of them, (N,) of bool."""
-    rows, kilograms = c.of(heavy), c.of(mass)
-    STEPS["elastic"](c, 3e-4)
+def laden(c: Scene, mass: Of, sag: float = 6e-4) -> None:
+    """An elastic arm at the postures that were drawn, with a payload of its own at each, (N,) [kg]."""
+    masses, parts = c.of(mass), []
+    STEPS["elastic"](c, sag)
     state, (q, again) = c.rng.bit_generator.state, c.visited()
-    light = c.observe(q, again, *c.bends)
-    STEPS["payload"](c, kilograms)
-    c.rng.bit_generator.state = state
-    loaded, c.bends = c.observe(q, again, *c.bends), []
-    c.session = joined(light.only(np.flatnonzero(~rows)), loaded.only(np.flatnonzero(rows)))
+    for kilograms in np.unique(masses):
+        c.rng.bit_generator.state = state
+        STEPS["payload"](c, kilograms)
+        parts.append(c.observe(q, again, *c.bends).only(np.flatnonzero(masses == kilograms)))
+        c.bends.pop()
+    c.session, c.bends = joined(*parts), []
+
+
+def carrying(c: Scene, heavy: Of, mass: Of) -> None:
+    """The same, softer, with one payload at some postures, (N,) of bool."""
+    laden(c, lambda c: c.of(heavy) * c.of(mass), 3e-4)
 
 
 def instead(c: Scene) -> None:
     """The arm ``twin`` stands where the arm stood, with its tool."""
-    c.twin.cell.tool, c.twin.cell.tracker = c.cell.tool, c.cell.tracker
+    c.twin.tool, c.twin.tracker = c.tool, c.tracker
     c.w = c.twin
 
 
@@ -272,8 +299,8 @@ def cols(c: Scene, which: Of, columns: Callable[[Scene, Array], Array]) -> None:
 
 def shifted(c: Scene, share: float, size: float) -> None:
     """Some of the stations read elsewhere by the same vector."""
-    here, v = c.rng.permutation(c.N) < share * c.N, c.rng.normal(size=3)
-    put(c, p=c.p + np.where(here[:, None], size * v / np.linalg.norm(v), 0.0))
+    here = c.rng.permutation(c.N) < share * c.N
+    put(c, p=c.p + np.where(here[:, None], c.way(size), 0.0))
 
 
 def five_times(c: Scene) -> None:
@@ -285,7 +312,7 @@ def five_times(c: Scene) -> None:
 
 def by_drawing(c: Scene) -> None:
     """Readings are computed from the joints for the arm of the drawing."""
-    p, R = Arm(c.robot).frames(c.arm.coordinates(c.q))
+    p, R = Arm.of(c.robot).frames(c.arm.coordinates(c.q))
     put(c, p=p[:, -1], R=Rotation.from_matrix(R[:, -1]))
 
 
@@ -345,19 +372,9 @@ def shorter(c: Scene, text: str) -> str:
     return text.replace(f'"{values}"', f'"{" ".join(long)}"')
 
 
-def centres(c: Scene, q: Of = "q") -> Array:
-    """The arm's centre of mass in its base at postures (N, 3)."""
-    out = []
-    for x in c.arm.coordinates(c.of(q)):
-        c.arm._place(x)
-        mujoco.mj_comPos(c.arm._model, c.arm._data)
-        out.append(c.arm._data.subtree_com[1].copy())
-    return np.array(out)
-
-
 def loaded(c: Scene, size: Any = 1.0, axis: int = 3) -> Array:
     """A size times the load on the joint that was drawn, or across it, over its RMS (N,)."""
-    load = c.arm.holding(c.arm.coordinates(c.q))[:, c.i, axis]
+    load = c.arm.loads(c.q)[:, c.i, axis]
     return c.of(size) * load / np.sqrt(np.mean(load**2))
 
 
@@ -439,28 +456,21 @@ def stream(c: Scene, count: int, rate: float = 25.0) -> None:
     """Joint states and readings all the time: clock, flow (joints), sent (p, R) without noise; ``streamed`` ends it."""
     q, again = c.postures(count)
     c.session = session = c.observe(q, again, **EXACT)
-    when = np.arange(0.0, PERIOD, 1.0 / rate)
-    u = np.clip(when / (0.5 * PERIOD), 0.0, 1.0)[:, None]
-    reached = q + c.rng.normal(0, REPEAT, q.shape)
-
-    def flow(ends: Array) -> Array:
-        start = np.concatenate([ends[:1] - 0.1, ends[:-1]])
-        return (start[:, None] + (10 * u**3 - 15 * u**4 + 6 * u**5) * (ends - start)[:, None]).reshape(-1, c.n)
-
-    c.clock, c.flow = np.round((session.t[:, None] - 0.5 * PERIOD + when).ravel(), 6), flow(q)
-    c.sent = c.cell.poses(Stations(flow(reached), c.clock, np.ones_like(c.flow)), ())
-    missed = c.cell.poses(Stations(reached, session.t, np.ones_like(q)), ()).p - session.p
-    put(c, floor_mm=float(np.hypot(1e3 * np.sqrt(np.mean(np.sum(missed**2, axis=1))), 0.035 / np.sqrt(25.0))))
+    reached, half = q + c.rng.normal(0, REPEAT, q.shape), 0.5 * PERIOD
+    c.clock = np.round((session.t[:, None] - half + np.arange(0.0, PERIOD, 1.0 / rate)).ravel(), 6)
+    c.flow, real = (flow(c.clock, ends, session.t, half, half, 0.1) for ends in (q, reached))
+    c.sent = c.poses(Stations(real, c.clock, np.ones_like(real)))
+    missed = c.poses(Stations(reached, session.t, np.ones_like(q))).p - session.p
+    put(c, floor_mm=float(np.hypot(1e3 * rms(missed), 0.035 / np.sqrt(25.0))))
 
 
 def streamed(c: Scene, read: Of = None, p: Of = None, R: Of = None, received: bool = False) -> None:
     """The stream is recorded, with noise: stamps, positions and turns of the readings are others where given."""
     at, turn, stamps = (c.sent.p if p is None else c.of(p)), (c.sent.R if R is None else c.of(R)), BEGIN + c.clock
     at = at + c.rng.normal(0, 2e-5, at.shape)
-    turn = turn * Rotation.from_rotvec(c.rng.normal(0, 2e-5, at.shape))
+    turn = turn * turn_noise(c.rng, 2e-5, len(at))
     told = stamps if read is None else c.of(read)
-    values = np.concatenate([at, turn.as_quat()], axis=1)
-    readings = ReadingTrack(c.kind, c.frame, told, values, told if received else stamps)
+    readings = replace(reading(told, poses(at, turn), c.kind, c.frame), received=told if received else stamps)
     whole = Recording((joint_track(c.names, stamps, c.flow),), (readings,), (), c.urdf)
     c.session = replace(c.session, spoken=lambda session: whole)
 

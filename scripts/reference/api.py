@@ -31,7 +31,7 @@ TOPICS: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "calibration": (
         "Using a calibration",
         "Where the tool is, and whether that still holds.",
-        ("Calibration", "evaluate", "Report", "check", "Checked"),
+        ("Calibration", "evaluate", "Report", "check", "Checked", "Claim"),
     ),
     "plan": ("Planning", "Where to measure.", ("plan", "Plan", "Site")),
     "articulation": ("Doors and drawers", "How something moves that is opened.", ("articulate", "Track", "Choice")),

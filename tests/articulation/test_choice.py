@@ -30,6 +30,17 @@ def test_clear_tracks(kind: Kind, oriented: bool) -> None:
 
 
 @pytest.mark.parametrize("oriented", [True, False])
+def test_the_whole_turn_is_told(oriented: bool) -> None:
+    """A joint of 140° whose ends lie 0.3 mm off its circle, six times its noise: they belong to the turn."""
+    rng = np.random.default_rng(6)
+    a = np.linspace(0.0, 140.0 * DEGREE, 150)
+    seen = noisy(ideal("revolute", a, rng, 0.1), rng, 5e-5, 0.02 * DEGREE)
+    ends = 3e-4 * np.abs(np.linspace(-1.0, 1.0, 150)) ** 12
+    seen = Track(seen.positions + ends[:, None] * [0.0, 0.0, 1.0], seen.rotations if oriented else None)
+    assert "it turned 140°" in choose(seen).why
+
+
+@pytest.mark.parametrize("oriented", [True, False])
 def test_a_handle_that_does_not_move(oriented: bool, rng: np.random.Generator) -> None:
     seen = noisy(ideal("rigid", np.zeros(80), rng), rng, 1e-3, 0.3 * DEGREE)
     choice = choose(Track(seen.positions, seen.rotations if oriented else None))

@@ -254,3 +254,36 @@ def test_intrinsics_as_opencv_writes_them(tmp_path: Path) -> None:
     older = tmp_path / "older.yaml"
     older.write_text(file.read_text().replace("%YAML 1.2", "%YAML:1.0"))
     assert (read_camera_info(older).values == lens.values).all()
+
+
+def test_lenses_as_other_tools_write_them(tmp_path: Path) -> None:
+    """Trailing zeros, Kalibr's file, and a rational polynomial, which five coefficients cannot hold."""
+    K = [[605.9, 0.0, 637.6], [0.0, 605.8, 364.5], [0.0, 0.0, 1.0]]
+
+    def info(model: str, d: list[float]) -> Path:
+        file = tmp_path / "lens.yaml"
+        matrices = {"camera_matrix": {"data": np.ravel(K).tolist()}, "distortion_coefficients": {"data": d}}
+        file.write_text(
+            yaml.safe_dump({"image_width": 1280, "image_height": 720, "distortion_model": model, **matrices})
+        )
+        return file
+
+    five = [-0.03, 0.035, -1e-4, 2e-4, -0.012]
+    for model, more in (("plumb_bob", 3), ("rational_polynomial", 3), ("plumb_bob", 9)):
+        assert read_camera_info(info(model, [*five, *[0.0] * more])).values[4:] == pytest.approx(five)
+    with pytest.raises(BadTable, match="has model rational_polynomial with 8 coefficients: give plumb_bob"):
+        read_camera_info(info("rational_polynomial", [0.5, -2.7, 0.0, 0.0, 1.6, 0.4, -2.6, 1.5]))
+    kalibr = {
+        "camera_model": "pinhole",
+        "distortion_model": "radtan",
+        "distortion_coeffs": five[:4],
+        "intrinsics": [605.9, 605.8, 637.6, 364.5],
+        "resolution": [1280, 720],
+    }
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump({"cam0": kalibr}))
+    lens = read_camera_info(tmp_path / "camchain.yaml")
+    assert pytest.approx(np.array(K)) == lens.K
+    assert lens.values[4:8] == pytest.approx(five[:4])
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump({"cam0": kalibr, "cam1": kalibr}))
+    with pytest.raises(BadTable, match="has 2 cameras"):
+        read_camera_info(tmp_path / "camchain.yaml")

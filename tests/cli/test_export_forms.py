@@ -85,9 +85,10 @@ def test_a_description_that_includes_the_xacro_file_is_the_calibrated_arm(robot:
 def test_urs_file_gives_the_calibrated_arm(tmp_path: Path) -> None:
     """Read as ur_description does: six poses behind the half turn of its base, each with its joint's angle."""
     urdf = corrected(tmp_path)
-    own = {"kinematics": {**yaml.safe_load("{hash: calib_123}"), **{
-        link: dict.fromkeys(("x", "y", "z", "roll", "pitch", "yaw"), 0.0)
-        for link in ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")}}}  # fmt: skip
+    drawn = str(ROBOTS / "ur10.urdf")
+    assert run(["export", drawn, "--to", "kinematics", "--out", str(tmp_path / "own.yaml")]) == 0
+    own = yaml.safe_load((tmp_path / "own.yaml").read_text())
+    own["kinematics"]["hash"] = "calib_123"
     (tmp_path / "factory.yaml").write_text(yaml.safe_dump(own))
     out = tmp_path / "mine.yaml"
     arguments = ["export", str(urdf), "--to", "kinematics", "--factory-kinematics", str(tmp_path / "factory.yaml")]

@@ -9,12 +9,15 @@ import re
 import signal
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cli.recordings import stations
 
+from modcal_core.measurements.recording import SignalTrack
 from modcal_core.robots.urdf import read_chain
 from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.recording_write import write_recording
@@ -155,3 +158,16 @@ def test_the_other_verbs_speak_to_programs_too(
     assert robot_of_modules["joints"] == list(read_chain(Path(robot_of_modules["robot"]).read_text()).names)
     limits = said_by(capfd, "limits", robot, "--payload", "2", "--out", "limits")
     assert limits == json.loads((tmp_path / "limits" / "limits.json").read_text())
+
+
+def test_info_counts_signals_that_are_many(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    recording = stations(20)
+    t = recording.joints[0].stamps
+    signals = [SignalTrack(f"signal:/motor_{i}", t, np.c_[np.sin(t)], f"/motor_{i}") for i in range(12)]
+    write_recording(replace(recording, signals=tuple(signals)), tmp_path / "bag")
+    assert run(["info", str(tmp_path / "bag")]) == 0
+    said = capfd.readouterr().out
+    assert "12 numbers of 12 other topics" in said
+    assert "/motor_3" not in said
+    assert run(["info", str(tmp_path / "bag"), "--verbose"]) == 0
+    assert "/motor_3" in capfd.readouterr().out

@@ -21,7 +21,7 @@ from modcal_core.geometry import se3
 from modcal_core.measuring.advice import Advice, Advisor, _not_by_posture
 from modcal_core.measuring.choose import fit_stations, of_robot, one_motion, return_stations
 from modcal_core.measuring.outlook import chance_seen, outlook
-from modcal_core.measuring.proof import Goal, Proof
+from modcal_core.measuring.proof import Goal
 from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station, from_data, to_data
 from modcal_core.measuring.table import to_table, with_table
 from modcal_core.planning.site import Site, site_from_data
@@ -127,7 +127,7 @@ def test_a_budget_ends_it() -> None:
     assert advice.outcome is not None
     assert advice.outcome.ending == "budget"
     assert advice.status.measured == 15
-    assert advice.outcome.sentence.startswith("The budget is gone after 15 stations: RMS error ")
+    assert advice.outcome.sentence.startswith("The budget is gone after 15 stations: the tool's RMS error is at most ")
     late = advisor(Goal(1e-5, seconds=10.0), effects=False).advise(advice.session, elapsed=11.0)
     assert late.outcome is not None
     assert late.outcome.ending == "budget"
@@ -136,7 +136,7 @@ def test_a_budget_ends_it() -> None:
 def test_a_session_goes_on_from_its_file_with_the_same_stations(whole: Whole) -> None:
     """One in a piece, the other read from its file on the way, by another advisor."""
     done = whole[0].session
-    early = replace(done, stations=done.stations[:13], looks=())
+    early = replace(done, stations=done.stations[:13])
     data = parse_yaml(to_yaml(to_data(early, Goal(1e-4), 0, "x", None)), "s")
     session, goal, *_ = from_data(data, "s")
     advising = advisor(goal)
@@ -177,7 +177,7 @@ def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
         return bool(by.plant.world.tool_in_base(station.asked)[1, 3] > 0.1)
 
     stations = tuple(replace(s, state=UNSEEN) if left(s) else s for s in advice.session.stations)
-    session = replace(advice.session, stations=stations, looks=())
+    session = replace(advice.session, stations=stations)
     assert advice.refitted is not None
     pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
     view = outlook(advice.refitted, pool.where, 1e-4, np.random.default_rng(0))
@@ -311,32 +311,6 @@ def test_the_proofs_errors_are_those_of_the_model_that_is_written(whole: Whole) 
     assert advice.refitted is not None
     e = errors(advice.refitted.calibration.calibrated, advice.session.samples(rows)).position_norm
     assert advice.status.seen == pytest.approx(float(np.sqrt(np.mean(e**2))))
-
-
-def test_where_the_proof_falls_behind_proof_and_fit_take_turns(whole: Whole) -> None:
-    """Errors twice as large as expected: stations for the fit, and after them for the proof again."""
-    advice, by = whole
-    session, goal, advising = advice.session, 1.2e-4, advisor(Goal(1.2e-4))
-    bad, good = (Proof(np.full(8, e), 4e-5, 0.03, 1.5) for e in (8e-5, 4e-5))
-    assert session.stations[-1].role == PROOF
-    assert advising._turn_to_fit(session, bad, bad.more(goal, 8e-5), goal)
-    assert not advising._turn_to_fit(session, good, good.more(goal, 4e-5), goal)
-    early = replace(bad, errors=bad.errors[:5])
-    assert not advising._turn_to_fit(session, early, early.more(goal, 8e-5), goal)
-    after = session.asking([Station(session.stations[0].asked + 0.1)])
-    after = after.with_station(len(session.stations), by.measure(after.stations[-1]))
-    assert not advising._turn_to_fit(after, bad, bad.more(goal, 8e-5), goal)
-
-
-def test_every_model_that_the_proof_has_judged_takes_a_share(whole: Whole) -> None:
-    """Fitted again after the proof has begun: whether it is good enough is seen, so it counts as a further look."""
-    advice, by = whole
-    session, looks = advice.session, advice.session.looks
-    again = session.asking([Station(session.stations[0].asked + 0.1)])
-    again = again.with_station(len(session.stations), by.measure(again.stations[-1]))
-    step = advisor(Goal(6e-5)).advise(again)
-    assert step.session.looks[: len(looks)] == looks
-    assert [look.fitted for look in step.session.looks[len(looks) :]] == [len(again.fitted)]
 
 
 def test_explanations_that_are_one_motion_are_told_from_those_that_stations_separate(whole: Whole) -> None:

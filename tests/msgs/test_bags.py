@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 import yaml
 from cli.recordings import stations, streams
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -102,6 +104,27 @@ def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
     file.write_bytes(bytes(data))
     with pytest.raises(BadRecording, match="holds no message"):
         read_recording(file)
+
+
+@pytest.mark.parametrize(("encoding", "remedy"), [("json", "write them as a table"), ("ros1", "rosbags-convert")])
+def test_messages_of_other_encodings_are_counted_and_named(encoding: str, remedy: str, tmp_path: Path) -> None:
+    for name, ros2 in (("alone", 0), ("beside", 5)):
+        with (tmp_path / f"{name}.mcap").open("wb") as stream:
+            writer = Writer(stream)
+            writer.start(profile="", library="")
+            odd = writer.register_channel("/tracker/pose", encoding, 0)
+            schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+            plain = writer.register_channel("/x", "cdr", schema)
+            for i in range(7):
+                writer.add_message(odd, i, b"{}", i)
+            for i in range(ros2):
+                writer.add_message(plain, i, b"\0\1\0\0" + bytes(8), i)
+            writer.finish()
+    said = f"holds 7 messages in the encoding {encoding} on /tracker/pose, which is not read: .*{remedy}"
+    with pytest.raises(BadRecording, match=said):
+        read_recording(tmp_path / "alone.mcap")
+    (warning,) = read_recording(tmp_path / "beside.mcap").warnings
+    assert re.search(said, warning)
 
 
 def test_a_bag_is_never_written_over(tmp_path: Path) -> None:

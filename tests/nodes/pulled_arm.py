@@ -50,6 +50,7 @@ class PulledArm:
     def __init__(self, node: Node, toy: Toy | None = None, trusts: float = 0.14, speaks: bool = True) -> None:
         self.node, self.toy, self.trusts, self.silent = node, toy or Toy(door()), trusts, False
         self.numb = False  # whether nothing is heard of the wrench
+        self.frame = PANDA.tip  # that it is told in
         self.off: Array | None = (
             None  # where a corrector says that the tool is, from where its joints say; None: silent
         )
@@ -124,9 +125,9 @@ class PulledArm:
         set_seconds(message.header.stamp, self.now() if stamp is None else stamp)
         return message
 
-    def felt(self, w: Array, frame: str = PANDA.tip, stamp: float | None = None) -> WrenchStamped:
+    def felt(self, w: Array, frame: str | None = None, stamp: float | None = None) -> WrenchStamped:
         message = WrenchStamped()
-        message.header.frame_id = frame
+        message.header.frame_id = self.frame if frame is None else frame
         set_seconds(message.header.stamp, self.now() if stamp is None else stamp)
         f, m = message.wrench.force, message.wrench.torque
         f.x, f.y, f.z, m.x, m.y, m.z = (float(x) for x in w)

@@ -120,6 +120,20 @@ def test_an_arm_that_falls_silent_or_is_stuck_is_left_alone(cell: Cell) -> None:
     assert arm.toy.peak < 60.0
 
 
+def test_a_pull_is_refused_for_what_its_wrench_is_refused_for(cell: Cell) -> None:
+    arm, wait = cell.arm, cell.wait
+    arm.again(wait, Toy(door()))
+    arm.frame = "elsewhere"
+    old = arm.now() + 0.5  # from when on no wrench of before counts
+    wait(lambda: arm.now() > old and "wrench in frame 'elsewhere'" in arm.health["hearing"].message, 30.0)
+    assert arm.health["hearing"].level == DiagnosticStatus.WARN
+    answer = arm.ask(wait, "pull")
+    assert not answer.success
+    assert "wrench in frame 'elsewhere'" in answer.message
+    arm.frame = PANDA.tip
+    wait(lambda: arm.health["hearing"].level == DiagnosticStatus.OK, 30.0)
+
+
 def test_nothing_hostile_makes_it_send_what_it_should_not(cell: Cell, rng: np.random.Generator) -> None:
     """A few thousand messages; bench/control_tick.py sends a hundred thousand and more."""
     arm, wait = cell.arm, cell.wait

@@ -48,11 +48,11 @@ def test_what_is_promised_comes_true_and_beats_random_postures(reading: str) -> 
 
 @pytest.mark.slow
 def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker() -> None:
-    counts, wished = [], 0.85e-4
+    counts, wished = [], 1.2e-4
     for size in (2e-5, 3e-5):
         site = site_from_data({**HALL, "noise": {**HALL["noise"], "position_m": size}}, "hall")
         found = plan(ur10(), site, PlanRequest(accuracy=wished, candidates=100, starts=1), np.random.default_rng(3))
-        assert found.accuracy.p95 <= wished
+        assert found.claim.mm["p95"].ci95[1] <= 1e3 * wished
         assert (clearance(found.pool.spheres, site, found.q) >= 0.0).all()
         assert visible(found.pool.spheres, site, found.q).all()
         assert found.accuracy.rms**2 == pytest.approx(found.accuracy.model**2 + found.accuracy.repeat**2)
@@ -117,7 +117,7 @@ def test_fixed_parameters_are_not_planned_for() -> None:
     [
         (PlanRequest(stations=10), NotPlannable, "modcal calibrate needs at least 23"),
         (PlanRequest(stations=70), NotPlannable, "only 60 of the postures tried"),
-        (PlanRequest(accuracy=3e-5), NotPlannable, "what the joints do not repeat alone makes"),
+        (PlanRequest(accuracy=1e-5), NotPlannable, "what the joints do not repeat alone makes"),
         (PlanRequest(accuracy=6.5e-5), NotPlannable, "stations leave"),
         (PlanRequest(stations=30, fixed=("no_such_joint",)), BadTable, "matches no parameter"),
     ],

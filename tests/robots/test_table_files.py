@@ -148,6 +148,26 @@ def test_tables_as_others_write_them(text: str) -> None:
     assert chain.origins == pytest.approx(from_table({"convention": "dh", "joints": rows}).origins)
 
 
+@pytest.mark.parametrize("angle", [1e-3, 1e-5])
+def test_offsets_that_cancel_are_no_millimetres(angle: float) -> None:
+    """A UR as its controller states it: the second and third axis meet hundreds of metres away."""
+    table = to_dh(bent_elbow(angle), largest_offset=1e6)
+    assert max(abs(joint["d"]) for joint in table["joints"]) > 100.0
+    chain = from_table(from_csv(to_csv(table)))
+    assert np.linalg.norm(chain.origins[:, :3, 3], axis=1).max() < 1.5
+    assert_same(chain, bent_elbow(angle), 1e-8)
+    table["joints"][1]["d"] += 30.0
+    with pytest.raises(BadTable, match="joint 2: d: is .* in the unit m rad: write the unit"):
+        from_csv(to_csv(table))
+
+
+def bent_elbow(angle: float) -> Chain:
+    """A UR10 with its elbow's axis tilted by so much [rad] towards the shoulder's."""
+    origins = np.array(ur10().origins)
+    origins[2] = origins[2] @ se3.transform(so3.exp([0.0, angle, 0.0]))
+    return ur10().with_origins(origins)
+
+
 def test_an_unknown_convention() -> None:
     with pytest.raises(BadTable, match="convention 'dhh': is unknown: choose cpc, dh, mdh"):
         to_table(ur10(), "dhh")

@@ -12,14 +12,11 @@ from modcal_core.errors import BadTable, NotRepresentable
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.robots.chain import Chain
+from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.makers import franka_kinematics, kinematics_yaml_data, lacks_hash, ur_kinematics
+from modcal_core.robots.tables import from_table
 from modcal_core.robots.urdf import joint_origins, read_chain
-from modcal_core.robots.urdf_write import (
-    calibrated_urdf,
-    franka_kinematics,
-    kinematics_yaml_data,
-    lacks_hash,
-    ur_kinematics,
-)
+from modcal_core.robots.urdf_write import calibrated_urdf
 
 # default_kinematics.yaml of UR's description, as published for the UR10
 UR10 = {
@@ -86,6 +83,44 @@ def test_a_factory_file_of_something_else_is_refused(factory: Any) -> None:
     chain, text = corrected("ur10")
     with pytest.raises(BadTable, match="factory kinematics"):
         kinematics_yaml_data(chain, joint_origins(text), factory)
+
+
+def other_layout(chain: Chain, rng: np.random.Generator) -> Chain:
+    """The same arm with its base turned by right angles, its joints about other axes of other frames along them."""
+    turns = [so3.exp(0.5 * np.pi * rng.integers(-1, 2) * axis) for axis in np.eye(3)[rng.integers(0, 3, chain.n + 1)]]
+    shifts = [*(T_axis * rng.uniform(-0.1, 0.1) for T_axis in chain.axes), np.zeros(3)]
+    frames = [se3.transform(R, p) for R, p in zip(turns, shifts, strict=True)]
+    before = [se3.transform(so3.exp([0.0, 0.0, 0.5 * np.pi])), *map(se3.inverse, frames[:-1])]
+    origins = np.stack([A @ M @ B for A, M, B in zip(before, chain.origins, frames, strict=True)])
+    axes = np.stack([R.T @ axis for R, axis in zip(turns, chain.axes, strict=False)])
+    return Chain.build(chain.names, origins, axes, base="base_link", tip="tool0")
+
+
+def test_another_layout_of_the_same_arm_is_written_as_its_factory_lays_it_out(rng: np.random.Generator) -> None:
+    factory = kinematics_yaml_data(chain_of("ur10"), joint_origins(urdf("ur10")))
+    factory["kinematics"]["hash"] = "calib_1"
+    for _ in range(10):
+        xi = 1e-3 * rng.normal(size=(7, 6))
+        xi[-1] = 0.0
+        chain = other_layout(chain_of("ur10").with_origins(chain_of("ur10").origins @ se3.exp(xi)), rng)
+        written = kinematics_yaml_data(chain, None, factory)
+        assert written["kinematics"]["hash"] == "calib_1"
+        again = from_table(written)
+        q = rng.uniform(-3.0, 3.0, (20, 6))
+        moved = chain_forward(chain, q) @ se3.inverse(chain_forward(chain, q[:1]))
+        as_written = chain_forward(again, q) @ se3.inverse(chain_forward(again, q[:1]))
+        back = se3.transform(so3.exp([0.0, 0.0, -0.5 * np.pi]))
+        np.testing.assert_allclose(as_written, back @ moved @ se3.inverse(back), atol=1e-9)
+        nominal = chain_forward(chain_of("ur10"), q)[:, :3, 3]
+        assert np.linalg.norm(chain_forward(again, q)[:, :3, 3] - nominal, axis=1).max() < 0.02
+
+
+def test_the_factory_file_of_another_arm_is_refused() -> None:
+    other = {link: dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), v, strict=True)) for link, v in UR10.items()}
+    other["wrist_1"]["x"] += 0.05
+    chain, text = corrected("ur10")
+    with pytest.raises(BadTable, match="factory kinematics: puts wrist_1_joint 5. mm and .* give the file of this arm"):
+        kinematics_yaml_data(chain, joint_origins(text), {"kinematics": other})
 
 
 def test_ur_with_a_prefix() -> None:

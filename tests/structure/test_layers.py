@@ -35,13 +35,13 @@ _ALSO = {"lazy", "errors", "files", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
 LAYERS["claim"] = LAYERS["calibration"] | {"claim"}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
-LAYERS["planning"] = LAYERS["calibration"] | {"planning"}
+LAYERS["planning"] = LAYERS["claim"] | {"planning"}
 LAYERS["camera"] = LAYERS["diagnosis"] | {"camera"}
 LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
 LAYERS["checking"] = LAYERS["diagnosis"] | {"checking"}
-LAYERS["measuring"] = LAYERS["verdict"] | {"planning", "measuring"}
+LAYERS["measuring"] = LAYERS["verdict"] | {"claim", "planning", "measuring"}
 LAYERS["report"] = {*LAYERS, "report", "top"}
 LAYERS["top"] = {*LAYERS, "top"}
 

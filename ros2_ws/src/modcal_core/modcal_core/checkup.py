@@ -170,6 +170,7 @@ def checkup(
     used = fixed if fixed is not None else calibration
     report = evaluate(used, found.samples, rng, cell=cell)
     if fixed is not None:
+        fixed = replace(fixed, claim_mm=None if report.claim is None else report.claim.mm["p95"].ci95[1])
         report = _each_by_the_others(report, found, begin)
     return Checked(
         status=_status(found, changes),

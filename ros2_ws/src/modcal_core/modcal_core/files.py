@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -102,6 +103,9 @@ def to_yaml(data: Any) -> str:
     return str(yaml.dump(data, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=160, allow_unicode=True))
 
 
+_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+\Z")
+
+
 def read_yaml(path: Path) -> Any:
     """The data of a YAML file; raises BadTable with the place of the mistake."""
     try:
@@ -116,7 +120,11 @@ def parse_yaml(text: str, source: str) -> Any:
     """The data of a YAML text; raises BadTable with the source and the place of the mistake."""
     import yaml  # the mathematics needs NumPy and SciPy only
 
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+        """Reads 2e-05, which YAML 1.1 takes for a text, as a number."""
+
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+.0123456789"))
+    loader = Loader
     try:
         # the quick loader goes down as deep as a text does, and takes the process with it
         depth = 0

@@ -171,7 +171,7 @@ def calibrate(
     kept = samples.select(~wrong | again)
     carried = carried_over(shipped, kept)
     claim = claim_at_tool(shipped, kept, cell, carried=carried.model if carried.not_applied else None)
-    shipped = replace(shipped, uncertainty=claim.known or shipped.uncertainty)
+    shipped = replace(shipped, uncertainty=claim.known or shipped.uncertainty, claim_mm=claim.mm["p95"].ci95[1])
     taken_in = readmitted(shipped.calibrated, samples, again, wrong)
     distances = distances_of(final, train, cell.distances)
     shipped = replace(shipped, rivals=tuple(cause.rivals for cause in diagnosis.causes))

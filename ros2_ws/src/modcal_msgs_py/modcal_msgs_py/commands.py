@@ -116,7 +116,10 @@ class JointInput:
 
     def require_fresh(self, now: float, stale: float) -> None:
         """Raises BadCommand unless every joint was received within ``stale`` seconds of ``now``."""
-        if missing := self.missing():
+        missing = self.missing()
+        if len(missing) == len(self.names):
+            raise BadCommand("joint_states", "no message was received", "check that the driver is alive")
+        if missing:
             raise BadCommand(
                 "joint_states", f"do not contain {', '.join(missing)}", "publish every joint between base and tip"
             )

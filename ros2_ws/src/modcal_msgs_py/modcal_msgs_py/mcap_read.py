@@ -6,6 +6,7 @@ not, or whose type is not plain numbers and texts, are decoded one by one. Both 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from modcal_core.measurements import Listed, Recording, Stretch, elsewhen
 from modcal_msgs_py.bag_files import bag_files
 from modcal_msgs_py.bag_open import BagFile, bag_file, message_unpacked, topics_of, unpacked
 from modcal_msgs_py.layout import KNOWN, Bytes, Fields, MessageLayout, fields_of
-from modcal_msgs_py.mcap_walk import Block
+from modcal_msgs_py.mcap_walk import Block, McapFile
 from modcal_msgs_py.messages import RecordingBuilder, gathered, why_left_out
 from modcal_msgs_py.topics import ADDED, TRANSFORMS, Topics, resolve
 
@@ -29,6 +30,7 @@ PIECE = 400_000  # joint states; seven minutes at 1 kHz
 OVERLAP = 30.0  # s, longer than any station
 _MAX_LAYOUTS = 8  # of one topic in one block; more than that, and one by one is quicker
 _MAX_KEPT = 64
+_NAMED = 3  # topics of other encodings
 _HOPELESS = 1000  # messages of a topic in a row that cannot be decoded, after which the rest of a block is not tried
 _SHORTEST_RUN = 4  # messages of one layout in a row, on the average, below which one by one is quicker
 _FEW_RUNS = 8  # which take less than reading the definitions of all types, without which nothing goes one by one
@@ -62,7 +64,7 @@ def read_pieces(
         roles = resolve(_listed(waiting), topics, path.name)
         builder = RecordingBuilder(str(path), roles, longest=None if most is None else most + most // 8)
         warnings = list(notes)
-        total, since = 0, -np.inf
+        total, since, unread = 0, -np.inf, Counter[tuple[str, str]]()
         for i, name in enumerate(files):
             file = waiting.pop(0)
             try:
@@ -86,12 +88,28 @@ def read_pieces(
             total += file.count
             if file.cut:
                 warnings.append(f"{name.name} was read up to its message {file.count}: {file.cut}.")
+            if isinstance(file, McapFile) and file.unread:
+                unread += file.unread
+        if unread:
+            what, remedy = _unread(unread)
+            if total == 0:
+                raise BadRecording(str(path), f"holds {what}", remedy)
+            warnings.append(f"It holds {what}: {remedy}.")
         if total == 0:
             why = f" ({file.cut})" if file.cut else ""
             remedy = "check that the topics were published while recording"
             raise BadRecording(str(path), f"holds no message{why}", remedy)
         recording = builder.recording()
     yield Stretch(replace(recording, warnings=(*warnings, *recording.warnings)), since)
+
+
+def _unread(messages: Counter[tuple[str, str]]) -> tuple[str, str]:
+    """What messages of other encodings are, by topic and encoding, and what to do with them."""
+    kinds = sorted({encoding for _, encoding in messages})
+    names = [topic for (topic, _), _ in messages.most_common(_NAMED)] + ["…"] * (len(messages) > _NAMED)
+    said = f"{messages.total()} messages in the encoding {' and '.join(kinds)} on {', '.join(names)}, which is not read"
+    table = "write them as a table, which modcal import reads, or record the topics of ROS 2"
+    return said, "convert the bag of ROS 1 with rosbags-convert" if kinds == ["ros1"] else table
 
 
 def list_topics(path: Path) -> tuple[Listed, ...]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -91,7 +92,7 @@ class McapFile:
 
     cdr_only: leave out what is not encoded as ROS 2 encodes. extras: whole attachments and metadata records (bytes
     with opcode and length), as they were met. compression: of the first chunk. known: topic and type by channel.
-    share: of the file that has been walked.
+    share: of the file that has been walked. unread: messages left out by topic and encoding.
     """
 
     path: Path
@@ -106,6 +107,7 @@ class McapFile:
     cut: str | None = None
     known: dict[int, tuple[str, str]] = field(default_factory=dict)
     share: float = 0.0
+    unread: Counter[tuple[str, str]] = field(default_factory=Counter)
     _unpacked: int = 0
     _is_known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1 << 16, bool))
 
@@ -236,6 +238,9 @@ class McapFile:
         places, heads = found[0] if len(found) == 1 else map(np.concatenate, zip(*found, strict=True))
         known = self._is_known[heads["channel"]]
         if not known.all():
+            for channel, count in zip(*np.unique(heads["channel"][~known], return_counts=True), strict=True):
+                if (of := self.channels.get(int(channel))) is not None:
+                    self.unread[of.topic, of.message_encoding] += int(count)
             places, heads = places[known], heads[known]
         if len(places):
             starts = places + HEAD.itemsize

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.articulation.choice import Choice, choose, gross
+    from modcal_core.articulation.choice import Choice, choose, sound
     from modcal_core.articulation.conventions import require_convention
     from modcal_core.articulation.fit import JointFit
     from modcal_core.articulation.joints import JointModel, PlacedJoint
@@ -17,5 +17,5 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["FEWEST", "JOINT", "NONE", "Choice", "JointFit", "JointModel", "PlacedJoint", "StampOrder", "Track"]
-__all__ += ["Tracker", "TrackerSettings", "TrackerState", "choose", "describe", "frames", "gross", "read"]
+__all__ += ["Tracker", "TrackerSettings", "TrackerState", "choose", "describe", "frames", "read", "sound"]
 __all__ += ["require_convention"]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modcal_core.articulation.evidence import EvidenceRow, hidden, row, still, unproved, weigh
-from modcal_core.articulation.fit import SOUND, JointFit, fit
+from modcal_core.articulation.fit import JointFit, fit
 from modcal_core.articulation.joint_motion import ArticulationModel, Kind, Motion
 from modcal_core.articulation.misfit import NONE, OUTLIERS, Misfit, bend_explains, misfit, predicted, scales
 from modcal_core.articulation.models.registry import STILL, all_models, log_shares
@@ -206,6 +206,12 @@ def gross(found: JointFit, track: Track) -> NDArray[np.bool_]:
     return off
 
 
+def sound(found: JointFit, track: Track) -> NDArray[np.bool_]:
+    """Which samples (n,) count for what is said of a motion: those that are not gross, or all where all are."""
+    good = np.logical_not(gross(found, track if found.model.oriented else track.points()))
+    return good if good.any() else np.ones(len(track), dtype=bool)
+
+
 def _scenes(track: Track, sigma: tuple[float, float], most: int) -> list[NodeScene]:
     """The nodes of a track with each size of distortion; none where nothing moved. sigma: noise of a sample."""
     nodes, ordered = Nodes(track.oriented, most), one_way(track)
@@ -253,7 +259,7 @@ def _still(
 
 
 def _seen(chosen: JointFit, track: Track) -> str:
-    return chosen.model.sentence(chosen.configurations[chosen.weights > SOUND], track.extent(), chosen.std)
+    return chosen.model.sentence(chosen.configurations[sound(chosen, track)], track.extent(), chosen.std)
 
 
 def _why(probabilities: dict[Kind, float], chosen: JointFit, left: Misfit, doubt: str, track: Track) -> str:

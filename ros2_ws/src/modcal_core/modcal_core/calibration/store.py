@@ -68,7 +68,7 @@ SCHEMA: Schema = _keys(
     effects=_list_of(_keys(*_EFFECT, rivals=_list_of(_keys(*_EFFECT)), usual=_keys("mean", "cost_m2"))),
     recorded=_keys(
         "kind", "spread", "scatter", "converged", "spread_of", "postures", "stamps", "clock", "ranges",
-        "geometry_outside", "left_alone_m", "marks",
+        "geometry_outside", "left_alone_m", "marks", "claim_mm",
     ),
     uncertainty=_keys(
         "covariance",
@@ -106,6 +106,7 @@ class Calibration:
     - scatter: stated deviation of a reading's position [m] and orientation [rad] beyond the noise; 0 where not stated.
     - converged: whether every fit reached its minimum.
     - marks: fingerprints of the samples it was made from; empty where not kept.
+    - claim_mm: what the tool's 95th percentile is claimed to be at most [mm]; None where nothing is claimed.
     """
 
     nominal: Model
@@ -127,6 +128,7 @@ class Calibration:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     typical: tuple[TypicalDriver | None, ...] = ()
     marks: tuple[int, ...] = ()
+    claim_mm: float | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
@@ -271,6 +273,7 @@ def to_data(calibration: Calibration) -> dict[str, Any]:
             **({"geometry_outside": True} if calibration.geometry_outside else {}),
             **({"left_alone_m": calibration.left_alone} if calibration.left_alone > 0.0 else {}),
             **({"marks": list(calibration.marks)} if calibration.marks else {}),
+            **({} if calibration.claim_mm is None else {"claim_mm": float(calibration.claim_mm)}),
             **({"ranges": {n: [float(a), float(b)] for n, (a, b) in r.items()}} if (r := calibration.ranges) else {}),
         },
         **({"uncertainty": uncertainty_to_data(calibration.uncertainty)} if calibration.uncertainty else {}),
@@ -312,6 +315,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
         left_alone = float(recorded.get("left_alone_m", 0.0))
         ranges = {str(n): (float(a), float(b)) for n, (a, b) in recorded.get("ranges", {}).items()}
         marks = tuple(int(mark) for mark in recorded.get("marks", ()))
+        claim_mm = float(recorded["claim_mm"]) if "claim_mm" in recorded else None
         typical = tuple(typical_from_data(e.get("usual")) for e in data["effects"])
         first, last = (float(t) for t in recorded["stamps"]) if "stamps" in recorded else (np.nan, np.nan)
         kind = str(recorded["kind"])
@@ -323,7 +327,7 @@ def from_data(data: Any, source: str = "calibration") -> Calibration:
     watched = (first, last) if np.isfinite([first, last]).all() else None
     return Calibration(
         *(nominal, calibrated, geometric, seen, parameters, rivals, kind, postures, noise, known),
-        *(watched, alone, converged, clock, outside, left_alone, ranges, typical, marks),
+        *(watched, alone, converged, clock, outside, left_alone, ranges, typical, marks, claim_mm),
     )
 
 

@@ -58,6 +58,10 @@ def with_carried(about: Neighbourhood, calibration: Calibration) -> Neighbourhoo
     size, V = np.linalg.eigh(C / np.outer(std, std))
     half = V / np.sqrt(np.maximum(size, _EXACT)) / std[:, None]
     told = half @ half.T - np.diag(np.array(widths) ** -2.0)
+    # a covariance that was changed since, as by a repair, may be wider than its prior somewhere: it says nothing there
+    unit = np.where(np.isfinite(widths), widths, std)
+    size, V = np.linalg.eigh(told * np.outer(unit, unit))
+    told = (V * np.maximum(size, 0.0)) @ V.T / np.outer(unit, unit)
     return replace(about, stated=(about.stated[0] + as_kept.T @ told @ as_kept, about.stated[1]))
 
 

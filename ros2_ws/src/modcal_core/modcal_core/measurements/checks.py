@@ -157,7 +157,8 @@ def _stated(recording: Recording, *roles: str) -> str:
 
 def _there(recording: Recording) -> str:
     """What topics there are, where it is known."""
-    names = [f"{one.topic} ({one.type_name.rpartition('/')[2]})" for one in recording.listed]
+    kinds = [(one.topic, one.type_name.rpartition("/")) for one in recording.listed]
+    names = [f"{topic} ({kind}{'' if ros else ', no type of ROS 2'})" for topic, (_, ros, kind) in kinds]
     more = f", and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"; recorded are {', '.join(names[:_SHOWN])}{more}" if names else ""
 

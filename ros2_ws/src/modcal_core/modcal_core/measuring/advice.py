@@ -1,9 +1,8 @@
 """What comes next: more stations for the fit, for the floor or for the proof, or an end, with its reason.
 
-After each batch the model is fitted again. From its noise and its covariance follows what error it should have, and
-from that how many random stations a proof would take now, or after one, two, … further batches; what costs fewest
-stations in all is done. So proof stations are measured only when they promise to prove something, and none is wasted:
-a later model is proven on all of them.
+After each batch the model is fitted again, and the claim at the tool says what is proven of it, by all stations. From
+the model's covariance follows how the claim shrinks after one, two, … further batches. Random stations, which no fit
+sees, are measured once the claim has met the goal without them; where it no longer does with them, the fit goes on.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from modcal_core.calibration import (
     choose_parameters,
     errors,
     place_model,
-    quantile_chi2,
 )
+from modcal_core.claim import Claim, claim_at_tool
 from modcal_core.effects import claimed
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array
@@ -42,24 +41,20 @@ from modcal_core.measuring.proof import (
     UNEXPLAINED,
     End,
     Goal,
-    Proof,
-    axes_of,
     no_station_helps,
     proven,
-    share,
     spent,
 )
 from modcal_core.measuring.refit import Refit, proven_over, refit
-from modcal_core.measuring.session import DECIDE, PROOF, RETURN, Look, Session, Station
+from modcal_core.measuring.session import DECIDE, PROOF, RETURN, Session, Station
 from modcal_core.robots import Inertias, Mechanism
 from modcal_core.verdict import Floor, floors
 
 BATCH = 2  # stations between two fits: fewer cost time, more are chosen by an older model
 _GROWING = 6  # a batch is at least one in so many of the stations so far: a fit hardly changes by fewer
-_BEHIND = 1.5  # times the stations that a proof was to take; where errors are as expected one in ten takes longer
 _UNHURRIED = 4  # where nothing is to be proven a batch is at least one in so many: a few more stations do no harm
 _AHEAD = 6  # batches that are looked ahead
-_CAUTION = 0.3  # chance that the true noise is larger than what is taken for it
+_POSTURES = 200  # that the claim is made over, for time
 # Error of readings now over that which all stations of the budget would leave: no more is worth having. The tool's own
 # error, without the instrument's, falls by up to twice as much
 _SETTLED = 1.025
@@ -73,8 +68,9 @@ _MAX_RETURNS = 12  # beyond, the floor is known to a tenth
 @dataclass(frozen=True)
 class Advance:
     """Where a measurement stands. expected: RMS error of a reading that the fit expects [m], None before the first fit.
-    bound: RMS [m] that is proven. seen: RMS at the proof's stations [m]. floor: RMS [m] that repeats and instrument
-    leave, None while it is not known. needed: further stations that it should take, None where nobody knows.
+    bound: upper end of the claim [m], of what the goal asks for. seen: RMS at the proof's stations [m]. floor: RMS [m]
+    that repeats and instrument leave, None while it is not known. needed: further stations that it should take, None
+    where nobody knows.
     """
 
     measured: int
@@ -124,6 +120,9 @@ class Advisor:
         """
         self.chain, self.pool, self.goal = chain, pool, goal
         self._seed, self._cell, self._inertias = seed, cell or Cell(), inertias
+        if goal.instrument:
+            stated = replace(self._cell.stated, instrument_mm=1e3 * goal.instrument)
+            self._cell = replace(self._cell, stated=stated)
         self._planned, self._batch, self._effects = planned, batch, effects
         self._last: tuple[tuple[int, ...], Refit] | None = None
         self._least: dict[str, int] = {}
@@ -157,14 +156,14 @@ class Advisor:
         )
         left = self._left(session, refitted)
         status = self._status(status, session, refitted, view, left)
-        if self.goal.rms is not None and (proof := self._look(session, refitted, left)) is not None:
-            status = replace(status, bound=proof.bound)
-            if proof.holds(self.goal.rms):
-                known = proven_over(refitted, self.pool.where)
-                return self._settle_ties(session, status, known, proven(self.goal, proof, status.measured))
+        claim = self._claim(session, refitted)
+        status = replace(status, bound=1e-3 * claim.mm[self.goal.statistic].ci95[1])
+        if self._is_met(status) and proving >= MIN_STATIONS:
+            known = proven_over(refitted, self.pool.where)
+            return self._settle_ties(session, status, known, proven(self.goal, claim, measured, proving))
         if self._gone(session, elapsed):
-            return Advice(session, "", status, spent(self.goal, status.measured, status.expected), refitted)
-        return self._next(session, status, refitted, view, left)
+            return Advice(session, "", status, spent(self.goal, status.measured, claim), refitted)
+        return self._next(session, status, refitted, view)
 
     def _refit(self, session: Session, rows: Sequence[int]) -> Refit | None:
         if self._last is None or self._last[0] != tuple(rows):
@@ -184,22 +183,17 @@ class Advisor:
             return np.zeros(0)
         return errors(refitted.calibration.calibrated, session.samples(rows)).position_norm
 
-    def _expected(self, refitted: Refit, model: float) -> float:
-        """RMS error of a reading [m] at a new station, with caution; model: what the fit's own values leave [m]."""
-        careful = refitted.freedom / quantile_chi2(_CAUTION, refitted.freedom)
-        return float(np.sqrt(careful * refitted.spread**2 + model**2))
+    def _claim(self, session: Session, refitted: Refit) -> Claim:
+        """What may be claimed of the model over all postures of the pool, by every station."""
+        fitted, random = session.fitted, session.rows(PROOF)
+        samples = session.samples([*fitted, *random])
+        right = np.r_[~refitted.wrong, np.ones(len(random), bool)]
+        cell = self._cell.met(samples)
+        return claim_at_tool(refitted.calibration, samples.select(right), cell, self.pool.where[:_POSTURES])
 
-    def _look(self, session: Session, refitted: Refit, left: Array) -> Proof | None:
-        """The proof of this very model that has been begun, if one has."""
-        if not session.looks or session.looks[-1].fitted != len(session.fitted):
-            return None
-        look = session.looks[-1]
-        return Proof(left, look.expected, self._share(len(session.looks) - 1), look.axes)
-
-    def _axes(self, refitted: Refit) -> float:
-        """Number of directions in which errors vary, from the fit's own residuals."""
-        right = refitted.samples.select(~refitted.wrong)
-        return axes_of(errors(refitted.calibration.calibrated, right).position_norm ** 2)
+    def _is_met(self, status: Advance) -> bool:
+        goal = self.goal.accuracy
+        return goal is not None and status.bound is not None and status.bound <= goal
 
     def _status(self, status: Advance, session: Session, refitted: Refit, view: Outlook, left: Array) -> Advance:
         floor = self._floor(refitted)
@@ -222,69 +216,26 @@ class Advisor:
         residual = errors(refitted.calibration.calibrated, refitted.samples)
         return floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
 
-    def _next(self, session: Session, status: Advance, refitted: Refit, view: Outlook, left: Array) -> Advice:
+    def _next(self, session: Session, status: Advance, refitted: Refit, view: Outlook) -> Advice:
         size = max(self._batch, len(session.fitted) // _GROWING)
         size = max(1, min(size, self.goal.stations - status.measured))
         rng = np.random.default_rng((self._seed, len(session.stations)))
-        goal = self.goal.rms
-        if goal is None:
+        if self.goal.accuracy is None:
             return self._as_good_as_can_be(session, status, refitted, view, size, rng)
-        batch = fit_stations(self.pool, session, view, refitted, _AHEAD * size, self._planned, rng, size)
-        worse = self._worse_than_expected(refitted, view, left)
-        now = self._expected(refitted, view.error())
-        begun, axes = self._look(session, refitted, left), self._axes(refitted)
-        if begun is None and len(left):  # what these stations say of a model is seen here: it has its share from now on
-            session, begun = self._looking(session, now, axes), Proof(left, now, self._share(len(session.looks)), axes)
-            if begun.holds(goal):
-                return self.advise(session)
-        alpha = self._share(len(session.looks))
-        proof = begun or Proof(left, now, alpha, axes)
-        prove = proof.more(goal, now * worse)
-        after = []
-        for k in range(size, len(batch.stations) + 1, size):
-            then = self._expected(refitted, view.error(batch.after[k - 1]))
-            after.append(k + Proof(left * then / now, then, alpha, axes).more(goal, then * worse))
-        best = min(after, default=np.inf)
-        if self._turn_to_fit(session, proof, prove, goal) and batch.stations:
-            status = replace(status, needed=int(np.ceil(min(prove, best))) if np.isfinite(min(prove, best)) else None)
-            why = "stations for what the model lacks still"
-            return self._asked(session, batch.stations[:size], why, status, refitted)
-        if prove <= best and np.isfinite(prove):
-            if begun is None:
-                session = self._looking(session, now, axes)
-            count = max(int(np.clip(np.ceil(prove), 1, size)), MIN_STATIONS - len(left))  # it never ends before these
-            status = replace(status, needed=int(np.ceil(prove)))
-            stations = proof_stations(self.pool, session, count)
+        missing = max(MIN_STATIONS - status.proving, 0)
+        if self._is_met(status):
+            status = replace(status, needed=missing)
+            stations = proof_stations(self.pool, session, missing)
             return self._asked(session, stations, "random stations for the proof", status, refitted)
-        if np.isfinite(best):
-            status = replace(status, needed=int(np.ceil(best)))
+        batch = fit_stations(self.pool, session, view, refitted, _AHEAD * size, self._planned, rng, size)
+        assert status.bound is not None
+        now = view.error()
+        after = (status.bound * view.error(batch.after[k - 1]) / now for k in range(size, len(batch.after) + 1, size))
+        enough = next((k for k, bound in enumerate(after, 1) if bound <= self.goal.accuracy), None)
+        if enough is not None:
+            status = replace(status, needed=enough * size + missing)
             return self._asked(session, batch.stations[:size], "stations that lower the error most", status, refitted)
         return self._as_good_as_can_be(session, status, refitted, view, size, rng)
-
-    def _looking(self, session: Session, expected: float, axes: float) -> Session:
-        return replace(session, looks=(*session.looks, Look(len(session.fitted), expected, axes)))
-
-    def _share(self, version: int) -> float:
-        return share(1.0 - self.goal.confidence, version)
-
-    def _turn_to_fit(self, session: Session, proof: Proof, prove: float, goal: float) -> bool:
-        """Whether the proof takes so much more than the fit promised that the model seems to lack something.
-
-        Proof and fit then take turns: bad luck costs few stations, and what is missing is found.
-        """
-        if len(proof.errors) < MIN_STATIONS or session.stations[-1].role != PROOF:
-            return False
-        promised = Proof(np.zeros(0), proof.expected, proof.alpha, proof.axes).more(goal, proof.expected)
-        return len(proof.errors) + prove > _BEHIND * promised
-
-    def _worse_than_expected(self, refitted: Refit, view: Outlook, left: Array) -> float:
-        """Ratio of the error to that which the fit expects, the stations of the proof counted as well."""
-        if len(left) < 2:
-            return 1.0
-        expected = refitted.spread**2 + view.error() ** 2
-        freedom, seen = refitted.freedom, 2.0 * len(left)  # of three directions one is often small
-        both = (freedom * expected + seen * float(np.mean(left**2))) / (freedom + seen)
-        return float(np.sqrt(max(both / expected, 0.25)))
 
     def _as_good_as_can_be(
         self, session: Session, status: Advance, refitted: Refit, view: Outlook, size: int, rng: np.random.Generator
@@ -317,8 +268,7 @@ class Advisor:
             if stations:
                 why = "stations for what the model lacks still" if searching else "stations that lower the error most"
                 return self._asked(session, stations, why, status, refitted)
-        assert status.expected is not None
-        ended = no_station_helps(self.goal, status.expected, floor, refitted.spread)
+        ended = no_station_helps(self.goal, self._claim(session, refitted), floor, refitted.spread)
         return self._settle_ties(session, status, refitted, ended)
 
     def _stalled(self, session: Session, refitted: Refit) -> bool:
@@ -351,7 +301,8 @@ class Advisor:
         room = self.goal.stations - status.measured
         stations = stations[: max(room, 0)]
         if not stations:
-            return Advice(session, "", status, spent(self.goal, status.measured, status.expected), refitted)
+            claim = None if refitted is None else self._claim(session, refitted)
+            return Advice(session, "", status, spent(self.goal, status.measured, claim), refitted)
         if len(stations) > 1 and stations[0].role not in (RETURN, DECIDE):
             last = next((s.q for s in reversed(session.stations) if s.q is not None), None)
             q = np.array([s.asked for s in stations])

@@ -6,7 +6,7 @@ to the session and asks for advice; a session that is read from its file again g
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,25 +50,15 @@ class Station:
 
 
 @dataclass(frozen=True)
-class Look:
-    """A proof was begun. fitted: stations in the fit. expected: RMS error [m]. axes: directions it varies like."""
-
-    fitted: int
-    expected: float
-    axes: float = 1.0
-
-
-@dataclass(frozen=True)
 class Session:
     """names: of the joints, in the order of all postures. stations: in the order in which they were asked for.
-    looks: one for each model that a proof was begun of. carried: the instrument is on the tool, and reads poses of a
+    carried: the instrument is on the tool, and reads poses of a
     target that stands still.
     """
 
     names: tuple[str, ...]
     kind: str = POINT
     stations: tuple[Station, ...] = ()
-    looks: tuple[Look, ...] = field(default=())
     carried: bool = False
 
     @property
@@ -159,7 +149,7 @@ FORMAT = 1  # of the file
 _NUMBERS = {"type": ["array", "null"], "items": {"type": "number"}}
 _SCHEMA = {
     "type": "object",
-    "required": ["modcal_measure", "robot", "joints", "reading", "goal", "seed", "stations", "looks"],
+    "required": ["modcal_measure", "robot", "joints", "reading", "goal", "seed", "stations"],
     "properties": {
         "modcal_measure": {"enum": [FORMAT]},
         "robot": {"type": "string"},
@@ -169,18 +159,6 @@ _SCHEMA = {
         "seed": {"type": "integer", "minimum": 0},
         "began": {"type": ["number", "null"]},
         "goal": {"type": "object"},
-        "looks": {
-            "type": "array",
-            "items": {
-                "type": "object",
-                "required": ["fitted", "expected", "axes"],
-                "properties": {
-                    "fitted": {"type": "integer", "minimum": 1},
-                    "expected": {"type": "number", "exclusiveMinimum": 0},
-                    "axes": {"type": "number", "minimum": 1, "maximum": 2},
-                },
-            },
-        },
         "stations": {
             "type": "array",
             "items": {
@@ -216,7 +194,6 @@ def to_data(session: Session, goal: Goal, seed: int, robot: str, began: float | 
         "seed": seed,
         "began": began,
         "goal": asdict(goal),
-        "looks": [asdict(look) for look in session.looks],
         "stations": [_station_data(s) for s in session.stations],
     }
 
@@ -264,8 +241,7 @@ def from_data(data: Any, source: str) -> tuple[Session, Goal, int, str, float | 
                 **vectors,
             )
         )
-    looks = tuple(Look(**look) for look in data["looks"])
-    session = Session(names, data["reading"], tuple(stations), looks, data.get("on_tool", False))
+    session = Session(names, data["reading"], tuple(stations), data.get("on_tool", False))
     return session, Goal(**data["goal"]), data["seed"], data["robot"], data.get("began")
 
 

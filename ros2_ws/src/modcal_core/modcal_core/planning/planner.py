@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES
+from modcal_core.claim import Claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, criterion, observability
@@ -60,9 +61,9 @@ class Plan:
     """Planned stations and their expected accuracy.
 
     - q: postures in the order of the path, (k, n) [rad, m]; those visited twice appear twice.
-    - accuracy, indices: of a calibration from the distinct stations.
+    - claim: to be expected over the workspace from the distinct stations. accuracy, indices: of their fit.
     - random: accuracies of as many random stations from the same postures.
-    - curve: (number, accuracy) of the sets tried while the number was sought.
+    - curve: (number, claim) of the sets tried while the number was sought.
     - values: criterion after each start, then after refinement.
     """
 
@@ -70,11 +71,12 @@ class Plan:
     pool: PosturePool
     q: Array
     route: Route
+    claim: Claim
     accuracy: Accuracy
     indices: Observability
     random: tuple[Accuracy, ...]
     values: tuple[float, ...]
-    curve: tuple[tuple[int, Accuracy], ...] = field(default=())
+    curve: tuple[tuple[int, Claim], ...] = field(default=())
 
     @property
     def distinct(self) -> int:
@@ -88,7 +90,7 @@ def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Gene
     good = criterion(request.criterion, pool.workspace.gamma)
     measured = 0 if pool.known is None else len(pool.known)
     least = max(min_stations(len(pool.parameters), request.reading) - measured, 1)
-    curve: tuple[tuple[int, Accuracy], ...] = ()
+    curve: tuple[tuple[int, Claim], ...] = ()
     to_accuracy = request.stations is None and request.accuracy is not None
     if to_accuracy:
         count, curve = _how_many(pool, request, good, least, rng)
@@ -96,14 +98,17 @@ def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Gene
         count = request.stations or min(math.ceil(_USUAL * least), max(least, len(pool.q)))
         _require(count, least, len(pool.q))
     best = chosen_stations(pool, count, good, request.starts, rng)
+    claim = pool.claim(best.q)
     if to_accuracy:  # the quick search that said how many does not refine
         for fewer in range(count - 1, max(count - _FEWER, least) - 1, -1):
             other = chosen_stations(pool, fewer, good, 1, rng)
-            if _measure(other.accuracy, request) > _requested(request):
+            promised = pool.claim(other.q)
+            if _measure(promised, request) > _requested(request):
                 break
-            best = other
-        while _measure(best.accuracy, request) > _requested(request) and len(best.q) < len(pool.q):
+            best, claim = other, promised
+        while _measure(claim, request) > _requested(request) and len(best.q) < len(pool.q):
             best = chosen_stations(pool, min(len(best.q) + 1, len(pool.q)), good, 1, rng)
+            claim = pool.claim(best.q)
     count = len(best.q)
     way = through(pool, best.q, request.returns)
     information = best.rows.information(np.arange(count)) + (0.0 if pool.given is None else pool.given)
@@ -112,6 +117,7 @@ def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Gene
         pool,
         best.q[way.order],
         way,
+        claim,
         best.accuracy,
         observability(information, count + measured),
         tuple(random_accuracies(pool, count, rng)),
@@ -187,27 +193,28 @@ def _requested(request: PlanRequest) -> float:
     return request.accuracy
 
 
-def _measure(accuracy: Accuracy, request: PlanRequest) -> float:
-    return accuracy.rms if request.measure == "rms" else accuracy.p95
+def _measure(claim: Claim, request: PlanRequest) -> float:
+    """The upper end of the claim [m], of what was asked for."""
+    return 1e-3 * claim.mm["rms" if request.measure == "rms" else "p95"].ci95[1]
 
 
 def _how_many(
     pool: PosturePool, request: PlanRequest, good: Criterion, least: int, rng: np.random.Generator
-) -> tuple[int, tuple[tuple[int, Accuracy], ...]]:
+) -> tuple[int, tuple[tuple[int, Claim], ...]]:
     """The smallest number of stations that meets the wish, by doubling and halving, and what was tried."""
     most = min(_MAX, len(pool.q))
     _require(least, least, len(pool.q))
-    floor = pool.workspace.accuracy(np.zeros((len(pool.parameters),) * 2))
-    if _measure(floor, request) >= _requested(request):
-        said = f"what the joints do not repeat alone makes {1e3 * _measure(floor, request):.3g} mm"
+    repeat = float(np.sqrt(np.mean(pool.workspace.repeat)))
+    if repeat >= _requested(request):
+        said = f"what the joints do not repeat alone makes {1e3 * repeat:.3g} mm RMS"
         remedy = "ask for less, or correct the noise of the site"
         raise NotPlannable(f"{request.measure} of {1e3 * _requested(request):.3g} mm", said, remedy)
-    tried: dict[int, Accuracy] = {}
+    tried: dict[int, Claim] = {}
 
     def enough(count: int) -> bool:
         if count not in tried:
             chosen = exchange(pool.rows, count, good, rng, *_QUICK, given=pool.given).chosen
-            tried[count] = pool.accuracy(pool.rows.of(chosen))
+            tried[count] = pool.claim(pool.q[chosen])
         return _measure(tried[count], request) <= _requested(request)
 
     low, high = least, least

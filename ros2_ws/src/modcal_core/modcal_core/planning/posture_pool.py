@@ -7,10 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Model, ModelParameter, View, choose_parameters, joint_ranges
+from modcal_core.calibration import (
+    Calibration,
+    Cell,
+    Model,
+    ModelParameter,
+    NoiseModel,
+    View,
+    choose_parameters,
+    exact_samples,
+    joint_ranges,
+)
+from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import BadTable, NotPlannable
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
+from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.planning.closed_chain import one_frame_model
 from modcal_core.planning.sensitivity_study import sobol_postures
 from modcal_core.planning.site import Site, Spheres, clearance, spheres_of, view_postures, visible
@@ -25,6 +37,7 @@ _PROBED = 2048  # postures by which it is seen where a joint's turn had better e
 _CUT = 0.15  # rad, about that end
 _DRAWN = 40  # times as many postures are drawn as are wanted, before it is said that hardly any is allowed
 _AIMED = 2  # times as many lines of sight are tried as postures are wanted, where hardly any random posture is seen
+_CLAIMED = 200  # postures that a claim is made over, for time
 _RANDOM = 20  # random sets that a plan is compared with
 
 
@@ -34,7 +47,8 @@ class PosturePool:
 
     model: with its one frame at the tracker. q: allowed and seen postures (N, n). rows: what they tell. workspace:
     where accuracy counts. free_q: postures that are allowed, seen or not. shares: of the postures drawn that touch
-    nothing, and of these seen. known: stations that are measured already.
+    nothing, and of these seen. known, besides: stations that are measured already, and
+    their postures.
     """
 
     model: Model
@@ -48,11 +62,25 @@ class PosturePool:
     free_q: Array
     shares: tuple[float, float]
     known: StationRows | None = None
+    besides: Array | None = None
 
     @property
     def given(self) -> Array | None:
         """What is known already, (P, P), in units of the prior."""
         return None if self.known is None else self.known.information(np.arange(len(self.known)))
+
+    def claim(self, q: Array) -> Claim:
+        """The claim to be expected over the workspace from stations q (k, n) and those that are known already."""
+        every = q if self.besides is None else np.concatenate([self.besides, q])
+        N, noise, rows = len(every), self.site.noise, self.rows
+        planned = exact_samples(self.model, every, np.zeros(N, dtype=int), np.full(N, self.reading, dtype=KIND_NAMES))
+        distance = float(np.mean(np.linalg.norm(planned.reading, axis=1)))
+        scatter = np.hypot(noise.position + noise.per_metre * distance, np.sqrt(rows.joint_variance[0]))
+        turned = np.hypot(noise.rotation, np.sqrt(rows.joint_variance[-1]))
+        ends = np.stack([every.min(axis=0), every.max(axis=0)])
+        made = Calibration(self.model, self.model, self.model, ends)
+        where = self.workspace.q[:_CLAIMED]
+        return expected_claim(made, planned, Cell(), NoiseModel(float(scatter), float(turned)), where)
 
     def accuracy(self, rows: StationRows) -> Accuracy:
         """The accuracy from these stations and those that are known already."""
@@ -109,12 +137,23 @@ def survey(
             raise NotPlannable("workspace box", "no allowed posture holds the target in it", "correct box_m")
     inside = inside[:_WORKSPACE]
     rows = station_rows(model, parameters, q, reading, site.noise)
-    workspace = Workspace(*position_rows(model, parameters, inside, site.noise))
+    workspace = Workspace(inside, *position_rows(model, parameters, inside, site.noise))
     known = None
     if besides is not None:
         known = station_rows(model, parameters, besides, reading, site.noise, rows.joint_variance)
     return PosturePool(
-        model, site, spheres, tuple(parameters), reading, q, rows, workspace, all_free[:_ROADMAP], shares, known
+        model,
+        site,
+        spheres,
+        tuple(parameters),
+        reading,
+        q,
+        rows,
+        workspace,
+        all_free[:_ROADMAP],
+        shares,
+        known,
+        besides,
     )
 
 

@@ -234,26 +234,27 @@ def _cofactor(S: Array, i: int, j: int) -> Array:
 
 # --- How accurate an arm will be once it has been calibrated from certain stations
 
-_DRAWS = 200  # for time: the mean of as many is known to some per cent
-_SEED = 11  # the same draws every time, so that sets of stations are compared on equal terms
-
 
 @dataclass(frozen=True)
 class Accuracy:
-    """rms, p95: of the calibrated arm's position error [m]. model: RMS of the part that the calibration leaves [m].
-    repeat: RMS of the part that the joints do not repeat [m].
-    """
+    """model: RMS of the position error that the fit leaves [m]. repeat: RMS of what joints do not repeat [m]."""
 
-    rms: float
-    p95: float
     model: float
     repeat: float
+
+    @property
+    def rms(self) -> float:
+        """Of both [m]."""
+        return float(np.hypot(self.model, self.repeat))
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where accuracy counts. G: (N, 3, P) [m] per prior deviation of each parameter. repeat: mean squares (N,) [m²]."""
+    """Where accuracy counts. q: postures (N, n). G: (N, 3, P) [m] per prior deviation of each parameter. repeat: mean
+    squares (N,) [m²].
+    """
 
+    q: Array
     G: Array
     repeat: Array
 
@@ -269,12 +270,4 @@ class Workspace:
 
     def accuracy(self, covariance: Array) -> Accuracy:
         """The accuracy that this covariance (P, P) of the parameters, in units of their priors, leaves."""
-        model = self.left(covariance) ** 2
-        repeat = float(np.mean(self.repeat))
-        rng = np.random.default_rng(_SEED)
-        value, vector = np.linalg.eigh(covariance)
-        theta = (vector * np.sqrt(np.maximum(value, 0.0))) @ rng.standard_normal((len(value), _DRAWS))
-        error = self.G @ theta  # (N, 3, draws)
-        error += np.sqrt(self.repeat / 3.0)[:, None, None] * rng.standard_normal(error.shape)
-        p95 = float(np.percentile(np.linalg.norm(error, axis=1), 95.0))
-        return Accuracy(float(np.sqrt(model + repeat)), p95, float(np.sqrt(model)), float(np.sqrt(repeat)))
+        return Accuracy(self.left(covariance), float(np.sqrt(np.mean(self.repeat))))

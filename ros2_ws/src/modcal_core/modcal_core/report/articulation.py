@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.articulation import Choice, JointFit, PlacedJoint, Track, gross
+from modcal_core.articulation import Choice, JointFit, PlacedJoint, Track, sound
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
 from modcal_core.report.figures import MAX_POINTS
@@ -128,9 +128,7 @@ def articulation_data(found: Articulation) -> dict[str, Any]:
     """What was found, as numbers and texts that JSON can hold."""
     choice, track = found.choice, found.track
     fit, model = choice.fit, choice.fit.model
-    used = track if model.oriented else track.points()
-    good = np.logical_not(gross(fit, used))
-    good = good if good.any() else np.ones(len(track), dtype=bool)
+    good = sound(fit, track)
     position, rotation = _left(found)
     lengths = np.linalg.norm(position[good], axis=1)
     a = fit.configurations[good]

@@ -389,7 +389,9 @@ def drawn(scale: Scale, tone: str) -> Chart:
         said += f", error {scale.value:.3f} mm"
     if scale.low is not None and scale.high is not None:
         said += f" with a 95 % interval of {scale.low:.3f} to {scale.high:.3f} mm"
-    words = "Bar: 95 % interval of the error that is judged; stroke in it: the error; dashed: the tolerance."
+    words = (
+        "Bar: the tool's error, each end passed with a chance of 5 %; stroke: the likely one; dashed: the tolerance."
+    )
     if scale.before is not None:
         words += f" Before calibration the error was {scale.before:.3f} mm."
     return Chart("scale", framed("".join(parts) + "</svg>", _WIDTH, _HEIGHT, f"Scale in millimetres: {said}."), words)

@@ -11,6 +11,7 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import Accuracy, Plan
+from modcal_core.report.as_json import claim_data
 from modcal_core.report.page import MAX_POINTS, MAX_POSTURES, Chart, RobotScene, arm_paths, joints_in_words, plain_page
 from modcal_core.report.plots import Panel, side_by_side
 from modcal_core.report.sentence import percent
@@ -37,8 +38,9 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
         "reading": plan.request.reading,
         "criterion": plan.request.criterion,
         "parameters": [p.name for p in plan.pool.parameters],
-        "expected_mm": _sizes(plan.accuracy),
-        "random_expected_mm": _sizes(random),
+        **claim_data(plan.claim),
+        "left_rms_mm": {"planned": 1e3 * plan.accuracy.model, "random": 1e3 * random.model},
+        "not_repeated_rms_mm": 1e3 * plan.accuracy.repeat,
         "ratio_to_random": {
             "total_rms": plan.accuracy.rms / random.rms,
             "model_rms": plan.accuracy.model / random.model,
@@ -47,7 +49,7 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
             **{name: float(getattr(indices, name)) for name in ("o1", "o2", "o3", "o4", "o5")},
             "rank": indices.rank,
         },
-        "tried": [{"stations": n, **_sizes(a)} for n, a in plan.curve],
+        "tried": [{"stations": n, "at_most_mm": c.mm["p95"].ci95[1]} for n, c in plan.curve],
         "postures": {
             "candidates": len(plan.pool.q),
             "share_free": plan.pool.shares[0],
@@ -59,18 +61,14 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _sizes(a: Accuracy) -> dict[str, float]:
-    return {"rms": 1e3 * a.rms, "p95": 1e3 * a.p95, "rms_model": 1e3 * a.model, "rms_not_repeated": 1e3 * a.repeat}
-
-
 def _middle(sets: Sequence[Accuracy]) -> Accuracy:
     """The medians of several accuracies."""
-    return Accuracy(*(float(np.median([getattr(a, k) for a in sets])) for k in ("rms", "p95", "model", "repeat")))
+    return Accuracy(*(float(np.median([getattr(a, k) for a in sets])) for k in ("model", "repeat")))
 
 
 def plan_sentences(plan: Plan) -> list[str]:
     """What a person should know."""
-    request, a, k = plan.request, plan.accuracy, plan.distinct
+    request, a, k, claim = plan.request, plan.accuracy, plan.distinct, plan.claim
     more = "" if request.besides is None else f" besides the {len(request.besides)} that are measured"
     asked = (
         ""
@@ -78,8 +76,9 @@ def plan_sentences(plan: Plan) -> list[str]:
         else f" are needed for {1e3 * request.accuracy:.3g} mm ({_MEASURES[request.measure]})"
     )
     out = [
-        f"{k} stations{more}{asked}: expected {1e3 * a.rms:.3f} mm RMS, {1e3 * a.p95:.3f} mm at 95 %, of which "
-        f"{1e3 * a.model:.3f} mm is left by the calibration and {1e3 * a.repeat:.3f} mm is not repeated by the joints."
+        f"{k} stations{more}{asked}. To be claimed of a usual arm: 95 % of the errors over the workspace are below "
+        f"{claim.mm['p95'].ci95[1]:.3f} mm, RMS at most {claim.mm['rms'].ci95[1]:.3f} mm. The fit leaves "
+        f"{1e3 * a.model:.3f} mm RMS by the site's noise, and the joints do not repeat {1e3 * a.repeat:.3f} mm."
     ]
     if pairs := plan.route.returns:
         out.append(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.kinematics import Frames, body_jacobian, chain_forward, frames, place_jacobian
     from modcal_core.robots.kinematics import pose_and_jacobian, spatial_jacobian
     from modcal_core.robots.loaded_arm import LoadedArm, require_method
+    from modcal_core.robots.makers import NO_HASH, from_ur_kinematics, kinematics_yaml_data, lacks_hash
     from modcal_core.robots.mechanism import Mechanism, forward, gravity_wrench, is_delta, is_serial_arm, offset_wrench
     from modcal_core.robots.mechanism import passable, payload_wrench, random_postures, takes, tool_frames
     from modcal_core.robots.tables import CONVENTIONS, UNITS, NearestTable, from_cpc, from_csv, from_table, loss
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from modcal_core.robots.urdf_inertias import CarryingJoint, Hanging, HeldBehind, Inertias, held_behind
     from modcal_core.robots.urdf_inertias import moved_centres, read_inertias, weightless
     from modcal_core.robots.urdf_tree import Tree, document, parse, rerooted
-    from modcal_core.robots.urdf_write import NO_HASH, calibrated_urdf, chain_urdf, joint_element, kinematics_yaml_data
-    from modcal_core.robots.urdf_write import lacks_hash, number, origin_element, urdf_text, xacro_origins
+    from modcal_core.robots.urdf_write import calibrated_urdf, chain_urdf, joint_element
+    from modcal_core.robots.urdf_write import number, origin_element, urdf_text, xacro_origins
 else:
     from modcal_core.lazy import lazy_face
 
@@ -39,12 +40,13 @@ __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZER
 __all__ += ["Drives", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath", "LoadedArm"]
 __all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
 __all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
-__all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward", "frames"]
-__all__ += ["from_cpc", "from_csv", "from_dh", "from_table", "gravity_wrench", "held_behind", "inverse"]
-__all__ += ["inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins", "kinematics_yaml_data"]
-__all__ += ["lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh", "number", "offset_wrench"]
-__all__ += ["origin_element", "other_tips", "parse", "passable", "payload_wrench", "place_jacobian", "plain"]
-__all__ += ["pose_and_jacobian", "position_jacobians", "random_postures", "reachable", "read_chain", "read_drives"]
-__all__ += ["read_inertias", "read_path", "read_rows", "require_method", "rerooted", "spatial_jacobian", "takes"]
-__all__ += ["to_cpc", "to_csv", "to_dh", "to_table", "tool_frames", "tool_pose", "tool_positions", "torque"]
-__all__ += ["urdf_text", "vector", "weightless", "with_payload", "within_bounds", "within_torque", "xacro_origins"]
+__all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward"]
+__all__ += ["frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_kinematics", "gravity_wrench"]
+__all__ += ["held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element", "joint_origins"]
+__all__ += ["kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres", "nearest_dh"]
+__all__ += ["number", "offset_wrench", "origin_element", "other_tips", "parse", "passable", "payload_wrench"]
+__all__ += ["place_jacobian", "plain", "pose_and_jacobian", "position_jacobians", "random_postures", "reachable"]
+__all__ += ["read_chain", "read_drives", "read_inertias", "read_path", "read_rows", "require_method", "rerooted"]
+__all__ += ["spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table", "tool_frames", "tool_pose"]
+__all__ += ["tool_positions", "torque", "urdf_text", "vector", "weightless", "with_payload", "within_bounds"]
+__all__ += ["within_torque", "xacro_origins"]

@@ -58,6 +58,7 @@ from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import from_dh, from_mdh, plain, read_rows, to_dh, to_mdh, vector, write_rows
 from modcal_core.robots.kinematics import chain_forward
+from modcal_core.robots.makers import from_ur_kinematics
 
 # --- Complete and parametrically continuous (CPC) tables, to and from chains
 
@@ -134,12 +135,24 @@ _READERS = {"dh": from_dh, "mdh": from_mdh, "cpc": from_cpc}
 
 @refusing
 def from_table(table: Mapping[str, Any]) -> Chain:
-    """The chain of a DH, modified DH or CPC table, which must say its ``convention``. Raises BadTable."""
+    """The chain of a DH, modified DH or CPC table, which must say its ``convention``, or of UR's ``kinematics``.
+
+    Axes that are nearly parallel have a common normal hundreds of metres away; such constants are written at the arm
+    itself. Raises BadTable.
+    """
+    if isinstance(table, Mapping) and "kinematics" in table:
+        return from_ur_kinematics(table)
     convention = table.get("convention") if isinstance(table, Mapping) else None
     if convention not in _READERS:
         said = "has no key 'convention'" if convention is None else f"convention {convention!r} is unknown"
         raise BadTable("kinematic table", said, f"write convention: {', '.join(_READERS)}")
-    return _READERS[convention](table)
+    chain = _READERS[convention](table)
+    return from_cpc(to_cpc(chain)) if _longest(chain) > _LONGEST_M else chain
+
+
+def _longest(chain: Chain) -> float:
+    """The largest shift [m] of the chain's constants."""
+    return float(np.linalg.norm(chain.origins[:, :3, 3], axis=1).max())
 
 
 # --- A chain as a table of any convention, with the proof that nothing was lost
@@ -248,21 +261,30 @@ def from_csv(text: str, source: str = "table") -> dict[str, Any]:
         said = said if header else "has no columns"
         raise BadTable(source, said, f"write {','.join(('name', 'type', *_COLUMNS[convention], 'lower', 'upper'))}")
     table["joints"] = [_joint(row, header, f"{source}, joint {i + 1}") for i, row in enumerate(rows) if any(row)]
-    for i, joint in enumerate(table["joints"]):
+    for joint in table["joints"]:
         if joint.get("name", "").isdigit():
             joint["name"] = f"joint_{joint['name']}"
-        _require_unit(joint, unit, f"{source}, joint {i + 1}")
-    return _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
+    found = _scaled(table, *(1.0 / factor for factor in UNITS[unit]))
+    _require_unit(table["joints"], _ANGLES, _FULL_TURN * UNITS[unit][1], unit, source)
+    try:
+        _require_unit(table["joints"], _LENGTHS, _LONGEST_M * UNITS[unit][0], unit, source)
+    except BadTable:
+        # lengths that cancel are those of nearly parallel axes
+        if _longest(from_table(found)) > _LONGEST_M:
+            raise
+    return found
 
 
-def _require_unit(joint: Mapping[str, Any], unit: str, where: str) -> None:
+def _require_unit(
+    joints: Sequence[Mapping[str, Any]], keys: Sequence[str], most: float, unit: str, source: str
+) -> None:
     """Raises BadTable for a turn or a length that no arm has, in this unit."""
-    metre, radian = UNITS[unit]
-    for keys, most, size in ((_ANGLES, _FULL_TURN, radian), (_LENGTHS, _LONGEST_M, metre)):
+    for i, joint in enumerate(joints):
         for key in keys:
-            if abs(joint.get(key, 0.0)) > most * size:
+            if abs(joint.get(key, 0.0)) > most:
                 said = f"is {joint[key]:g}, in the unit {unit}"
-                raise BadTable(f"{where}: {key}", said, f"write the unit as '# unit: mm deg' ({', '.join(UNITS)})")
+                remedy = f"write the unit as '# unit: mm deg' ({', '.join(UNITS)})"
+                raise BadTable(f"{source}, joint {i + 1}: {key}", said, remedy)
 
 
 def _scaled(table: Mapping[str, Any], length: float, angle: float) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def assess(claim: AtTool | None, asked: Asked, verdict: Verdict | None) -> Toler
     if high > asked.mm:
         because = f"{said}, its interval {low:.3f} … {high:.3f} mm contains {limit}."
         if claim.open_mm > asked.mm:
-            because += f" {claim.open_mm:.3f} mm of it only what arms are like holds, no reading."
+            because += f" {claim.open_mm:.3f} mm of it are held by what arms are like, not by readings."
         because += f" {claim.remedy}"
         return Tolerance(asked, claim.value, claim.ci95, "CANNOT TELL", because)
     against = _against(verdict)

@@ -23,12 +23,15 @@ _MAX_SAID = 2  # reasons in a message; the report has all of them
 class Standing:
     """The verdict of a model. because: the reasons of an open one, the remedy where it cannot be told, else nothing.
 
-    line: both in one sentence or two.
+    line: both in one sentence or two. claim_mm: upper end of the tool's 95th percentile, None where nothing is claimed.
+    apply: whether the model is surely better than the nominal arm.
     """
 
     status: VerdictStatus
     because: tuple[str, ...]
     line: str
+    claim_mm: float | None = None
+    apply: bool | None = None
 
     @property
     def at_floor(self) -> bool:
@@ -40,7 +43,9 @@ def standing_of(report: Report) -> Standing:
     """What may be said of a model by its report."""
     judged = report.judged
     because = () if judged is None else judged.open_because or tuple(filter(None, [judged.remedy]))
-    return Standing(report.status, because, short_status(judged))
+    claim = report.claim
+    p95 = None if claim is None else claim.mm["p95"].ci95[1]
+    return Standing(report.status, because, short_status(judged), p95, None if claim is None else claim.apply)
 
 
 def standing_of_json(text: str | None) -> Standing | None:
@@ -48,16 +53,18 @@ def standing_of_json(text: str | None) -> Standing | None:
     try:
         data = json.loads(text or "")
         status, reasons, remedy = data["status"], tuple(map(str, data["open_because"])), data["remedy"]
+        claimed, apply = data.get("claim_mm"), data.get("apply")
+        p95 = None if claimed is None else float(claimed["p95"]["ci95"][1])
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    if not isinstance(remedy, str | None):
+    if not isinstance(remedy, str | None) or not isinstance(apply, bool | None):
         return None
     if status not in get_args(VerdictStatus):
         return None
     because = reasons or tuple(filter(None, [remedy]))
     said = " ".join(because[:_MAX_SAID])
     lines = {"at_floor": "At the floor.", "open": f"Open: {said}", "cannot_tell": f"Cannot tell: {said or REMEDY}"}
-    return Standing(cast(VerdictStatus, status), because, lines[status])
+    return Standing(cast(VerdictStatus, status), because, lines[status], p95, apply)
 
 
 _ADVISED = 40  # stations before a first solve that nobody has set: some twice as many numbers as an arm has
@@ -112,6 +119,8 @@ def model_status(
     if standing is not None:
         facts["status"] = standing.status
         facts["because"] = " ".join(standing.because)
+        facts["claim p95 [mm]"] = "none" if standing.claim_mm is None else f"{standing.claim_mm:.4f}"
+        facts["apply"] = {True: "yes", False: "no", None: "not judged"}[standing.apply]
     if supervisor.live is not None:
         facts["largest sign of change"] = f"{supervisor.live.detector.largest:.1f}"
         facts["samples rejected"] = supervisor.live.estimator.rejected

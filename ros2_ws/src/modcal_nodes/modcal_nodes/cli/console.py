@@ -69,7 +69,7 @@ class Output:
     """How one call of a verb speaks."""
 
     def __init__(self, as_json: bool = False, verbose: bool = False) -> None:
-        self._as_json, self._verbose = as_json, verbose
+        self._as_json, self.verbose = as_json, verbose
         self._out = console()
 
     def result(self, data: Any, show: Callable[[Console], None], where: str = "") -> None:
@@ -102,7 +102,7 @@ class Output:
     def working(self) -> Iterator[Watch]:
         """A watch to hand to long work. An interruption goes through."""
         error = console(stderr=True)
-        if self._verbose:
+        if self.verbose:
             yield from _lines()
         elif error.is_terminal and not self._as_json:
             yield from _bar(error)

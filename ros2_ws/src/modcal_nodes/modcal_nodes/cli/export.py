@@ -130,14 +130,14 @@ def told(
 
 
 def read_table(path: Path) -> dict[str, Any] | None:
-    """The kinematic table in a .csv file, or in YAML data that states a convention; None for other data."""
+    """The kinematic table in a .csv file, or in YAML data that holds a convention or UR's; None for other data."""
     if path.suffix.lower() == ".csv":
         try:
             return from_csv(path.read_text(encoding="utf-8"), path.name)
         except UnicodeDecodeError as error:
             raise BadTable(str(path), "is not UTF-8 text", "give a CSV table") from error
     data = read_yaml(path)
-    return dict(data) if isinstance(data, Mapping) and "convention" in data else None
+    return dict(data) if isinstance(data, Mapping) and {"convention", "kinematics"} & set(data) else None
 
 
 def _lost(found: NearestTable) -> str:

@@ -18,6 +18,7 @@ from modcal_msgs_py import Repair, Topics, read_recording, repair_bag
 from modcal_nodes.cli.console import Output, speaking, table, with_options
 from modcal_nodes.cli.inputs import EXISTING, TOPICS, WRITTEN, chain_line, described
 
+_MAX_SIGNALS = 8  # that are listed
 _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 
 
@@ -65,7 +66,7 @@ def info_command(
         "images": images or None,
         "findings": [*findings, *seen.findings],
     }
-    output.result(data, partial(_show, data))
+    output.result(data, partial(_show, data, _MAX_SIGNALS if not output.verbose else len(seen.tracks)))
 
 
 def _images(
@@ -89,12 +90,20 @@ def _images(
     return {**worth.data, "line": worth_line(worth)}, use
 
 
-def _show(data: dict[str, Any], console: Console) -> None:
+def _show(data: dict[str, Any], most: int, console: Console) -> None:
+    """most: signals that have a line each; of more there is one line."""
     shown = table(dict.fromkeys(("topic", "what", "messages", "Hz", "largest gap"), ""), words=2)
-    for track in data["topics"]:
+    signals = [track for track in data["topics"] if track["what"].startswith("signal:")]
+    few = len(signals) <= most
+    for track in data["topics"] if few else (track for track in data["topics"] if track not in signals):
         rate, gap = f"{track['rate']:.4g}", f"{track['largest_gap']:.3g} s"
         shown.add_row(track["topic"], track["what"], str(track["count"]), rate, gap)
     console.print(shown)
+    if not few:
+        topics = len({track["topic"] for track in signals})
+        console.print(
+            f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose"
+        )
     console.print(f"duration: {data['duration_s']:.1f} s")
     if robot := data["robot"]:
         said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])

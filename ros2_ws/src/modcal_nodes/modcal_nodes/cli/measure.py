@@ -63,7 +63,6 @@ _POSITIVE = Decimal(min=0.0, min_open=True)
     "--goal-mm", type=_POSITIVE, metavar="MM", help="Error at the tool to be proven. Default: as good as can be."
 )
 @click.option("--of", "statistic", type=click.Choice(["rms", "p95"]), default="rms", help="Statistic of --goal-mm.")
-@click.option("--confidence", type=Decimal(0.5, 0.999), default=0.95, help="With which it is proven.")
 @click.option("--stations", type=Whole(min=1), default=MAX_STATIONS, help="Most stations.")
 @click.option("--minutes", type=_POSITIVE, help="Most time, from the first call on.")
 @click.option(
@@ -112,9 +111,9 @@ def measure_command(
 ) -> int:
     """Measure ROBOT (a URDF), station after station, until an accuracy is proven or cannot be reached.
 
-    After every few stations the model is fitted again and the next ones are chosen for what they are worth. Stations
-    drawn at random and kept out of the fit prove the result. A session is kept in its folder and goes on where it
-    stopped. Exit code 3: ended, and the goal is not proven.
+    After every few stations the model is fitted again and the next ones are chosen for what they are worth. The
+    claim at the tool proves the result, from random stations too that no fit sees. A session is kept in its folder and
+    goes on where it stopped. Exit code 3: ended, and the goal is not proven.
     """
     simulated, seed = options["simulated"], options["seed"]
     if sum((folder is not None, simulated, replay is not None)) != 1:
@@ -124,7 +123,7 @@ def measure_command(
         accuracy=None if goal_mm is None else 1e-3 * goal_mm,
         seconds=None if minutes is None else 60.0 * minutes,
         instrument=1e-3 * (options["instrument_mm"] or 0.0),
-        **{name: options[name] for name in ("statistic", "confidence", "stations", "ties")},
+        **{name: options[name] for name in ("statistic", "stations", "ties")},
     )
     base, tip, site_file = options["base"], options["tip"], options["site"]
     arm = _read(robot, base, tip)
@@ -263,6 +262,8 @@ def _standing(advice: Advice) -> str:
     if status.expected is None:
         return ""
     parts = [f"{1e3 * status.expected:.3f} mm RMS expected"]
+    if status.bound is not None:
+        parts.append(f"at most {1e3 * status.bound:.3f} mm claimed")
     if status.seen is not None:
         parts.append(f"{1e3 * status.seen:.3f} mm seen at {status.proving} random stations")
     if status.needed is not None:

@@ -102,9 +102,12 @@ class Folder:
         samples = replace(samples, origin=Origin(title=self.path.name))
         report = public.evaluate(refitted.calibration, samples, block=1)
         report = replace(report, notes=(*report.notes, *readmitted_note(refitted.taken_in)))
+        made = refitted.calibration
+        if report.claim is not None:
+            made = replace(made, claim_mm=report.claim.mm["p95"].ci95[1])
         if self.robot.description is None:
-            return delta_files(refitted.calibration, report)
-        return calibration_files(refitted.calibration, report, self.robot.chain, self.robot.description)
+            return delta_files(made, report)
+        return calibration_files(made, report, self.robot.chain, self.robot.description)
 
 
 def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
@@ -118,7 +121,6 @@ def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
         "modcal_measure": 1,
         "goal_mm": mm(goal.accuracy),
         "statistic": goal.statistic,
-        "confidence": goal.confidence,
         "ending": None if ended is None else ended.ending,
         "sentence": None if ended is None else ended.sentence,
         "stations": {
@@ -130,8 +132,7 @@ def outcome_data(advice: Advice, goal: Goal) -> dict[str, Any]:
         "expected_rms_mm": mm(status.expected),
         "proof": {
             "rms_mm": mm(status.seen),
-            "at_most_mm": None if status.bound is None else 1e3 * goal.of_tool(status.bound),
-            "models_tried": len(advice.session.looks),
+            "at_most_mm": mm(status.bound),
         },
         "floor_mm": mm(status.floor),
         "effects": list(status.effects),

@@ -94,7 +94,7 @@ class Place:
             raise BadTable(f"measurement '{kind}'", "is not read", "set pose or point")
         goal_mm, minutes = chosen["goal_mm"], chosen["minutes"]
         self.goal = Goal(
-            1e-3 * goal_mm if goal_mm else None, chosen["statistic"], chosen["confidence"], chosen["stations"],
+            1e-3 * goal_mm if goal_mm else None, chosen["statistic"], chosen["stations"],
             60.0 * minutes if minutes else None,
         )  # fmt: skip
         if self.goal.statistic not in ("rms", "p95"):

@@ -111,7 +111,7 @@ class AccelerationLimits(ros.GuardedNode):
         self._count += 1
 
     def _report(self) -> list[ros.Status]:
-        return [ros.subscription_status(self._inputs), self._limits_status()]
+        return [ros.subscription_status(self._inputs, self._refusals), self._limits_status()]
 
     def _limits_status(self) -> ros.Status:
         arm, joints = self._arm, self._joints

@@ -245,7 +245,7 @@ class Corrector(ros.GuardedNode):
         commands = {"commands": counts["commands"], "refused": self._refusals.counts["desired_pose"]}
         said = self._refusals.recent("desired_pose", "range")
         return [
-            ros.subscription_status(self._inputs),
+            ros.subscription_status(self._inputs, self._refusals),
             self._calibration_status(robot) if robot else ros.Status("calibration", ros.ERROR, self._refusal),
             self._correction_status(robot) if robot else ros.Status("correction", ros.ERROR, "no command is corrected"),
             ros.Status("commands", ros.WARN if said else ros.OK, said or "no recent refusal", commands),
@@ -253,7 +253,9 @@ class Corrector(ros.GuardedNode):
 
     def _calibration_status(self, robot: CalibratedRobot) -> ros.Status:
         correction = robot.correction
+        claim = correction.calibration.claim_mm
         facts = {"robot": correction.calibration.robot, "effects": len(correction.model.effects)}
+        facts["claim p95 [mm]"] = "none" if claim is None else f"{claim:.4f}"
         said = self._refusals.recent("calibration")
         if self._commander.waiting is not None:
             said = f"a new one waits for the stream to pause; {said}".rstrip("; ")

@@ -226,7 +226,9 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
             self._begin()
             response.success, response.message = True, "weighing the tool, then pulling"
         except ModcalError as error:
-            response.success, response.message = False, str(error)
+            # what is refused message by message counts as silence; the refusal says why
+            said = self._refusals.standing(error.offender)
+            response.success, response.message = False, said or str(error)
         self._health.publish()
         return response
 
@@ -361,7 +363,7 @@ class ImpedanceSetpoint(ros.GuardedNode, LifecycleNode):
         model = self._object.kind if self._object.model is not None else "none"
         trusted = {"model": model, "trusted": self._object.at(self._now()).trusted}
         return [
-            ros.subscription_status(self._inputs),
+            ros.subscription_status(self._inputs, self._refusals),
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "no recent refusal", trusted),
             ros.Status("pull", self._level, self._said, facts),
         ]

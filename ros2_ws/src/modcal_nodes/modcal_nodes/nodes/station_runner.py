@@ -164,7 +164,7 @@ class StationRunner(ros.GuardedNode, LifecycleNode):
     def _report(self) -> list[ros.Status]:
         refused = self._refusals.recent()
         return [
-            ros.subscription_status(self._inputs),
+            ros.subscription_status(self._inputs, self._refusals),
             ros.Status("measuring", self._level, self._said, self._sequence.facts),
             ros.Status("inputs", ros.WARN if refused else ros.OK, refused or "nothing was refused"),
         ]

@@ -102,7 +102,7 @@ class TrajectorySender(ros.GuardedNode):
             line = ros.Status(
                 "trajectory", ros.OK, f"sent, {time.monotonic() - self._at:.0f} of {self._sent.t[-1]:.0f} s ago"
             )
-        return [ros.subscription_status(self._inputs), line]
+        return [ros.subscription_status(self._inputs, self._refusals), line]
 
 
 def main() -> None:

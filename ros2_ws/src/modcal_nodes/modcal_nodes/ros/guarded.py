@@ -304,6 +304,7 @@ class Refusals:
         """news: called when a part refuses something that had refused nothing of late."""
         self._node, self._news = node, news
         self._said: dict[str, tuple[float, str]] = {}
+        self._standing: set[str] = set()
         self._logged = -math.inf
         self.counts: Counter[str] = Counter()
 
@@ -313,10 +314,16 @@ class Refusals:
         def guarded(message: Any) -> None:
             try:
                 callback(message)
+                self._standing.discard(part)
             except ModcalError as error:
                 self.refuse(part, str(error))
+                self._standing.add(part)
 
         return guarded
+
+    def standing(self, *parts: str) -> str:
+        """What the last message of these parts was refused for; nothing where it was taken, or was long ago."""
+        return self.recent(*refused) if (refused := self._standing.intersection(parts)) else ""
 
     def refuse(self, part: str, said: str) -> None:
         """Say and count a refusal."""

@@ -255,7 +255,6 @@ STATION_RUNNER = {
     ),
     "goal_mm": Parameter(0.0, "Error at the tool to be proven [mm]; 0: as good as can be.", 0.0, 1000.0),
     "statistic": Parameter("rms", "Statistic of goal_mm: rms or p95."),
-    "confidence": Parameter(0.95, "Confidence with which it is proven.", 0.5, 0.999),
     "stations": Parameter(400, "Most stations.", 1, 100000),
     "minutes": Parameter(0.0, "Most time [min]; 0: no limit.", 0.0, 100000.0),
     "measurement": Parameter("pose", "What the instrument sends: pose (tracker/pose) or point (tracker/point)."),

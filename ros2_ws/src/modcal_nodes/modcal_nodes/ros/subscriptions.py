@@ -20,7 +20,7 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
 from modcal_msgs_py import JointStateBytes
-from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, is_latched, waiting
+from modcal_nodes.ros.guarded import CallbackFaults, GuardedNode, Refusals, is_latched, waiting
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _PERIOD = 1.0  # s
@@ -129,7 +129,7 @@ class MonitoredSubscription:
         # each message of a burst is guarded by itself
         guard = node.guarded_once_more if is_latched(qos) else node.guarded
         self._node, self._callback = node, guard(topic, callback)
-        self.needed, self.patience, self._single = needed, patience, single
+        self.part, self.needed, self.patience, self._single = topic, needed, patience, single
         self.count = 0
         self.incompatible: str | None = None
         self._less: Timer | None = None
@@ -230,10 +230,13 @@ def always(_: float) -> bool:
     return True
 
 
-def subscription_status(inputs: Iterable[MonitoredSubscription]) -> Status:
-    """What is received and what is not, as one status."""
+def subscription_status(inputs: Iterable[MonitoredSubscription], refusals: Refusals | None = None) -> Status:
+    """What is received and what is not, as one status. refusals: of the topics; what is refused is not received."""
     inputs = list(inputs)
     complaints = [complaint for subscription in inputs if (complaint := subscription.complaint()) is not None]
+    if refusals is not None:
+        refused = (refusals.standing(subscription.part) for subscription in inputs if subscription.needed)
+        complaints += [(WARN, said) for said in refused if said]
     level = max((level for level, _ in complaints), default=OK)
     message = "; ".join(text for _, text in complaints) or "everything that is needed is received"
     counts = {f"messages of {subscription.topic}": subscription.count for subscription in inputs}

@@ -145,22 +145,46 @@ def read_camera_info(path: Path) -> Lens:
 
 
 def lens_from_data(data: Any, source: str) -> Lens:
-    """The lens that the data of a camera_info file describes. Raises BadTable, naming the source."""
+    """The lens that a camera_info file, or Kalibr's camchain, describes. Raises BadTable, naming the source."""
     try:
-        K = np.array(data["camera_matrix"]["data"], dtype=float).reshape(3, 3)
-        d = np.array(data.get("distortion_coefficients", {"data": []})["data"], dtype=float).ravel()
-        size = int(data["image_width"]), int(data["image_height"])
-        model = str(data.get("distortion_model", "plumb_bob"))
+        K, d, size, model = _of_kalibr(data, source) if "camera_matrix" not in data else _of_info(data)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         remedy = "give image_width, image_height, camera_matrix and distortion_coefficients as camera_info files do"
         raise BadTable(source, "is not a camera_info file", remedy) from error
     usable = bool(np.isfinite(K).all() and np.isfinite(d).all() and K[0, 0] > 0.0 and K[1, 1] > 0.0)
-    known = {"plumb_bob": PINHOLE, "": PINHOLE, "equidistant": FISHEYE, "fisheye": FISHEYE}.get(model)
+    count, d = len(d), np.trim_zeros(d, "b")
+    known = _MODELS.get(model)
     if known is None or len(d) > DISTORTIONS[known] or not usable:
-        said = f"has model {model[:40]} with {len(d)} coefficients"
+        said = f"has model {model[:40]} with {count} coefficients"
         remedy = "give plumb_bob with up to five coefficients, equidistant with four, or leave it to the images"
+        if known == PINHOLE and usable:
+            remedy += "; images that were rectified have none"
         raise BadTable(source, said, remedy)
     return Lens.of(K, d, size, known)
+
+
+_MODELS = {"plumb_bob": PINHOLE, "": PINHOLE, "radtan": PINHOLE, "rational_polynomial": PINHOLE}
+_MODELS |= {"equidistant": FISHEYE, "fisheye": FISHEYE}
+_Intrinsics = tuple[np.ndarray, np.ndarray, tuple[int, int], str]
+
+
+def _of_info(data: Any) -> _Intrinsics:
+    K = np.array(data["camera_matrix"]["data"], dtype=float).reshape(3, 3)
+    d = np.array(data.get("distortion_coefficients", {"data": []})["data"], dtype=float).ravel()
+    size = int(data["image_width"]), int(data["image_height"])
+    return K, d, size, str(data.get("distortion_model", "plumb_bob"))
+
+
+def _of_kalibr(data: Any, source: str) -> _Intrinsics:
+    cameras = [key for key in data if re.fullmatch(r"cam\d+", str(key))]
+    if len(cameras) > 1:
+        raise BadTable(source, f"has {len(cameras)} cameras ({', '.join(cameras)})", "give the file of one of them")
+    camera = data[cameras[0]] if cameras else data["cam0"]
+    fx, fy, cx, cy = map(float, camera["intrinsics"])
+    width, height = map(int, camera["resolution"])
+    model = camera["distortion_model"] if camera["camera_model"] == "pinhole" else camera["camera_model"]
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return K, np.array(camera["distortion_coeffs"], dtype=float).ravel(), (width, height), str(model)
 
 
 def require_size(lens: Lens, size: tuple[int, int], source: str) -> None:

@@ -143,7 +143,7 @@ def _estimate(names: str | None, numbers: Any) -> list[dict[str, Any]]:
 _STYLES = {"ok": "green", "warn": "yellow", "error": "bold red", "silent": "bold magenta"}
 # Facts that are worth a place in the table, by the words they begin with
 _FACTS = (
-    "state", "status", "solving", "largest sign", "samples rejected",
+    "state", "status", "claim p95", "apply", "solving", "largest sign", "samples rejected",
     "compute of an update, p99", "from stamp to update, p99",
     "candidate", "kind", "trusted", "probability", "ahead_m", "off_m", "poses", "commands", "refused", "phase",
     "force", "tick", "model", "lag",

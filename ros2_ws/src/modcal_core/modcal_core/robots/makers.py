@@ -1,0 +1,205 @@
+"""Kinematics in the forms that the makers' own descriptions read.
+
+Universal Robots' description takes a ``kinematics`` table keyed by link (``kinematics_params_file:=``), Franka's one
+keyed by joint; both hold, for each joint, the xyz [m] and rpy [rad] of its URDF ``<origin>``. Any other arm gets the
+same values keyed by joint name.
+
+A file that the maker's tool took from an arm is compared with the description that was calibrated. The description may
+lay out the same arm in other frames (the older ones of UR have axes along y): the axes are then the same lines, bases
+and tips differ by right angles, and the factory's frames are moved onto the calibrated axes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from modcal_core.errors import BadTable, NotRepresentable, refusing
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.dh import vector
+
+_UR = {
+    "shoulder_pan_joint": "shoulder",
+    "shoulder_lift_joint": "upper_arm",
+    "elbow_joint": "forearm",
+    "wrist_1_joint": "wrist_1",
+    "wrist_2_joint": "wrist_2",
+    "wrist_3_joint": "wrist_3",
+}
+_FRANKA = re.compile(r"(?P<prefix>(?:.*_)?(?:panda|fer|fr3|fp3)(?:v[\d_]*\d)?_)joint(?P<number>[1-7])")
+
+_AS_MADE = "give the file as the manufacturer's own tool wrote it for this arm"
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z: UR's description puts it before the table
+_FAR_MM, _FAR_DEG = 15.0, 3.0  # farther apart than calibrations of one arm lie
+_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+NO_HASH = """\
+# No hash: it is the one of the arm's own controller, which no recording contains. The driver compares the two and
+# complains where they differ. Give the file that the manufacturer's tool took from this arm (for UR: ur_calibration,
+# calibration_correction.launch.py) to `modcal calibrate --factory-kinematics FILE`, or copy its line here:
+#   hash: calib_...
+"""
+
+
+def kinematics_yaml_data(
+    chain: Chain, origins: Mapping[str, Array] | None = None, factory: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The joints' origins as plain data, in the form of the arm's maker where the chain's joints are recognised.
+
+    origins: ``T_parent_joint`` (4, 4) of the joints of the corrected URDF, fixed ones included. Without them the
+    chain's constants are taken, which are the same unless fixed joints lie between (as before UR's first).
+    factory: what the manufacturer's tool took from this very arm; its form, its hash and all else in it are kept.
+    Raises BadTable where it is not of this arm.
+    """
+    own = dict(zip(chain.names, chain.origins, strict=False))
+    origins = own if origins is None else origins
+    found = _in_makers_form(chain, origins)
+    if factory is None:
+        return found
+    filled = _filled_in(factory, found, "factory kinematics")
+    prefix = _ur_prefix(chain.names)
+    return filled if prefix is None else _filled_in(factory, ur_kinematics(_as_laid_out(chain, origins, factory)), "")
+
+
+def lacks_hash(data: Mapping[str, Any]) -> bool:
+    """Whether this is of an arm whose driver expects a hash, and there is none."""
+    table = data.get("kinematics")
+    return isinstance(table, Mapping) and "hash" not in table
+
+
+@refusing
+def from_ur_kinematics(data: Mapping[str, Any]) -> Chain:
+    """The arm that UR's description makes of a ``kinematics`` table, from base_link to tool0. Raises BadTable.
+
+    Limits are those of UR's arms, one turn to either side.
+    """
+    rows = data.get("kinematics")
+    if not isinstance(rows, Mapping) or not all(isinstance(rows.get(link), Mapping) for link in _UR.values()):
+        raise BadTable("UR kinematics", f"needs kinematics: {', '.join(_UR.values())}", _AS_MADE)
+    values = [vector([rows[link].get(key) for key in _KEYS], 6, f"kinematics: {link}") for link in _UR.values()]
+    origins = np.stack([*(se3.transform(so3.from_rpy(v[3:]), v[:3]) for v in values), np.eye(4)])
+    origins[0] = _HALF_TURN @ origins[0]
+    most = np.full(len(_UR), 2.0 * np.pi)
+    return Chain.build(tuple(_UR), origins, lower=-most, upper=most, base="base_link", tip="tool0")
+
+
+def _as_laid_out(chain: Chain, origins: Mapping[str, Array], factory: Mapping[str, Any]) -> dict[str, Array]:
+    """The joints' origins (4, 4) by name in the frames of a factory's file. Raises BadTable where it is of another arm.
+
+    Origins that are near the factory's stay. Else the axes at zero are compared as lines, and the factory's frames are
+    put onto the calibrated ones.
+    """
+    made = from_ur_kinematics(factory)
+    own = {name: origins[name] for name in chain.names}
+    table = [_HALF_TURN @ made.origins[0], *made.origins[1:-1]]
+    if all(_near(F, T) for F, T in zip(table, own.values(), strict=True)):
+        return own
+    at_zero, frames = _at_zero(chain), _at_zero(made)
+    axes = np.einsum("kij,kj->ki", at_zero[:-1, :3, :3], chain.axes)
+    R = np.rint(so3.nearest_rotation(frames[:-1, :3, 2].T @ axes))  # layouts differ by right angles
+    axes, points, tip = axes @ R.T, at_zero[:-1, :3, 3] @ R.T, se3.transform(R) @ at_zero[-1]
+    tip = tip @ se3.transform(np.rint(tip[:3, :3].T @ frames[-1, :3, :3]))
+    away = frames[:-1, :3, 3] - points
+    away -= axes * np.sum(axes * away, axis=1, keepdims=True)
+    off = 1e3 * np.r_[np.linalg.norm(away, axis=1), np.linalg.norm(tip[:3, 3] - frames[-1, :3, 3])]
+    turned = np.degrees(np.arccos(np.clip(np.sum(axes * frames[:-1, :3, 2], axis=1), -1.0, 1.0)))
+    far = (off > _FAR_MM) | (np.r_[turned, 0.0] > _FAR_DEG)
+    if far.any() or np.linalg.det(R) < 0.5:
+        k = int(np.argmax(far))
+        name, angle = [*chain.names, chain.tip][k], [*turned, 0.0][k]
+        said = f"puts {name} {off[k]:.0f} mm and {angle:.1f}° from where the robot description does"
+        raise BadTable("factory kinematics", said, "give the file of this arm, in a layout of the same zeros")
+    frames = np.array(frames[:-1])
+    frames[-1] = tip
+    turn = np.cross(frames[:, :3, 2], axes)
+    frames[:, :3, :3] = so3.exp(turn) @ frames[:, :3, :3]
+    turn = np.cross(frames[:, :3, 2], axes)  # of what is left of a small turn, nothing
+    frames[:, :3, :3] = so3.exp(turn) @ frames[:, :3, :3]
+    frames[:, :3, 3] = points + axes * np.sum(axes * (frames[:, :3, 3] - points), axis=1, keepdims=True)
+    steps = se3.inverse(np.concatenate([_HALF_TURN[None], frames[:-1]])) @ frames
+    return dict(zip(chain.names, steps, strict=True))
+
+
+def _near(F: Array, T: Array) -> bool:
+    gap = se3.log(se3.inverse(F) @ T)
+    return bool(1e3 * np.linalg.norm(gap[:3]) <= _FAR_MM and np.degrees(np.linalg.norm(gap[3:])) <= _FAR_DEG)
+
+
+def _at_zero(chain: Chain) -> Array:
+    """The joints' frames and the tip's in the base while all joints stand at zero, (n + 1, 4, 4)."""
+    return np.stack(list(accumulate(chain.origins, np.matmul)))
+
+
+def _filled_in(factory: Any, found: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The factory's data with the values of the found ones in place of its own."""
+    if not isinstance(factory, Mapping):
+        raise BadTable(where, "is not a mapping", _AS_MADE)
+    missing = [str(key) for key in found if key not in factory]
+    if missing:
+        raise BadTable(where, f"has no {', '.join(missing)}", _AS_MADE)
+    out = dict(factory)
+    for key, value in found.items():
+        if isinstance(value, Mapping):
+            out[key] = _filled_in(factory[key], value, f"{where}: {key}")
+        elif isinstance(factory[key], bool) or not isinstance(factory[key], int | float):
+            raise BadTable(f"{where}: {key}", "is not a number", _AS_MADE)
+        else:
+            out[key] = value
+    return out
+
+
+def _in_makers_form(chain: Chain, origins: Mapping[str, Array]) -> dict[str, Any]:
+    if _ur_prefix(chain.names) is not None:
+        return ur_kinematics({name: origins[name] for name in chain.names})
+    prefix = _franka_prefix(chain.names)
+    if prefix is not None:
+        return franka_kinematics({name: T for name, T in origins.items() if name.startswith(prefix)})
+    return {name: _origin(origins[name]) for name in chain.names}
+
+
+def ur_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
+    """``{kinematics: {shoulder: {x, y, z, roll, pitch, yaw}, …}}`` of the six joints of one UR arm.
+
+    origins: ``T_parent_joint`` (4, 4) by joint name; the names may share a prefix. The hash is left out: it is the
+    arm's own controller that has one. Raises NotRepresentable when they are not a UR arm's.
+    """
+    prefix = _ur_prefix(tuple(origins))
+    if prefix is None:
+        raise NotRepresentable("UR kinematics", f"needs joints {', '.join(_UR)}", "choose another form")
+    return {"kinematics": {link: _origin(origins[prefix + joint]) for joint, link in _UR.items()}}
+
+
+def franka_kinematics(origins: Mapping[str, Array]) -> dict[str, Any]:
+    """``{joint1: {kinematic: {x, y, z, roll, pitch, yaw}}, …}`` of the seven joints of one Franka arm.
+
+    origins: ``T_parent_joint`` (4, 4) by joint name; joint 8, which is fixed and leads to the flange, is written too if
+    it is there. Raises NotRepresentable when they are not a Franka arm's.
+    """
+    names = tuple(name for name in origins if _FRANKA.fullmatch(name))
+    prefix = _franka_prefix(names)
+    if prefix is None:
+        raise NotRepresentable("Franka kinematics", "needs joints *_joint1 … *_joint7", "choose another form")
+    joints = [f"joint{i}" for i in range(1, 9) if prefix + f"joint{i}" in origins]
+    return {joint: {"kinematic": _origin(origins[prefix + joint])} for joint in joints}
+
+
+def _ur_prefix(names: tuple[str, ...]) -> str | None:
+    prefixes = {name.removesuffix(joint) for name in names for joint in _UR if name.endswith(joint)}
+    wanted = {prefix + joint for prefix in prefixes for joint in _UR}
+    return next(iter(prefixes)) if len(prefixes) == 1 and wanted == set(names) else None
+
+
+def _franka_prefix(names: tuple[str, ...]) -> str | None:
+    found = [_FRANKA.fullmatch(name) for name in names]
+    prefixes = {m["prefix"] for m in found if m}
+    whole = sorted(m["number"] for m in found if m) == list("1234567") and len(names) == 7
+    return prefixes.pop() if whole and len(prefixes) == 1 else None
+
+
+def _origin(T: Array) -> dict[str, float]:
+    values = np.concatenate([T[:3, 3], so3.to_rpy(T[:3, :3])])
+    return {key: float(v) + 0.0 for key, v in zip(_KEYS, values, strict=True)}
