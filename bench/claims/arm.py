@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 Array = np.ndarray
 LINKS = ("even", "one far", "bent", "one direction")
@@ -23,12 +24,7 @@ GRAVITY = 9.81
 def turn(v: Array) -> Array:
     """Rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad]."""
     v = np.asarray(v, float)
-    angle = np.linalg.norm(v, axis=-1)[..., None, None]
-    k = v / np.maximum(angle[..., 0], 1e-300)
-    K = np.zeros((*v.shape, 3))
-    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -k[..., 2], k[..., 1], -k[..., 0]
-    K -= np.swapaxes(K, -1, -2)
-    return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
+    return np.asarray(Rotation.from_rotvec(v.reshape(-1, 3)).as_matrix().reshape(*v.shape, 3))
 
 
 def pose(p: Array, v: Array) -> Array:

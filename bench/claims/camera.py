@@ -58,7 +58,7 @@ class Camera:
 
     def record(self, folder: Path) -> Array:
         """Write images, joints, target and drawing's names of it to a folder; the postures (N, n)."""
-        site, n = self.site, len(self.middle)
+        site = self.site
         q = self.postures(int(np.clip(site.count, FEWEST, MOST)), self.middle - 0.7, self.middle + 0.7)
         pixels = self.corners(site.at(q)) if len(q) else np.zeros((0, 0, 2))
         pixels = pixels + PIXEL * site.rng.normal(size=pixels.shape)
@@ -72,11 +72,9 @@ class Camera:
         joints = [",".join([str(i), *(f"{x:.9f}" for x in one)]) for i, one in enumerate(q)]
         heads = ",".join(["image", *site.world.drawn.names])
         (folder / "joints.csv").write_text("\n".join([heads, *joints]) + "\n")
-        measured = {
-            f"measured_{a}_m": self.grown * d + RULER * site.rng.normal() for a, d in (("x", 0.24), ("y", 0.15))
-        }
+        rulers = {"x": 0.24, "y": 0.15}
+        said = {f"{a}_m": d for a, d in rulers.items()}
+        said |= {f"measured_{a}_m": float(self.grown * d + RULER * site.rng.normal()) for a, d in rulers.items()}
         target = {"modcal_target": 1, "type": "chessboard", "columns": COLUMNS, "rows": ROWS, "square_m": SQUARE}
-        target["rulers"] = {"x_m": 0.24, "y_m": 0.15, **{k: float(x) for k, x in measured.items()}}  # type: ignore[assignment]
-        (folder / "target.yaml").write_text(yaml.safe_dump(target))
-        assert q.shape[1:] in ((n,), ())
+        (folder / "target.yaml").write_text(yaml.safe_dump({**target, "rulers": said}))
         return q

@@ -21,8 +21,8 @@ TRACKER_FRAME = "tracker"
 
 @dataclass(frozen=True)
 class Table:
-    """q (N, n): joints as they were reported. columns: name and numbers (N,). says: of the mapping. times (N,): from the
-    start [s]; None: one station after the other. joints: whether the table has them.
+    """q (N, n): joints as they were reported. columns: name and numbers (N,). says: of the mapping. times (N,): from
+    the start [s]; None: one station after the other. joints: whether the table has them.
     """
 
     q: Array
@@ -289,14 +289,7 @@ def bearings(bar: bool) -> Callable[[Site], Recording]:
     return way
 
 
-CAMERA = "camera"
-
-
-def no_tables(site: Site) -> Recording:
-    """A camera has images instead: :mod:`camera`."""
-    raise NotImplementedError(site)
-
-
+CAMERA = "camera"  # has images instead of tables: :mod:`camera`
 # name: (way, fewest stations, what the readings leave open)
 WAYS: dict[str, tuple[Callable[[Site], Recording], int, str]] = {
     "points": (tracker(), 26, "shown"),
@@ -318,6 +311,6 @@ WAYS: dict[str, tuple[Callable[[Site], Recording], int, str]] = {
     "contacts, 3 planes": (contacts(3), 90, "open"),
     "delta, points": (tracker(), 15, "shown"),
     "delta, bed": (gauges(1), 60, "open"),
-    CAMERA: (no_tables, 15, "shown"),
+    CAMERA: (tracker(), 15, "shown"),
 }
 MOST = 200
