@@ -145,10 +145,11 @@ def by_camera(what: dict[str, object], site: Site) -> harness.Result:
     if calibration is None:
         return report
     new = camera.postures(FRESH, q.min(axis=0), q.max(axis=0))
-    truth, errors = np.linalg.inv(camera.board) @ site.at(new) @ np.linalg.inv(site.world.tool), []
+    truth, errors = np.linalg.inv(camera.board) @ site.at(new), []
     for model in (calibration.calibrated, calibration.nominal):  # type: ignore[attr-defined]
-        T = replace(calibration, calibrated=model).predict(new, model.frames[0]) @ np.linalg.inv(model.T_tip_tool)  # type: ignore[attr-defined,type-var]
-        errors.append(1e3 * float(np.sqrt(((T - truth)[:, :3, 3] ** 2).sum(axis=1).mean())))
+        T = replace(calibration, calibrated=model).predict(new, model.frames[0])  # type: ignore[type-var]
+        flange = np.linalg.inv(model.T_tip_tool)[:, 3]  # a point of the camera: how the two hang together, none knows
+        errors.append(1e3 * float(np.sqrt((((T - truth) @ flange)[:, :3] ** 2).sum(axis=1).mean())))
     apply = {"apply": True, "do not apply": False}.get(report["camera"]["decision"])
     most = report["camera"]["tool_error_mm"]["in_view"]["calibrated"]["high95"]
     return {**judged(what, report, *errors, most), "apply": apply, "worse_whole": False, "within": False}
