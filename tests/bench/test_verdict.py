@@ -118,9 +118,7 @@ def test_false_words_are_what_the_true_ones_leave(bench: dict[str, ModuleType]) 
     assert not case(bench, "nonsense").must_not
     assert case(bench, "frozen_elastic").planted == ("compliance",)
     row = bench["case"].Row("", ("tool",), "regime", True, {}, (40,))
-    assert row(bench["sites"].Cell("ur10", np.random.default_rng(0)), np.random.default_rng(0)).must_not == (
-        "regime",
-    )
+    assert row(bench["sites"].Cell("ur10", np.random.default_rng(0)), np.random.default_rng(0)).must_not == ("regime",)
 
 
 def test_what_is_named_falsely_is_counted_beside_the_outcome(bench: dict[str, ModuleType]) -> None:
