@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 Array = np.ndarray
 LINKS = ("even", "one far", "bent", "one direction")
@@ -23,12 +24,7 @@ GRAVITY = 9.81
 def turn(v: Array) -> Array:
     """Rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad]."""
     v = np.asarray(v, float)
-    angle = np.linalg.norm(v, axis=-1)[..., None, None]
-    k = v / np.maximum(angle[..., 0], 1e-300)
-    K = np.zeros((*v.shape, 3))
-    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -k[..., 2], k[..., 1], -k[..., 0]
-    K -= np.swapaxes(K, -1, -2)
-    return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
+    return np.asarray(Rotation.from_rotvec(v.reshape(-1, 3)).as_matrix().reshape(*v.shape, 3))
 
 
 def pose(p: Array, v: Array) -> Array:
@@ -78,19 +74,20 @@ class Serial:
     def wrong(self, how: str, rng: np.random.Generator) -> Serial:
         """The arm as it was built: off from its drawing in one of the ways of LINKS."""
         n = len(self.origins)
+        length, angle = np.array([LENGTH, ANGLE]) * np.exp(rng.normal(0.0, 0.4, 2))
         size = 0.5 if how in ("one far", "one direction") else 1.0
-        off = size * rng.normal(0.0, [LENGTH] * 3 + [ANGLE] * 3, (n, 6))
+        off = size * rng.normal(0.0, [length] * 3 + [angle] * 3, (n, 6))
         origins = self.origins
         if how == "one far":
-            off[rng.integers(1, n - 1)] += rng.normal(0.0, [8.0 * LENGTH] * 3 + [8.0 * ANGLE] * 3)
+            off[rng.integers(1, n - 1)] += rng.normal(0.0, [8.0 * length] * 3 + [8.0 * angle] * 3)
         if how == "one direction":
-            off[:, :3] += rng.normal(0.0, 2.0 * LENGTH) * np.sign(self.origins[:, :3, 3])
-            off[:, 3:] += rng.normal(0.0, 2.0 * ANGLE, 3)
+            off[:, :3] += rng.normal(0.0, 2.0 * length) * np.sign(self.origins[:, :3, 3])
+            off[:, 3:] += rng.normal(0.0, 2.0 * angle, 3)
         if how == "bent":
             half = self.origins.copy()
             half[:, :3, 3] *= 0.5
             half[:, :3, :3] = np.eye(3)
-            bend = rng.normal(0.0, 4.0 * ANGLE, (n, 3)) * (rng.random(n) < 0.5)[:, None]
+            bend = rng.normal(0.0, 4.0 * angle, (n, 3)) * (rng.random(n) < 0.5)[:, None]
             origins = half @ pose(np.zeros((n, 3)), bend) @ np.linalg.inv(half) @ self.origins
         return replace(self, origins=origins @ pose(off[:, :3], off[:, 3:]))
 

@@ -7,7 +7,7 @@ of these; and what the cell file states.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,15 @@ TRACKER_FRAME = "tracker"
 
 @dataclass(frozen=True)
 class Table:
-    """q (N, n): joints as they were reported. columns: name and numbers (N,). says: of the mapping."""
+    """q (N, n): joints as they were reported. columns: name and numbers (N,). says: of the mapping. times (N,): from
+    the start [s]; None: one station after the other. joints: whether the table has them.
+    """
 
     q: Array
     columns: dict[str, Array]
     says: dict[str, Any]
+    times: Array | None = None
+    joints: bool = True
 
 
 @dataclass(frozen=True)
@@ -44,26 +48,23 @@ class Recording:
     @property
     def q(self) -> Array:
         """All joints that were reported."""
-        return np.concatenate([t.q for t in self.tables])
+        return np.concatenate([t.q for t in self.tables if t.columns or t.times is None])
 
     def write(self, folder: Path, names: tuple[str, ...], urdf: Path | None) -> None:
         """Tables, their mapping ``m.yaml`` and the cell file ``cell.yaml`` in a folder."""
         mapping: dict[str, Any] = {"tables": []} if urdf is None else {"urdf": str(urdf), "tables": []}
         first = 0
         for i, table in enumerate(self.tables):
-            t = START + PERIOD * (first + np.arange(len(table.q)))
+            t = START + (PERIOD * (first + np.arange(len(table.q))) if table.times is None else table.times)
             first += len(table.q)
-            heads = ["t", *names, *table.columns]
-            rows = np.column_stack([table.q, *table.columns.values()])
-            text = [",".join([f"{a:.3f}", *(f"{x:.9f}" for x in row)]) for a, row in zip(t, rows, strict=True)]
+            mine = names if table.joints else ()
+            heads = ["t", *mine, *table.columns]
+            rows = np.column_stack([*([table.q] if table.joints else []), *table.columns.values()])
+            text = [",".join([f"{a:.6f}", *(f"{x:.9f}" for x in row)]) for a, row in zip(t, rows, strict=True)]
             (folder / f"t{i}.csv").write_text("\n".join([",".join(heads), *text]) + "\n")
+            joints = {"joints": {"unit": "rad", "columns": {n: n for n in mine}}} if table.joints else {}
             mapping["tables"].append(
-                {
-                    "files": f"t{i}.csv",
-                    "time": {"seconds": "t", "unit": "s"},
-                    "joints": {"unit": "rad", "columns": {n: n for n in names}},
-                    **table.says,
-                }
+                {"files": f"t{i}.csv", "time": {"seconds": "t", "unit": "s"}, **joints, **table.says}
             )
         (folder / "m.yaml").write_text(yaml.safe_dump(mapping))
         (folder / "cell.yaml").write_text(yaml.safe_dump(self.cell or {"fixed": []}))
@@ -121,6 +122,25 @@ def tracker(share: float = 1.0, moving: int = 0) -> Callable[[Site], Recording]:
         return Recording([_point(site, T, site.postures(share, some), 3e-5)], TRACKER_FRAME, direct=T)
 
     return way
+
+
+def motion(site: Site) -> Recording:
+    """Points of a tracker, ten a second, of an arm that does not stop; joints fifty times a second."""
+    rng, arm, T = site.rng, site.world.drawn, somewhere(site.rng)
+    half, n = 0.5 * (arm.high - arm.low), len(arm.names)
+    phase, pace = rng.uniform(0.0, 2.0 * np.pi, (2, n)), 2.0 * np.pi * rng.uniform(0.02, 0.07, (2, n))
+
+    def path(t: Array) -> Array:
+        waves = np.sin(pace[:, None] * t[:, None] + phase[:, None])
+        return np.asarray(arm.low + half + half * (0.6 * waves[0] + 0.35 * waves[1]))
+
+    last = max(0.4 * site.count, 20.0)
+    fast, slow = np.arange(0.0, last, 0.02), np.arange(0.5, last - 0.5, 0.1) + 0.007
+    q = path(slow)
+    reading = _point(site, T, q, 3e-5)
+    noise = site.world.joint_noise * rng.normal(size=(len(fast), n))
+    tables = [Table(path(fast) + noise, {}, {}, fast), replace(reading, times=slow, joints=False)]
+    return Recording(tables, TRACKER_FRAME, direct=T)
 
 
 def poses(site: Site) -> Recording:
@@ -269,9 +289,11 @@ def bearings(bar: bool) -> Callable[[Site], Recording]:
     return way
 
 
+CAMERA = "camera"  # has images instead of tables: :mod:`camera`
 # name: (way, fewest stations, what the readings leave open)
 WAYS: dict[str, tuple[Callable[[Site], Recording], int, str]] = {
-    "points": (tracker(), 16, "shown"),
+    "points": (tracker(), 26, "shown"),
+    "motion": (motion, 50, "shown"),
     "poses": (poses, 10, "shown"),
     "corner": (tracker(0.2), 25, "shown"),
     "three joints": (tracker(moving=3), 25, "shown"),
@@ -289,5 +311,6 @@ WAYS: dict[str, tuple[Callable[[Site], Recording], int, str]] = {
     "contacts, 3 planes": (contacts(3), 90, "open"),
     "delta, points": (tracker(), 15, "shown"),
     "delta, bed": (gauges(1), 60, "open"),
+    CAMERA: (tracker(), 15, "shown"),
 }
 MOST = 200
