@@ -95,7 +95,7 @@ def test_ten_stations_say_what_has_changed_since_the_saved_model(saved: Path, tm
         wait(cell.taken, 60.0)
         answer = call(node, wait, "calibrator/check")
         assert answer.success
-        assert answer.message.startswith("The tool has moved: 0.7")
+        assert answer.message.startswith("The tool or the target has moved: 0.7")
         wait(lambda: len(checked) == 2, 10.0)
         assert [c["kind"] for c in json.loads(checked[-1])["changes"]] == ["tool"]
         assert again.stop() == 0

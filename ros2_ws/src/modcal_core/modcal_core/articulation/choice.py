@@ -102,7 +102,8 @@ def _cut(track: Track, choice: Choice, rng: np.random.Generator, nodes: int) -> 
         return choice
     ends = (0.0, where(track, cut), float(travelled(track)[-1]))
     phases = tuple(Phase(a, b, part) for a, b, part in zip(ends[:-1], ends[1:], parts, strict=True))
-    words = [f"{part.best}, it {_seen(part.fit, track)}" for part in parts]
+    seen = (track.part(rows) for rows in sides[::order])
+    words = [f"{part.best}, it {_seen(part.fit, own)}" for part, own in zip(parts, seen, strict=True)]
     told = f"two motions: 0–{1e2 * ends[1]:.0f} cm {words[0]}; then {words[1]}"
     return replace(choice, why=f"{choice.why}; {told}", phases=phases)
 
