@@ -299,7 +299,8 @@ def test_camera_info(tmp_path: Path) -> None:
     require_size(lens, (640, 480), "camera.yaml")
     with pytest.raises(ModcalError, match="this resolution"):
         require_size(lens, (1280, 720), "camera.yaml")
-    path.write_text(to_yaml(data | {"distortion_model": "equidistant"}))
+    five = {"distortion_coefficients": {"data": [0.1, 0.1, 0.0, 0.0, 0.1]}}
+    path.write_text(to_yaml(data | five | {"distortion_model": "equidistant"}))
     with pytest.raises(ModcalError, match="plumb_bob"):
         read_camera_info(path)
     path.write_text("a: 1")
