@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import linprog
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
@@ -248,6 +247,8 @@ def _steady(number: Array, end: Array) -> Callable[[np.ndarray], Array] | None:
 
     number: of the last reading before, and a half: the next one is later. None where no rate fits, as of lost readings.
     """
+    from scipy.optimize import linprog  # few recordings need it, and looking into a bag is to be quick
+
     since = end - end[0]
     one = np.ones(len(end))
     sides = np.concatenate([np.stack([one, number, -one], axis=1), np.stack([-one, -number, -one], axis=1)])
