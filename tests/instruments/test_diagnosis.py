@@ -71,7 +71,8 @@ def test_bearings_come_out_clean_and_the_report_says_what_they_cannot_see() -> N
     assert report.effects == ()
     data = to_json_data(report)
     said = " ".join(data["notes"])
-    assert "Bearings have no scale" in said
+    assert data["claim_mm"]["open"] == "the scale"
+    assert "One known distance shows it" in data["claim_mm"]["remedy"]
     assert "scatter about the model by" in said
     assert data["recording"]["measurement"] == "bearing"
     assert data["identifiability"]["rank"] == data["identifiability"]["parameters"] - 1

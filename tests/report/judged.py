@@ -14,7 +14,7 @@ from modcal_core.report.contents import Trace, iso_date
 from modcal_core.report.report import Report
 from modcal_core.verdict.grounds import Grounds, NotApplied, Regime
 from modcal_core.verdict.tolerance import Asked
-from modcal_core.verdict.verdict import Reason, Repeatability, Row, Share, Verdict
+from modcal_core.verdict.verdict import NotAsked, Reason, Repeatability, Row, Share, Verdict
 
 WHY = (
     Reason("rejected", "48 of 160 stations were rejected."),
@@ -38,6 +38,7 @@ def everything() -> Report:
     full = replace(
         OPEN,
         remedy="Record the effort.",
+        not_asked=(NotAsked("whether it drifts", "more stations"),),
         account_mm2=ROWS,
         account_deg2=ROWS[:1],
         predictable_deg=Share(0.01, (0.0, 0.02), 0.0),

@@ -23,7 +23,7 @@ TEXT = (Path(__file__).resolve().parents[2] / "docs" / "report.md").read_text()
 def paths(data: Any, at: str = "") -> set[str]:
     """Where the numbers and texts of nested data stand, in the notation of the document."""
     if isinstance(data, dict):
-        if at.endswith((".parameters", ".dropped")):
+        if at.endswith((".parameters", ".dropped", "apply_within")):
             return {path for value in data.values() for path in paths(value, f"{at}.NAME")}
         return {path for key, value in data.items() for path in paths(value, f"{at}.{key}" if at else key)}
     if isinstance(data, list):
@@ -46,7 +46,7 @@ def test_every_field_is_documented_and_every_documented_field_exists() -> None:
     named = tuple(replace(f, same_as=("another",)) for f in report.effects)
     rivals = replace(report, effects=named)
     assert report.claim is not None
-    held = replace(report, claim=replace(report.claim, unshown_mm=1e3))
+    held = replace(report, claim=replace(report.claim, unshown_mm=1e3, ranges={"a": (-1.0, 1.0)}))
     found = set.union(*(paths(to_json_data(r)) for r in (report, open_ended, rivals, held, everything(), delta())))
     fields = TEXT.split("## Fields of report.json")[1]
     documented = re.findall(r"^\| `([^`]+)` \|", fields, re.MULTILINE)

@@ -314,7 +314,9 @@ def _of_joints(
     spread = 1.0 - SHARES[:, None, None] + SHARES[:, None, None] * np.maximum(size, 0.0)
     scale = (missed / spread).sum(axis=(1, 2)) / seen
     blind = 6.0 * len(rows) - seen  # directions that no reading has, in which nothing is missed
-    told = -0.5 * (np.log(spread).sum(axis=(1, 2)) - blind * np.log(1.0 - SHARES) + seen * np.log(scale))
+    told = -0.5 * (
+        np.log(spread).sum(axis=(1, 2)) - blind * np.log(1.0 - SHARES) + seen * np.log(np.maximum(scale, 1e-300))
+    )
     told += _of_repeating(square)
     likely = np.exp(told - told.max())
     return _OfJoints(square, likely / likely.sum(), pull * len(samples) / len(rows))

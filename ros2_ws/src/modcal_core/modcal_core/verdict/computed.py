@@ -38,7 +38,7 @@ _MAX = 300  # samples; more are thinned evenly
 _OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
 _COPIED = 0.75  # share of samples that are the same when rounded
 _AGAIN = 0.7  # the same of an arm and an instrument that repeat to 10 µm
-_CHANCE = 0.01
+_CHANCE = 0.01  # that readings of an instrument look so by chance
 _FITTED_TO = (
     "It was fitted to them: their error is smaller than that of others, and shows no change. Evaluate another "
     "recording, or use the error that calibrate held out."
