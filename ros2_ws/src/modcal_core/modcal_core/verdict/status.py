@@ -120,7 +120,7 @@ def _not_asked(case: Case, known: Floors, seen: Predictable) -> Iterator[NotAske
         yield NotAsked(what, f"{_FINDERS} stations ({stations} so far)")
     if known.position is not None and 0 < known.position.returns < MIN_ASKED:
         needs = f"{MIN_ASKED} postures visited twice ({known.position.returns} so far)"
-        yield NotAsked("what returns differ by depends on time, side or posture", needs)
+        yield NotAsked("whether what returns differ by depends on time, side or posture", needs)
 
 
 def _account(
