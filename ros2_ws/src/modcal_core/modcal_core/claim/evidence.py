@@ -24,6 +24,7 @@ from modcal_core.geometry import Array
 # Common widths of lengths, angles, waves, loads, signs and warps, in usual sizes: log-normal, with a steep end. Most
 # joints have none of what functions stand for, and one may have much of it: their law has the wider tails.
 USUAL, SPREAD, MOST = np.log([1.4, 1.4, 0.2, 0.5, 0.2, 0.2]), np.log(2.5), np.log(5.6)
+_ROUNDING = 1e-9  # of a diagonal, by which a matrix of sums of squares may miss being positive
 _STEEP = 50.0  # how they fall off beyond that
 FREEDOM = np.array([4.0, 4.0, 2.0, 2.0, 2.0, 2.0])  # of Student's law
 _EDGES = np.linspace(np.log(0.01), np.log(20.0), 81)  # logarithms, between which the law of a common width is taken
@@ -117,7 +118,9 @@ def _values(about: Neighbourhood, D: Array, noise: Array, count: int, rng: np.ra
     A = H * np.outer(D, D)
     A.flat[:: len(A) + 1] += 1.0
     root, failed = scipy.linalg.lapack.dpotrf(A, lower=1, clean=1)
-    assert not failed
+    if failed:  # values of which nothing is expected, beside others known to a micrometre: positive but for rounding
+        A.flat[:: len(A) + 1] *= 1.0 + _ROUNDING
+        root = np.linalg.cholesky(A)
     mean = D * scipy.linalg.lapack.dpotrs(root, D * (g + about.pull) - about.shipped / D, lower=1)[0]
     own = scipy.linalg.lapack.dtrtrs(root, rng.standard_normal((len(D), count)), lower=1, trans=1)[0]
     return mean, mean + (D[:, None] * own).T
