@@ -37,7 +37,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1420, 980),
     "modcal_core/planning": (2780, 1710),
-    "modcal_core/plausibility": (4320, 2910),
+    "modcal_core/hypotheses": (4320, 2910),
     "modcal_core/regimes": (560, 400),
     "modcal_core/report": (6090, 3460),
     "modcal_core/robots": (4960, 3140),
