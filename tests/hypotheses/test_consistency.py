@@ -49,7 +49,9 @@ def placed(samples: Samples, T: Array, rows: np.ndarray) -> Samples:
 def test_nothing_is_said_of_a_clean_recording_and_of_nonsense(clean: Samples) -> None:
     assert disagreement(clean, CHAIN) is None
     rng = np.random.default_rng(0)
-    assert disagreement(replace(clean, R=Rotation.random(80, rng=rng).as_matrix()), CHAIN) is None
+    random = disagreement(replace(clean, R=Rotation.random(80, rng=rng).as_matrix()), CHAIN)
+    assert random is not None
+    assert random.what == "positions correlate with the posture and orientations do not"
     assert disagreement(clean.select(np.zeros(80, int)), CHAIN) is None
 
 
@@ -139,7 +141,9 @@ def test_a_stale_joint_seen_by_points(clean: Samples) -> None:
 def test_joints_that_are_wrong_throughout(clean: Samples) -> None:
     assert disagreement(clean, CHAIN) is None
     order = np.random.default_rng(0).permutation(80)
-    assert disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
+    shuffled = disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN)
+    assert shuffled is not None
+    assert "belong to other stations, in another order of rows" in shuffled.what
     q = clean.q.copy()
     q[:, [1, 2]] = q[:, [2, 1]]
     points = replace(clean, q=q, kind=np.full(80, "point"), R=np.broadcast_to(np.eye(3), clean.R.shape))
@@ -180,7 +184,9 @@ def test_two_joints_of_a_part(clean: Samples) -> None:
     assert found is not None
     assert f"joints {CHAIN.names[3]} and {CHAIN.names[4]} keep their reported positions at stations" in found.what
     order = np.r_[np.arange(half), half + np.random.default_rng(0).permutation(len(clean) - half)]
-    assert disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN) is None
+    shuffled = disagreement(replace(clean, reading=clean.reading[order], R=clean.R[order]), CHAIN)
+    assert shuffled is not None
+    assert "belong to other stations, in another order of rows" in shuffled.what
 
 
 @pytest.mark.slow

@@ -108,7 +108,7 @@ def test_a_part_follows_another_link_or_has_other_columns(clean: Samples) -> Non
     p[half:], R[half:] = T[half:, :3, 3], T[half:, :3, :3]
     found = disagreement(replace(clean, reading=p, R=R), CHAIN)
     assert found is not None
-    assert found.what.startswith(f"at stations {half} to {len(clean) - 1}, and not at the others, readings follow")
+    assert found.what.startswith("readings follow")
     assert f"the link before {NAMES[3]} (" in found.what
     q = reported(clean, mixed(4, 5, [[1, 1], [1, -1]])).q
     found = disagreement(replace(clean, q=np.where(np.arange(len(clean))[:, None] < half, clean.q, q)), CHAIN)

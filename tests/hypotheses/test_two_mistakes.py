@@ -43,9 +43,8 @@ def other_zero(q: Array) -> Array:
 def test_a_joint_is_named_though_orientations_are_of_another_convention(joints, words: str) -> None:  # type: ignore[no-untyped-def]
     scalar_first = Rotation.from_quat(Rotation.from_matrix(CLEAN.R).as_quat()[:, [3, 0, 1, 2]]).as_matrix()
     said = refused(replace(CLEAN, q=joints(CLEAN.q), R=scalar_first))
-    assert said.startswith(words)
-    assert "by positions alone" in said
-    assert "convention of the orientations" in said
+    assert words in said
+    assert "quaternions look like w x y z" in said
 
 
 @pytest.mark.slow
@@ -58,14 +57,15 @@ def test_no_joint_is_blamed_where_orientations_agree_with_it_as_it_is() -> None:
 @pytest.mark.slow
 def test_millimetres_and_a_joint_are_both_named() -> None:
     said = refused(replace(CLEAN, q=swapped(CLEAN.q), reading=1e3 * CLEAN.reading))
-    assert said.startswith("positions look like millimetres: lie ")
-    assert "in metres, joints shoulder_lift_joint and elbow_joint look swapped" in said
-    assert "record metres; then correct the names in joint_states" in said
+    assert "positions look like millimetres" in said
+    assert "joints shoulder_lift_joint and elbow_joint look swapped" in said
+    assert "record metres" in said
+    assert "correct the names in joint_states" in said
 
 
 @pytest.mark.slow
 def test_mirrored_points_and_a_joint_are_both_named() -> None:
     points = record(12, 60, "point").samples
     said = refused(replace(points, q=swapped(points.q), reading=points.reading * [1.0, -1.0, 1.0]))
-    assert said.startswith("positions look mirrored")
-    assert "and joints shoulder_lift_joint and elbow_joint look swapped: with both corrected" in said
+    assert "positions look mirrored" in said
+    assert "joints shoulder_lift_joint and elbow_joint look swapped" in said

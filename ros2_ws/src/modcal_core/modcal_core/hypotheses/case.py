@@ -26,9 +26,11 @@ OF_REACH = 0.006  # of the reach: the same for positions
 SPREAD = (2e-3, 1e-3)  # rad and share of the reach, per axis: a nominal arm's usual error, and nothing finer decides
 ASTRAY = 0.05  # share of readings that may say anything
 INDEPENDENT = 100  # stations that count
-_TURNS = 8.0 * np.pi**2  # volume of orientations
+ANYWHERE = float(np.log(8.0 * np.pi**2))  # log of the volume of orientations
 _DRAWS = 240  # with a third of the stations in agreement, one draw of five holds only these: 1 − (1 − 3⁻⁵)²⁴⁰ = 63 %
 _ROUNDS = 8
+_OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
+_MANY = 0.2  # share of the stations that must agree, lest chance finds that many
 
 
 def limits(chain: Chain) -> tuple[float, float]:
@@ -53,7 +55,7 @@ class Placement:
 
     def left(self, case: Case) -> tuple[Array, Array]:
         """Turns [rad] and gaps [m] of the readings from what is expected, (N, 3) each; turns are zero without poses."""
-        gaps = case.p - (se3.apply(case.A, self.x) @ self.Y.T + self.t)
+        gaps = case.p - (se3.apply(case.B, self.x) @ self.Y.T + self.t)
         if not case.poses:
             return np.zeros_like(gaps), gaps
         return turns_left(self.Y, case.A[:, :3, :3], self.X, case.R), gaps
@@ -65,9 +67,10 @@ class Placement:
 
 @dataclass(frozen=True)
 class Case:
-    """Stations of one frame in order of time. chain: as described. A (N, 4, 4): poses of its tip by the joints q (N, n),
-    which have names. p, R: readings. poses: whether orientations are asked. volume: log of what undoing shrank a
-    station's reading by, (N,). station: numbers, (N,).
+    """Stations of one frame in order of time, with their numbers (N,). chain: as described. A (N, 4, 4): poses of its
+    tip by the joints q (N, n), which have names. p, R: readings. poses: whether orientations are asked. volume: log of
+    what undoing shrank a station's reading by, (N,). mixed (N, 4, 4): of what mean of tip poses positions are; None: of
+    the station's own.
     """
 
     chain: Chain
@@ -79,6 +82,7 @@ class Case:
     R: Array
     poses: bool
     volume: Array
+    mixed: Array | None = None
 
     @classmethod
     def of(cls, samples: Samples, chain: Mechanism, most: int = 300, first: bool = False) -> Case | None:
@@ -114,7 +118,13 @@ class Case:
         return len(self.p)
 
     @property
+    def B(self) -> Array:
+        """Poses of the tip that positions are of, (N, 4, 4)."""
+        return self.A if self.mixed is None else self.mixed
+
+    @property
     def limits(self) -> tuple[float, float]:
+        """Angle [rad] and distance [m] that a nominal arm misses by at most."""
         return limits(self.chain)
 
     def read(self, p: Array | None = None, R: Array | None = None, volume: Array | float = 0.0) -> Case:
@@ -128,7 +138,8 @@ class Case:
 
     def select(self, rows: np.ndarray) -> Case:
         """Some of the stations."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in ("station", "q", "A", "p", "R", "volume")})
+        parts = {name: getattr(self, name)[rows] for name in ("station", "q", "A", "p", "R", "volume")}
+        return replace(self, mixed=None if self.mixed is None else self.mixed[rows], **parts)
 
     def of_rows(self, other: Case, rows: np.ndarray) -> Case:
         """The case with some rows as in another."""
@@ -141,31 +152,49 @@ class Case:
     def scale(self) -> Scale:
         """What residuals are measured with."""
         reach = self.chain.reach()
-        extent = 4.0 * max(reach, float(np.ptp(self.p, axis=0).max()))
-        return Scale(SPREAD[1] * reach, extent**3, self.poses)
+        far = np.linalg.norm(self.p - np.median(self.p, axis=0), axis=1) / (4.0 * reach)
+        volume = 3.0 * np.log(4.0 * reach) + 4.0 * np.log(np.maximum(far, 1.0))
+        return Scale(SPREAD[1] * reach, volume, reach, self.poses)
+
+    @cached_property
+    def motion(self) -> tuple[float, float]:
+        """By how much readings differ from their middle, medians [rad, m]."""
+        place = float(np.median(np.linalg.norm(self.p - np.median(self.p, axis=0), axis=1)))
+        turned = np.linalg.norm(so3.log(so3.mean(self.R).T @ self.R), axis=1) if self.poses else np.full(1, np.inf)
+        return float(np.median(turned)), place
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Least deviation of positions per axis [m], the volume that is worked in [m³], whether orientations count."""
+    """position: least deviation per axis [m]. volume (N,): log of that in which each reading may be anything [m³]; what
+    lies farther than an arm reaches is the rarer for it. reach [m]: no deviation is larger. poses: whether orientations
+    count.
+    """
 
     position: float
-    extent: float
+    volume: Array
+    reach: float
     poses: bool
 
     def rows(self, turns: Array, gaps: Array) -> Array:
         """Log likelihood of each station, (N,), at the spreads that are likeliest over all."""
-        out = _likelihood(gaps, self.position, self.extent)
-        return out + _likelihood(turns, SPREAD[0], _TURNS) if self.poses else out
+        out = _likelihood(gaps, self.position, self.volume, self.reach)
+        return out + _likelihood(turns, SPREAD[0], ANYWHERE, np.pi) if self.poses else out
 
 
-def _likelihood(left: Array, least: float, volume: float) -> Array:
-    """Log likelihood (N,) of residuals (N, 3): Gaussian of the likeliest deviation, at least ``least``, or anything."""
+def likelihood_at(left: Array, sigma: Array | float, volume: Array | float) -> Array:
+    """Log likelihood of residuals (N, 3) of these deviations: (N,), or (S, N) of deviations (S, 1)."""
+    inside = np.log1p(-ASTRAY) - 0.5 * np.sum(left**2, axis=1) / sigma**2 - 1.5 * np.log(2.0 * np.pi * sigma**2)
+    return np.asarray(np.logaddexp(inside, np.log(ASTRAY) - volume))
+
+
+def _likelihood(left: Array, least: float, volume: Array | float, most: float) -> Array:
+    """Log likelihood (N,) of residuals (N, 3): Gaussian of the likeliest deviation in these limits, or anything."""
     square = np.sum(left**2, axis=1)
     sigma = least * 2.0 ** np.arange(24.0)
-    sigma = sigma[sigma <= 2.0 * max(least, float(np.sqrt(square.max(initial=0.0))))][:, None]
-    inside = (1.0 - ASTRAY) * np.exp(-0.5 * square / sigma**2) / (2.0 * np.pi * sigma**2) ** 1.5
-    each = np.log(inside + ASTRAY / volume)
+    largest = min(2.0 * max(least, float(np.sqrt(square.max(initial=0.0)))), most)
+    sigma = sigma[sigma <= max(largest, least)][:, None]
+    each = likelihood_at(left, sigma, volume)
     return np.asarray(each[int(np.argmax(each.sum(axis=1)))])
 
 
@@ -191,6 +220,16 @@ class Fit:
         angle, distance = self.case.limits
         return (self.turn < times * angle) & (self.gap < times * distance)
 
+    def better_than(self, other: Fit) -> bool:
+        """Whether this placement of the same case is the better one: by how many stations agree, where many do.
+
+        A wide spread swallows two heaps of readings; one of them, with the other astray, says what is wrong.
+        """
+        mine, others = int(self.agree(2.0).sum()), int(other.agree(2.0).sum())
+        if max(mine, others) >= _MANY * len(self.gap) and mine != others:
+            return mine > others
+        return self.evidence > other.evidence
+
     @property
     def usual(self) -> tuple[float, float]:
         """What the usual station is missed by: medians [rad, m]."""
@@ -203,9 +242,12 @@ class Fit:
 
     @property
     def explains(self) -> bool:
-        """Whether a nominal arm misses the usual station by no more than its own errors."""
-        angle, distance = self.case.limits
-        return self.usual[0] <= angle and self.usual[1] <= distance
+        """Whether a nominal arm misses the usual station by no more than its own errors, and by little of what moves.
+
+        Readings by which hardly anything moves fit whatever they are.
+        """
+        limits = zip(self.usual, self.case.limits, self.case.motion, strict=True)
+        return all(left <= min(limit, _OF_MOTION * motion) for left, limit, motion in limits)
 
     @property
     def clean(self) -> bool:
@@ -216,7 +258,7 @@ class Fit:
 
 def points(case: Case) -> Case:
     """The case by its positions alone: orientations may say anything."""
-    return replace(case, poses=False, volume=case.volume - np.log(_TURNS)) if case.poses else case
+    return replace(case, poses=False, volume=case.volume - ANYWHERE) if case.poses else case
 
 
 def placed(case: Case, thorough: bool = True) -> Fit:
@@ -224,16 +266,18 @@ def placed(case: Case, thorough: bool = True) -> Fit:
 
     thorough: also from draws of a few stations, where closed forms over all of them leave many astray.
     """
-    starts = sorted((_fit(case, start) for start in _starts(case)), key=lambda fit: -fit.evidence)
-    best = starts[0]
-    for start in starts:
-        best = max(best, _fit(case, _refined(case, start.placement)), key=lambda fit: fit.evidence)
-        if best.explains:
+    best: Fit | None = None
+    for start in _starts(case):
+        for fit in (_fit(case, start), _fit(case, _refined(case, start))):
+            best = fit if best is None or fit.better_than(best) else best
+        if best is not None and best.explains:
             break
+    assert best is not None
     if thorough and best.agree().mean() < 1.0 - ASTRAY and len(case) >= 8:
         drawn = _by_draws(case)
-        if drawn is not None:
-            best = max(best, _fit(case, _refined(case, drawn)), _fit(case, drawn), key=lambda fit: fit.evidence)
+        for placement in () if drawn is None else (drawn, _refined(case, drawn)):
+            fit = _fit(case, placement)
+            best = fit if fit.better_than(best) else best
     return best
 
 
@@ -241,7 +285,7 @@ def start(case: Case) -> Placement:
     """Base and tool in closed form: by orientations where there are any, else by positions."""
     if case.poses:
         return _with_places(case, *base_and_tool_turns(case.A[:, :3, :3], case.R))
-    return _with_places(case, base_by_positions(case.A[None], case.p[None])[0], np.eye(3))
+    return _with_places(case, base_by_positions(case.B[None], case.p[None])[0], np.eye(3))
 
 
 def at(case: Case, placement: Placement) -> Fit:
@@ -257,7 +301,7 @@ def _fit(case: Case, placement: Placement) -> Fit:
 
 def _starts(case: Case) -> list[Placement]:
     a = case.A[:, :3, :3]
-    Y = base_by_positions(case.A[None], case.p[None])[0]
+    Y = base_by_positions(case.B[None], case.p[None])[0]
     if not case.poses:
         return [_with_places(case, Y, np.eye(3))]
     ways = [(Y, so3.mean(np.swapaxes(Y @ a, 1, 2) @ case.R)), base_and_tool_turns(a, case.R)]
@@ -265,7 +309,7 @@ def _starts(case: Case) -> list[Placement]:
 
 
 def _with_places(case: Case, Y: Array, X: Array) -> Placement:
-    _, x, t = tool_and_place(Y, case.A, case.p)
+    _, x, t = tool_and_place(Y, case.B, case.p)
     return Placement(Y, X, x, t)
 
 
@@ -281,8 +325,8 @@ def _refined(case: Case, start: Placement) -> Placement:
         if case.poses:
             G[0, :, :, :3] = np.swapaxes(a @ X, 1, 2)
             G[0, :, :, 3:6] = np.eye(3)
-        G[1, :, :, :3] = -Y @ so3.hat(se3.apply(case.A, x))
-        G[1, :, :, 6:9] = Y @ a
+        G[1, :, :, :3] = -Y @ so3.hat(se3.apply(case.B, x))
+        G[1, :, :, 6:9] = Y @ case.B[:, :3, :3]
         G[1, :, :, 9:] = np.eye(3)
         r = np.stack([turns, gaps])
         square = np.sum(r**2, axis=2)
@@ -309,15 +353,15 @@ def _by_draws(case: Case) -> Placement | None:
     rows = np.where(np.arange(draws)[:, None] % 2 == 0, rng.permuted(near, axis=1)[:, :few], 0)
     far = rng.permuted(np.tile(np.arange(N), (draws, 1)), axis=1)[:, :few]
     rows = np.where(np.arange(draws)[:, None] % 2 == 0, rows, far)
-    A, p, R = case.A[rows], case.p[rows], case.R[rows]
+    A, B, p, R = case.A[rows], case.B[rows], case.p[rows], case.R[rows]
     if case.poses:
         Y, X = base_and_tool_turns(A[..., :3, :3], R)
     else:
-        Y = base_by_positions(A, p)
+        Y = base_by_positions(B, p)
         X = np.tile(np.eye(3), (draws, 1, 1))
-    _, x, t = tool_and_place(Y, A, p)
+    _, x, t = tool_and_place(Y, B, p)
     angle, distance = case.limits
-    points = np.einsum("nij,cj->cni", case.A[:, :3, :3], x) + case.A[:, :3, 3]
+    points = np.einsum("nij,cj->cni", case.B[:, :3, :3], x) + case.B[:, :3, 3]
     inside = np.linalg.norm(case.p - (points @ np.swapaxes(Y, 1, 2) + t[:, None]), axis=2) < 2.0 * distance
     if case.poses:
         turned = so3.log(np.swapaxes(Y[:, None] @ case.A[:, :3, :3] @ X[:, None], -1, -2) @ case.R)

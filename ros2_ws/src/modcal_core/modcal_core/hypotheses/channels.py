@@ -29,8 +29,18 @@ def channels(case: Case) -> list[Hypothesis]:
         return []
     found = _Channels(case)
     try:
-        return [*found.late(), *found.longer(), *found.unrelated(), *found.frames(), *found.offset()]
+        return [*found.late(), *found.longer(), *found.unrelated(), *found.offset()]
     except np.linalg.LinAlgError:  # postures that do not tell base and tool at all
+        return []
+
+
+def turned_frames(case: Case) -> list[Hypothesis]:
+    """Orientations that are given in another frame than positions."""
+    if not case.poses or len(case) < 2 * _COEFFICIENTS:
+        return []
+    try:
+        return list(_Channels(case).frames())
+    except np.linalg.LinAlgError:
         return []
 
 
@@ -103,7 +113,7 @@ class _Channels:
 
     def unrelated(self) -> Iterator[Hypothesis]:
         """Coordinates that do not follow the posture where the others do, and orientations."""
-        angle, distance = self.case.limits
+        distance = self.case.limits[1]
         wrong = [k for k in range(3) if self.each[k][1] > distance]
         if len(wrong) == 1 or (len(wrong) == 2 and self.case.poses):
             rest = [k for k in range(3) if k not in wrong]
@@ -131,13 +141,16 @@ class _Channels:
         M = np.stack([solution[9:12] for solution, _ in self.each])
         S = so3.nearest_rotation(M) @ self.turned.T
         apart = float(np.degrees(np.linalg.norm(so3.log(S))))
+        cube = np.round(S)
+        other_axes = bool(np.abs(S - cube).max() < self.case.limits[0])  # axes in another order, one of 23 ways
+        S = so3.nearest_rotation(cube) if other_axes else S
         yield Hypothesis(
             f"orientations are given in a frame that is turned by {apart:.3g}° to that of the positions "
             "(a static transform was left out of one of them, or the axes stand in another order)",
             "give positions and orientations in one frame",
             lambda c: c.read(R=S @ c.R),
-            VERY_RARE,
-            3,
+            RARE - (float(np.log(23.0)) if other_axes else 0.0),
+            0 if other_axes else 3,
             "orientations",
         )
 
@@ -188,8 +201,8 @@ def _without(c: Case, rest: list[int]) -> Case:
     p = c.p.copy()
     expected = (c.A[:, :3, :3] @ x + c.A[:, :3, 3]) @ Y.T
     p[:, wrong] = expected[:, wrong]
-    scale = c.scale  # nothing is said of them: anything in the volume's extent, for what a fit would have explained
-    lost = len(wrong) * float(np.log(scale.extent ** (1.0 / 3.0) / (scale.position * np.sqrt(2.0 * np.pi))))
+    scale = c.scale  # nothing is said of them: anything in the volume, for what a fit would have explained
+    lost = len(wrong) * (scale.volume / 3.0 - np.log(scale.position * np.sqrt(2.0 * np.pi)))
     return replace(c, p=p, volume=c.volume - lost)
 
 

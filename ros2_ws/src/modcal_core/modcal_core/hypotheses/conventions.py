@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import combinations, permutations, product
 
 import numpy as np
@@ -16,6 +18,7 @@ from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesi
 THREE_AXES = tuple(s for w in ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX") for s in (w, w.lower()))
 TWO_AXES = ("ZYZ", "ZXZ", "zyz", "zxz")
 _ANGLES = (("radians", 1.0), ("degrees", np.pi / 180.0), ("gon", np.pi / 200.0), ("milliradians", 1e-3))
+_USUAL = ("XYZ", "ZYX", "xyz", "zyx", "ZYZ", "zyz")
 _MAX_TURN = 1.05  # times a half or a whole turn; angles are no larger
 INVERSE = "readings look like inverse poses (tracker in tool)"
 
@@ -23,11 +26,30 @@ INVERSE = "readings look like inverse poses (tracker in tool)"
 def of_recording(case: Case, stated: str | None = None) -> list[Hypothesis]:
     """All that may be so of a whole recording. stated: the Euler sequence that composed its orientations, if known."""
     common = [*units(), *joints(case.names), *(axes() if case.poses else [left_handed()])]
-    rare = [*rarer_units(), *several_joints(case.names), *_polar(case.p), _increments()]
+    rare = [*rarer_units(), *several_joints(case.names), *_polar(case.p)]
     if case.poses:
         common.append(inverse_pose())
         rare += [*axes_of_the_pose(), mirror_image()]
-    return [*family(COMMON, common), *family(RARE, rare), *(family(COMMON, rotations(stated)) if case.poses else [])]
+    else:  # nothing but the joints says which way a mirrored point moves, so that both hide each other
+        mirror = left_handed()
+        rare += [_both(mirror, h) for h in joints(case.names)]
+    rare += in_degrees(case.names)
+    return [*family(COMMON, common), *family(RARE, rare), *(turns(stated) if case.poses else [])]
+
+
+def _both(first: Hypothesis, then: Hypothesis) -> Hypothesis:
+    """Two mistakes, of which either alone leaves nothing that agrees."""
+    what, remedy = f"{first.what}, and {then.what}", f"{first.remedy}; then {then.remedy}"
+    return Hypothesis(what, remedy, lambda c: then.undone(first.undone(c)), 0.0)
+
+
+def turns(stated: str | None = None) -> list[Hypothesis]:
+    """What may be wrong with orientations alone: exotic pairs of Euler sequences are the rarer ones."""
+    plain, exotic = [], []
+    for h in rotations(stated):
+        usual = "composed" not in h.what or stated is not None
+        (plain if usual or all(s in _USUAL for s in re.findall(r" ([xyzXYZ]{3}) about", h.what)) else exotic).append(h)
+    return [*family(COMMON, plain), *family(RARE, exotic)]
 
 
 def _reading(what: str, remedy: str, p: Callable[[Case], Array], volume: float = 0.0) -> Hypothesis:
@@ -38,7 +60,7 @@ def _of_joints(what: str, remedy: str, q: Callable[[Array], Array]) -> Hypothesi
     return Hypothesis(what, remedy, lambda c: c.moved(q(c.q)), 0.0, touches="joints")
 
 
-# --- readings ---------------------------------------------------------------------------------------------------------
+# --- readings --------------------------------------------------------------------------------------------------------
 
 
 def inverse_pose() -> Hypothesis:
@@ -118,13 +140,14 @@ def turned(R: Array, p: Array) -> Array:
     return np.asarray((R @ p[..., None])[..., 0])
 
 
-def _increments() -> Hypothesis:
+def increments() -> Hypothesis:
     """How far the target went since the station before."""
-    return _reading(
+    h = _reading(
         "positions look like differences to the last station (increments), and not like places",
         "record places in the tracker's frame, or add the differences up",
         lambda c: np.cumsum(c.p, axis=0),
     )
+    return replace(h, price=RARE)
 
 
 def _polar(position: Array) -> Iterator[Hypothesis]:
@@ -163,7 +186,7 @@ def _polar(position: Array) -> Iterator[Hypothesis]:
                 )
 
 
-# --- orientations -----------------------------------------------------------------------------------------------------
+# --- orientations ----------------------------------------------------------------------------------------------------
 
 
 def rotations(stated: str | None = None) -> Iterator[Hypothesis]:
@@ -238,7 +261,7 @@ def _axes(sequence: str) -> str:
     return f"{sequence} about {about} axes (= {sequence[::-1].swapcase()} about {other} ones)"
 
 
-# --- joints -----------------------------------------------------------------------------------------------------------
+# --- joints ----------------------------------------------------------------------------------------------------------
 
 
 def joints(names: tuple[str, ...]) -> Iterator[Hypothesis]:
@@ -327,5 +350,6 @@ def of_some_rows(case: Case) -> list[Hypothesis]:
     rare: list[Hypothesis] = list(several_joints(case.names))
     if case.poses:
         plain.append(inverse_pose())
-        rare += [*axes_of_the_pose(), mirror_image(), *rotations()]
+        rare += [*axes_of_the_pose(), mirror_image()]
+        plain += [*rotations()]
     return [*family(COMMON, plain), *family(VERY_RARE, rare)]

@@ -29,7 +29,7 @@ _OFF = 4.0 * ANGLE  # rad that a joint must be off by at the usual station to be
 _LENGTH = 0.02  # of the reach, by which an origin is wrong
 
 
-# --- another link ---------------------------------------------------------------------------------------------------------
+# --- another link ----------------------------------------------------------------------------------------------------
 
 
 def other_links(case: Case) -> list[Hypothesis]:
@@ -79,7 +79,7 @@ def _of_link(chain: Chain, first: int, last: int, inverse: bool) -> tuple[str, s
     return f"{what}; {moved}", f"{remedy}that carry target and tracker"
 
 
-# --- axes ---------------------------------------------------------------------------------------------------------------
+# --- axes ------------------------------------------------------------------------------------------------------------
 
 
 def axes(case: Case) -> list[Hypothesis]:
@@ -107,7 +107,7 @@ def _vector(axis: Array) -> str:
     return " ".join(f"{v:g}" for v in axis + 0.0)
 
 
-# --- what is fitted ---------------------------------------------------------------------------------------------------------
+# --- what is fitted --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,7 @@ class Arm:
 
     @classmethod
     def described(cls, chain: Chain) -> Arm:
+        """The arm as its description has it."""
         return cls(chain, np.eye(chain.n), np.zeros(chain.n), chain.origins)
 
     def tip(self, q: Array) -> Array:
@@ -241,18 +242,20 @@ def _few(case: Case) -> Case:
     return case.select(spread_rows(len(case), _FEW))
 
 
-# --- links ------------------------------------------------------------------------------------------------------------------
+# --- links -----------------------------------------------------------------------------------------------------------
 
 
 def links(case: Case) -> Iterator[Hypothesis]:
     """One origin of the description that stands elsewhere or otherwise, or several whose lengths are others."""
     few, chain = _few(case), case.chain
-    n = chain.n
+    n, likely = chain.n, list[tuple[float, int, Arm]]()
     values = 6 if case.poses else 3
     for j in range(1, n):
         starts = [Arm.described(chain), *(_turned_origin(chain, j, S) for S in (_cube(few, j) if case.poses else ()))]
         for start in starts:
-            arm, _ = fitted(few, start, Free(origins=(j,), turns=case.poses))
+            arm, placement = fitted(few, start, Free(origins=(j,), turns=case.poses))
+            left = at(replace(few, A=arm.tip(few.q)), placement).usual
+            likely.append((max(a / b for a, b in zip(left, few.limits, strict=True)), len(likely), arm))
             what, remedy = _of_origin(chain, j, arm.origins[j])
             if what:
                 yield _by_arm(what, remedy, arm, RARE - float(np.log(n * len(starts))), values)
@@ -266,6 +269,18 @@ def links(case: Case) -> Iterator[Hypothesis]:
             arm,
             RARE,
             3 * (n - 1),
+        )
+    if case.poses and likely and min(likely)[0] > 1.0:  # one link alone is not enough
+        arm, _ = fitted(few, min(likely)[2], Free(origins=tuple(range(1, n)), turns=True))
+        turned = [np.linalg.norm(so3.log(chain.origins[j, :3, :3].T @ arm.origins[j, :3, :3])) for j in range(1, n)]
+        yield _by_arm(
+            "orientations and positions fit with another turn of the origin of joint "
+            f"{chain.names[1 + int(np.argmax(turned))]} and other lengths of several links, so that more than one link "
+            "of the URDF is different",
+            "give the description of this robot; of modules, check the kind, order and turn of each",
+            arm,
+            VERY_RARE,
+            6 * (n - 1),
         )
 
 
@@ -322,7 +337,7 @@ def _unwound(axis: Array, S: Array) -> Array:
     return np.asarray(so3.exp(theta * axis) @ S)
 
 
-# --- motors for joints ------------------------------------------------------------------------------------------------------
+# --- motors for joints -----------------------------------------------------------------------------------------------
 
 
 def mixtures(case: Case) -> Iterator[Hypothesis]:
@@ -336,7 +351,7 @@ def mixtures(case: Case) -> Iterator[Hypothesis]:
         starts += _sifted(some, part)
     for start in starts:
         arm, placement = fitted(few, start, Free(columns=moved))
-        if not at(replace(few, A=arm.tip(few.q)), placement).explains:
+        if at(replace(few, A=arm.tip(few.q)), placement).usual[1] > few.limits[1]:
             continue
         what, who, values = _of_map(arm, case)
         if what:
@@ -408,7 +423,10 @@ def _of_map(arm: Arm, case: Case) -> tuple[str, str, int]:
     if varies:
         how = "mixed with each other or with others, as those of motors" if mixed else "counted in another scale"
         what.append(f"positions of {who} look {how}: {'; '.join(said)}")
-    if shifted:
+    if shifted and not varies and len(shifted) == 1:
+        turn = np.degrees(np.angle(np.exp(1j * shift[shifted[0]])))
+        what.append(f"joint {names[shifted[0]]} reads {-turn:.1f}° too much: its zero is different")
+    elif shifted:
         each = listed(f"{names[i]} by {np.degrees(np.angle(np.exp(1j * shift[i]))):.1f}°" for i in shifted)
         what.append(f"zeros of joints look different: {each}")
     return ", and ".join(what), listed(names[i] for i in sorted({*varies, *shifted})), count + int(odd.sum())

@@ -16,9 +16,9 @@ ROWS_REMEDY = "pair each reading with its own posture (a table that slipped or w
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """what: a phrase that names it. remedy: what to do. undone: a case as it would be without it. price: log of the odds
-    beforehand [nats]. values: how many numbers were fitted for it. touches: "orientations", "readings", "joints" or
-    "rows". stations: how many are concerned; None for all.
+    """what: a phrase that names it. remedy: what to do. undone: a case as it would be without it. price: log of the
+    odds beforehand [nats]. values: how many numbers were fitted for it. touches: "orientations", "readings", "joints"
+    or "rows". stations: how many are concerned; None for all.
     """
 
     what: str

@@ -1,4 +1,4 @@
-"""Joint positions that are not what the joints did: at some stations or at all of them, of one joint, two, or a mixture.
+"""Joint positions that are not what the joints did: of one joint or two, at some stations or at all of them.
 
 With the other joints given, an orientation tells the angle of a joint in closed form; of points, the turn about the
 joint's axis does. Two joints are solved for by Gauss-Newton steps.
@@ -22,12 +22,14 @@ from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, forward, spatial_jacobian
 
 _STILL = 1e-9  # rad
+_SIGNS = 6  # joints, up to which all orders are asked with one of them reversed as well
 _CLOSEST = 0.9  # share of angles that a circular deviation is taken of
 _FREE = float(np.log(2.0 * np.pi / (SPREAD[0] * np.sqrt(2.0 * np.pi * np.e))))  # nats for an angle that may be anything
 _STARTS, _ROUNDS = 16, 25  # of a search for one joint's angles
-_FEW = 40  # stations at which two joints are looked for
+_TRIED, _HOPELESS = 4, 30.0  # rounds, after which what misses by so many limits of an arm leads nowhere
+_FEW = 12  # stations at which two joints are looked for; six times as many at which one is
 _BEGIN = (0.0, 2.1, -2.1)  # rad; thirds of a turn from what is reported, from which two joints are looked for
-_STEPS, _LONGEST = 12, 0.7  # iterations, and how far one goes [rad]
+_STEPS, _LONGEST = 10, 0.7  # iterations, and how far one goes [rad]
 
 
 def of_one(fit: Fit) -> Iterator[Hypothesis]:
@@ -45,7 +47,7 @@ def of_one(fit: Fit) -> Iterator[Hypothesis]:
 
 def throughout(case: Case) -> Iterator[Hypothesis]:
     """One joint that is off at all stations: its angles, base and tool are found in turn, from several starts."""
-    rng, few = np.random.default_rng(0), case.select(spread_rows(len(case), 2 * _FEW))
+    rng, few = np.random.default_rng(0), case.select(spread_rows(len(case), 6 * _FEW))
     for j in _turning(case.chain):
         for k in range(_STARTS if case.poses else _STARTS // 4):
             q = few.q.copy()
@@ -61,11 +63,11 @@ def throughout(case: Case) -> Iterator[Hypothesis]:
 def _in_turn(few: Case, j: int, q: Array) -> tuple[Placement, float]:
     """Base and tool with which the readings agree on a joint's angles, and what is missed in limits of an arm."""
     last, kept = np.inf, start(few)
-    for _ in range(_ROUNDS):
+    for round in range(_ROUNDS):
         placement = start(few.moved(q))
         q = solved(j, placement, few)
         left = max(a / b for a, b in zip(at(few.moved(q), placement).usual, few.limits, strict=True))
-        if left > 0.999 * last:
+        if left > 0.999 * last or (round == _TRIED and left > _HOPELESS):
             break
         last, kept = left, placement
     return kept, last
@@ -180,9 +182,9 @@ def solved_two(pair: tuple[int, int], placement: Placement, part: Case) -> Array
     """Postures with the positions of two joints that come nearest to the readings, from several starts."""
     columns, scale = list(pair), np.array(part.limits)
     best, q_best = np.full(len(part), np.inf), part.q.copy()
-    for start in product(_BEGIN, repeat=2):
+    for begin in product(_BEGIN, repeat=2):
         q = part.q.copy()
-        q[:, columns] += start
+        q[:, columns] += begin
         for _ in range(_STEPS):
             A = forward(part.chain, q)
             J = spatial_jacobian(part.chain, q)[:, :, columns]
@@ -204,13 +206,13 @@ def solved_two(pair: tuple[int, int], placement: Placement, part: Case) -> Array
     return q_best
 
 
-# --- columns under other names, other types ------------------------------------------------------------------------------
+# --- columns under other names, other types --------------------------------------------------------------------------
 
 
 def orders(case: Case) -> list[Hypothesis]:
     """The likeliest orders of the joints' columns, with one reversed beside it."""
     n, out, explained = case.chain.n, list[Hypothesis](), False
-    for back in (None, *range(n)):
+    for back in (None, *range(n if n <= _SIGNS else 0)):
         if explained:
             break
         sign = np.where(np.arange(n) == (-1 if back is None else back), -1.0, 1.0)
@@ -220,11 +222,14 @@ def orders(case: Case) -> list[Hypothesis]:
             explained |= order.explains  # with fewer mistakes it is likelier
             if not shuffled:
                 continue
+            by = next((s for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
+            by = min(by, n - by)
+            how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)" if by else ""
             each = ", ".join(f"{case.names[k]} under the name {case.names[order.columns[k]]}" for k in shuffled)
             beside = "" if back is None else f", and {case.names[back]} reversed"
             out.append(
                 Hypothesis(
-                    f"joints look written in another order: {each}{beside}",
+                    f"joints stand in another order than they are named{how}: {each}{beside}",
                     "correct the names in joint_states, or the order of the columns",
                     lambda c, o=list(order.columns), s=sign: c.moved((c.q * s)[:, o]),  # type: ignore[misc]
                     VERY_RARE,

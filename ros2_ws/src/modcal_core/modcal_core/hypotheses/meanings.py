@@ -57,7 +57,7 @@ class Meaning:
 
 @dataclass(frozen=True)
 class Match:
-    """How well the nominal arm fits. score: log evidence [nats]. typical, typical_angle: medians of what is left [m, rad]."""
+    """How well the nominal arm fits. score: log evidence [nats]. typical, typical_angle: medians left [m, rad]."""
 
     score: float
     typical: float

@@ -65,9 +65,9 @@ def _meant(samples: Samples, chain: Chain, stated: str | None) -> Answer | None:
     quick = placed(case, thorough=False)
     if quick.clean or not len(case):
         return None
-    turned = conventions.rotations(stated) if quick.turn_rms > _TURNED else ()
+    turned = conventions.turns(stated) if quick.turn_rms > _TURNED else ()
     others = [*conventions.units(), *conventions.axes(), *conventions.joints(case.names)]
-    table = [conventions.inverse_pose(), *family(COMMON, turned), *family(COMMON, others)]
+    table = [conventions.inverse_pose(), *turned, *family(COMMON, others)]
     answer = explain(case, table, depth=1)
     if not answer.said or answer.gain <= BEYOND_DOUBT:
         return None
@@ -104,7 +104,7 @@ def inverted(samples: Samples, rows: np.ndarray) -> Samples:
     return replace(samples, reading=position, R=R)
 
 
-# --- an arm that is known -----------------------------------------------------------------------------------------------
+# --- an arm that is known --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

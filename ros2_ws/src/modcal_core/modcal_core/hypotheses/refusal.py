@@ -1,7 +1,7 @@
 """When even the fitted model misses by far, the input is wrong: it is refused, with what explains it.
 
-Plain facts are asked first (stated places and distances, sockets that moved); the search over hypotheses then names what
-was written down wrongly, or other plain facts (joints that stand, links beside the chain) say where to look.
+Statements are asked first (places and distances, sockets that stood); the search over hypotheses then names what was
+written down wrongly, or plain facts (joints that stand, links beside the chain) say where to look.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import numpy as np
 
 from modcal_core.calibration import AnyDistance, Cell, Fit, fit_cell, usual_miss
 from modcal_core.errors import BadRecording
+from modcal_core.hypotheses import conventions
 from modcal_core.hypotheses.case import Case
-from modcal_core.hypotheses.hypothesis import Disagreement
-from modcal_core.hypotheses.search import Answer, explain
-from modcal_core.hypotheses.socket_places import require_one_place
+from modcal_core.hypotheses.hypothesis import RARE, Disagreement, family
+from modcal_core.hypotheses.search import explain
+from modcal_core.hypotheses.socket_places import misread_joints, require_one_place
 from modcal_core.hypotheses.stated_distances import wrong_distances
 from modcal_core.measurements import Samples, moving_beside
 from modcal_core.robots import Mechanism
@@ -48,11 +49,8 @@ def require_plausible(
     said = f"the model misses by {1e3 * missed:.0f} mm, {1e3 * limit:.0f} mm is the limit"
     if distances or placed:
         _require_statements(chain, samples, distances, placed, said, limit)
-    answer = of_samples(whole, chain)
-    if answer is not None and answer.said:
-        left = f"; with that corrected, the nominal arm misses by {1e3 * answer.after.usual[1]:.1f} mm"
-        concerned = f"; {answer.stations} of {len(answer.before.case)} stations are concerned"
-        raise BadRecording(answer.what, said + left + concerned, answer.remedy)
+    if (found := disagreement(whole, chain)) is not None:
+        raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
     for what, why, remedy in _facts(samples, missed):
         raise BadRecording(what, f"{why}; {said}" if why else said, remedy)
     raise BadRecording(
@@ -62,18 +60,19 @@ def require_plausible(
     )
 
 
-def of_samples(samples: Samples, chain: Mechanism) -> Answer | None:
-    """What explains the readings of the frame with most of them; None of robots and readings that are not asked."""
+def disagreement(samples: Samples, chain: Mechanism, joints_only: bool = False) -> Disagreement | None:
+    """What looks wrong with readings that do not agree with the arm, None where nothing is sure.
+
+    joints_only: ask only what a fit can come to terms with: joints under other names, signs or together with others.
+    """
     case = Case.of(samples, chain)
-    return None if case is None else explain(case)
-
-
-def disagreement(samples: Samples, chain: Mechanism) -> Disagreement | None:
-    """What looks wrong with readings that do not agree with the arm, None where nothing is sure."""
-    answer = of_samples(samples, chain)
-    if answer is None or not answer.said:
+    if case is None:
+        return misread_joints(samples, chain)
+    joints = [*conventions.joints(case.names), *conventions.several_joints(case.names)]
+    answer = explain(case, family(RARE, joints), depth=1) if joints_only else explain(case)
+    if not answer.said:
         return None
-    return Disagreement(answer.what, answer.remedy, answer.stations, len(answer.before.case))
+    return Disagreement(answer.what, answer.remedy, answer.stations, len(case))
 
 
 def _require_statements(

@@ -1,4 +1,4 @@
-"""What may be so of some stations only, beside a base and a tool that the others agree on; and rows in another order."""
+"""What may be so of some stations only, beside a base and a tool that others agree on; and rows in another order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses.case import ASTRAY, SPREAD, Case, Fit, Placement, at, placed, points
+from modcal_core.hypotheses.case import ANYWHERE, SPREAD, Case, Fit, Placement, at, likelihood_at, placed, points
 from modcal_core.hypotheses.hypothesis import (
     COMMON,
     RARE,
@@ -37,13 +37,8 @@ def astray(fit: Fit) -> np.ndarray:
 def likelihood(case: Case, placement: Placement) -> Array:
     """Log likelihood of each station, (N,), by a placement, at twice a nominal arm's usual error."""
     turns, gaps = placement.left(case)
-    spread = (2.0 * case.scale.position, case.scale.extent, gaps), (2.0 * SPREAD[0], 8.0 * np.pi**2, turns)
-    total = np.zeros(len(case))
-    for sigma, volume, left in spread[: 2 if case.poses else 1]:
-        square = np.sum(left**2, axis=1)
-        inside = (1.0 - ASTRAY) * np.exp(-0.5 * square / sigma**2) / (2.0 * np.pi * sigma**2) ** 1.5
-        total += np.log(inside + ASTRAY / volume)
-    return total + case.volume
+    total = case.volume + likelihood_at(gaps, 2.0 * case.scale.position, case.scale.volume)
+    return total + likelihood_at(turns, 2.0 * SPREAD[0], ANYWHERE) if case.poses else total
 
 
 def by_table(fit: Fit, table: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
@@ -87,7 +82,7 @@ def stretch_or_scattered(gain: Array) -> np.ndarray:
     return max(sets, key=lambda rows: float(gain[rows].sum()) - (cost_of_rows(rows, N) if 0 < len(rows) < N else 0.0))
 
 
-# --- the rest, whatever it is -------------------------------------------------------------------------------------------
+# --- the rest, whatever it is ----------------------------------------------------------------------------------------
 
 
 def of_the_rest(fit: Fit) -> Iterator[Hypothesis]:
@@ -123,7 +118,7 @@ def _turn(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
         ("the tool", np.swapaxes(expected, 1, 2) @ R),
     ):
         alike = np.einsum("nij,kij->nk", off, off) > 1.0 + 2.0 * np.cos(2.0 * fit.case.limits[0])
-        S = off[int(np.argmax(alike.mean(axis=1)))]
+        S = so3.mean(off[alike[:, int(np.argmax(alike.mean(axis=0)))]])
         turn = so3.log(S)
         angle = float(np.linalg.norm(turn))
         axis = ", ".join(f"{v:.2f}" for v in turn / max(angle, 1e-12) + 0.0)
@@ -168,6 +163,45 @@ def moved(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
         yield replace(h, what=h.what.removesuffix(", and not at the others"))
 
 
+def with_own_placement(h: Hypothesis, own: Placement, fit: Fit, rest: np.ndarray) -> Hypothesis:
+    """A hypothesis of the rest, whose readings have a base and a tool of their own."""
+    here = fit.placement
+    return on_rows(
+        replace(h, undone=lambda c: _as_seen(h.undone(c), own, here), values=h.values + (12 if fit.case.poses else 9)),
+        fit.case,
+        rest,
+    )
+
+
+def still(fit: Fit) -> Iterator[Hypothesis]:
+    """Joints, or readings, that stand to the last digit while the others move, at stations that do not agree."""
+    case = fit.case
+    stands = {
+        name: np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for name, x in (("joints", case.q), ("p", case.p))
+    }
+    for rows, what, remedy in (
+        (
+            stands["joints"] & ~stands["p"],
+            "all joint positions stand still while the readings move: they look stale",
+            "check how joint states get into the recording",
+        ),
+        (
+            stands["p"] & ~stands["joints"],
+            "readings stand still while the joints move: they look stale",
+            "see whether the tracker lost its target and repeats its last reading",
+        ),
+    ):
+        at_rows = np.flatnonzero(rows & ~fit.agree(2.0))
+        if len(at_rows) < _LEAST:
+            continue
+        R, p = fit.placement.expected(case.A)
+        lost = case.scale.volume + (ANYWHERE if case.poses else 0.0)  # they say nothing
+        other = case.read(p, R if case.poses else case.R)
+        other = replace(other, volume=other.volume - lost - likelihood(other, fit.placement) + other.volume)
+        h = Hypothesis(what, remedy, lambda c, other=other: other, RARE, touches="rows")  # type: ignore[misc]
+        yield on_rows(h, case, at_rows)
+
+
 def _centred(part: Case, other: Placement, here: Placement) -> Placement:
     """The other placement with the place of the base, or of the tool, as medians of the part have it."""
     if other.x is here.x:
@@ -198,7 +232,7 @@ def stretches(fit: Fit) -> Iterator[Hypothesis]:
             continue
         end = first + window
         while end < N:
-            ahead = at(case.select(np.arange(end, min(end + 12, N))), own.placement).agree(2.0)
+            ahead = at(case.select(np.arange(end, N)), own.placement).agree(2.0)
             lost = np.flatnonzero(np.convolve(~ahead, np.ones(3), "valid") == 3)
             stop = end + (int(lost[0]) if len(lost) else len(ahead))
             if stop == end:
@@ -216,7 +250,8 @@ def stretches(fit: Fit) -> Iterator[Hypothesis]:
         ("the tool (or the target on it)", "keep the target where it is", "base", 6 if case.poses else 3),
         ("the base (or the tracker's zero), or the tool,", "keep tracker and target as they are", "", 12),
     ):
-        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, here, kept)) for a, b, own in parts]
+        mean = _mean([own for _, _, own in parts], here, kept)
+        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, mean, kept)) for a, b, own in parts]
 
         def undone(c: Case, each: list[tuple[np.ndarray, Placement]] = each) -> Case:
             for rows, own in each:
@@ -231,6 +266,19 @@ def stretches(fit: Fit) -> Iterator[Hypothesis]:
             values * (len(parts) - 1),
             "rows",
         )
+
+
+def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:
+    """What is kept, the tool or the base, as the mean of all parts."""
+    if kept == "tool":
+        return replace(
+            here, X=so3.mean(np.stack([own.X for own in parts])), x=np.mean([own.x for own in parts], axis=0)
+        )
+    if kept == "base":
+        return replace(
+            here, Y=so3.mean(np.stack([own.Y for own in parts])), t=np.mean([own.t for own in parts], axis=0)
+        )
+    return here
 
 
 def _sharing(part: Case, own: Placement, here: Placement, kept: str) -> Placement:
@@ -248,7 +296,7 @@ def _sharing(part: Case, own: Placement, here: Placement, kept: str) -> Placemen
     return own
 
 
-# --- rows that belong elsewhere ----------------------------------------------------------------------------------------
+# --- rows that belong elsewhere --------------------------------------------------------------------------------------
 
 
 def orders(case: Case) -> Iterator[Hypothesis]:
@@ -280,6 +328,8 @@ def orders(case: Case) -> Iterator[Hypothesis]:
 
 def _slipped(shift: int, of: int) -> str:
     """Readings that belong to the posture ``shift`` rows later, or ``of - shift`` earlier."""
+    if min(shift, of - shift) > 0.2 * of:
+        return f"readings stand in two parts that are exchanged: the first row's belongs to row {shift + 1}"
     if 2 * shift < of:
         return f"readings look early by {_count(shift)}: each stands {shift} row{'s' * (shift > 1)} too high"
     back = of - shift
@@ -319,7 +369,9 @@ def elsewhere(fit: Fit) -> Iterator[Hypothesis]:
     else:
         first = f"that at station {case.station[found[0]]} to station {case.station[belongs[found[0]]]}"
         mutual = float(np.mean(belongs[belongs[found]] == found))
+        mirrored = float(np.mean(belongs[found] + found == np.median(belongs[found] + found)))
         swapped = "look swapped two and two" if mutual > 0.8 else "belong to other stations, in another order of rows"
+        swapped = "stand in reverse order of the rows" if mirrored > 0.8 else swapped
         what = f"readings{which} {swapped} ({first})"
         told = len(found) * float(np.log(N))
     yield Hypothesis(
@@ -334,7 +386,7 @@ def elsewhere(fit: Fit) -> Iterator[Hypothesis]:
 
 
 def filters(case: Case) -> list[Hypothesis]:
-    """Readings that a filter mixed with those of rows before or after: a mean of several, or one that settles slowly."""
+    """Readings that a filter mixed with those of rows before or after: a mean of several, or a slow settling."""
     rows = np.arange(-_BEFORE, _AFTER + 1)
     if len(case) < 3 * len(rows):
         return []
@@ -348,18 +400,24 @@ def filters(case: Case) -> list[Hypothesis]:
         said = f"if {100 * kept:.0f}% of the reading before were still in it"
         made.append((said, np.where(rows <= 0, kept ** np.maximum(-rows, 0.0), 0.0)))
 
-    def undone(c: Case, weights: Array) -> Case:
+    def undone(c: Case, weights: Array, turns: bool) -> Case:
         around = np.concatenate([c.A[:1].repeat(_BEFORE, axis=0), c.A, c.A[-1:].repeat(_AFTER, axis=0)])
         A = np.moveaxis(sliding_window_view(around, len(rows), axis=0), -1, 1)  # (N, rows, 4, 4)
-        return replace(points(c), A=np.einsum("k,nkij->nij", weights / weights.sum(), A))
+        return replace(points(c) if turns else c, mixed=np.einsum("k,nkij->nij", weights / weights.sum(), A))
 
     remedy = (
         "turn the instrument's filter or averaging off, or wait at each station until it has settled, and record again"
     )
-    return family(
-        RARE,
-        [
-            Hypothesis(f"readings look filtered: each as {said}", remedy, lambda c, w=w: undone(c, w), 0.0, 1, "rows")  # type: ignore[misc]
-            for said, w in made
-        ],
-    )
+    made_of = [
+        Hypothesis(
+            f"readings look filtered: each as {said}",
+            remedy,
+            lambda c, w=w, turns=turns: undone(c, w, turns),  # type: ignore[misc]
+            0.0,
+            1,
+            "rows",
+        )
+        for said, w in made
+        for turns in ((False, True) if case.poses else (False,))
+    ]
+    return family(RARE, made_of)

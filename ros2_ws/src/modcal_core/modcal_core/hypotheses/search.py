@@ -16,7 +16,7 @@ import numpy as np
 from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import so3
 from modcal_core.hypotheses import channels, conventions, description, joints, rows
-from modcal_core.hypotheses.case import Case, Fit, placed
+from modcal_core.hypotheses.case import Case, Fit, placed, points
 from modcal_core.hypotheses.hypothesis import Hypothesis
 from modcal_core.measurements import spread_rows
 
@@ -26,6 +26,7 @@ AN_ARM = 0.05  # of the reach; what misses by more is explained by nothing
 _BETTER = 4.0  # times, by which what is no explanation for a nominal arm must still be better
 _AGREED = 0.9  # share of the stations; what is left then is single wrong readings, or asked of the arm itself
 _FEW, _FITTED = 60, 8  # stations that tables are sifted on, and hypotheses of each that are fitted
+_FEWEST = 12  # stations that can be asked by themselves, twice what base and tool ask for
 _DEPTH, _BEAM = 3, 2  # mistakes at once, and states that are followed
 _AT_ONCE = 96  # cases in a block, for memory
 
@@ -53,8 +54,7 @@ class State:
 @dataclass(frozen=True)
 class Answer:
     """said: what explains the readings together; empty where nothing does, or nothing has to be explained. before,
-    after: the fits to the readings as they are, and with all of it undone. rivals: other explanations that are nearly as
-    likely.
+    after: the fits to the readings as they are, and with all of it undone. rivals: explanations nearly as likely.
     """
 
     said: tuple[Hypothesis, ...]
@@ -89,10 +89,10 @@ def explain(case: Case, table: Sequence[Hypothesis] | None = None, depth: int = 
         return Answer((), root.fit, root.fit)
     seen, beam = [root], [root]
     for _ in range(depth):
-        trials = [t for k, state in enumerate(beam) for t in _followed(state, table, laborious=k == 0)]
+        trials = [t for state in beam for t in _followed(state, table)]
         seen += trials
-        best = sorted(trials, key=lambda t: -t.score)[:_BEAM]
-        beam = [t for t in best if t.score > root.score + SURE]
+        leading = [t for t in trials if t.score > root.score + SURE and _nearer(t.fit, root.fit)]
+        beam = _different(sorted(leading, key=lambda t: -t.score))
         if not beam or any(t.ends for t in beam):
             break
     return _answered(root, seen)
@@ -108,7 +108,7 @@ def _answered(root: State, seen: Sequence[State]) -> Answer:
     near = [s for s in good if s.score > best.score - ODDS and s is not best]
     own = {h.what for h in best.said}
     others = tuple(dict.fromkeys(s.said[-1].what for s in near if len(s.said) == len(best.said)))
-    rivals = tuple(what for what in others if what not in own)[:2]
+    rivals = tuple(what for what in others if what not in own)[:3]
     return Answer(best.said, root.fit, best.fit, best.score - root.score, rivals)
 
 
@@ -117,21 +117,54 @@ def _much_better(after: Fit, before: Fit) -> bool:
     limit = AN_ARM * after.case.chain.reach()
     size = max(after.usual[1] / after.case.limits[1], after.usual[0] / after.case.limits[0])
     was = max(before.usual[1] / before.case.limits[1], before.usual[0] / before.case.limits[0])
-    return after.usual[1] <= limit and _BETTER * size <= was
+    return after.usual[1] <= min(limit, after.case.motion[1] / _BETTER) and _BETTER * size <= was
 
 
-def _followed(state: State, table: Sequence[Hypothesis] | None, laborious: bool) -> list[State]:
-    """The states that one more hypothesis leads to. laborious: ask what takes a search, where nothing else ends it."""
+def _different(states: Sequence[State]) -> list[State]:
+    """The likeliest states that touch different things, best first: of two mistakes either may come first."""
+    first: dict[str, State] = {}
+    for state in states:
+        first.setdefault(state.said[-1].touches, state)
+    return list(first.values())[:_BEAM]
+
+
+def _nearer(after: Fit, before: Fit) -> bool:
+    """Whether turns or places are missed by half as much, or many more stations agree: else it leads nowhere."""
+    halved = any(now <= 0.5 * was for now, was in zip(after.usual, before.usual, strict=True) if was > 0.0)
+    return halved or float(after.agree(2.0).mean() - before.agree(2.0).mean()) > 0.1
+
+
+def _followed(state: State, table: Sequence[Hypothesis] | None) -> list[State]:
+    """The states that one more hypothesis leads to; what takes a search is asked where nothing else ends it."""
     case = state.fit.case
     if table is not None:
         return _fitted(state, _sifted(case, table))
-    whole = [*conventions.of_recording(case), *description.other_links(case), *description.axes(case)]
-    trials = _fitted(state, _sifted(case, [*whole, *joints.types(case)]))
-    for proposers in (_PLAIN, _LABORIOUS) if laborious else (_PLAIN,):
+    trials = _fitted(state, _sifted(case, _whole(case)))
+    for proposers in (_PLAIN, _LABORIOUS):
         if any(t.ends for t in trials):
             break
         trials += _fitted(state, _proposed(state.fit, proposers))
     return trials
+
+
+def _whole(case: Case) -> list[Hypothesis]:
+    """What may be so of a whole recording, told in closed form."""
+    whole = [*conventions.of_recording(case), *description.other_links(case), *description.axes(case)]
+    return [*whole, *joints.types(case), *channels.turned_frames(case)]
+
+
+def _of_themselves(fit: Fit) -> Iterator[Hypothesis]:
+    """What the stations that do not agree look like by themselves, with a base and a tool of their own."""
+    rest = rows.astray(fit)
+    if not _FEWEST <= len(rest) <= 0.9 * len(fit.case):
+        return
+    part = fit.case.select(rest)
+    likely = [(h, placed(h.undone(part))) for h in _sifted(part, _whole(part))[:_BEAM]]
+    if not any(own.explains for _, own in likely):
+        likely += [(h, placed(h.undone(part))) for h in description.mixtures(part)]
+    for h, own in likely:
+        if own.explains:
+            yield rows.with_own_placement(h, own.placement, fit, rest)
 
 
 # what is told in closed form, and what takes a search
@@ -139,7 +172,10 @@ _PLAIN: tuple[_Proposer, ...] = (
     lambda fit: rows.by_table(fit, conventions.of_some_rows(fit.case)),
     rows.of_the_rest,
     rows.elsewhere,
+    rows.still,
+    _of_themselves,
     rows.stretches,
+    lambda fit: [conventions.increments()],
     lambda fit: rows.orders(fit.case),
     lambda fit: rows.filters(fit.case),
     lambda fit: channels.channels(fit.case),
@@ -151,6 +187,7 @@ _LABORIOUS: tuple[_Proposer, ...] = (
     lambda fit: joints.throughout(fit.case),
     lambda fit: description.links(fit.case),
     lambda fit: description.mixtures(fit.case),
+    lambda fit: description.mixtures(points(fit.case)) if fit.case.poses else (),  # whatever orientations mean
 )
 
 

@@ -11,7 +11,9 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, se3
-from modcal_core.hypotheses.case import limits
+from modcal_core.hypotheses.case import Case, limits
+from modcal_core.hypotheses.conventions import joints, several_joints
+from modcal_core.hypotheses.hypothesis import Disagreement
 from modcal_core.measurements import Samples
 from modcal_core.robots import Mechanism, forward, is_serial_arm
 
@@ -49,6 +51,30 @@ def require_one_place(samples: Samples, chain: Mechanism) -> None:
         f"the rows lead to more than one place ({', '.join(said)}), and those of each other socket to one",
         "see whether the plate was moved, or rows of another socket stand under this name, and give each place its own",
     )
+
+
+def misread_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
+    """The mistake of joints with which undone each socket's rows lead to one place as a nominal arm's do, and did not.
+
+    What keeps the arm where it stands returns to any socket, so that what is missed counts by how far the arm moved.
+    """
+    rows = np.isin(samples.frame, [f for f, name in enumerate(samples.frames) if name in samples.sockets])
+    if not is_serial_arm(chain) or rows.sum() < _MIN:
+        return None
+    part, limit = samples.select(np.flatnonzero(rows)), limits(chain)[1]
+
+    def missed(case: Case) -> float:
+        sockets = [case.A[part.frame == f] for f in np.unique(part.frame)]
+        x = _ball(sockets)
+        return max(_spread(se3.apply(A, x)) for A in sockets) / max(_spread(case.A[:, :3, 3]), 1e-9)
+
+    case = Case.holding(part, chain)
+    table = [*joints(case.names), *several_joints(case.names)]
+    as_is, left = missed(case), [missed(h.undone(case)) for h in table]
+    best = int(np.argmin(left))
+    if left[best] * _spread(case.A[:, :3, 3]) > limit or _APART * left[best] > as_is:
+        return None
+    return Disagreement(table[best].what, table[best].remedy, len(part), len(part))
 
 
 def _elsewhere(points: Array, limit: float) -> float:

@@ -86,8 +86,9 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
     chain: the arm before it was fitted, for a fitted one has links that make up for what is wrong.
     """
     many = too_many(case.wrong, case.samples)
-    if many or _far(case.errors["final"], chain) or _far(case.errors["nominal"], chain):
-        found = disagreement(case.samples, chain)
+    far = many or _far(case.errors["final"], chain)
+    if far or _far(case.errors["nominal"], chain):  # a fit can come to terms with wrong joints without a rejection
+        found = disagreement(case.samples, chain, joints_only=not far)
         if found is not None:
             what = found.what[0].upper() + found.what[1:]
             yield f"{what} ({found.stations} of {found.of} stations that were looked at): {found.remedy}."
