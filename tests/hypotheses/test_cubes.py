@@ -12,7 +12,7 @@ from cells import ur10
 from scipy.spatial.transform import Rotation
 
 from modcal_core.geometry import se3
-from modcal_core.hypotheses.case import Case
+from modcal_core.hypotheses.hand_eye import HandEye
 from modcal_core.hypotheses.search import explain
 from modcal_core.measurements.samples import Samples
 
@@ -38,7 +38,7 @@ def cubes() -> Samples:
 
 
 def named(samples: Samples) -> str:
-    case = Case.of(samples, ur10())
+    case = HandEye.of(samples, ur10())
     assert case is not None
     return explain(case).what
 

@@ -37,7 +37,7 @@ def other_zero(q: Array) -> Array:
     ("joints", "words"),
     [
         (swapped, "joints shoulder_lift_joint and elbow_joint look swapped"),
-        (other_zero, "joint elbow_joint reads 90.0° too much"),
+        (other_zero, "joint elbow_joint reads 89.9° too much"),
     ],
 )
 def test_a_joint_is_named_though_orientations_are_of_another_convention(joints, words: str) -> None:  # type: ignore[no-untyped-def]

@@ -1,6 +1,6 @@
 """Which explanation fits readings that do not agree with the arm, and is it sure?
 
-case, hypothesis: readings beside tip poses and the evidence of a fit; what may be wrong, undone, with its price.
+hand_eye, hypothesis: readings beside tip poses and the evidence of a fit; what may be wrong, undone, with its price.
 conventions, channels, rows, joints, description: the catalogues. search: rank, refit, repeat; *nothing* and *none*.
 meant: conventions proved before a fit, and of a robot that is known. refusal: what no fit may come to terms with.
 meanings, turning, sights, joint_columns: what columns of a table mean. socket_places, stated_distances,
@@ -12,7 +12,7 @@ computed_part: plain checks of statements.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from modcal_core.hypotheses.case import ANGLE, OF_REACH, Case, Fit, limits, placed
+    from modcal_core.hypotheses.hand_eye import ANGLE, OF_REACH, HandEye, HandEyeFit, limits, placed
     from modcal_core.hypotheses.computed_part import computed_in_part
     from modcal_core.hypotheses.conventions import INVERSE, inverse_pose, left_handed
     from modcal_core.hypotheses.hypothesis import Disagreement, Hypothesis
@@ -29,7 +29,7 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ANGLE", "BEYOND_DOUBT", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
-__all__ += ["MISREAD", "OF_REACH", "QUATERNION", "ArmMiss", "Case", "Disagreement", "Fit", "Hypothesis", "Judged"]
-__all__ += ["Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement", "explain"]
+__all__ += ["MISREAD", "OF_REACH", "QUATERNION", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit", "Hypothesis"]
+__all__ += ["Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement", "explain"]
 __all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "placed", "proved", "recognised"]
 __all__ += ["require_plausible", "rivals", "same_poses", "sights_match", "turnings"]

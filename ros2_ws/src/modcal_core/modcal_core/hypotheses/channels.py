@@ -16,14 +16,14 @@ import numpy as np
 
 from modcal_core.calibration import base_and_tool_turns, turns_left
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses.case import Case, points
+from modcal_core.hypotheses.hand_eye import HandEye, points
 from modcal_core.hypotheses.hypothesis import RARE, ROWS_REMEDY, VERY_RARE, Hypothesis
 
 _SHIFTS = (1, -1, 2, -2, 3, -3)  # stations, by which readings may have slipped against the joints
 _COEFFICIENTS = 13
 
 
-def channels(case: Case) -> list[Hypothesis]:
+def channels(case: HandEye) -> list[Hypothesis]:
     """What may be wrong with one column or with the orientations; nothing of fewer rows than twice the coefficients."""
     if len(case) < 2 * _COEFFICIENTS:
         return []
@@ -34,7 +34,7 @@ def channels(case: Case) -> list[Hypothesis]:
         return []
 
 
-def turned_frames(case: Case) -> list[Hypothesis]:
+def turned_frames(case: HandEye) -> list[Hypothesis]:
     """Orientations that are given in another frame than positions."""
     if not case.poses or len(case) < 2 * _COEFFICIENTS:
         return []
@@ -46,7 +46,7 @@ def turned_frames(case: Case) -> list[Hypothesis]:
 
 @dataclass(frozen=True)
 class _Channels:
-    case: Case
+    case: HandEye
 
     @cached_property
     def design(self) -> Array:
@@ -89,7 +89,7 @@ class _Channels:
             what = f"{who} {_verb(who, 'look')} {side} by {abs(shift)} station{'s' if abs(shift) > 1 else ''}"
             what += f": each stands {rows} too {'low' if shift > 0 else 'high'} in the order of the stations"
 
-            def undone(c: Case, slipped: np.ndarray = slipped, shift: int = shift) -> Case:
+            def undone(c: HandEye, slipped: np.ndarray = slipped, shift: int = shift) -> HandEye:
                 p = np.where(slipped[:3], np.roll(c.p, -shift, axis=0), c.p)
                 return c.read(p, np.roll(c.R, -shift, axis=0) if slipped[3:].any() else c.R)
 
@@ -173,7 +173,7 @@ class _Channels:
         )
 
 
-def _without(c: Case, rest: list[int]) -> Case:
+def _without(c: HandEye, rest: list[int]) -> HandEye:
     """The case with the coordinates that are not in ``rest`` as a base and a tool that the rest asks for have them."""
     design = np.concatenate([c.A[:, :3, :3].reshape(-1, 9), c.A[:, :3, 3], np.ones((len(c), 1))], axis=1)
     M = np.zeros((3, _COEFFICIENTS))

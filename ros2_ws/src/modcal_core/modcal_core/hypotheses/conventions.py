@@ -11,7 +11,7 @@ from itertools import combinations, permutations, product
 import numpy as np
 
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses.case import Case
+from modcal_core.hypotheses.hand_eye import HandEye
 from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, family, listed
 
 # Sequences of three axes; upper case about moving axes, lower case about fixed ones, as SciPy writes them
@@ -23,7 +23,7 @@ _MAX_TURN = 1.05  # times a half or a whole turn; angles are no larger
 INVERSE = "readings look like inverse poses (tracker in tool)"
 
 
-def of_recording(case: Case, stated: str | None = None) -> list[Hypothesis]:
+def of_recording(case: HandEye, stated: str | None = None) -> list[Hypothesis]:
     """All that may be so of a whole recording. stated: the Euler sequence that composed its orientations, if known."""
     common = [*units(), *joints(case.names), *(axes() if case.poses else [left_handed()])]
     rare = [*rarer_units(), *several_joints(case.names), *_polar(case.p)]
@@ -45,14 +45,15 @@ def _both(first: Hypothesis, then: Hypothesis) -> Hypothesis:
 
 def turns(stated: str | None = None) -> list[Hypothesis]:
     """What may be wrong with orientations alone: exotic pairs of Euler sequences are the rarer ones."""
-    plain, exotic = [], []
+    plain: list[Hypothesis] = []
+    exotic: list[Hypothesis] = []
     for h in rotations(stated):
         usual = "composed" not in h.what or stated is not None
         (plain if usual or all(s in _USUAL for s in re.findall(r" ([xyzXYZ]{3}) about", h.what)) else exotic).append(h)
     return [*family(COMMON, plain), *family(RARE, exotic)]
 
 
-def _reading(what: str, remedy: str, p: Callable[[Case], Array], volume: float = 0.0) -> Hypothesis:
+def _reading(what: str, remedy: str, p: Callable[[HandEye], Array], volume: float = 0.0) -> Hypothesis:
     return Hypothesis(what, remedy, lambda c: c.read(p(c), volume=volume), 0.0)
 
 
@@ -66,7 +67,7 @@ def _of_joints(what: str, remedy: str, q: Callable[[Array], Array]) -> Hypothesi
 def inverse_pose() -> Hypothesis:
     """The tracker's pose in the tool, where the tool's pose in the tracker is meant."""
 
-    def undone(c: Case) -> Case:
+    def undone(c: HandEye) -> HandEye:
         R = np.swapaxes(c.R, 1, 2)
         return c.read(-turned(R, c.p), R)
 
@@ -129,7 +130,7 @@ def axes_of_the_pose() -> Iterator[Hypothesis]:
         ("were those of inverse poses, turned once too often (into a wrong frame)", -1.0, True),
     ):
 
-        def p(c: Case, sign: float = sign, back: bool = back) -> Array:
+        def p(c: HandEye, sign: float = sign, back: bool = back) -> Array:
             return sign * turned(np.swapaxes(c.R, 1, 2) if back else c.R, c.p)
 
         yield _reading(f"positions look as if they {what}", "give positions and orientations in the tracker's frame", p)
@@ -162,11 +163,11 @@ def _polar(position: Array) -> Iterator[Hypothesis]:
             for zenith, clockwise in product((False, True), repeat=2):
 
                 def undone(
-                    c: Case,
+                    c: HandEye,
                     columns: tuple[int, int, int] = (around, up, far),
                     scales: tuple[float, float] = (angle, metre),
                     how: tuple[bool, bool] = (zenith, clockwise),
-                ) -> Case:
+                ) -> HandEye:
                     a, e, r = (c.p[:, k] for k in columns)
                     a, e, r = scales[0] * a, scales[0] * e, scales[1] * r
                     e = 0.5 * np.pi - e if how[0] else e
@@ -343,7 +344,7 @@ def _exchanged(n: int, i: int, j: int) -> list[int]:
     return order
 
 
-def of_some_rows(case: Case) -> list[Hypothesis]:
+def of_some_rows(case: HandEye) -> list[Hypothesis]:
     """What may be so of some rows only: these of the whole recording that are met most."""
     plain = [*units(), *rarer_units(), *axes()]  # against the base that the others agree on
     plain += [*joints(case.names), *in_degrees(case.names)]

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.calibration import base_and_tool_turns, turns_left
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.case import ANGLE, Case, Placement, at, placed
+from modcal_core.hypotheses.hand_eye import ANGLE, HandEye, Placement, at, placed
 from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, family, listed
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, forward, frames
@@ -32,13 +32,13 @@ _LENGTH = 0.02  # of the reach, by which an origin is wrong
 # --- another link ----------------------------------------------------------------------------------------------------
 
 
-def other_links(case: Case) -> list[Hypothesis]:
+def other_links(case: HandEye) -> list[Hypothesis]:
     """Readings that follow another link than the tip, or the tip as seen from another link than the base."""
     chain, n = case.chain, case.chain.n
     pairs = [(a, b, i) for a, b in combinations(range(n + 1), 2) for i in (False, True) if (a, b, i) != (0, n, False)]
     pairs.remove((0, n, True))  # inverse poses are a convention
 
-    def undone(c: Case, first: int, last: int, inverse: bool) -> Case:
+    def undone(c: HandEye, first: int, last: int, inverse: bool) -> HandEye:
         f = frames(chain, c.q)
         # the frame before joint k + 1 ends the link behind joint k, and does not turn with joint k + 1
         A = se3.inverse(f.transform(first)) @ f.transform(last)
@@ -82,7 +82,7 @@ def _of_link(chain: Chain, first: int, last: int, inverse: bool) -> tuple[str, s
 # --- axes ------------------------------------------------------------------------------------------------------------
 
 
-def axes(case: Case) -> list[Hypothesis]:
+def axes(case: HandEye) -> list[Hypothesis]:
     """Joints that turn or slide along another axis of their frame than the description says."""
     out = []
     for j, name in enumerate(case.names):
@@ -151,7 +151,7 @@ class Free:
     turns: bool = False
 
 
-def fitted(case: Case, start: Arm, free: Free) -> tuple[Arm, Placement]:
+def fitted(case: HandEye, start: Arm, free: Free) -> tuple[Arm, Placement]:
     """The arm, base and tool that the readings ask for, from this start."""
     scale = np.array(case.limits)
     placement = placed(replace(case, A=start.tip(case.q)), thorough=False).placement
@@ -183,7 +183,7 @@ def _cost(r: Array) -> float:
     return float(np.sum(np.log1p(np.sum(r**2, axis=1))))
 
 
-def _rows(case: Case, arm: Arm, placement: Placement, free: Free, scale: Array) -> tuple[Array, Array]:
+def _rows(case: HandEye, arm: Arm, placement: Placement, free: Free, scale: Array) -> tuple[Array, Array]:
     """Residuals (N, k) in units of what a nominal arm misses by, and how a step reduces them, (N, k, values).
 
     A value moves the tip by a twist (v, w) in the base; the point of the tool moves by v + w × point.
@@ -238,14 +238,14 @@ def _bounded_turn(turn: Array) -> Array:
     return np.asarray(so3.exp(turn / max(float(np.linalg.norm(turn)), 1.0)))
 
 
-def _few(case: Case) -> Case:
+def _few(case: HandEye) -> HandEye:
     return case.select(spread_rows(len(case), _FEW))
 
 
 # --- links -----------------------------------------------------------------------------------------------------------
 
 
-def links(case: Case) -> Iterator[Hypothesis]:
+def links(case: HandEye) -> Iterator[Hypothesis]:
     """One origin of the description that stands elsewhere or otherwise, or several whose lengths are others."""
     few, chain = _few(case), case.chain
     n, likely = chain.n, list[tuple[float, int, Arm]]()
@@ -294,7 +294,7 @@ def _turned_origin(chain: Chain, j: int, S: Array) -> Arm:
     return replace(Arm.described(chain), origins=origins)
 
 
-def _cube(few: Case, j: int, most: int = 2) -> list[Array]:
+def _cube(few: HandEye, j: int, most: int = 2) -> list[Array]:
     """The turns of a cube before joint j, but for none, with which orientations agree best."""
     turns = [S for S in Rotation.create_group("O").as_matrix() if np.trace(S) < 2.9]
     part = few.select(spread_rows(len(few), 30))
@@ -340,10 +340,10 @@ def _unwound(axis: Array, S: Array) -> Array:
 # --- motors for joints -----------------------------------------------------------------------------------------------
 
 
-def mixtures(case: Case) -> Iterator[Hypothesis]:
+def mixtures(case: HandEye) -> Iterator[Hypothesis]:
     """Joint positions that are mixed, scaled or shifted: the linear map of the columns that the readings ask for."""
     few, chain = _few(case), case.chain
-    moved = tuple(np.flatnonzero(case.q.std(axis=0) > 0.0))
+    moved = tuple(np.flatnonzero(case.q.std(axis=0) > 0.0).tolist())
     as_described = Arm.described(chain)
     starts = [as_described]
     part = few.select(spread_rows(len(few), 40))
@@ -359,7 +359,7 @@ def mixtures(case: Case) -> Iterator[Hypothesis]:
             yield _by_arm(what, remedy, arm, COMMON + VERY_RARE - RARE, values)
 
 
-def _sifted(arms: Sequence[Arm], part: Case, most: int = _STARTS) -> list[Arm]:
+def _sifted(arms: Sequence[Arm], part: HandEye, most: int = _STARTS) -> list[Arm]:
     """Those that leave least by a linear map of turns and places, whatever base and tool are."""
     p = part.p - part.p.mean(axis=0)
     left = []
@@ -400,7 +400,7 @@ def _mixed(chain: Chain) -> Iterator[Arm]:
                 yield replace(Arm.described(chain), M=M)
 
 
-def _of_map(arm: Arm, case: Case) -> tuple[str, str, int]:
+def _of_map(arm: Arm, case: HandEye) -> tuple[str, str, int]:
     """What is said of a map, of which joints, and how many values it changes; empty for what nobody can name."""
     names, q, n = case.names, case.q, case.chain.n
     size = np.abs(arm.M - np.eye(n)) * q.std(axis=0)

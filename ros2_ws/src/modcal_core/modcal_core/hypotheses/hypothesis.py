@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import consecutive
-from modcal_core.hypotheses.case import Case
+from modcal_core.hypotheses.hand_eye import HandEye
 
 COMMON, RARE, VERY_RARE = (float(np.log(share)) for share in (0.02, 0.004, 0.001))  # chance of meeting any of a family
 ROWS_REMEDY = "pair each reading with its own posture (a table that slipped or was sorted, labels, or a clock)"
@@ -23,7 +23,7 @@ class Hypothesis:
 
     what: str
     remedy: str
-    undone: Callable[[Case], Case]
+    undone: Callable[[HandEye], HandEye]
     price: float
     values: int = 0
     touches: str = "readings"
@@ -50,7 +50,7 @@ def family(price: float, members: Iterable[Hypothesis]) -> list[Hypothesis]:
     return [replace(h, price=price - float(np.log(len(members)))) for h in members]
 
 
-def where(case: Case, rows: np.ndarray) -> str:
+def where(case: HandEye, rows: np.ndarray) -> str:
     """These rows in words: runs of station numbers, or how many they are; empty for all of them."""
     if len(rows) == len(case):
         return ""

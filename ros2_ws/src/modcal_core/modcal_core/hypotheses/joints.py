@@ -14,7 +14,7 @@ import numpy as np
 
 from modcal_core.calibration import turns_left
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.case import SPREAD, Case, Fit, Placement, at, start
+from modcal_core.hypotheses.hand_eye import SPREAD, HandEye, HandEyeFit, Placement, at, start
 from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, family, where
 from modcal_core.hypotheses.joint_columns import likely_orders
 from modcal_core.hypotheses.rows import astray
@@ -32,7 +32,7 @@ _BEGIN = (0.0, 2.1, -2.1)  # rad; thirds of a turn from what is reported, from w
 _STEPS, _LONGEST = 10, 0.7  # iterations, and how far one goes [rad]
 
 
-def of_one(fit: Fit) -> Iterator[Hypothesis]:
+def of_one(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """One joint that was not where it was reported, at the stations that do not agree."""
     rest = astray(fit)
     if len(rest) < 3:
@@ -45,7 +45,7 @@ def of_one(fit: Fit) -> Iterator[Hypothesis]:
             yield from _of_joint(fit.case, j, rest[good], q[good, j], COMMON)
 
 
-def throughout(case: Case) -> Iterator[Hypothesis]:
+def throughout(case: HandEye) -> Iterator[Hypothesis]:
     """One joint that is off at all stations: its angles, base and tool are found in turn, from several starts."""
     rng, few = np.random.default_rng(0), case.select(spread_rows(len(case), 6 * _FEW))
     for j in _turning(case.chain):
@@ -60,7 +60,7 @@ def throughout(case: Case) -> Iterator[Hypothesis]:
                 break
 
 
-def _in_turn(few: Case, j: int, q: Array) -> tuple[Placement, float]:
+def _in_turn(few: HandEye, j: int, q: Array) -> tuple[Placement, float]:
     """Base and tool with which the readings agree on a joint's angles, and what is missed in limits of an arm."""
     last, kept = np.inf, start(few)
     for round in range(_ROUNDS):
@@ -73,7 +73,7 @@ def _in_turn(few: Case, j: int, q: Array) -> tuple[Placement, float]:
     return kept, last
 
 
-def of_two(fit: Fit) -> Iterator[Hypothesis]:
+def of_two(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Two joints that were not where they were reported, which four of the six numbers of a pose then prove."""
     rest = astray(fit)
     if len(rest) < 3 or not fit.case.poses:
@@ -102,7 +102,7 @@ def _turning(chain: Chain) -> list[int]:
     return [j for j in range(chain.n) if chain.revolute[j]]
 
 
-def _of_joint(case: Case, j: int, rows: np.ndarray, seen: Array, price: float) -> Iterator[Hypothesis]:
+def _of_joint(case: HandEye, j: int, rows: np.ndarray, seen: Array, price: float) -> Iterator[Hypothesis]:
     """What was wrong with a joint whose angles the readings tell at some rows, the plainest first."""
     name, reported, N = case.names[j], case.q[rows, j], len(case)
     at_rows, n = where(case, rows), case.chain.n
@@ -133,11 +133,11 @@ def _of_joint(case: Case, j: int, rows: np.ndarray, seen: Array, price: float) -
 
 
 def _replaced(
-    case: Case, joints: list[int], rows: np.ndarray, seen: Array, what: str, name: str, price: float, values: int = 0
+    case: HandEye, joints: list[int], rows: np.ndarray, seen: Array, what: str, name: str, price: float, values: int = 0
 ) -> Hypothesis:
     """Positions of joints at rows as the readings tell them."""
     q = case.q.copy()
-    q[np.ix_(rows, joints)] = seen
+    q[rows[:, None], joints] = seen
     remedy = f"check how the position{'s' if len(joints) > 1 else ''} of {name} gets into joint_states"
     if "do not show it" in what:
         remedy = f"mount the tracker and its reference where {name} does not move them"
@@ -152,7 +152,7 @@ def _spread(angle: Array) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
-def solved(j: int, placement: Placement, part: Case) -> Array:
+def solved(j: int, placement: Placement, part: HandEye) -> Array:
     """Postures with the angle of joint j as the orientations tell it, or points where there are none."""
     q = part.q.copy()
     q[:, j] = 0.0
@@ -178,7 +178,7 @@ def solved(j: int, placement: Placement, part: Case) -> Array:
     return q
 
 
-def solved_two(pair: tuple[int, int], placement: Placement, part: Case) -> Array:
+def solved_two(pair: tuple[int, int], placement: Placement, part: HandEye) -> Array:
     """Postures with the positions of two joints that come nearest to the readings, from several starts."""
     columns, scale = list(pair), np.array(part.limits)
     best, q_best = np.full(len(part), np.inf), part.q.copy()
@@ -209,7 +209,7 @@ def solved_two(pair: tuple[int, int], placement: Placement, part: Case) -> Array
 # --- columns under other names, other types --------------------------------------------------------------------------
 
 
-def orders(case: Case) -> list[Hypothesis]:
+def orders(case: HandEye) -> list[Hypothesis]:
     """The likeliest orders of the joints' columns, with one reversed beside it."""
     n, out, explained = case.chain.n, list[Hypothesis](), False
     for back in (None, *range(n if n <= _SIGNS else 0)):
@@ -240,7 +240,7 @@ def orders(case: Case) -> list[Hypothesis]:
     return out
 
 
-def types(case: Case) -> list[Hypothesis]:
+def types(case: HandEye) -> list[Hypothesis]:
     """Joints that slide where they turn, or the reverse."""
     out = []
     for j, name in enumerate(case.names):

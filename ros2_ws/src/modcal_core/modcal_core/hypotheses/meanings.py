@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.calibration import base_and_tool_turns, tool_and_place, turns_left
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.hypotheses.case import Case, placed
+from modcal_core.hypotheses.hand_eye import HandEye, placed
 from modcal_core.hypotheses.meant import BEYOND_DOUBT
 from modcal_core.hypotheses.search import rough
 from modcal_core.hypotheses.turning import Turning, turnings
@@ -64,7 +64,7 @@ class Match:
     typical_angle: float
 
     @classmethod
-    def of(cls, case: Case) -> Match:
+    def of(cls, case: HandEye) -> Match:
         """That of a case with base and tool fitted."""
         fit = placed(case, thorough=False)
         return cls(fit.evidence, fit.usual[1], fit.usual[0])
@@ -126,7 +126,7 @@ def rivals(found: Sequence[Judged]) -> list[Judged]:
 
 def _judged_point(chain: Chain, choice: Postures, c: int, position: Array, unit: str) -> Judged:
     rows = spread_rows(len(position), _MAX)
-    table = Case.of_arrays(chain, choice.q[rows], position[rows])
+    table = HandEye.of_arrays(chain, choice.q[rows], position[rows])
     case = table.read(LENGTHS[unit] * table.p, volume=3.0 * float(np.log(LENGTHS[unit])))
     return Judged(Meaning(c, unit, None), Match.of(case), case.R, case.p)
 
@@ -138,9 +138,9 @@ def _judged_poses(
     unread = np.tile(np.eye(3), (len(position), 1, 1))
     likely = _likely_turnings(chain, choice.q[few], turned[few], ways)
     meanings = [Meaning(c, unit, way, inverse) for way in likely for inverse in (False, True) for unit in LENGTHS]
-    table = Case.of_arrays(chain, choice.q[few], position[few], unread[few])
+    table = HandEye.of_arrays(chain, choice.q[few], position[few], unread[few])
     scores = np.array(rough([_read(m, turned[few], table) for m in meanings]))
-    table = Case.of_arrays(chain, choice.q[more], position[more], unread[more])
+    table = HandEye.of_arrays(chain, choice.q[more], position[more], unread[more])
     out = []
     for i in np.argsort(-scores, kind="stable")[:_JUDGED]:
         case = _read(meanings[i], turned[more], table)
@@ -161,7 +161,7 @@ def _likely_turnings(chain: Chain, q: Array, columns: Array, ways: Sequence[Turn
     return [ways[i] for i in order[:_ROTATIONS] if left[i] <= near]
 
 
-def _read(meaning: Meaning, columns: Array, table: Case) -> Case:
+def _read(meaning: Meaning, columns: Array, table: HandEye) -> HandEye:
     """The rows of a table as a meaning of its columns has them."""
     assert meaning.turning is not None
     R = meaning.turning.rotations(columns)

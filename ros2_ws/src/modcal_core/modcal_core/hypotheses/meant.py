@@ -14,7 +14,7 @@ import numpy as np
 from modcal_core.calibration import Model, NoiseModel, distinct, errors
 from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import conventions
-from modcal_core.hypotheses.case import Case, Fit, placed, thinned
+from modcal_core.hypotheses.hand_eye import HandEye, HandEyeFit, placed, thinned
 from modcal_core.hypotheses.hypothesis import COMMON, Hypothesis, family
 from modcal_core.hypotheses.refusal import standing
 from modcal_core.hypotheses.search import Answer, explain
@@ -61,7 +61,7 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
 
 def _meant(samples: Samples, chain: Chain, stated: str | None) -> Answer | None:
     """The mistakes that were made of the whole recording beyond doubt; None where there are none."""
-    case = Case.holding(samples, chain)
+    case = HandEye.holding(samples, chain)
     quick = placed(case, thorough=False)
     if quick.clean or not len(case):
         return None
@@ -115,7 +115,7 @@ class ArmMiss:
     rotation: float
 
     @classmethod
-    def of(cls, fit: Fit) -> ArmMiss:
+    def of(cls, fit: HandEyeFit) -> ArmMiss:
         """That of a fit."""
         return cls(fit.usual[1], fit.usual[0])
 
@@ -168,7 +168,7 @@ def _mistaken(chain: Chain, part: Samples, frame: str) -> Hypothesis | BadRecord
     """The inverse pose, where it is that; the refusal where the arm does not explain the readings, None where it does.
     Raises BadRecording where another mistake does.
     """
-    reach, case = chain.reach(), Case.holding(part, chain)
+    reach, case = chain.reach(), HandEye.holding(part, chain)
     as_is = ArmMiss.of(placed(case))
     # a point alone does not say how far the arm should turn: what is small is then small for itself
     if as_is.size(reach) < _AT_MIN * reach:

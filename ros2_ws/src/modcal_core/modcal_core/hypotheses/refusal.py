@@ -13,7 +13,7 @@ import numpy as np
 from modcal_core.calibration import AnyDistance, Cell, Fit, fit_cell, usual_miss
 from modcal_core.errors import BadRecording
 from modcal_core.hypotheses import conventions
-from modcal_core.hypotheses.case import Case
+from modcal_core.hypotheses.hand_eye import HandEye
 from modcal_core.hypotheses.hypothesis import RARE, Disagreement, family
 from modcal_core.hypotheses.search import explain
 from modcal_core.hypotheses.socket_places import misread_joints, require_one_place
@@ -65,7 +65,7 @@ def disagreement(samples: Samples, chain: Mechanism, joints_only: bool = False) 
 
     joints_only: ask only what a fit can come to terms with: joints under other names, signs or together with others.
     """
-    case = Case.of(samples, chain)
+    case = HandEye.of(samples, chain)
     if case is None:
         return misread_joints(samples, chain)
     joints = [*conventions.joints(case.names), *conventions.several_joints(case.names)]

@@ -10,7 +10,17 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses.case import ANYWHERE, SPREAD, Case, Fit, Placement, at, likelihood_at, placed, points
+from modcal_core.hypotheses.hand_eye import (
+    ANYWHERE,
+    SPREAD,
+    HandEye,
+    HandEyeFit,
+    Placement,
+    at,
+    likelihood_at,
+    placed,
+    points,
+)
 from modcal_core.hypotheses.hypothesis import (
     COMMON,
     RARE,
@@ -29,19 +39,19 @@ _UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254, "feet"
 _BEFORE, _AFTER = 8, 3  # rows that a filter reaches
 
 
-def astray(fit: Fit) -> np.ndarray:
+def astray(fit: HandEyeFit) -> np.ndarray:
     """The stations that do not agree with the placement, row numbers."""
     return np.flatnonzero(~fit.agree(2.0))
 
 
-def likelihood(case: Case, placement: Placement) -> Array:
+def likelihood(case: HandEye, placement: Placement) -> Array:
     """Log likelihood of each station, (N,), by a placement, at twice a nominal arm's usual error."""
     turns, gaps = placement.left(case)
     total = case.volume + likelihood_at(gaps, 2.0 * case.scale.position, case.scale.volume)
     return total + likelihood_at(turns, 2.0 * SPREAD[0], ANYWHERE) if case.poses else total
 
 
-def by_table(fit: Fit, table: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
+def by_table(fit: HandEyeFit, table: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
     """Those of a table that are likely of some rows, each with its rows."""
     case, placement, rest = fit.case, fit.placement, astray(fit)
     if len(rest) < _LEAST:
@@ -59,7 +69,7 @@ def by_table(fit: Fit, table: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
             yield on_rows(table[k], case, rows)
 
 
-def on_rows(h: Hypothesis, case: Case, rows: np.ndarray) -> Hypothesis:
+def on_rows(h: Hypothesis, case: HandEye, rows: np.ndarray) -> Hypothesis:
     """A hypothesis of some rows alone."""
     whole = len(rows) == len(case)
     return replace(
@@ -85,7 +95,7 @@ def stretch_or_scattered(gain: Array) -> np.ndarray:
 # --- the rest, whatever it is ----------------------------------------------------------------------------------------
 
 
-def of_the_rest(fit: Fit) -> Iterator[Hypothesis]:
+def of_the_rest(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """What the stations that do not agree may have in common: a scale, a turn, a base or a tool of their own."""
     case, rest = fit.case, astray(fit)
     if len(rest) < _LEAST or len(rest) > 0.9 * len(case):
@@ -96,7 +106,7 @@ def of_the_rest(fit: Fit) -> Iterator[Hypothesis]:
     yield from moved(fit, rest)
 
 
-def _scale(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
+def _scale(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
     """Positions of the rest that are one number times as long as they should be."""
     expected, seen = fit.placement.expected(fit.case.A[rest])[1], fit.case.p[rest]
     factor = float(np.median(np.sum(seen * expected, axis=1) / np.sum(expected**2, axis=1)))
@@ -110,7 +120,7 @@ def _scale(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
     yield replace(h, what=h.what.removesuffix(", and not at the others"))
 
 
-def _turn(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
+def _turn(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
     """Orientations of the rest that are turned by one angle about one axis."""
     R, (expected, _) = fit.case.R[rest], fit.placement.expected(fit.case.A[rest])
     for frame, off in (
@@ -128,14 +138,14 @@ def _turn(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
             "the target looks alike from several sides"
         )
 
-        def undone(c: Case, S: Array = S, left: bool = frame == "the tracker") -> Case:
+        def undone(c: HandEye, S: Array = S, left: bool = frame == "the tracker") -> HandEye:
             return c.read(R=S.T @ c.R if left else c.R @ S.T)
 
         h = on_rows(Hypothesis(what, remedy, undone, RARE, 3, "orientations"), fit.case, rest)
         yield replace(h, what=f"{h.what.removesuffix(', and not at the others')}, and positions agree")
 
 
-def moved(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
+def moved(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
     """A base, a tool, or both of the rest's own."""
     case = fit.case
     if len(rest) < (4 if case.poses else 6):
@@ -155,7 +165,7 @@ def moved(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
             other = replace(other, x=here.x)
         other = _centred(case.select(rows), other, here)
 
-        def undone(c: Case, other: Placement = other) -> Case:
+        def undone(c: HandEye, other: Placement = other) -> HandEye:
             return _as_seen(c, other, here)
 
         h = Hypothesis(what, remedy, undone, COMMON, values, "rows")
@@ -163,7 +173,7 @@ def moved(fit: Fit, rest: np.ndarray) -> Iterator[Hypothesis]:
         yield replace(h, what=h.what.removesuffix(", and not at the others"))
 
 
-def with_own_placement(h: Hypothesis, own: Placement, fit: Fit, rest: np.ndarray) -> Hypothesis:
+def with_own_placement(h: Hypothesis, own: Placement, fit: HandEyeFit, rest: np.ndarray) -> Hypothesis:
     """A hypothesis of the rest, whose readings have a base and a tool of their own."""
     here = fit.placement
     return on_rows(
@@ -173,7 +183,7 @@ def with_own_placement(h: Hypothesis, own: Placement, fit: Fit, rest: np.ndarray
     )
 
 
-def still(fit: Fit) -> Iterator[Hypothesis]:
+def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Joints, or readings, that stand to the last digit while the others move, at stations that do not agree."""
     case = fit.case
     stands = {
@@ -202,7 +212,7 @@ def still(fit: Fit) -> Iterator[Hypothesis]:
         yield on_rows(h, case, at_rows)
 
 
-def _centred(part: Case, other: Placement, here: Placement) -> Placement:
+def _centred(part: HandEye, other: Placement, here: Placement) -> Placement:
     """The other placement with the place of the base, or of the tool, as medians of the part have it."""
     if other.x is here.x:
         return replace(other, t=other.t + np.median(at(part, other).placement.left(part)[1], axis=0))
@@ -213,7 +223,7 @@ def _centred(part: Case, other: Placement, here: Placement) -> Placement:
     return other
 
 
-def _as_seen(c: Case, other: Placement, here: Placement) -> Case:
+def _as_seen(c: HandEye, other: Placement, here: Placement) -> HandEye:
     """Readings as they would be by one placement, with what they miss another by."""
     R_there, p_there = other.expected(c.A)
     R_here, p_here = here.expected(c.A)
@@ -221,9 +231,10 @@ def _as_seen(c: Case, other: Placement, here: Placement) -> Case:
     return c.read(p_here + (c.p - p_there), R_here @ turn if c.poses else c.R)
 
 
-def stretches(fit: Fit) -> Iterator[Hypothesis]:
+def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Several stretches, each with a base or a tool of its own: of each, one after the other, what moved."""
-    case, parts, first, N = fit.case, [], 0, len(fit.case)
+    case, first, N = fit.case, 0, len(fit.case)
+    parts: list[tuple[int, int, Placement]] = []
     window = 6 if case.poses else 10
     while first + window <= N and len(parts) <= 12:
         own = placed(case.select(np.arange(first, first + window)), thorough=False)
@@ -253,7 +264,7 @@ def stretches(fit: Fit) -> Iterator[Hypothesis]:
         mean = _mean([own for _, _, own in parts], here, kept)
         each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, mean, kept)) for a, b, own in parts]
 
-        def undone(c: Case, each: list[tuple[np.ndarray, Placement]] = each) -> Case:
+        def undone(c: HandEye, each: list[tuple[np.ndarray, Placement]] = each) -> HandEye:
             for rows, own in each:
                 c = c.of_rows(_as_seen(c, own, here), rows)
             return c
@@ -281,7 +292,7 @@ def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:
     return here
 
 
-def _sharing(part: Case, own: Placement, here: Placement, kept: str) -> Placement:
+def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Placement:
     """The placement of a part with the tool, or the base, of another."""
     if kept == "tool":
         Y = own.Y
@@ -299,7 +310,7 @@ def _sharing(part: Case, own: Placement, here: Placement, kept: str) -> Placemen
 # --- rows that belong elsewhere --------------------------------------------------------------------------------------
 
 
-def orders(case: Case) -> Iterator[Hypothesis]:
+def orders(case: HandEye) -> Iterator[Hypothesis]:
     """Whole recordings in another order than the joints': slipped, reversed, or by a shuffle that names sort into."""
     N = len(case)
     if N < 16:
@@ -340,7 +351,7 @@ def _count(stations: int) -> str:
     return f"{stations} station{'s' if stations > 1 else ''}"
 
 
-def elsewhere(fit: Fit) -> Iterator[Hypothesis]:
+def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """Readings of the rest that belong to other postures of the recording."""
     case, rest = fit.case, astray(fit)
     N = len(case)
@@ -385,7 +396,7 @@ def elsewhere(fit: Fit) -> Iterator[Hypothesis]:
     )
 
 
-def filters(case: Case) -> list[Hypothesis]:
+def filters(case: HandEye) -> list[Hypothesis]:
     """Readings that a filter mixed with those of rows before or after: a mean of several, or a slow settling."""
     rows = np.arange(-_BEFORE, _AFTER + 1)
     if len(case) < 3 * len(rows):
@@ -400,7 +411,7 @@ def filters(case: Case) -> list[Hypothesis]:
         said = f"if {100 * kept:.0f}% of the reading before were still in it"
         made.append((said, np.where(rows <= 0, kept ** np.maximum(-rows, 0.0), 0.0)))
 
-    def undone(c: Case, weights: Array, turns: bool) -> Case:
+    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
         around = np.concatenate([c.A[:1].repeat(_BEFORE, axis=0), c.A, c.A[-1:].repeat(_AFTER, axis=0)])
         A = np.moveaxis(sliding_window_view(around, len(rows), axis=0), -1, 1)  # (N, rows, 4, 4)
         return replace(points(c) if turns else c, mixed=np.einsum("k,nkij->nij", weights / weights.sum(), A))

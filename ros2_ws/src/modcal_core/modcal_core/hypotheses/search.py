@@ -16,7 +16,7 @@ import numpy as np
 from modcal_core.calibration import base_and_tool_turns, base_by_positions, tool_and_place, turns_left
 from modcal_core.geometry import so3
 from modcal_core.hypotheses import channels, conventions, description, joints, rows
-from modcal_core.hypotheses.case import Case, Fit, placed, points
+from modcal_core.hypotheses.hand_eye import HandEye, HandEyeFit, placed, points
 from modcal_core.hypotheses.hypothesis import Hypothesis
 from modcal_core.measurements import spread_rows
 
@@ -30,14 +30,14 @@ _FEWEST = 12  # stations that can be asked by themselves, twice what base and to
 _DEPTH, _BEAM = 3, 2  # mistakes at once, and states that are followed
 _AT_ONCE = 96  # cases in a block, for memory
 
-_Proposer = Callable[[Fit], Iterable[Hypothesis]]
+_Proposer = Callable[[HandEyeFit], Iterable[Hypothesis]]
 
 
 @dataclass(frozen=True)
-class State:
+class SearchState:
     """What was undone so far, and the fit to what the readings then are."""
 
-    fit: Fit
+    fit: HandEyeFit
     said: tuple[Hypothesis, ...] = ()
 
     @property
@@ -58,8 +58,8 @@ class Answer:
     """
 
     said: tuple[Hypothesis, ...]
-    before: Fit
-    after: Fit
+    before: HandEyeFit
+    after: HandEyeFit
     gain: float = 0.0
     rivals: tuple[str, ...] = ()
 
@@ -79,12 +79,12 @@ class Answer:
         return max((len(self.before.case) if h.stations is None else h.stations for h in self.said), default=0)
 
 
-def explain(case: Case, table: Sequence[Hypothesis] | None = None, depth: int = _DEPTH) -> Answer:
+def explain(case: HandEye, table: Sequence[Hypothesis] | None = None, depth: int = _DEPTH) -> Answer:
     """What was written down wrongly, so that the readings do not agree with the arm.
 
     table: hypotheses to ask of alone; None: all.
     """
-    root = State(placed(case))
+    root = SearchState(placed(case))
     if root.fit.clean or (table is None and root.ends):
         return Answer((), root.fit, root.fit)
     seen, beam = [root], [root]
@@ -98,7 +98,7 @@ def explain(case: Case, table: Sequence[Hypothesis] | None = None, depth: int = 
     return _answered(root, seen)
 
 
-def _answered(root: State, seen: Sequence[State]) -> Answer:
+def _answered(root: SearchState, seen: Sequence[SearchState]) -> Answer:
     """The likeliest explanation, where it is one."""
     likely = [s for s in seen if s.said and s.score > root.score + SURE]
     good = [s for s in likely if s.fit.explains] or [s for s in likely if _much_better(s.fit, root.fit)]
@@ -112,7 +112,7 @@ def _answered(root: State, seen: Sequence[State]) -> Answer:
     return Answer(best.said, root.fit, best.fit, best.score - root.score, rivals)
 
 
-def _much_better(after: Fit, before: Fit) -> bool:
+def _much_better(after: HandEyeFit, before: HandEyeFit) -> bool:
     """Whether what is left is no nominal arm's error and still mostly gone."""
     limit = AN_ARM * after.case.chain.reach()
     size = max(after.usual[1] / after.case.limits[1], after.usual[0] / after.case.limits[0])
@@ -120,21 +120,21 @@ def _much_better(after: Fit, before: Fit) -> bool:
     return after.usual[1] <= min(limit, after.case.motion[1] / _BETTER) and _BETTER * size <= was
 
 
-def _different(states: Sequence[State]) -> list[State]:
+def _different(states: Sequence[SearchState]) -> list[SearchState]:
     """The likeliest states that touch different things, best first: of two mistakes either may come first."""
-    first: dict[str, State] = {}
+    first: dict[str, SearchState] = {}
     for state in states:
         first.setdefault(state.said[-1].touches, state)
     return list(first.values())[:_BEAM]
 
 
-def _nearer(after: Fit, before: Fit) -> bool:
+def _nearer(after: HandEyeFit, before: HandEyeFit) -> bool:
     """Whether turns or places are missed by half as much, or many more stations agree: else it leads nowhere."""
     halved = any(now <= 0.5 * was for now, was in zip(after.usual, before.usual, strict=True) if was > 0.0)
     return halved or float(after.agree(2.0).mean() - before.agree(2.0).mean()) > 0.1
 
 
-def _followed(state: State, table: Sequence[Hypothesis] | None) -> list[State]:
+def _followed(state: SearchState, table: Sequence[Hypothesis] | None) -> list[SearchState]:
     """The states that one more hypothesis leads to; what takes a search is asked where nothing else ends it."""
     case = state.fit.case
     if table is not None:
@@ -147,13 +147,13 @@ def _followed(state: State, table: Sequence[Hypothesis] | None) -> list[State]:
     return trials
 
 
-def _whole(case: Case) -> list[Hypothesis]:
+def _whole(case: HandEye) -> list[Hypothesis]:
     """What may be so of a whole recording, told in closed form."""
     whole = [*conventions.of_recording(case), *description.other_links(case), *description.axes(case)]
     return [*whole, *joints.types(case), *channels.turned_frames(case)]
 
 
-def _of_themselves(fit: Fit) -> Iterator[Hypothesis]:
+def _of_themselves(fit: HandEyeFit) -> Iterator[Hypothesis]:
     """What the stations that do not agree look like by themselves, with a base and a tool of their own."""
     rest = rows.astray(fit)
     if not _FEWEST <= len(rest) <= 0.9 * len(fit.case):
@@ -191,7 +191,7 @@ _LABORIOUS: tuple[_Proposer, ...] = (
 )
 
 
-def _proposed(fit: Fit, proposers: Sequence[_Proposer]) -> Iterator[Hypothesis]:
+def _proposed(fit: HandEyeFit, proposers: Sequence[_Proposer]) -> Iterator[Hypothesis]:
     for propose in proposers:
         try:
             yield from propose(fit)
@@ -199,7 +199,7 @@ def _proposed(fit: Fit, proposers: Sequence[_Proposer]) -> Iterator[Hypothesis]:
             continue
 
 
-def _fitted(state: State, hypotheses: Iterable[Hypothesis]) -> list[State]:
+def _fitted(state: SearchState, hypotheses: Iterable[Hypothesis]) -> list[SearchState]:
     out = []
     for h in hypotheses:
         try:
@@ -207,11 +207,11 @@ def _fitted(state: State, hypotheses: Iterable[Hypothesis]) -> list[State]:
         except np.linalg.LinAlgError:
             continue
         if np.isfinite(fit.evidence):
-            out.append(State(fit, (*state.said, h)))
+            out.append(SearchState(fit, (*state.said, h)))
     return out
 
 
-def _sifted(case: Case, table: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _sifted(case: HandEye, table: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The likeliest of a table, by closed forms on some stations."""
     few = case.select(spread_rows(len(case), _FEW))
     scores: list[float] = []
@@ -222,7 +222,7 @@ def _sifted(case: Case, table: Sequence[Hypothesis]) -> list[Hypothesis]:
     return [table[k] for k in good]
 
 
-def rough(cases: Sequence[Case]) -> list[float]:
+def rough(cases: Sequence[HandEye]) -> list[float]:
     """Log likelihood of cases of as many stations each, by closed forms without refinement."""
     A, p, R = (np.stack([getattr(c, name) for c in cases]) for name in ("A", "p", "R"))
     a = A[..., :3, :3]

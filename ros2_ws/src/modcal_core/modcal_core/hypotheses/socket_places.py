@@ -11,8 +11,8 @@ import numpy as np
 
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, se3
-from modcal_core.hypotheses.case import Case, limits
 from modcal_core.hypotheses.conventions import joints, several_joints
+from modcal_core.hypotheses.hand_eye import HandEye, limits
 from modcal_core.hypotheses.hypothesis import Disagreement
 from modcal_core.measurements import Samples
 from modcal_core.robots import Mechanism, forward, is_serial_arm
@@ -63,12 +63,12 @@ def misread_joints(samples: Samples, chain: Mechanism) -> Disagreement | None:
         return None
     part, limit = samples.select(np.flatnonzero(rows)), limits(chain)[1]
 
-    def missed(case: Case) -> float:
+    def missed(case: HandEye) -> float:
         sockets = [case.A[part.frame == f] for f in np.unique(part.frame)]
         x = _ball(sockets)
         return max(_spread(se3.apply(A, x)) for A in sockets) / max(_spread(case.A[:, :3, 3]), 1e-9)
 
-    case = Case.holding(part, chain)
+    case = HandEye.holding(part, chain)
     table = [*joints(case.names), *several_joints(case.names)]
     as_is, left = missed(case), [missed(h.undone(case)) for h in table]
     best = int(np.argmin(left))

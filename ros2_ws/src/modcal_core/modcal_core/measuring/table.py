@@ -22,7 +22,7 @@ import numpy as np
 
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses import LIMIT_OF_REACH, Case, Fit, left_handed, placed
+from modcal_core.hypotheses import LIMIT_OF_REACH, HandEye, HandEyeFit, left_handed, placed
 from modcal_core.measurements import POSE
 from modcal_core.measuring.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
 from modcal_core.robots import Mechanism, is_serial_arm
@@ -199,7 +199,7 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
     if not is_serial_arm(mechanism) or len(rows) < _MIN or not read:
         return
     samples = session.samples(rows)
-    fit = placed(Case.holding(samples, mechanism))
+    fit = placed(HandEye.holding(samples, mechanism))
     if fit.agree().mean() < _MAX:
         _require_convention(fit, source)
         return
@@ -209,7 +209,7 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
             raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
 
 
-def _require_convention(as_is: Fit, source: str) -> None:
+def _require_convention(as_is: HandEyeFit, source: str) -> None:
     case = as_is.case
     meant = [(f"readings look like {unit}", case.read(scale * case.p), "write millimetres") for scale, unit in _UNITS]
     mirrored = left_handed()  # by which axis nothing says: the tracker may stand in any way
@@ -221,7 +221,7 @@ def _require_convention(as_is: Fit, source: str) -> None:
         raise BadTable(source, said, meant[i][2])
 
 
-def _meant(k: int, fit: Fit, rows: Sequence[int]) -> tuple[str, str]:
+def _meant(k: int, fit: HandEyeFit, rows: Sequence[int]) -> tuple[str, str]:
     """What a reading may have been meant to be, and what to do."""
     p, limit, others = fit.case.p[k], _CLEARLY * fit.case.limits[1], int(fit.agree().sum())
     expected = fit.placement.expected(fit.case.A)[1]

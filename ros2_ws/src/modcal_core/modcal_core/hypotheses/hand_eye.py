@@ -1,8 +1,8 @@
 """Readings beside the tip poses that the joints give, and how well one base and one tool join them.
 
 Everything that may have been written down wrongly changes either side: the readings, or the tip poses (by joints, by
-the description, by the link that is followed). So every explanation is a changed :class:`Case`, and one number compares
-them: the log evidence of the raw readings [nats], for the nominal arm with a base and a tool fitted.
+the description, by the link that is followed). So every explanation is a changed :class:`HandEye` problem, and one
+number compares them: the log evidence of the raw readings [nats], for the nominal arm with base and tool fitted.
 
 Turns and places of a station count by themselves, each Gaussian with a spread of at least what a nominal arm misses by,
 and one in twenty may say anything in the volume that is worked in. Nominal errors are alike in neighbouring postures,
@@ -53,7 +53,7 @@ class Placement:
     x: Array
     t: Array
 
-    def left(self, case: Case) -> tuple[Array, Array]:
+    def left(self, case: HandEye) -> tuple[Array, Array]:
         """Turns [rad] and gaps [m] of the readings from what is expected, (N, 3) each; turns are zero without poses."""
         gaps = case.p - (se3.apply(case.B, self.x) @ self.Y.T + self.t)
         if not case.poses:
@@ -66,7 +66,7 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Case:
+class HandEye:
     """Stations of one frame in order of time, with their numbers (N,). chain: as described. A (N, 4, 4): poses of its
     tip by the joints q (N, n), which have names. p, R: readings. poses: whether orientations are asked. volume: log of
     what undoing shrank a station's reading by, (N,). mixed (N, 4, 4): of what mean of tip poses positions are; None: of
@@ -85,7 +85,7 @@ class Case:
     mixed: Array | None = None
 
     @classmethod
-    def of(cls, samples: Samples, chain: Mechanism, most: int = 300, first: bool = False) -> Case | None:
+    def of(cls, samples: Samples, chain: Mechanism, most: int = 300, first: bool = False) -> HandEye | None:
         """The poses and points at rest in the frame with most readings. most: stations, evenly, or the first ones.
 
         None of other robots than serial arms, of a ball in a socket, and where nothing is left.
@@ -100,14 +100,14 @@ class Case:
         return cls.holding(samples.select(rows[:most] if first else rows[spread_rows(len(rows), most)]), chain)
 
     @classmethod
-    def holding(cls, samples: Samples, chain: Chain) -> Case:
+    def holding(cls, samples: Samples, chain: Chain) -> HandEye:
         """All of these samples."""
         R = samples.R if samples.is_pose.all() else None
         case = cls.of_arrays(chain, samples.q, samples.reading, R)
         return replace(case, names=samples.names or chain.names, station=samples.station)
 
     @classmethod
-    def of_arrays(cls, chain: Chain, q: Array, p: Array, R: Array | None = None) -> Case:
+    def of_arrays(cls, chain: Chain, q: Array, p: Array, R: Array | None = None) -> HandEye:
         """Rows of joint positions (N, n), positions (N, 3) [m] and, of poses, orientations (N, 3, 3)."""
         N = len(q)
         turns = np.tile(np.eye(3), (N, 1, 1)) if R is None else R
@@ -127,21 +127,21 @@ class Case:
         """Angle [rad] and distance [m] that a nominal arm misses by at most."""
         return limits(self.chain)
 
-    def read(self, p: Array | None = None, R: Array | None = None, volume: Array | float = 0.0) -> Case:
+    def read(self, p: Array | None = None, R: Array | None = None, volume: Array | float = 0.0) -> HandEye:
         """The case with other readings."""
         changed = replace(self, p=self.p if p is None else p, R=self.R if R is None else R)
         return replace(changed, volume=self.volume + volume)
 
-    def moved(self, q: Array) -> Case:
+    def moved(self, q: Array) -> HandEye:
         """The case with other joint positions."""
         return replace(self, q=q, A=forward(self.chain, q))
 
-    def select(self, rows: np.ndarray) -> Case:
+    def select(self, rows: np.ndarray) -> HandEye:
         """Some of the stations."""
         parts = {name: getattr(self, name)[rows] for name in ("station", "q", "A", "p", "R", "volume")}
         return replace(self, mixed=None if self.mixed is None else self.mixed[rows], **parts)
 
-    def of_rows(self, other: Case, rows: np.ndarray) -> Case:
+    def of_rows(self, other: HandEye, rows: np.ndarray) -> HandEye:
         """The case with some rows as in another."""
         out = {name: getattr(self, name).copy() for name in ("q", "A", "p", "R", "volume")}
         for name, values in out.items():
@@ -149,12 +149,12 @@ class Case:
         return replace(self, **out)
 
     @cached_property
-    def scale(self) -> Scale:
+    def scale(self) -> ErrorScale:
         """What residuals are measured with."""
         reach = self.chain.reach()
         far = np.linalg.norm(self.p - np.median(self.p, axis=0), axis=1) / (4.0 * reach)
         volume = 3.0 * np.log(4.0 * reach) + 4.0 * np.log(np.maximum(far, 1.0))
-        return Scale(SPREAD[1] * reach, volume, reach, self.poses)
+        return ErrorScale(SPREAD[1] * reach, volume, reach, self.poses)
 
     @cached_property
     def motion(self) -> tuple[float, float]:
@@ -165,7 +165,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Scale:
+class ErrorScale:
     """position: least deviation per axis [m]. volume (N,): log of that in which each reading may be anything [m³]; what
     lies farther than an arm reaches is the rarer for it. reach [m]: no deviation is larger. poses: whether orientations
     count.
@@ -199,10 +199,10 @@ def _likelihood(left: Array, least: float, volume: Array | float, most: float) -
 
 
 @dataclass(frozen=True)
-class Fit:
+class HandEyeFit:
     """A case with base and tool. rows (N,): log likelihood of each station. turn, gap (N,): what is left [rad, m]."""
 
-    case: Case
+    case: HandEye
     placement: Placement
     rows: Array
     turn: Array
@@ -220,7 +220,7 @@ class Fit:
         angle, distance = self.case.limits
         return (self.turn < times * angle) & (self.gap < times * distance)
 
-    def better_than(self, other: Fit) -> bool:
+    def better_than(self, other: HandEyeFit) -> bool:
         """Whether this placement of the same case is the better one: by how many stations agree, where many do.
 
         A wide spread swallows two heaps of readings; one of them, with the other astray, says what is wrong.
@@ -256,17 +256,17 @@ class Fit:
         return bool(near.mean() > 1.0 - ASTRAY)
 
 
-def points(case: Case) -> Case:
+def points(case: HandEye) -> HandEye:
     """The case by its positions alone: orientations may say anything."""
     return replace(case, poses=False, volume=case.volume - ANYWHERE) if case.poses else case
 
 
-def placed(case: Case, thorough: bool = True) -> Fit:
+def placed(case: HandEye, thorough: bool = True) -> HandEyeFit:
     """The case with the base and the tool that most of its stations agree on.
 
     thorough: also from draws of a few stations, where closed forms over all of them leave many astray.
     """
-    best: Fit | None = None
+    best: HandEyeFit | None = None
     for start in _starts(case):
         for fit in (_fit(case, start), _fit(case, _refined(case, start))):
             best = fit if best is None or fit.better_than(best) else best
@@ -281,25 +281,25 @@ def placed(case: Case, thorough: bool = True) -> Fit:
     return best
 
 
-def start(case: Case) -> Placement:
+def start(case: HandEye) -> Placement:
     """Base and tool in closed form: by orientations where there are any, else by positions."""
     if case.poses:
         return _with_places(case, *base_and_tool_turns(case.A[:, :3, :3], case.R))
     return _with_places(case, base_by_positions(case.B[None], case.p[None])[0], np.eye(3))
 
 
-def at(case: Case, placement: Placement) -> Fit:
+def at(case: HandEye, placement: Placement) -> HandEyeFit:
     """The case with base and tool as another has them."""
     return _fit(case, placement)
 
 
-def _fit(case: Case, placement: Placement) -> Fit:
+def _fit(case: HandEye, placement: Placement) -> HandEyeFit:
     turns, gaps = placement.left(case)
     rows = case.scale.rows(turns, gaps)
-    return Fit(case, placement, rows, np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1))
+    return HandEyeFit(case, placement, rows, np.linalg.norm(turns, axis=1), np.linalg.norm(gaps, axis=1))
 
 
-def _starts(case: Case) -> list[Placement]:
+def _starts(case: HandEye) -> list[Placement]:
     a = case.A[:, :3, :3]
     Y = base_by_positions(case.B[None], case.p[None])[0]
     if not case.poses:
@@ -308,12 +308,12 @@ def _starts(case: Case) -> list[Placement]:
     return [_with_places(case, *way) for way in ways]
 
 
-def _with_places(case: Case, Y: Array, X: Array) -> Placement:
+def _with_places(case: HandEye, Y: Array, X: Array) -> Placement:
     _, x, t = tool_and_place(Y, case.B, case.p)
     return Placement(Y, X, x, t)
 
 
-def _refined(case: Case, start: Placement) -> Placement:
+def _refined(case: HandEye, start: Placement) -> Placement:
     """Robust Newton steps of base and tool from a start."""
     Y, X, x, t = start.Y, start.X, start.x, start.t
     least = np.array([SPREAD[0], case.scale.position]) ** 2
@@ -344,7 +344,7 @@ def _refined(case: Case, start: Placement) -> Placement:
     return Placement(Y, X, x, t)
 
 
-def _by_draws(case: Case) -> Placement | None:
+def _by_draws(case: HandEye) -> Placement | None:
     """Base and tool of the few stations, neighbours or random, that most others agree with (Fischler & Bolles 1981)."""
     rng, N = np.random.default_rng(0), len(case)
     few = min(5 if case.poses else 8, N - 2)
