@@ -36,12 +36,15 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """what: a phrase naming what looks wrong. remedy: what to do. stations: how many, of how many."""
+    """what: a phrase naming what looks wrong. remedy: what to do. stations: how many, of how many. missed: by the arm
+    with that corrected, at the usual station [m]; None where it is not known.
+    """
 
     what: str
     remedy: str
     stations: int
     of: int
+    missed: float | None = None
 
 
 def family(price: float, members: Iterable[Hypothesis]) -> list[Hypothesis]:

@@ -50,7 +50,9 @@ def require_plausible(
     if distances or placed:
         _require_statements(chain, samples, distances, placed, said, limit)
     if (found := disagreement(whole, chain)) is not None:
-        raise BadRecording(found.what, f"{said}; {found.stations} of {found.of} stations are concerned", found.remedy)
+        concerned = f"; {found.stations} of {found.of} stations are concerned" if found.stations < found.of else ""
+        left = "" if found.missed is None else f"; with that corrected, it misses by {1e3 * found.missed:.1f} mm"
+        raise BadRecording(found.what, f"{said}{concerned}{left}", found.remedy)
     for what, why, remedy in _facts(samples, missed):
         raise BadRecording(what, f"{why}; {said}" if why else said, remedy)
     raise BadRecording(
@@ -72,7 +74,7 @@ def disagreement(samples: Samples, chain: Mechanism, joints_only: bool = False) 
     answer = explain(case, family(RARE, joints), depth=1) if joints_only else explain(case)
     if not answer.said:
         return None
-    return Disagreement(answer.what, answer.remedy, answer.stations, len(case))
+    return Disagreement(answer.what, answer.remedy, answer.stations, len(case), answer.after.usual[1])
 
 
 def _require_statements(

@@ -130,7 +130,9 @@ def _different(states: Sequence[SearchState]) -> list[SearchState]:
 
 def _nearer(after: HandEyeFit, before: HandEyeFit) -> bool:
     """Whether turns or places are missed by half as much, or many more stations agree: else it leads nowhere."""
-    halved = any(now <= 0.5 * was for now, was in zip(after.usual, before.usual, strict=True) if was > 0.0)
+    both = tuple(zip(after.usual, before.usual, strict=True))
+    asked = both if after.case.poses == before.case.poses else both[1:]  # turns are zero where nobody asks for them
+    halved = any(now <= 0.5 * was for now, was in asked if was > 0.0)
     return halved or float(after.agree(2.0).mean() - before.agree(2.0).mean()) > 0.1
 
 
