@@ -26,6 +26,7 @@ _STARTS = 4  # likeliest mixtures, and likeliest zeros, that are refined beside 
 _MAX_INNER = 5  # joints whose zeros are looked at together, 4⁵ ways
 _SIMPLE, _WHOLE = (0.5, 1.0, 2.0), 0.02  # fractions, and by which share a coefficient may miss one that is said instead
 _OFF = 4.0 * ANGLE  # rad that a joint must be off by at the usual station to be named
+_AFAR = 30.0  # limits of an arm, that lengths are begun with
 _LENGTH = 0.02  # of the reach, by which an origin is wrong
 
 
@@ -151,9 +152,9 @@ class Free:
     turns: bool = False
 
 
-def fitted(case: HandEye, start: Arm, free: Free) -> tuple[Arm, Placement]:
-    """The arm, base and tool that the readings ask for, from this start."""
-    scale = np.array(case.limits)
+def fitted(case: HandEye, start: Arm, free: Free, near: float = 1.0) -> tuple[Arm, Placement]:
+    """The arm, base and tool that the readings ask for, from this start. near: limits that count as little."""
+    scale = near * np.array(case.limits)
     placement = placed(replace(case, A=start.tip(case.q)), thorough=False).placement
     state = start, placement
     r, G = _rows(case, *state, free, scale)
@@ -259,7 +260,10 @@ def links(case: HandEye) -> Iterator[Hypothesis]:
             what, remedy = _of_origin(chain, j, arm.origins[j])
             if what:
                 yield _by_arm(what, remedy, arm, RARE - float(np.log(n * len(starts))), values)
-    arm, _ = fitted(few, Arm.described(chain), Free(origins=tuple(range(1, n))))
+    every = tuple(range(1, n))
+    afar, _ = fitted(few, Arm.described(chain), Free(origins=every), near=_AFAR)
+    arm, placement = fitted(few, afar, Free(origins=every))
+    lengths = at(replace(few, A=arm.tip(few.q)), placement)
     shifts = [np.linalg.norm(arm.origins[j, :3, 3] - chain.origins[j, :3, 3]) for j in range(1, n)]
     wrong = [chain.names[j] for j, shift in enumerate(shifts, 1) if shift > _LENGTH * chain.reach()]
     if len(wrong) > 1:
@@ -270,8 +274,8 @@ def links(case: HandEye) -> Iterator[Hypothesis]:
             RARE,
             3 * (n - 1),
         )
-    if case.poses and likely and min(likely)[0] > 1.0:  # one link alone is not enough
-        arm, _ = fitted(few, min(likely)[2], Free(origins=tuple(range(1, n)), turns=True))
+    if case.poses and likely and min(likely)[0] > 1.0 and not lengths.explains:  # one link alone is not enough
+        arm, _ = fitted(few, min(likely)[2], Free(origins=every, turns=True))
         turned = [np.linalg.norm(so3.log(chain.origins[j, :3, :3].T @ arm.origins[j, :3, :3])) for j in range(1, n)]
         yield _by_arm(
             "orientations and positions fit with another turn of the origin of joint "
