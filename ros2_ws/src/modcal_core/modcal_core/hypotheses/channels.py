@@ -20,7 +20,7 @@ from modcal_core.hypotheses.hand_eye import HandEye, points
 from modcal_core.hypotheses.hypothesis import RARE, ROWS_REMEDY, VERY_RARE, Hypothesis
 
 _SHIFTS = (1, -1, 2, -2, 3, -3)  # stations, by which readings may have slipped against the joints
-_COEFFICIENTS = 13
+_COEFFICIENTS = 13  # of a coordinate: nine of a turn, three of a place, and 1
 
 
 def channels(case: HandEye) -> list[Hypothesis]:

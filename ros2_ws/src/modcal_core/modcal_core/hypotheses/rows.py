@@ -35,7 +35,13 @@ from modcal_core.measurements import spread_rows
 _FEW = 40  # stations at which hypotheses are screened
 _KEPT = 8  # of them that are then asked of all stations
 _LEAST = 3  # stations; fewer are single wrong readings
-_UNITS = {"millimetres": 1e3, "centimetres": 1e2, "inches": 1.0 / 0.0254, "feet": 1.0 / 0.3048, "kilometres": 1e-3}
+_UNITS = {
+    "millimetres": 1e3,
+    "centimetres": 1e2,
+    "inches": 1.0 / 0.0254,
+    "feet": 1.0 / 0.3048,
+    "kilometres": 1e-3,
+}  # of a metre
 _BEFORE, _AFTER = 8, 3  # rows that a filter reaches
 
 
