@@ -30,14 +30,16 @@ from scenarios import SCENARIOS
 from sites import BEGIN, REPEAT, Cell, Stations
 from workplace import TRACKER, Workplace, distance
 
+from modcal_core.calibration.cell import Cell as Known
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
-from modcal_core.measuring import Advice, Advisor, Goal
-from modcal_core.measuring.choose import deciding_stations, fit_stations, of_recording, of_robot, one_motion
-from modcal_core.measuring.outlook import outlook
-from modcal_core.measuring.refit import Refit, refit
-from modcal_core.measuring.session import FRAME, POINT, POSE, Session, Station
+from modcal_core.planning import Advice, Advisor, Goal
+from modcal_core.planning.next_stations import Chooser, deciding_stations, first_stations, one_motion
+from modcal_core.planning.outlook import outlook
+from modcal_core.planning.pool import of_recording, of_robot
+from modcal_core.planning.refit import Refit, refit
+from modcal_core.planning.session import FRAME, POINT, POSE, Session, Station
 from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import read_chain
@@ -167,10 +169,12 @@ def impossible(task: harness.Task) -> harness.Result:
     out: harness.Result = {"ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": floor}
     out["true_mm"] = place.error(advice.refitted.calibration)
     place.begin(1)
-    session = place.asked(place.pool.q[[int(j) for j in place.pool.first(FIRST)]])
+    rng = np.random.default_rng(0)
+    first = first_stations(place.pool, Session(place.chain.names, place.kind), FIRST, True, rng)
+    session = place.asked(np.array([station.asked for station in first]))
     model = place.refit(session)
-    view, rng = outlook(model, place.pool.where, model.spread, np.random.default_rng(0)), np.random.default_rng(0)
-    more = fit_stations(place.pool, session, view, model, PLANNED - FIRST, True, rng, 0)
+    view = outlook(model, place.pool.where, Known(), rng)
+    more = Chooser(place.pool, view, model).best(session, PLANNED - FIRST, rng, 0)
     best = place.error(place.refit(place.done(session.asking(more.stations))).calibration)
     return {**out, "best_mm": best, "ratio": out["true_mm"] / best, "said": advice.outcome.sentence}
 

@@ -9,7 +9,7 @@ import pytest
 
 from modcal_core.claim.claim import Statistic
 from modcal_core.errors import BadTable
-from modcal_core.measuring.proof import Goal, proven, spent
+from modcal_core.planning.proof import Goal, proven, spent
 
 
 def claimed(upper_mm: float) -> SimpleNamespace:

@@ -40,6 +40,11 @@ class Criterion:
         """Whether it is D-optimality."""
         return self.name in ("d", "o1")
 
+    @property
+    def spectral(self) -> bool:
+        """Whether it hangs on single eigenvalues."""
+        return self.name in _SPECTRAL
+
     def value(self, H: Array) -> Array:
         """How good information matrices (..., P, P) are, (...): larger is better; logarithms, but for accuracy."""
         if self.name == ACCURACY:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -30,14 +29,14 @@ _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 def to_plan_data(plan: Plan) -> dict[str, Any]:
     """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
-    random = _middle(plan.random)
-    indices = plan.indices
+    random = Accuracy(plan.random, plan.accuracy.repeat)
+    indices, ground = plan.indices, plan.ground
     return {
         "modcal_plan": 1,
-        "joints": list(plan.pool.model.chain.names),
+        "joints": list(ground.model.chain.names),
         "reading": plan.request.reading,
         "criterion": plan.request.criterion,
-        "parameters": [p.name for p in plan.pool.parameters],
+        "parameters": list(plan.parameters),
         **claim_data(plan.claim),
         "left_rms_mm": {"planned": 1e3 * plan.accuracy.model, "random": 1e3 * random.model},
         "not_repeated_rms_mm": 1e3 * plan.accuracy.repeat,
@@ -61,11 +60,6 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _middle(sets: Sequence[Accuracy]) -> Accuracy:
-    """The medians of several accuracies."""
-    return Accuracy(*(float(np.median([getattr(a, k) for a in sets])) for k in ("model", "repeat")))
-
-
 def plan_sentences(plan: Plan) -> list[str]:
     """What a person should know."""
     request, a, k, claim = plan.request, plan.accuracy, plan.distinct, plan.claim
@@ -87,17 +81,16 @@ def plan_sentences(plan: Plan) -> list[str]:
         )
     else:
         out.append("No station is visited twice: the noise floor will be unknown.")
-    random = _middle(plan.random)
     out.append(
-        f"{k} stations drawn at random from the same postures would leave {1e3 * random.model:.3f} mm where these "
-        f"leave {1e3 * a.model:.3f} mm: the ratio is {a.model / random.model:.2f}."
+        f"{k} stations drawn at random from the same postures would leave {1e3 * plan.random:.3f} mm where these "
+        f"leave {1e3 * a.model:.3f} mm: the ratio is {a.model / plan.random:.2f}."
     )
     free, seen = plan.pool.shares
     said = f"{percent(free)} of the postures within the limits touch nothing"
-    out.append(said + ("." if plan.pool.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
-    if plan.pool.site.floor is None:
+    out.append(said + ("." if plan.ground.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
+    if plan.ground.site.floor is None:
         out.append("No floor is given: stations may lie below the base.")
-    P = len(plan.pool.parameters)
+    P = len(plan.parameters)
     if plan.indices.rank < P:
         out.append(f"These stations show {plan.indices.rank} of {P} parameters: the others keep their nominal values.")
     if plan.route.blocked:
@@ -109,7 +102,7 @@ def plan_sentences(plan: Plan) -> list[str]:
 def to_csv(plan: Plan) -> str:
     """Joint positions [rad, m], one station a row, under the joints' names."""
     rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in plan.q)
-    return ",".join(plan.pool.model.chain.names) + "\n" + rows
+    return ",".join(plan.ground.model.chain.names) + "\n" + rows
 
 
 def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]:
@@ -136,7 +129,7 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
             stand(here)
         now += dwell
         stand(stops[-1])
-    return {"joint_names": list(plan.pool.model.chain.names), "points": points}
+    return {"joint_names": list(plan.ground.model.chain.names), "points": points}
 
 
 def figure(plan: Plan) -> str:
@@ -152,11 +145,11 @@ def planning_html(plan: Plan, title: str) -> str:
 
 def _robot(plan: Plan) -> RobotScene:
     """The arm at the stations in their order, among the places that could be chosen."""
-    pool, tracker = plan.pool, plan.pool.site.tracker
-    chain = pool.model.chain
+    pool, ground, tracker = plan.pool, plan.ground, plan.ground.site.tracker
+    chain = ground.model.chain
     rows = spread_rows(len(plan.q), MAX_POSTURES)
-    paths = arm_paths(chain, plan.q, pool.model.T_tip_tool)
-    could = arm_paths(chain, pool.q[spread_rows(len(pool.q), MAX_POINTS)], pool.model.T_tip_tool)[:, -1]
+    paths = arm_paths(chain, plan.q, ground.model.T_tip_tool)
+    could = arm_paths(chain, pool.q[spread_rows(len(pool.q), MAX_POINTS)], ground.model.T_tip_tool)[:, -1]
     said = [f"Station {row + 1} of {len(plan.q)}: {joints_in_words(chain, plan.q[row])}." for row in rows]
     marks = () if tracker is None else (("tracker", tracker.position),)
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
@@ -166,9 +159,9 @@ def _robot(plan: Plan) -> RobotScene:
 
 def _charts(plan: Plan) -> list[Chart]:
     """Where the target stands at the stations, seen along two axes of the base, among all that could be chosen."""
-    pool, tracker = plan.pool, plan.pool.site.tracker
-    origin = pool.model.T_frame_base[0][:3, 3]
-    could, chosen = (pool.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
+    pool, ground, tracker = plan.pool, plan.ground, plan.ground.site.tracker
+    origin = ground.model.T_frame_base[0][:3, 3]
+    could, chosen = (ground.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
     could = could[spread_rows(len(could), MAX_POINTS)]
     base = np.zeros((1, 3))
     sight = base[:0] if tracker is None else np.asarray(tracker.position, dtype=float)[None]

@@ -16,7 +16,7 @@ from modcal_core.calibration import errors
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements import POINT, POSE
-from modcal_core.measuring import (
+from modcal_core.planning import (
     BATCH,
     MAX_STATIONS,
     Advice,
@@ -24,13 +24,14 @@ from modcal_core.measuring import (
     FilledTable,
     Goal,
     Session,
+    Site,
     of_recording,
     of_robot,
     require_likely,
+    site_from_data,
     text_of,
     with_table,
 )
-from modcal_core.planning import Site, site_from_data
 from modcal_core.report import counted, readmitted_note
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED

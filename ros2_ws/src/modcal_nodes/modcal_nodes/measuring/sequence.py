@@ -19,7 +19,7 @@ from modcal_core.errors import BadCommand, BadRobot, BadTable, ModcalError
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE
-from modcal_core.measuring import (
+from modcal_core.planning import (
     SKIPPED,
     UNSEEN,
     Advice,
@@ -27,14 +27,19 @@ from modcal_core.measuring import (
     Goal,
     Pool,
     Session,
+    Site,
+    Spheres,
     Station,
     TimedMotion,
+    clearance,
     free_way,
     from_side,
     of_robot,
+    site_from_data,
+    spheres_of,
     timed,
+    with_limits,
 )
-from modcal_core.planning import Site, Spheres, clearance, site_from_data, spheres_of, with_limits
 from modcal_core.report import counted
 from modcal_core.robot import Robot
 from modcal_core.robots import forward, read_drives

@@ -12,41 +12,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import (
-    EQUATIONS_PER_PARAMETER,
-    Cell,
-    View,
-    choose_parameters,
-    errors,
-    place_model,
-)
+from modcal_core.calibration import EQUATIONS_PER_PARAMETER, Cell, View, choose_parameters, errors, place_model
 from modcal_core.claim import Claim, claim_at_tool
 from modcal_core.effects import claimed
 from modcal_core.errors import NotEnoughData
-from modcal_core.geometry import Array
+from modcal_core.geometry import se3
 from modcal_core.measurements import MIN_RETURNS, POSE
-from modcal_core.measuring.choose import (
-    Pool,
+from modcal_core.planning.next_stations import (
+    Chooser,
     deciding_stations,
     first_stations,
-    fit_stations,
     in_order,
     one_motion,
     proof_stations,
     return_stations,
 )
-from modcal_core.measuring.outlook import Outlook, outlook
-from modcal_core.measuring.proof import (
-    MIN_STATIONS,
-    UNEXPLAINED,
-    End,
-    Goal,
-    no_station_helps,
-    proven,
-    spent,
-)
-from modcal_core.measuring.refit import Refit, proven_over, refit
-from modcal_core.measuring.session import DECIDE, PROOF, RETURN, Session, Station
+from modcal_core.planning.outlook import outlook
+from modcal_core.planning.pool import Pool
+from modcal_core.planning.proof import MIN_STATIONS, UNEXPLAINED, End, Goal, no_station_helps, proven, spent
+from modcal_core.planning.refit import Refit, proven_over, refit
+from modcal_core.planning.session import DECIDE, PROOF, RETURN, Session, Station
 from modcal_core.robots import Inertias, Mechanism
 from modcal_core.verdict import Floor, floors
 
@@ -131,8 +116,7 @@ class Advisor:
         """The fewest stations from which the geometry can be fitted."""
         if kind not in self._least:
             # a tool that lies on no axis, as structure.parameter_count takes it
-            tool = np.eye(4)
-            tool[:3, 3] = 0.11, 0.07, 0.13
+            tool = se3.transform(p=[0.11, 0.07, 0.13])
             model = replace(place_model(self.chain, ("tracker",)), T_tip_tool=tool)
             P = len(choose_parameters(model, [View(kind, 0)], self._cell.kept).parameters)
             self._least[kind] = int(np.ceil(EQUATIONS_PER_PARAMETER * P / (6.0 if kind == POSE else 3.0))) + 1
@@ -147,23 +131,21 @@ class Advisor:
         if session.pending:
             return Advice(session, "stations asked for before", status, refitted=refitted)
         if refitted is None:
-            stations = first_stations(self.pool, session, self.least(session.kind), self._planned)
-            why = f"first stations: {self.least(session.kind)} are needed for the geometry"
+            count, rng = self.least(session.kind), np.random.default_rng(self._seed)
+            stations = first_stations(self.pool, session, count, self._planned, rng)
+            why = f"first stations: {count} are needed for the geometry"
             return self._asked(session, stations, why, status, None)
-        # a suspect may be as large as what would matter, and as what could hide in what is left
-        view = outlook(
-            refitted, self.pool.where, max(self.goal.rms or 0.0, refitted.spread), np.random.default_rng(self._seed)
-        )
-        left = self._left(session, refitted)
-        status = self._status(status, session, refitted, view, left)
+        cell = self._cell.met(refitted.samples)
+        view = outlook(refitted, self.pool.where, cell, np.random.default_rng(self._seed))
+        chooser = Chooser(self.pool, view, refitted, self._planned)
         claim = self._claim(session, refitted)
-        status = replace(status, bound=1e-3 * claim.mm[self.goal.statistic].ci95[1])
+        status = self._status(status, session, chooser, claim)
         if self._is_met(status) and proving >= MIN_STATIONS:
             known = proven_over(refitted, self.pool.where)
             return self._settle_ties(session, status, known, proven(self.goal, claim, measured, proving))
         if self._gone(session, elapsed):
             return Advice(session, "", status, spent(self.goal, status.measured, claim), refitted)
-        return self._next(session, status, refitted, view)
+        return self._next(session, status, chooser)
 
     def _refit(self, session: Session, rows: Sequence[int]) -> Refit | None:
         if self._last is None or self._last[0] != tuple(rows):
@@ -175,13 +157,6 @@ class Advisor:
                 return None
             self._last = tuple(rows), found
         return self._last[1]
-
-    def _left(self, session: Session, refitted: Refit) -> Array:
-        """Errors (n,) [m] of the model at the stations of the proof."""
-        rows = session.rows(PROOF)
-        if not rows:
-            return np.zeros(0)
-        return errors(refitted.calibration.calibrated, session.samples(rows)).position_norm
 
     def _claim(self, session: Session, refitted: Refit) -> Claim:
         """What may be claimed of the model over all postures of the pool, by every station."""
@@ -195,7 +170,8 @@ class Advisor:
         goal = self.goal.accuracy
         return goal is not None and status.bound is not None and status.bound <= goal
 
-    def _status(self, status: Advance, session: Session, refitted: Refit, view: Outlook, left: Array) -> Advance:
+    def _status(self, status: Advance, session: Session, chooser: Chooser, claim: Claim) -> Advance:
+        refitted, random = chooser.refitted, session.rows(PROOF)
         floor = self._floor(refitted)
         calibration = refitted.calibration
         ties = tuple(
@@ -203,10 +179,12 @@ class Advisor:
             for effect, rivals in zip(calibration.calibrated.effects, calibration.rivals, strict=False)
             for rival in rivals
         )
+        left = errors(calibration.calibrated, session.samples(random)).position_norm if random else None
         return replace(
             status,
-            expected=float(np.hypot(refitted.spread, view.error())),
-            seen=float(np.sqrt(np.mean(left**2))) if len(left) else None,
+            expected=float(np.hypot(refitted.spread, chooser.view.error(own=True))),
+            bound=1e-3 * claim.mm[self.goal.statistic].ci95[1],
+            seen=None if left is None else float(np.sqrt(np.mean(left**2))),
             floor=None if floor is None else 1e-3 * floor.rms,
             effects=tuple(effect.label for effect in calibration.calibrated.effects if claimed(effect)),
             ties=ties,
@@ -216,18 +194,19 @@ class Advisor:
         residual = errors(refitted.calibration.calibrated, refitted.samples)
         return floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
 
-    def _next(self, session: Session, status: Advance, refitted: Refit, view: Outlook) -> Advice:
+    def _next(self, session: Session, status: Advance, chooser: Chooser) -> Advice:
+        refitted, view = chooser.refitted, chooser.view
         size = max(self._batch, len(session.fitted) // _GROWING)
         size = max(1, min(size, self.goal.stations - status.measured))
         rng = np.random.default_rng((self._seed, len(session.stations)))
         if self.goal.accuracy is None:
-            return self._as_good_as_can_be(session, status, refitted, view, size, rng)
+            return self._as_good_as_can_be(session, status, chooser, size, rng)
         missing = max(MIN_STATIONS - status.proving, 0)
         if self._is_met(status):
             status = replace(status, needed=missing)
             stations = proof_stations(self.pool, session, missing)
             return self._asked(session, stations, "random stations for the proof", status, refitted)
-        batch = fit_stations(self.pool, session, view, refitted, _AHEAD * size, self._planned, rng, size)
+        batch = chooser.best(session, _AHEAD * size, rng, size)
         assert status.bound is not None
         now = view.error()
         after = (status.bound * view.error(batch.after[k - 1]) / now for k in range(size, len(batch.after) + 1, size))
@@ -235,12 +214,13 @@ class Advisor:
         if enough is not None:
             status = replace(status, needed=enough * size + missing)
             return self._asked(session, batch.stations[:size], "stations that lower the error most", status, refitted)
-        return self._as_good_as_can_be(session, status, refitted, view, size, rng)
+        return self._as_good_as_can_be(session, status, chooser, size, rng)
 
     def _as_good_as_can_be(
-        self, session: Session, status: Advance, refitted: Refit, view: Outlook, size: int, rng: np.random.Generator
+        self, session: Session, status: Advance, chooser: Chooser, size: int, rng: np.random.Generator
     ) -> Advice:
         """No proof is in reach: know the floor, then measure until more stations would change nothing."""
+        refitted = chooser.refitted
         size = max(size, len(session.fitted) // _UNHURRIED)
         floor = self._floor(refitted)
         returned = len(session.rows(RETURN))
@@ -251,7 +231,7 @@ class Advisor:
             count = MIN_RETURNS if returned < MIN_RETURNS else min(MIN_RETURNS, _MAX_RETURNS - returned)
             if stations := return_stations(session, count):
                 return self._asked(session, stations, "postures again: what the arm does not repeat", status, refitted)
-        fitted, model = len(session.fitted), view.error()
+        fitted, model = len(session.fitted), chooser.view.error(own=True)
         # error now over that which the whole budget of stations would leave: the model's part shrinks
         best = refitted.spread**2 + model**2 * min(fitted / max(self.goal.stations, 1), 1.0)
         gain = float(np.sqrt((refitted.spread**2 + model**2) / best))
@@ -261,10 +241,9 @@ class Advisor:
         if gain > _SETTLED or searching:
             # what nobody suspects no choice looks for: half of the stations of a long search are drawn at random
             blind = size // 2 if searching and fitted >= _SEARCHED * self.least(session.kind) else 0
-            stations = fit_stations(self.pool, session, view, refitted, size - blind, self._planned, rng).stations
+            stations = chooser.best(session, size - blind, rng).stations
             if blind:
-                also = session.asking(stations)
-                stations += fit_stations(self.pool, also, view, refitted, blind, False, rng).stations
+                stations += replace(chooser, planned=False).best(session.asking(stations), blind, rng).stations
             if stations:
                 why = "stations for what the model lacks still" if searching else "stations that lower the error most"
                 return self._asked(session, stations, why, status, refitted)

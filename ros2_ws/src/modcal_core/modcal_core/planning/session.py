@@ -15,7 +15,7 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import APART, POINT, POSE, TRAVEL, Samples, require
 from modcal_core.measurements.kinds import KIND_NAMES
-from modcal_core.measuring.proof import Goal
+from modcal_core.planning.proof import Goal
 
 FIT, RETURN, DECIDE, PROOF = "fit", "return", "decide", "proof"  # what a station is for
 PLANNED, MEASURED, UNSEEN, SKIPPED = "planned", "measured", "unseen", "skipped"  # what became of it

@@ -23,7 +23,7 @@ import numpy as np
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples
-from modcal_core.measuring.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
+from modcal_core.planning.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
 from modcal_core.plausibility import CLEARLY, LIMIT_OF_REACH, Consensus, Placed, left_handed, points_match
 from modcal_core.robots import Chain, Mechanism, is_serial_arm
 
