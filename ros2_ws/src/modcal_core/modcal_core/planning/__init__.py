@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from modcal_core.planning.planner import STARTS, Accuracy, Plan, PlanRequest, plan
     from modcal_core.planning.pool import CANDIDATES, Pool, allowed, of_recording, of_robot, with_limits
     from modcal_core.planning.proof import MAX_STATIONS, Goal
-    from modcal_core.planning.route import RETURNS, Trajectory, stations_from_data, stations_from_rows
-    from modcal_core.planning.route import trajectory_from_data, with_returns
+    from modcal_core.planning.route import RETURNS, with_returns
     from modcal_core.planning.sensitivity_study import ARMS, NAMED, Measured, Study, sensitivity, study
     from modcal_core.planning.session import PROOF, SKIPPED, UNSEEN, Session, Station, from_data, to_data
     from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of
+    from modcal_core.planning.station_files import Trajectory, stations_from_data, stations_from_rows
+    from modcal_core.planning.station_files import trajectory_from_data
     from modcal_core.planning.typed_table import FilledTable, require_likely, text_of, to_table, with_table
 else:
     from modcal_core.lazy import lazy_face

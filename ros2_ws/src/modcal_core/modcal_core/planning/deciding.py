@@ -21,13 +21,14 @@ from modcal_core.calibration import (
     RowView,
     View,
     choose_parameters,
-    general_samples,
-    geometry_rows,
+    exact_samples,
+    linearise,
 )
-from modcal_core.effects import Drivers, Effect, all_columns, columns, prior_stds
+from modcal_core.effects import Drivers, Effect, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
+from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.robots import random_postures
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
@@ -86,33 +87,25 @@ def propose(
     model = calibration.calibrated
     truth, other = model.effects[effect], calibration.rivals[effect][rival]
     rest = tuple(e for i, e in enumerate(model.effects) if i != effect)
-    imitation = model.with_effects((*rest, other))
-    seen = View(calibration.kind, 0)
-    parameters = choose_parameters(model, [seen]).parameters
-    samples = _candidates(calibration, seen, rng, allowed)
-    if len(samples) < len(calibration.postures) + count:
-        found = len(samples) - len(calibration.postures)
-        raise NotPlannable(
-            f"{count} stations", f"only {found} postures are allowed", "ask for fewer, or widen the site"
-        )
+    samples = _candidates(calibration, rng, allowed)
     recorded = len(calibration.postures)
-    difference, J, prior = _rows(model, imitation, truth, parameters, samples, calibration.noise)
+    if len(samples) < recorded + count:
+        said = f"only {len(samples) - recorded} postures are allowed"
+        raise NotPlannable(f"{count} stations", said, "ask for fewer, or widen the site")
+    geometry = choose_parameters(model, [View(calibration.kind, 0)]).parameters
+    rows = _Rows.of(model.with_effects((*rest, other)), truth, geometry, samples, calibration.noise)
     chosen = list(range(recorded))
     for _ in range(count):
-        miss = _miss(difference, J, prior, chosen)
-        miss[chosen] = 0.0
-        chosen.append(int(np.argmax(miss)))
+        missed = rows.missed(chosen)
+        missed[chosen] = 0.0
+        chosen.append(int(np.argmax(missed)))
     new = np.array(chosen[recorded:])
-    separation = float(np.sqrt(np.sum(_miss(difference, J, prior, chosen)[new])))
-    P = len(parameters)
+    separation = float(np.sqrt(np.sum(rows.missed(chosen)[new])))
     directed = {e.place for e in (truth, other) if e.driver.startswith("direction:")}
-    matters = np.array([name in directed for name in samples.names])
-    approach = np.where(matters, samples.approach[new], 0.0)
+    approach = np.where(np.isin(samples.names, list(directed)), samples.approach[new], 0.0)
     everywhere = list(range(len(samples)))
+    own, left = (float(np.sum(r.missed(everywhere))) for r in (rows.without_effects(len(geometry)), rows))
     by_effort = any(part.startswith("effort:") for e in (truth, other) for part in e.driver.split(","))
-    own, left = (
-        float(np.sum(_miss(difference, rows, held, everywhere))) for rows, held in ((J[..., :P], prior[:P]), (J, prior))
-    )
     return DecidingStations(truth, other, samples.q[new], approach, separation, left / max(own, 1e-300), by_effort)
 
 
@@ -137,61 +130,57 @@ def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> s
 
 
 def _candidates(
-    calibration: Calibration, seen: View, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
+    calibration: Calibration, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
 ) -> Samples:
     """Recorded postures, then random allowed ones in and around their range, each approached from either side."""
     model = calibration.calibrated
     low, high = calibration.seen
     room = np.maximum(_BEYOND * (high - low), 0.5)
-    within = np.maximum(model.chain.lower, low - room), np.minimum(model.chain.upper, high + room)
-    chain = model.chain.with_limits(*within)
-    if allowed is None:
-        drawn = random_postures(chain, _CANDIDATES, rng)
-    else:
-        drawn = random_postures(chain, _DRAWN * _CANDIDATES, rng)
-        drawn = drawn[allowed(drawn)][:_CANDIDATES]
-    q = np.concatenate([calibration.postures, drawn])
-    shown = tuple(i for i in model.instruments if i.frame == model.frames[0])
-    like = general_samples(replace(model, effects=(), frames=model.frames[:1], instruments=shown), [seen], 1)
-    N = len(q)
-    repeated = like.select(np.zeros(N, int))
-    approach = rng.choice([-1.0, 1.0], q.shape)
-    T = model.predict(q, 0)
-    return replace(
-        repeated, q=q, approach=approach, velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
-        acceleration=np.zeros_like(q), station=np.arange(N), reading=T[:, :3, 3], R=T[:, :3, :3],
-    )  # fmt: skip
-
-
-def _rows(
-    model: Model,
-    imitation: Model,
-    truth: Effect,
-    parameters: Sequence[ModelParameter],
-    samples: Samples,
-    noise: NoiseModel,
-) -> tuple[Array, Array, Array]:
-    """Motion that the truth makes (N, c), derivatives of what imitates it (N, c, P) in standard deviations, priors."""
-    at = Drivers(samples, model.arm or model.drivers(samples).arm)
-    view = RowView.of(model.with_effects(()), samples, at)
-    moved = np.sum([a * view.moved_by(t) for a, t in zip(truth.amplitudes, columns(truth, at), strict=True)], axis=0)
-    zero = np.zeros(len(parameters))
-    J = np.concatenate(
-        [
-            geometry_rows(view, model, parameters, zero),
-            *(view.moved_by(t)[None] for t in all_columns(imitation.effects, at)),
-        ]
+    chain = model.chain.with_limits(
+        np.maximum(model.chain.lower, low - room), np.minimum(model.chain.upper, high + room)
     )
-    prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, at) for e in imitation.effects)])
-    N = len(samples)
-    weight = np.full(len(moved), 1.0 / np.maximum(noise.of(samples), FINEST).max())
-    weight[3 * N :] = 1.0 / max(noise.rotation, FINEST)
-    return (moved * weight).reshape(-1, N).T, (J * weight).reshape(len(J), -1, N).transpose(2, 1, 0), prior
+    drawn = random_postures(chain, _CANDIDATES if allowed is None else _DRAWN * _CANDIDATES, rng)
+    drawn = drawn if allowed is None else drawn[allowed(drawn)][:_CANDIDATES]
+    q = np.concatenate([calibration.postures, drawn])
+    N = len(q)
+    exact = exact_samples(model.with_effects(()), q, np.zeros(N, int), np.full(N, calibration.kind, dtype=KIND_NAMES))
+    return replace(exact, approach=rng.choice([-1.0, 1.0], q.shape), effort=np.full(q.shape, np.nan))
 
 
-def _miss(difference: Array, J: Array, prior: Array, chosen: list[int]) -> Array:
-    """Squared miss at every station (N,), in variances, of the imitation fitted to the chosen ones."""
-    P = J.shape[2]
-    A, b = J[chosen].reshape(-1, P), difference[chosen].ravel()
-    x = np.linalg.lstsq(np.concatenate([A, np.diag(1.0 / prior)]), np.concatenate([b, np.zeros(P)]), rcond=1e-12)[0]
-    return np.asarray(np.sum((difference - J @ x) ** 2, axis=1))
+@dataclass(frozen=True)
+class _Rows:
+    """What tells two explanations apart, in standard deviations of the readings. difference: the motion that one makes
+    (N, c). J: derivatives of all that imitates it (N, c, K). prior: standard deviations (K,).
+    """
+
+    difference: Array
+    J: Array
+    prior: Array
+
+    @classmethod
+    def of(
+        cls, imitation: Model, truth: Effect, geometry: Sequence[ModelParameter], samples: Samples, noise: NoiseModel
+    ) -> _Rows:
+        at = Drivers(samples, imitation.arm or imitation.drivers(samples).arm)
+        values = np.concatenate([np.zeros(len(geometry)), *(e.values for e in imitation.effects)])
+        J = linearise(imitation, geometry, values, samples, drivers=at).J
+        view = RowView.of(imitation.with_effects(()), samples, at)
+        moved = np.sum(
+            [a * view.moved_by(t) for a, t in zip(truth.amplitudes, columns(truth, at), strict=True)], axis=0
+        )
+        N = len(samples)
+        weight = np.full(len(moved), 1.0 / np.maximum(noise.of(samples), FINEST).max())
+        weight[3 * N :] = 1.0 / max(noise.rotation, FINEST)
+        prior = np.concatenate([[p.prior_std for p in geometry], *(prior_stds(e, at) for e in imitation.effects)])
+        return cls((moved * weight).reshape(-1, N).T, (J * weight).reshape(len(J), -1, N).transpose(2, 1, 0), prior)
+
+    def without_effects(self, geometry: int) -> _Rows:
+        """The same where geometry alone imitates."""
+        return replace(self, J=self.J[..., :geometry], prior=self.prior[:geometry])
+
+    def missed(self, chosen: list[int]) -> Array:
+        """Squared miss at every station (N,), in variances, of the imitation fitted to the chosen ones."""
+        K = self.J.shape[2]
+        A, b = self.J[chosen].reshape(-1, K), self.difference[chosen].ravel()
+        A, b = np.concatenate([A, np.diag(1.0 / self.prior)]), np.concatenate([b, np.zeros(K)])
+        return np.asarray(np.sum((self.difference - self.J @ np.linalg.lstsq(A, b, rcond=1e-12)[0]) ** 2, axis=1))
