@@ -219,15 +219,15 @@ def test_one_turn_of_many_is_near_the_middle() -> None:
 @pytest.mark.parametrize(
     ("parts", "words"),
     [
-        ({"traker": {}}, "'traker' is not one of its keys"),
-        ({"tracker": {"range_m": [1, 2]}}, "position_m: needs 3 finite numbers"),
+        ({"traker": {}}, "unknown key traker; known are arm, limits, modcal_site"),
+        ({"tracker": {"range_m": [1, 2]}}, "tracker: 'position_m' is not stated"),
         ({"tracker": {"position_m": [1, 2, 3], "range_m": [2, 1]}}, "2 is not below 1"),
         ({"target": {"axis": [0, 0, 0], "half_angle_deg": 20}}, "its cone has no axis or no angle"),
-        ({"noise": {"position_m": -1e-5}}, "is -1e-05, at least 0 is needed"),
-        ({"noise": {"joint_rad": "small"}}, "joint_rad: needs 1 finite number, has"),
-        ({"arm": {"spheres": [{"center_m": [0, 0, 0], "radius_m": 0.1}]}}, "names no link"),
-        ({"workspace": {"box_m": [[0, 1]]}}, "needs three ranges"),
-        ({"modcal_site": 2}, "1 is known"),
+        ({"noise": {"position_m": -1e-5}}, "noise: position_m: -1e-05 is out of range, at least 0 is allowed"),
+        ({"noise": {"joint_rad": "small"}}, "joint_rad: 'small' is not a finite number"),
+        ({"arm": {"spheres": [{"center_m": [0, 0, 0], "radius_m": 0.1}]}}, "entry 1: 'link' is not stated"),
+        ({"workspace": {"box_m": [[0, 1]]}}, "box_m: it has 1 entries, 3 are allowed"),
+        ({"modcal_site": 2}, "2 is not one of 1"),
     ],
 )
 def test_sites_that_make_no_sense(parts: dict[str, Any], words: str) -> None:
