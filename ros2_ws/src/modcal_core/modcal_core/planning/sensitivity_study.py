@@ -75,11 +75,6 @@ class Sensitivity:
         """Plain means over the postures [m], (P,)."""
         return self.single.mean(axis=0)
 
-    @property
-    def spread(self) -> Array:
-        """Largest less smallest value over the postures [m], (P,)."""
-        return np.ptp(self.single, axis=0)
-
 
 def sensitivity(closed: ClosedChain, q: Array, sizes: Array, base: str, bins: int | None = None) -> Sensitivity:
     """Single- and multi-point indices of every parameter over postures q (N, n).

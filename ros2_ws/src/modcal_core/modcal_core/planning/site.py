@@ -139,7 +139,7 @@ class Site:
         return self.tracker.position if self.tracker is not None and self.tracker.carried else self.target.position
 
 
-def _object(required: tuple[str, ...] = (), **properties: Any) -> dict[str, Any]:
+def _object(required: Sequence[str] = (), /, **properties: Any) -> dict[str, Any]:
     return {"type": "object", "required": required, "properties": properties, "additionalProperties": False}
 
 
@@ -157,8 +157,8 @@ _NOISE = ("position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_
 _SCHEMA = _object(
     modcal_site={"enum": [FORMAT]},
     tracker=_object(("position_m",), position_m=_POINT, range_m=_PAIR, on_tool={"type": "boolean"}, **_CONE),
-    target=_object(position_m=_POINT, radius_m=_SIZE, **_CONE),
-    noise=_object(**dict.fromkeys(_NOISE, _SIZE)),
+    target=_object((), position_m=_POINT, radius_m=_SIZE, **_CONE),
+    noise=_object((), **dict.fromkeys(_NOISE, _SIZE)),
     arm=_object(spheres=_LINKED, link_radius_m=_SIZE, margin_m=_SIZE),
     surroundings=_object(floor_m=_NUMBER, spheres=_BALLS, boxes={"type": "array", "items": _list(3, _PAIR)}),
     limits={"type": "object", "additionalProperties": _PAIR},
