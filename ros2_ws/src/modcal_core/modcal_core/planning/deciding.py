@@ -1,8 +1,8 @@
 """Stations that tell two explanations of the same error apart.
 
 If one effect is the truth, the other one and the geometry together can imitate it on what was recorded, but not
-everywhere. The imitation is fitted to what was recorded; where it then misses the truth by most, a station says which
-of the two it is. That station is added to what is imitated, and so on (T-optimal design; Atkinson & Fedorov 1975).
+everywhere. What stations tell of the truth is the information about its size that all which imitates it leaves; its
+square root is by how many standard deviations the best imitation misses (T-optimal design; Atkinson & Fedorov 1975).
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.planning.criteria import ACCURACY, Criterion
+from modcal_core.planning.exchange import Search, grown, information
 from modcal_core.robots import random_postures
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
@@ -93,20 +95,18 @@ def propose(
         said = f"only {len(samples) - recorded} postures are allowed"
         raise NotPlannable(f"{count} stations", said, "ask for fewer, or widen the site")
     geometry = choose_parameters(model, [View(calibration.kind, 0)]).parameters
-    rows = _Rows.of(model.with_effects((*rest, other)), truth, geometry, samples, calibration.noise)
-    chosen = list(range(recorded))
-    for _ in range(count):
-        missed = rows.missed(chosen)
-        missed[chosen] = 0.0
-        chosen.append(int(np.argmax(missed)))
-    new = np.array(chosen[recorded:])
-    separation = float(np.sqrt(np.sum(rows.missed(chosen)[new])))
+    rows = _rows(model.with_effects((*rest, other)), truth, geometry, samples, calibration.noise)
+    K = rows.shape[2]
+    at_first = np.eye(K) + information(rows[:recorded])
+    only_truth = Criterion(ACCURACY, np.diag(np.eye(K)[0]))
+    new = recorded + np.array(grown(Search.of(rows[recorded:], only_truth, at_first), count))
+    told = _told(at_first + information(rows[new])) - _told(at_first)
+    whole, bare = np.eye(K) + information(rows), 1 + len(geometry)
     directed = {e.place for e in (truth, other) if e.driver.startswith("direction:")}
     approach = np.where(np.isin(samples.names, list(directed)), samples.approach[new], 0.0)
-    everywhere = list(range(len(samples)))
-    own, left = (float(np.sum(r.missed(everywhere))) for r in (rows.without_effects(len(geometry)), rows))
+    distinct = _told(whole) / max(_told(whole[:bare, :bare]), 1e-300)
     by_effort = any(part.startswith("effort:") for e in (truth, other) for part in e.driver.split(","))
-    return DecidingStations(truth, other, samples.q[new], approach, separation, left / max(own, 1e-300), by_effort)
+    return DecidingStations(truth, other, samples.q[new], approach, float(np.sqrt(told)), distinct, by_effort)
 
 
 def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> str:
@@ -147,40 +147,25 @@ def _candidates(
     return replace(exact, approach=rng.choice([-1.0, 1.0], q.shape), effort=np.full(q.shape, np.nan))
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """What tells two explanations apart, in standard deviations of the readings. difference: the motion that one makes
-    (N, c). J: derivatives of all that imitates it (N, c, K). prior: standard deviations (K,).
+def _rows(
+    imitation: Model, truth: Effect, geometry: Sequence[ModelParameter], samples: Samples, noise: NoiseModel
+) -> Array:
+    """In standard deviations of the readings the motion that one explanation makes, first, and behind it derivatives of
+    all that imitates it per prior deviation: of the geometry, then of effects, (N, c, K).
     """
+    at = Drivers(samples, imitation.arm or imitation.drivers(samples).arm)
+    values = np.concatenate([np.zeros(len(geometry)), *(e.values for e in imitation.effects)])
+    view = RowView.of(imitation.with_effects(()), samples, at)
+    terms = zip(truth.amplitudes, columns(truth, at), strict=True)
+    moved = np.sum([amplitude * view.moved_by(term) for amplitude, term in terms], axis=0)
+    prior = np.concatenate([[p.prior_std for p in geometry], *(prior_stds(e, at) for e in imitation.effects)])
+    J = np.vstack([moved, linearise(imitation, geometry, values, samples, drivers=at).J * prior[:, None]])
+    N = len(samples)
+    J[:, : 3 * N] /= np.maximum(noise.of(samples), FINEST).max()
+    J[:, 3 * N :] /= max(noise.rotation, FINEST)
+    return np.asarray(J.reshape(len(J), -1, N).transpose(2, 1, 0))
 
-    difference: Array
-    J: Array
-    prior: Array
 
-    @classmethod
-    def of(
-        cls, imitation: Model, truth: Effect, geometry: Sequence[ModelParameter], samples: Samples, noise: NoiseModel
-    ) -> _Rows:
-        at = Drivers(samples, imitation.arm or imitation.drivers(samples).arm)
-        values = np.concatenate([np.zeros(len(geometry)), *(e.values for e in imitation.effects)])
-        J = linearise(imitation, geometry, values, samples, drivers=at).J
-        view = RowView.of(imitation.with_effects(()), samples, at)
-        moved = np.sum(
-            [a * view.moved_by(t) for a, t in zip(truth.amplitudes, columns(truth, at), strict=True)], axis=0
-        )
-        N = len(samples)
-        weight = np.full(len(moved), 1.0 / np.maximum(noise.of(samples), FINEST).max())
-        weight[3 * N :] = 1.0 / max(noise.rotation, FINEST)
-        prior = np.concatenate([[p.prior_std for p in geometry], *(prior_stds(e, at) for e in imitation.effects)])
-        return cls((moved * weight).reshape(-1, N).T, (J * weight).reshape(len(J), -1, N).transpose(2, 1, 0), prior)
-
-    def without_effects(self, geometry: int) -> _Rows:
-        """The same where geometry alone imitates."""
-        return replace(self, J=self.J[..., :geometry], prior=self.prior[:geometry])
-
-    def missed(self, chosen: list[int]) -> Array:
-        """Squared miss at every station (N,), in variances, of the imitation fitted to the chosen ones."""
-        K = self.J.shape[2]
-        A, b = self.J[chosen].reshape(-1, K), self.difference[chosen].ravel()
-        A, b = np.concatenate([A, np.diag(1.0 / self.prior)]), np.concatenate([b, np.zeros(K)])
-        return np.asarray(np.sum((self.difference - self.J @ np.linalg.lstsq(A, b, rcond=1e-12)[0]) ** 2, axis=1))
+def _told(H: Array) -> float:
+    """How far the first value is from what the others imitate of it, in variances, by information H (K, K)."""
+    return max(1.0 / float(np.linalg.inv(H)[0, 0]) - 1.0, 0.0)
