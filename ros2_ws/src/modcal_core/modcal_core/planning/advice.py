@@ -7,17 +7,16 @@ sees, are measured once the claim has met the goal without them; where it no lon
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import EQUATIONS_PER_PARAMETER, Cell, View, choose_parameters, errors, place_model
+from modcal_core.calibration import Cell, View, choose_parameters, errors, place_model
 from modcal_core.claim import Claim, claim_at_tool
 from modcal_core.effects import claimed
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3
-from modcal_core.measurements import MIN_RETURNS, POSE
+from modcal_core.measurements import MIN_RETURNS
 from modcal_core.planning.next_stations import (
     Chooser,
     deciding_stations,
@@ -27,7 +26,8 @@ from modcal_core.planning.next_stations import (
     proof_stations,
     return_stations,
 )
-from modcal_core.planning.outlook import outlook
+from modcal_core.planning.outlook import Outlook, outlook
+from modcal_core.planning.planner import min_stations
 from modcal_core.planning.pool import Pool
 from modcal_core.planning.proof import MIN_STATIONS, UNEXPLAINED, End, Goal, no_station_helps, proven, spent
 from modcal_core.planning.refit import Refit, proven_over, refit
@@ -83,6 +83,34 @@ class Advice:
     refitted: Refit | None = None
 
 
+@dataclass(frozen=True)
+class _Standing:
+    """What is known after a fit. view: what further stations are worth. claim: by all stations. floor: None where
+    nothing was measured again.
+    """
+
+    session: Session
+    status: Advance
+    refitted: Refit
+    view: Outlook
+    claim: Claim
+    floor: Floor | None
+
+    @property
+    def bound(self) -> float:
+        """The upper end of the claim [m], of what the goal asks for."""
+        assert self.status.bound is not None
+        return self.status.bound
+
+    def needing(self, stations: int) -> _Standing:
+        """The same where so many further stations should do."""
+        return replace(self, status=replace(self.status, needed=stations))
+
+    def advice(self, why: str, outcome: End | None = None) -> Advice:
+        """Advice from here."""
+        return Advice(self.session, why, self.status, outcome, self.refitted)
+
+
 class Advisor:
     """Advises on one robot at one place. Nothing of what it remembers matters but for time: the same session gets the
     same advice from another advisor.
@@ -119,14 +147,13 @@ class Advisor:
             tool = se3.transform(p=[0.11, 0.07, 0.13])
             model = replace(place_model(self.chain, ("tracker",)), T_tip_tool=tool)
             P = len(choose_parameters(model, [View(kind, 0)], self._cell.kept).parameters)
-            self._least[kind] = int(np.ceil(EQUATIONS_PER_PARAMETER * P / (6.0 if kind == POSE else 3.0))) + 1
+            self._least[kind] = min_stations(P, kind, 1.0) + 1
         return self._least[kind]
 
     def advise(self, session: Session, elapsed: float = 0.0) -> Advice:
         """What to do after what has been measured. elapsed: seconds since the session began."""
         rows = session.fitted
-        measured, proving = len(session.rows()), len(session.rows(PROOF))
-        status = Advance(measured, len(rows), proving)
+        status = Advance(len(session.rows()), len(rows), len(session.rows(PROOF)))
         refitted = self._refit(session, rows) if len(rows) >= self.least(session.kind) else None
         if session.pending:
             return Advice(session, "stations asked for before", status, refitted=refitted)
@@ -134,159 +161,138 @@ class Advisor:
             count, rng = self.least(session.kind), np.random.default_rng(self._seed)
             stations = first_stations(self.pool, session, count, self._planned, rng)
             why = f"first stations: {count} are needed for the geometry"
-            return self._asked(session, stations, why, status, None)
-        cell = self._cell.met(refitted.samples)
-        view = outlook(refitted, self.pool.where, cell, np.random.default_rng(self._seed))
-        chooser = Chooser(self.pool, view, refitted, self._planned)
-        claim = self._claim(session, refitted)
-        status = self._status(status, session, chooser, claim)
-        if self._is_met(status) and proving >= MIN_STATIONS:
-            known = proven_over(refitted, self.pool.where)
-            return self._settle_ties(session, status, known, proven(self.goal, claim, measured, proving))
+            return self._asked(Advice(session, why, status), stations)
+        view = outlook(refitted, self.pool.where, self._cell.met(refitted.samples), np.random.default_rng(self._seed))
+        at = self._standing(session, status, refitted, view)
+        if self._is_met(at) and status.proving >= MIN_STATIONS:
+            at = replace(at, refitted=proven_over(refitted, self.pool.where))
+            return self._settle_ties(at, proven(self.goal, 1e3 * at.bound, status.measured, status.proving))
         if self._gone(session, elapsed):
-            return Advice(session, "", status, spent(self.goal, status.measured, claim), refitted)
-        return self._next(session, status, chooser)
+            return at.advice("", spent(self.goal, status.measured, 1e3 * at.bound))
+        return self._next(at)
 
-    def _refit(self, session: Session, rows: Sequence[int]) -> Refit | None:
+    def _refit(self, session: Session, rows: list[int]) -> Refit | None:
         if self._last is None or self._last[0] != tuple(rows):
             try:
-                found = refit(
-                    session.samples(list(rows)), self.chain, self._seed, self._cell, self._inertias, self._effects
-                )
+                self._last = tuple(rows), self._fitted_to(session, rows)
             except NotEnoughData:
                 return None
-            self._last = tuple(rows), found
         return self._last[1]
 
-    def _claim(self, session: Session, refitted: Refit) -> Claim:
-        """What may be claimed of the model over all postures of the pool, by every station."""
-        fitted, random = session.fitted, session.rows(PROOF)
-        samples = session.samples([*fitted, *random])
-        right = np.r_[~refitted.wrong, np.ones(len(random), bool)]
-        cell = self._cell.met(samples)
-        return claim_at_tool(refitted.calibration, samples.select(right), cell, self.pool.where[:_POSTURES])
+    def _fitted_to(self, session: Session, rows: list[int]) -> Refit:
+        return refit(session.samples(rows), self.chain, self._seed, self._cell, self._inertias, self._effects)
 
-    def _is_met(self, status: Advance) -> bool:
-        goal = self.goal.accuracy
-        return goal is not None and status.bound is not None and status.bound <= goal
-
-    def _status(self, status: Advance, session: Session, chooser: Chooser, claim: Claim) -> Advance:
-        refitted, random = chooser.refitted, session.rows(PROOF)
-        floor = self._floor(refitted)
-        calibration = refitted.calibration
-        ties = tuple(
-            f"{effect.label} or {rival.label}"
-            for effect, rivals in zip(calibration.calibrated.effects, calibration.rivals, strict=False)
-            for rival in rivals
-        )
-        left = errors(calibration.calibrated, session.samples(random)).position_norm if random else None
-        return replace(
+    def _standing(self, session: Session, status: Advance, refitted: Refit, view: Outlook) -> _Standing:
+        calibration, random = refitted.calibration, session.rows(PROOF)
+        model = calibration.calibrated
+        samples = session.samples([*session.fitted, *random])
+        right = samples.select(np.r_[~refitted.wrong, np.ones(len(random), bool)])
+        # what may be claimed of the model over all postures of the pool, by every station
+        claim = claim_at_tool(calibration, right, self._cell.met(samples), self.pool.where[:_POSTURES])
+        residual = errors(model, refitted.samples)
+        floor = floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
+        left = errors(model, session.samples(random)).position_norm if random else None
+        pairs = zip(model.effects, calibration.rivals, strict=False)
+        status = replace(
             status,
-            expected=float(np.hypot(refitted.spread, chooser.view.error(own=True))),
+            expected=float(np.hypot(refitted.spread, view.error(own=True))),
             bound=1e-3 * claim.mm[self.goal.statistic].ci95[1],
             seen=None if left is None else float(np.sqrt(np.mean(left**2))),
             floor=None if floor is None else 1e-3 * floor.rms,
-            effects=tuple(effect.label for effect in calibration.calibrated.effects if claimed(effect)),
-            ties=ties,
+            effects=tuple(effect.label for effect in model.effects if claimed(effect)),
+            ties=tuple(f"{effect.label} or {rival.label}" for effect, rivals in pairs for rival in rivals),
         )
+        return _Standing(session, status, refitted, view, claim, floor)
 
-    def _floor(self, refitted: Refit) -> Floor | None:
-        residual = errors(refitted.calibration.calibrated, refitted.samples)
-        return floors(residual, refitted.samples, refitted.wrong, self._cell.stated).position
+    def _is_met(self, at: _Standing) -> bool:
+        return self.goal.accuracy is not None and at.bound <= self.goal.accuracy
 
-    def _next(self, session: Session, status: Advance, chooser: Chooser) -> Advice:
-        refitted, view = chooser.refitted, chooser.view
+    def _next(self, at: _Standing) -> Advice:
+        session, status = at.session, at.status
         size = max(self._batch, len(session.fitted) // _GROWING)
         size = max(1, min(size, self.goal.stations - status.measured))
         rng = np.random.default_rng((self._seed, len(session.stations)))
         if self.goal.accuracy is None:
-            return self._as_good_as_can_be(session, status, chooser, size, rng)
+            return self._as_good_as_can_be(at, size, rng)
         missing = max(MIN_STATIONS - status.proving, 0)
-        if self._is_met(status):
-            status = replace(status, needed=missing)
-            stations = proof_stations(self.pool, session, missing)
-            return self._asked(session, stations, "random stations for the proof", status, refitted)
-        batch = chooser.best(session, _AHEAD * size, rng, size)
-        assert status.bound is not None
-        now = view.error()
-        after = (status.bound * view.error(batch.after[k - 1]) / now for k in range(size, len(batch.after) + 1, size))
-        enough = next((k for k, bound in enumerate(after, 1) if bound <= self.goal.accuracy), None)
-        if enough is not None:
-            status = replace(status, needed=enough * size + missing)
-            return self._asked(session, batch.stations[:size], "stations that lower the error most", status, refitted)
-        return self._as_good_as_can_be(session, status, chooser, size, rng)
+        if self._is_met(at):
+            asked = at.needing(missing).advice("random stations for the proof")
+            return self._asked(asked, proof_stations(self.pool, session, missing))
+        batch = self._chooser(at).best(session, _AHEAD * size, rng, size)
+        after = (at.view.error(batch.after[k - 1]) for k in range(size, len(batch.after) + 1, size))
+        bounds = (at.bound * error / at.view.error() for error in after)
+        enough = next((k for k, bound in enumerate(bounds, 1) if bound <= self.goal.accuracy), None)
+        if enough is None:
+            return self._as_good_as_can_be(at, size, rng)
+        asked = at.needing(enough * size + missing).advice("stations that lower the error most")
+        return self._asked(asked, batch.stations[:size])
 
-    def _as_good_as_can_be(
-        self, session: Session, status: Advance, chooser: Chooser, size: int, rng: np.random.Generator
-    ) -> Advice:
+    def _chooser(self, at: _Standing) -> Chooser:
+        return Chooser(self.pool, at.view, at.refitted, self._planned)
+
+    def _as_good_as_can_be(self, at: _Standing, size: int, rng: np.random.Generator) -> Advice:
         """No proof is in reach: know the floor, then measure until more stations would change nothing."""
-        refitted = chooser.refitted
-        size = max(size, len(session.fitted) // _UNHURRIED)
-        floor = self._floor(refitted)
+        session, refitted, floor, goal = at.session, at.refitted, at.floor, self.goal.rms
+        fitted, least = len(session.fitted), self.least(session.kind)
+        size = max(size, fitted // _UNHURRIED)
         returned = len(session.rows(RETURN))
-        goal = self.goal.rms
         unclear = floor is None or (goal is not None and floor.interval[0] < (1e3 * goal) ** 2 < floor.interval[1])
-        early = len(session.fitted) < _RETURNS_FROM * self.least(session.kind)
+        early = fitted < _RETURNS_FROM * least
         if not self.pool.recorded and unclear and not early and returned < _MAX_RETURNS:
             count = MIN_RETURNS if returned < MIN_RETURNS else min(MIN_RETURNS, _MAX_RETURNS - returned)
             if stations := return_stations(session, count):
-                return self._asked(session, stations, "postures again: what the arm does not repeat", status, refitted)
-        fitted, model = len(session.fitted), chooser.view.error(own=True)
+                return self._asked(at.advice("postures again: what the arm does not repeat"), stations)
         # error now over that which the whole budget of stations would leave: the model's part shrinks
-        best = refitted.spread**2 + model**2 * min(fitted / max(self.goal.stations, 1), 1.0)
-        gain = float(np.sqrt((refitted.spread**2 + model**2) / best))
-        spread, repeat = refitted.spread**2, None if floor is None else 1e-6 * floor.interval[1]
-        hidden = repeat is None or spread > UNEXPLAINED * repeat
-        searching = early or (hidden and self._effects and not self._stalled(session, refitted))
+        spread, model = refitted.spread**2, at.view.error(own=True) ** 2
+        gain = np.sqrt((spread + model) / (spread + model * min(fitted / max(self.goal.stations, 1), 1.0)))
+        hidden = floor is None or spread > UNEXPLAINED * 1e-6 * floor.interval[1]
+        searching = early or (hidden and self._effects and not self._stalled(at))
         if gain > _SETTLED or searching:
             # what nobody suspects no choice looks for: half of the stations of a long search are drawn at random
-            blind = size // 2 if searching and fitted >= _SEARCHED * self.least(session.kind) else 0
+            blind = size // 2 if searching and fitted >= _SEARCHED * least else 0
+            chooser = self._chooser(at)
             stations = chooser.best(session, size - blind, rng).stations
             if blind:
                 stations += replace(chooser, planned=False).best(session.asking(stations), blind, rng).stations
             if stations:
                 why = "stations for what the model lacks still" if searching else "stations that lower the error most"
-                return self._asked(session, stations, why, status, refitted)
-        ended = no_station_helps(self.goal, self._claim(session, refitted), floor, refitted.spread)
-        return self._settle_ties(session, status, refitted, ended)
+                return self._asked(at.advice(why), stations)
+        return self._settle_ties(at, no_station_helps(self.goal, 1e3 * at.bound, floor, refitted.spread))
 
-    def _stalled(self, session: Session, refitted: Refit) -> bool:
+    def _stalled(self, at: _Standing) -> bool:
         """Whether twice the stations have brought nothing: neither an effect, nor a smaller rest."""
-        rows = session.fitted
-        if self.pool.recorded or len(rows) < _SEARCHED * self.least(session.kind):
+        rows, refitted = at.session.fitted, at.refitted
+        if self.pool.recorded or len(rows) < _SEARCHED * self.least(at.session.kind):
             return False  # what is recorded costs nothing more
-        samples = session.samples(rows[: len(rows) // 2])
-        half = refit(samples, self.chain, self._seed, self._cell, self._inertias, self._effects)
+        half = self._fitted_to(at.session, rows[: len(rows) // 2])
         e = errors(half.calibration.calibrated, refitted.samples).position_norm
-        before = float(np.sqrt(np.mean(e[~refitted.wrong] ** 2)))
-        return refitted.spread > _BROUGHT * before
+        return refitted.spread > _BROUGHT * float(np.sqrt(np.mean(e[~refitted.wrong] ** 2)))
 
-    def _settle_ties(self, session: Session, status: Advance, refitted: Refit, ended: End) -> Advice:
+    def _settle_ties(self, at: _Standing, ended: End) -> Advice:
         """The end, after stations that separate explanations where that is asked for."""
-        asked = sum(s.role == DECIDE for s in session.stations)
-        if self.goal.ties and asked < _DECIDING[1] and not self.pool.recorded and not self._gone(session, 0.0):
+        asked = sum(s.role == DECIDE for s in at.session.stations)
+        if self.goal.ties and asked < _DECIDING[1] and not self.pool.recorded and not self._gone(at.session, 0.0):
             rng = np.random.default_rng((self._seed, asked))
-            stations, between = deciding_stations(refitted, self.pool, _DECIDING[0], rng)
+            stations, between = deciding_stations(at.refitted, self.pool, _DECIDING[0], rng)
             if stations:
-                return self._asked(session, stations, f"stations that decide: {between}", status, refitted)
-            same = {f"{one} or {other}" for one, other in one_motion(refitted, self.pool, rng)}
-            named = (f"{tie} ({_not_by_posture(tie)})" if tie in same else tie for tie in status.ties)
-            status = replace(status, ties=tuple(named))
-        return Advice(session, "", status, ended, refitted)
+                return self._asked(at.advice(f"stations that decide: {between}"), stations)
+            same = {f"{one} or {other}" for one, other in one_motion(at.refitted, self.pool, rng)}
+            named = (f"{tie} ({_not_by_posture(tie)})" if tie in same else tie for tie in at.status.ties)
+            at = replace(at, status=replace(at.status, ties=tuple(named)))
+        return at.advice("", ended)
 
-    def _asked(
-        self, session: Session, stations: list[Station], why: str, status: Advance, refitted: Refit | None
-    ) -> Advice:
-        room = self.goal.stations - status.measured
-        stations = stations[: max(room, 0)]
+    def _asked(self, advice: Advice, stations: list[Station]) -> Advice:
+        """The advice with these stations asked for, in a short order; the end where the budget leaves none."""
+        session, status = advice.session, advice.status
+        stations = stations[: max(self.goal.stations - status.measured, 0)]
         if not stations:
-            claim = None if refitted is None else self._claim(session, refitted)
-            return Advice(session, "", status, spent(self.goal, status.measured, claim), refitted)
+            bound = None if status.bound is None else 1e3 * status.bound
+            return replace(advice, why="", outcome=spent(self.goal, status.measured, bound))
         if len(stations) > 1 and stations[0].role not in (RETURN, DECIDE):
             last = next((s.q for s in reversed(session.stations) if s.q is not None), None)
             q = np.array([s.asked for s in stations])
             stations = [stations[j] for j in in_order(q, range(len(q)), last)]
-        return Advice(session.asking(stations), why, status, None, refitted)
+        return replace(advice, session=session.asking(stations))
 
     def _gone(self, session: Session, elapsed: float) -> bool:
         late = self.goal.seconds is not None and elapsed >= self.goal.seconds

@@ -199,9 +199,9 @@ def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Gene
     )
 
 
-def min_stations(parameters: int, reading: str) -> int:
-    """The fewest stations from which ``modcal calibrate`` fits so many parameters: it fits to a share of them first."""
-    equations = SHARES[0] * (6.0 if reading == "pose" else 3.0)
+def min_stations(parameters: int, reading: str, share: float = SHARES[0]) -> int:
+    """The fewest stations from which so many parameters are fitted to a share of them, as ``modcal calibrate`` does."""
+    equations = share * (6.0 if reading == "pose" else 3.0)
     return int(np.ceil(EQUATIONS_PER_PARAMETER * parameters / equations))
 
 
