@@ -34,7 +34,7 @@ from modcal_core.calibration.cell import Cell as Known
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
-from modcal_core.planning import Advice, Advisor, Goal
+from modcal_core.planning import Advice, Advisor, Goal, Method
 from modcal_core.planning.next_stations import Chooser, deciding_stations, first_stations, one_motion
 from modcal_core.planning.outlook import outlook
 from modcal_core.planning.pool import of_recording, of_robot
@@ -109,7 +109,7 @@ class Measured(Workplace):
 
     def run(self, goal: Goal, planned: bool) -> Advice:
         self.begin(0)
-        advisor = Advisor(self.chain, self.pool, goal, 0, None, self.inertias, planned)
+        advisor = Advisor(self.chain, self.pool, goal, Method(planned=planned), None, self.inertias)
         session = Session(self.chain.names, self.kind)
         while (advice := advisor.advise(session, self.now)).outcome is None:
             session = self.done(advice.session)
@@ -246,7 +246,8 @@ def replay(task: harness.Task) -> harness.Result:
                 session = session.with_station(number, measurer.measure(session.stations[number]))
             # half as many again each time, of a large recording twice as many, for time: what is asked is how few do
             batch = max(12, len(session.rows()) // (1 if len(offered) > LARGE else 2))
-            plan = Advisor(robot.mechanism, pool, aim, seed, None, robot.inertias, name == "planned", batch)
+            method = Method(seed, name == "planned", batch)
+            plan = Advisor(robot.mechanism, pool, aim, method, None, robot.inertias)
             advice = plan.advise(session)
             session = advice.session
             if advice.refitted is not None:

@@ -19,7 +19,7 @@ from modcal_core.effects.registry import candidates
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
-from modcal_core.planning.advice import Advice, Advisor, _not_by_posture
+from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
 from modcal_core.planning.next_stations import Chooser, one_motion, return_stations
 from modcal_core.planning.outlook import chance_seen, outlook
 from modcal_core.planning.pool import of_robot
@@ -47,7 +47,7 @@ def cell(**chosen: Any) -> CellInProcess:
 
 def advisor(goal: Goal, **options: Any) -> Advisor:
     pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
-    return Advisor(CHAIN, pool, goal, 0, None, read_inertias(URDF.read_text(), CHAIN), **options)
+    return Advisor(CHAIN, pool, goal, Method(**options), None, read_inertias(URDF.read_text(), CHAIN))
 
 
 def measured(advising: Advisor, by: CellInProcess, session: Session | None = None, until: int = 1000) -> Advice:
@@ -98,7 +98,7 @@ def test_what_is_proven_is_what_is_used() -> None:
     """A gear's wave is learned from twelve stations; those of the proof go beyond them, and so will those who use it."""
     by = cell(seed=7, gear_joint="elbow_joint", gear_amplitude_rad=2e-4, measurement="pose")
     pool = of_robot(CHAIN, Site(), "pose", np.random.default_rng(0))
-    advising = Advisor(CHAIN, pool, Goal(1e-4), 0, None, read_inertias(URDF.read_text(), CHAIN))
+    advising = Advisor(CHAIN, pool, Goal(1e-4), Method(), None, read_inertias(URDF.read_text(), CHAIN))
     advice = measured(advising, by, Session(CHAIN.names, "pose"))
     assert advice.outcome is not None
     assert advice.outcome.ending == "proven"

@@ -28,7 +28,7 @@ def test_stations_that_its_platform_can_take() -> None:
     found = plan(delta, Site(), PlanRequest(24, None, candidates=150, starts=1), np.random.default_rng(0))
     assert takes(delta, found.q).all()
     assert found.distinct == 24
-    assert found.accuracy.model < found.random
+    assert found.expected.left < found.expected.at_random
 
 
 def test_designs_hold_postures_that_exist() -> None:

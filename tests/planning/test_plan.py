@@ -63,10 +63,10 @@ def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker(
     for size in (2e-5, 3e-5):
         site = site_from_data({**HALL, "noise": {**HALL["noise"], "position_m": size}}, "hall")
         found = plan(ur10(), site, PlanRequest(accuracy=wished, candidates=100, starts=1), np.random.default_rng(3))
-        assert found.claim.mm["p95"].ci95[1] <= 1e3 * wished
+        assert found.expected.claim.mm["p95"].ci95[1] <= 1e3 * wished
         assert (clearance(found.ground.spheres, site, found.q) >= 0.0).all()
         assert visible(found.ground.spheres, site, found.q).all()
-        assert found.accuracy.rms**2 == pytest.approx(found.accuracy.model**2 + found.accuracy.repeat**2)
+        assert found.expected.ratios["model_rms"] < found.expected.ratios["total_rms"] < 1.0
         counts.append(len(found.q))
     assert counts[0] < counts[1]
 
@@ -92,9 +92,9 @@ def test_what_is_measured_already_counts() -> None:
     request = PlanRequest(stations=6, candidates=100, starts=1, besides=first)
     found = plan(ur10(), site, request, np.random.default_rng(9))
     before = ground().left(ground().outlook.rows(first))
-    assert found.accuracy.model < 0.2 * before
-    assert found.accuracy.model < found.random
-    assert found.indices.rank == 27
+    assert found.expected.left < 0.2 * before
+    assert found.expected.left < found.expected.at_random
+    assert found.expected.indices.rank == 27
     with pytest.raises(NotPlannable, match="5 stations: only 4 of the postures tried"):
         plan(ur10(), site, replace(request, stations=5, candidates=4), np.random.default_rng(9))
 

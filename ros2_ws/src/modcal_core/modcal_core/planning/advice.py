@@ -111,6 +111,18 @@ class _Standing:
         return Advice(self.session, why, self.status, outcome, self.refitted)
 
 
+@dataclass(frozen=True)
+class Method:
+    """How stations are chosen. seed: of all that is drawn. planned: False draws every station at random, to compare
+    with. batch: stations between two fits. effects: whether to look for more than geometry.
+    """
+
+    seed: int = 0
+    planned: bool = True
+    batch: int = BATCH
+    effects: bool = True
+
+
 class Advisor:
     """Advises on one robot at one place. Nothing of what it remembers matters but for time: the same session gets the
     same advice from another advisor.
@@ -121,22 +133,16 @@ class Advisor:
         chain: Mechanism,
         pool: Pool,
         goal: Goal,
-        seed: int = 0,
+        method: Method | None = None,
         cell: Cell | None = None,
         inertias: Inertias | None = None,
-        planned: bool = True,
-        batch: int = BATCH,
-        effects: bool = True,
     ) -> None:
-        """planned: False draws every station at random, to compare with. batch: stations between two fits. effects:
-        whether to look for more than geometry.
-        """
-        self.chain, self.pool, self.goal = chain, pool, goal
-        self._seed, self._cell, self._inertias = seed, cell or Cell(), inertias
+        """chain: the nominal robot. cell: what is known of its surroundings."""
+        self.chain, self.pool, self.goal, self._method = chain, pool, goal, method or Method()
+        self._cell, self._inertias = cell or Cell(), inertias
         if goal.instrument:
             stated = replace(self._cell.stated, instrument_mm=1e3 * goal.instrument)
             self._cell = replace(self._cell, stated=stated)
-        self._planned, self._batch, self._effects = planned, batch, effects
         self._last: tuple[tuple[int, ...], Refit] | None = None
         self._least: dict[str, int] = {}
 
@@ -158,11 +164,13 @@ class Advisor:
         if session.pending:
             return Advice(session, "stations asked for before", status, refitted=refitted)
         if refitted is None:
-            count, rng = self.least(session.kind), np.random.default_rng(self._seed)
-            stations = first_stations(self.pool, session, count, self._planned, rng)
+            count, rng = self.least(session.kind), np.random.default_rng(self._method.seed)
+            stations = first_stations(self.pool, session, count, self._method.planned, rng)
             why = f"first stations: {count} are needed for the geometry"
             return self._asked(Advice(session, why, status), stations)
-        view = outlook(refitted, self.pool.where, self._cell.met(refitted.samples), np.random.default_rng(self._seed))
+        view = outlook(
+            refitted, self.pool.where, self._cell.met(refitted.samples), np.random.default_rng(self._method.seed)
+        )
         at = self._standing(session, status, refitted, view)
         if self._is_met(at) and status.proving >= MIN_STATIONS:
             at = replace(at, refitted=proven_over(refitted, self.pool.where))
@@ -180,7 +188,9 @@ class Advisor:
         return self._last[1]
 
     def _fitted_to(self, session: Session, rows: list[int]) -> Refit:
-        return refit(session.samples(rows), self.chain, self._seed, self._cell, self._inertias, self._effects)
+        return refit(
+            session.samples(rows), self.chain, self._method.seed, self._cell, self._inertias, self._method.effects
+        )
 
     def _standing(self, session: Session, status: Advance, refitted: Refit, view: Outlook) -> _Standing:
         calibration, random = refitted.calibration, session.rows(PROOF)
@@ -209,9 +219,9 @@ class Advisor:
 
     def _next(self, at: _Standing) -> Advice:
         session, status = at.session, at.status
-        size = max(self._batch, len(session.fitted) // _GROWING)
+        size = max(self._method.batch, len(session.fitted) // _GROWING)
         size = max(1, min(size, self.goal.stations - status.measured))
-        rng = np.random.default_rng((self._seed, len(session.stations)))
+        rng = np.random.default_rng((self._method.seed, len(session.stations)))
         if self.goal.accuracy is None:
             return self._as_good_as_can_be(at, size, rng)
         missing = max(MIN_STATIONS - status.proving, 0)
@@ -228,7 +238,7 @@ class Advisor:
         return self._asked(asked, batch.stations[:size])
 
     def _chooser(self, at: _Standing) -> Chooser:
-        return Chooser(self.pool, at.view, at.refitted, self._planned)
+        return Chooser(self.pool, at.view, at.refitted, self._method.planned)
 
     def _as_good_as_can_be(self, at: _Standing, size: int, rng: np.random.Generator) -> Advice:
         """No proof is in reach: know the floor, then measure until more stations would change nothing."""
@@ -246,7 +256,7 @@ class Advisor:
         spread, model = refitted.spread**2, at.view.error(own=True) ** 2
         gain = np.sqrt((spread + model) / (spread + model * min(fitted / max(self.goal.stations, 1), 1.0)))
         hidden = floor is None or spread > UNEXPLAINED * 1e-6 * floor.interval[1]
-        searching = early or (hidden and self._effects and not self._stalled(at))
+        searching = early or (hidden and self._method.effects and not self._stalled(at))
         if gain > _SETTLED or searching:
             # what nobody suspects no choice looks for: half of the stations of a long search are drawn at random
             blind = size // 2 if searching and fitted >= _SEARCHED * least else 0
@@ -272,7 +282,7 @@ class Advisor:
         """The end, after stations that separate explanations where that is asked for."""
         asked = sum(s.role == DECIDE for s in at.session.stations)
         if self.goal.ties and asked < _DECIDING[1] and not self.pool.recorded and not self._gone(at.session, 0.0):
-            rng = np.random.default_rng((self._seed, asked))
+            rng = np.random.default_rng((self._method.seed, asked))
             stations, between = deciding_stations(at.refitted, self.pool, _DECIDING[0], rng)
             if stations:
                 return self._asked(at.advice(f"stations that decide: {between}"), stations)

@@ -61,26 +61,32 @@ class PlanRequest:
 
 
 @dataclass(frozen=True)
-class Accuracy:
-    """model: RMS of the position error that the fit leaves [m]. repeat: RMS of what joints do not repeat [m]."""
+class Expected:
+    """What is to be expected of a plan's distinct stations, over the workspace.
 
-    model: float
+    claim: from them. left: RMS error [m] that the fit leaves, at_random: of fits to as many random stations from the
+    same postures, the median. repeat: RMS [m] of what joints do not repeat. indices: of the fit's Jacobian.
+    """
+
+    claim: Claim
+    left: float
+    at_random: float
     repeat: float
+    indices: Observability
 
     @property
-    def rms(self) -> float:
-        """Of both [m]."""
-        return float(np.hypot(self.model, self.repeat))
+    def ratios(self) -> dict[str, float]:
+        """The errors over those of random stations: in all, and what the model leaves."""
+        total = np.hypot(self.left, self.repeat) / np.hypot(self.at_random, self.repeat)
+        return {"total_rms": float(total), "model_rms": self.left / self.at_random}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Planned stations and their expected accuracy.
+    """Planned stations and what is expected of them.
 
     - q: postures in the order of the path, (k, n) [rad, m]; those visited twice appear twice.
-    - parameters: names of those that are fitted. indices: of their Jacobian.
-    - claim: to be expected over the workspace from the distinct stations. accuracy: of the fit to them.
-    - random: RMS [m] that fits to as many random stations from the same postures leave, the median.
+    - parameters: names of those that are fitted.
     - curve: (number, claim) of the sets tried while the number was sought.
     """
 
@@ -89,10 +95,7 @@ class Plan:
     q: Array
     route: Route
     parameters: Sequence[str]
-    claim: Claim
-    accuracy: Accuracy
-    indices: Observability
-    random: float
+    expected: Expected
     curve: tuple[tuple[int, Claim], ...] = field(default=())
 
     @property
@@ -184,19 +187,9 @@ def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Gene
         claim = planner.claim(best)
     way = route(best, ground.free, pool.roadmap, 0.5 * (best.min(axis=0) + best.max(axis=0)), request.returns)
     rows = planner.outlook.rows(best if besides is None else np.concatenate([besides, best]))
-    own = planner.outlook.search(rows, "d").J
-    return Plan(
-        request,
-        pool,
-        best[way.order],
-        way,
-        names,
-        claim,
-        Accuracy(planner.left(rows[measured:]), repeat),
-        observability(information(own), len(rows)),
-        planner.random(len(best)),
-        curve,
-    )
+    indices = observability(information(planner.outlook.search(rows, "d").J), len(rows))
+    expected = Expected(claim, planner.left(rows[measured:]), planner.random(len(best)), repeat, indices)
+    return Plan(request, pool, best[way.order], way, names, expected, curve)
 
 
 def min_stations(parameters: int, reading: str, share: float = SHARES[0]) -> int:

@@ -237,41 +237,43 @@ class Measured:
 
 
 @dataclass(frozen=True)
+class Studied:
+    """What is studied. design: name of the postures q (N, n). sizes: of the errors (P,) [m, rad]. base: name of the
+    base factor. measured: what is supposed to be measured. bins: intervals of the histograms. arms: that are drawn for
+    the shares of the variance, a power of two.
+    """
+
+    design: str
+    q: Array
+    sizes: Array
+    base: str
+    measured: Measured
+    bins: int | None = None
+    arms: int = ARMS
+
+
+@dataclass(frozen=True)
 class Study:
-    """closed: what was studied. design: name of the postures q (N, n). indices: over these. variance: by output, over
-    postures spread over the joints' ranges, as joint. measured: what joint supposes to be measured.
+    """closed: the chain. of: what was studied. indices: over its postures. variance: by output, over postures spread
+    over the joints' ranges, as joint.
     """
 
     closed: ClosedChain
-    design: str
-    q: Array
+    of: Studied
     indices: Sensitivity
     variance: dict[str, SobolIndices]
-    measured: Measured
     joint: JointGain
 
 
-def study(
-    closed: ClosedChain,
-    q: Array,
-    design: str,
-    sizes: Array,
-    base: str,
-    measured: Measured,
-    rng: np.random.Generator,
-    bins: int | None = None,
-    arms: int = ARMS,
-) -> Study:
-    """Everything there is to say of the sensitivity of a closed chain, with errors of these sizes (P,) [m, rad].
-
-    arms: that are drawn for the shares of the variance, a power of two.
-    """
-    indices = sensitivity(closed, q, sizes, base, bins)
+def study(closed: ClosedChain, of: Studied, rng: np.random.Generator) -> Study:
+    """Everything there is to say of the sensitivity of a closed chain."""
+    sizes, measured = of.sizes, of.measured
+    indices = sensitivity(closed, of.q, sizes, of.base, of.bins)
     workspace = sobol_postures(closed.chain, _GAIN_POSTURES, rng)
     G = closed.jacobian(workspace)[:, :3]
     rows = 6 if measured.kind == "pose" else 3
     J = closed.jacobian(measured.q)[:, :rows].reshape(-1, len(sizes))
     std = np.tile(np.repeat([measured.std_m, measured.std_rad], 3)[:rows], len(measured.q))
     joint = joint_use(G, sizes, J, std)
-    variance = {"vector": of_vector(joint.before), "distance": of_distance(G[:_VARIANCE_POSTURES], sizes, rng, arms)}
-    return Study(closed, design, q, indices, variance, measured, joint)
+    distance = of_distance(G[:_VARIANCE_POSTURES], sizes, rng, of.arms)
+    return Study(closed, of, indices, {"vector": of_vector(joint.before), "distance": distance}, joint)

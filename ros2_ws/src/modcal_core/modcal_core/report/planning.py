@@ -9,7 +9,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
-from modcal_core.planning import Accuracy, Plan
+from modcal_core.planning import Plan
 from modcal_core.report.as_json import claim_data
 from modcal_core.report.page import MAX_POINTS, MAX_POSTURES, Chart, RobotScene, arm_paths, joints_in_words, plain_page
 from modcal_core.report.plots import Panel, side_by_side
@@ -29,21 +29,18 @@ _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 def to_plan_data(plan: Plan) -> dict[str, Any]:
     """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
-    random = Accuracy(plan.random, plan.accuracy.repeat)
-    indices, ground = plan.indices, plan.ground
+    expected, ground = plan.expected, plan.ground
+    indices = expected.indices
     return {
         "modcal_plan": 1,
         "joints": list(ground.model.chain.names),
         "reading": plan.request.reading,
         "criterion": plan.request.criterion,
         "parameters": list(plan.parameters),
-        **claim_data(plan.claim),
-        "left_rms_mm": {"planned": 1e3 * plan.accuracy.model, "random": 1e3 * random.model},
-        "not_repeated_rms_mm": 1e3 * plan.accuracy.repeat,
-        "ratio_to_random": {
-            "total_rms": plan.accuracy.rms / random.rms,
-            "model_rms": plan.accuracy.model / random.model,
-        },
+        **claim_data(expected.claim),
+        "left_rms_mm": {"planned": 1e3 * expected.left, "random": 1e3 * expected.at_random},
+        "not_repeated_rms_mm": 1e3 * expected.repeat,
+        "ratio_to_random": expected.ratios,
         "observability": {
             **{name: float(getattr(indices, name)) for name in ("o1", "o2", "o3", "o4", "o5")},
             "rank": indices.rank,
@@ -62,7 +59,7 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
 
 def plan_sentences(plan: Plan) -> list[str]:
     """What a person should know."""
-    request, a, k, claim = plan.request, plan.accuracy, plan.distinct, plan.claim
+    request, expected, k, claim = plan.request, plan.expected, plan.distinct, plan.expected.claim
     more = "" if request.besides is None else f" besides the {len(request.besides)} that are measured"
     asked = (
         ""
@@ -72,7 +69,8 @@ def plan_sentences(plan: Plan) -> list[str]:
     out = [
         f"{k} stations{more}{asked}. To be claimed of a usual arm: 95 % of the errors over the workspace are below "
         f"{claim.mm['p95'].ci95[1]:.3f} mm, RMS at most {claim.mm['rms'].ci95[1]:.3f} mm. The fit leaves "
-        f"{1e3 * a.model:.3f} mm RMS by the site's noise, and the joints do not repeat {1e3 * a.repeat:.3f} mm."
+        f"{1e3 * expected.left:.3f} mm RMS by the site's noise, and the joints do not repeat "
+        f"{1e3 * expected.repeat:.3f} mm."
     ]
     if pairs := plan.route.returns:
         out.append(
@@ -82,8 +80,8 @@ def plan_sentences(plan: Plan) -> list[str]:
     else:
         out.append("No station is visited twice: the noise floor will be unknown.")
     out.append(
-        f"{k} stations drawn at random from the same postures would leave {1e3 * plan.random:.3f} mm where these "
-        f"leave {1e3 * a.model:.3f} mm: the ratio is {a.model / plan.random:.2f}."
+        f"{k} stations drawn at random from the same postures would leave {1e3 * expected.at_random:.3f} mm where "
+        f"these leave {1e3 * expected.left:.3f} mm: the ratio is {expected.ratios['model_rms']:.2f}."
     )
     free, seen = plan.pool.shares
     said = f"{percent(free)} of the postures within the limits touch nothing"
@@ -91,8 +89,10 @@ def plan_sentences(plan: Plan) -> list[str]:
     if plan.ground.site.floor is None:
         out.append("No floor is given: stations may lie below the base.")
     P = len(plan.parameters)
-    if plan.indices.rank < P:
-        out.append(f"These stations show {plan.indices.rank} of {P} parameters: the others keep their nominal values.")
+    if expected.indices.rank < P:
+        out.append(
+            f"These stations show {expected.indices.rank} of {P} parameters: the others keep their nominal values."
+        )
     if plan.route.blocked:
         ways = ", ".join(f"{i + 1} to {i + 2}" for i in plan.route.blocked)
         out.append(f"No free path was found from station {ways}: use a motion planner or move the arm by hand there.")

@@ -23,6 +23,7 @@ from modcal_core.planning import (
     Advisor,
     FilledTable,
     Goal,
+    Method,
     Session,
     Site,
     of_recording,
@@ -151,8 +152,8 @@ def measure_command(
         began = time.time() if measurer is None else None
         kept = place.begin(StoredSession(Session(arm.names, reading, carried=site.carried), goal, seed, began))
         lot = options["batch"] or (BATCH if measurer is not None else _BY_HAND)
-        effects = not options["geometry_only"]
-        advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=lot, effects=effects)
+        method = Method(seed, batch=lot, effects=not options["geometry_only"])
+        advisor = Advisor(arm.mechanism, pool, goal, method, cell, arm.inertias)
         if measurer is None:
             advice, filled = _by_hand(place, kept, advisor, watch)
         else:

@@ -25,6 +25,7 @@ from modcal_core.planning import (
     Advice,
     Advisor,
     Goal,
+    Method,
     Pool,
     Session,
     Site,
@@ -113,10 +114,8 @@ class Place:
                 Session(self.robot.names, kind, carried=self.site.carried), self.goal, chosen["seed"], time.time()
             )
         )
-        self._advisor = Advisor(
-            self.robot.mechanism, self.pool, self.goal, chosen["seed"], None, self.robot.inertias,
-            effects=not chosen["geometry_only"],
-        )  # fmt: skip
+        method = Method(chosen["seed"], effects=not chosen["geometry_only"])
+        self._advisor = Advisor(self.robot.mechanism, self.pool, self.goal, method, None, self.robot.inertias)
 
     @property
     def session(self) -> Session:
