@@ -21,7 +21,6 @@ from modcal_core.planning.next_stations import (
     Chooser,
     deciding_stations,
     first_stations,
-    in_order,
     one_motion,
     proof_stations,
     return_stations,
@@ -31,6 +30,7 @@ from modcal_core.planning.planner import min_stations
 from modcal_core.planning.pool import Pool
 from modcal_core.planning.proof import MIN_STATIONS, UNEXPLAINED, End, Goal, no_station_helps, proven, spent
 from modcal_core.planning.refit import Refit, proven_over, refit
+from modcal_core.planning.route import nearest_order
 from modcal_core.planning.session import DECIDE, PROOF, RETURN, Session, Station
 from modcal_core.robots import Inertias, Mechanism
 from modcal_core.verdict import Floor, floors
@@ -301,7 +301,7 @@ class Advisor:
         if len(stations) > 1 and stations[0].role not in (RETURN, DECIDE):
             last = next((s.q for s in reversed(session.stations) if s.q is not None), None)
             q = np.array([s.asked for s in stations])
-            stations = [stations[j] for j in in_order(q, range(len(q)), last)]
+            stations = [stations[k] for k in nearest_order(q, q.mean(axis=0) if last is None else last)]
         return replace(advice, session=session.asking(stations))
 
     def _gone(self, session: Session, elapsed: float) -> bool:

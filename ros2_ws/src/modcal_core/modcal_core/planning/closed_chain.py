@@ -22,10 +22,10 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modcal_core.calibration import Model, RowView, View, choose_parameters, exact_samples, geometry_rows
+from modcal_core.calibration import Model, View, choose_parameters, exact_samples, linearise
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3
-from modcal_core.measurements import POSE
+from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.robots import Chain, Mechanism, read_rows, to_dh
 
@@ -117,11 +117,9 @@ def calibration_chain(
     P = len(parameters)
 
     def jacobian(q: Array) -> Array:
-        q = np.atleast_2d(np.asarray(q, dtype=float))
-        N = len(q)
-        samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, POSE, dtype=KIND_NAMES))
-        view = RowView.of(model, samples, model.drivers(samples))
-        seen = geometry_rows(view, model, parameters, np.zeros(P)).reshape(P, 2, 3, N)  # as seen from the root
+        samples = readings_at(model, np.atleast_2d(np.asarray(q, dtype=float)), POSE)
+        N = len(samples)
+        seen = linearise(model, parameters, np.zeros(P), samples).J.reshape(P, 2, 3, N)  # as seen from the root
         R = model.T_frame_base[0, :3, :3] @ model.chain.T_base_root[:3, :3]
         return np.asarray(np.einsum("ab,pkbn->nkap", R, seen).reshape(N, 6, P))
 
@@ -133,6 +131,12 @@ def one_frame_model(chain: Mechanism, T_measuring_base: Array | None = None, T_t
     base = np.eye(4) if T_measuring_base is None else np.asarray(T_measuring_base, dtype=float)
     tool = np.eye(4) if T_tip_tool is None else np.asarray(T_tip_tool, dtype=float)
     return Model(chain, ("tracker",), base[None], tool)
+
+
+def readings_at(model: Model, q: Array, kind: str) -> Samples:
+    """Readings of a kind, in the first frame, at postures q (N, n), as the model's geometry makes them."""
+    N = len(q)
+    return exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
 
 
 def sizes_of(closed: ClosedChain, length: float, angle: float, tolerances: Mapping[str, float] | None = None) -> Array:

@@ -21,14 +21,13 @@ from modcal_core.calibration import (
     RowView,
     View,
     choose_parameters,
-    exact_samples,
     linearise,
 )
 from modcal_core.effects import Drivers, Effect, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.criteria import ACCURACY, Criterion
 from modcal_core.planning.exchange import Search, grown, information
 from modcal_core.robots import random_postures
@@ -142,8 +141,7 @@ def _candidates(
     drawn = random_postures(chain, _CANDIDATES if allowed is None else _DRAWN * _CANDIDATES, rng)
     drawn = drawn if allowed is None else drawn[allowed(drawn)][:_CANDIDATES]
     q = np.concatenate([calibration.postures, drawn])
-    N = len(q)
-    exact = exact_samples(model.with_effects(()), q, np.zeros(N, int), np.full(N, calibration.kind, dtype=KIND_NAMES))
+    exact = readings_at(model.with_effects(()), q, calibration.kind)
     return replace(exact, approach=rng.choice([-1.0, 1.0], q.shape), effort=np.full(q.shape, np.nan))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -16,6 +16,7 @@ from modcal_core.planning.exchange import exchange, grown, information
 from modcal_core.planning.outlook import Outlook, chance_seen, nominal_outlook
 from modcal_core.planning.pool import Pool
 from modcal_core.planning.refit import Refit
+from modcal_core.planning.route import nearest_order
 from modcal_core.planning.session import DECIDE, FIT, MEASURED, PROOF, RETURN, UNSEEN, Session, Station
 
 _OFFERED = 800  # postures that are compared at once, for time
@@ -48,7 +49,8 @@ def first_stations(pool: Pool, session: Session, count: int, planned: bool, rng:
     """The first ``count`` stations of a session; those not seen are made up for by others."""
     if planned and not session.stations:
         chosen = _far_apart(pool.q, count) if pool.ground is None else _best_for_nominal(pool, session, count, rng)
-        return [_station(pool, int(j), FIT) for j in in_order(pool.q, chosen, None)]
+        q = pool.q[chosen]
+        return [_station(pool, int(chosen[k]), FIT) for k in nearest_order(q, q.mean(axis=0))]
     return [_station(pool, j, FIT) for j in _at_random(pool, session, count - len(session.fitted))]
 
 
@@ -184,16 +186,3 @@ def one_motion(refitted: Refit, pool: Pool, rng: np.random.Generator) -> set[tup
     """Names of explanations that are one motion of the tool within what the arm may do: no posture separates them."""
     found = (found for _, _, found in _separations(refitted, pool, 1, rng))
     return {(f.effect.label, f.rival.label) for f in found if f.same}
-
-
-def in_order(q: Array, chosen: Sequence[int] | np.ndarray, begin: Array | None) -> list[int]:
-    """The chosen postures' numbers, each the nearest to the one before it."""
-    left = [int(j) for j in chosen]
-    here = q[left].mean(axis=0) if begin is None else begin
-    out: list[int] = []
-    while left:
-        nearest = min(left, key=lambda j: float(np.abs(q[j] - here).max()))
-        left.remove(nearest)
-        out.append(nearest)
-        here = q[nearest]
-    return out

@@ -24,13 +24,12 @@ from modcal_core.calibration import (
     RowView,
     View,
     choose_parameters,
-    exact_samples,
     linearise,
 )
 from modcal_core.claim import Neighbourhood, arms_near
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
-from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.criteria import ACCURACY, criterion
 from modcal_core.planning.exchange import Search, information
 from modcal_core.planning.refit import Refit
@@ -103,7 +102,7 @@ class Outlook:
     def _samples(self, q: Array, approach: Array | None, kind: str) -> Samples:
         """Readings as the geometry makes them; time and signals as they were at the end of the samples so far."""
         N, like = len(q), self.like
-        exact = exact_samples(self.about.model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
+        exact = readings_at(self.about.model, q, kind)
         exact = exact if approach is None else replace(exact, approach=approach)
         if like is None:
             return exact
@@ -125,8 +124,7 @@ def nominal_outlook(
     fitted = choose_parameters(model, (View(kind, 0),), fixed).parameters
     joints = unrepeated(model, q, noise)
     scatter = np.sqrt(np.repeat([np.mean(joints[:, :3] ** 2), np.mean(joints[:, 3:] ** 2)], 3) * joints.shape[2])
-    N = len(q)
-    planned = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, kind, dtype=KIND_NAMES))
+    planned = readings_at(model, q, kind)
     size = NoiseModel(noise.position + float(scatter[0]), noise.rotation + float(scatter[3]))
     about = arms_near(model, model.chain, planned, Cell(fixed=tuple(fixed)), noise=size)
     names = [p.name for p in about.parameters]
@@ -159,13 +157,12 @@ def _counting(bare: Outlook, where: Array, approach: Array | None) -> Outlook:
 
 def unrepeated(model: Model, q: Array, noise: Noise) -> Array:
     """How what the joints do not repeat moves the tool at postures q (N, n), by each joint, (N, 6, n) [m, rad]."""
-    N = len(q)
-    samples = exact_samples(model, q, np.zeros(N, dtype=int), np.full(N, POSE, dtype=KIND_NAMES))
+    samples = readings_at(model, q, POSE)
     view = RowView.of(model, samples, model.drivers(samples))
     chain = model.chain
     sizes = np.where(chain.revolute, noise.joint_turn, noise.joint_slide)
     moved = [view.unit_column(chain.first_place + k, 5 if chain.revolute[k] else 2) for k in range(chain.n)]
-    return np.stack(moved, axis=1).reshape(6, N, chain.n).transpose(1, 0, 2) * sizes
+    return np.stack(moved, axis=1).reshape(6, len(q), chain.n).transpose(1, 0, 2) * sizes
 
 
 def chance_seen(p: Array, facing: Array, tried_p: Array, tried_facing: Array, seen: np.ndarray) -> Array:

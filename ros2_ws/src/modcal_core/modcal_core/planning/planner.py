@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration, Cell, NoiseModel, exact_samples
+from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration, Cell, NoiseModel
 from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
-from modcal_core.measurements.kinds import KIND_NAMES
+from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.criteria import ACCURACY, Observability, criterion, observability
 from modcal_core.planning.exchange import PASSES, Exchange, exchange, information
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
@@ -127,8 +127,7 @@ class Planner:
         """The claim to be expected over the workspace from stations q (k, n) and those that are measured already."""
         request, noise, model = self.request, self.ground.site.noise, self.ground.model
         every = q if request.besides is None else np.concatenate([request.besides, q])
-        N, scatter = len(every), self.outlook.scatter
-        planned = exact_samples(model, every, np.zeros(N, dtype=int), np.full(N, request.reading, dtype=KIND_NAMES))
+        scatter, planned = self.outlook.scatter, readings_at(model, every, request.reading)
         distance = float(np.mean(np.linalg.norm(planned.reading, axis=1)))
         size = np.hypot([noise.position + noise.per_metre * distance, noise.rotation], scatter[[0, 3]])
         made = Calibration(model, model, model, np.stack([every.min(axis=0), every.max(axis=0)]))

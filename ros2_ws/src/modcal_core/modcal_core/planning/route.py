@@ -121,8 +121,7 @@ def route(q: Array, free: Free, between: Array, start: Array | None = None, retu
 
     free: says of postures (N, n) which are allowed, (N,). between: allowed postures that ways may lead over, (N, n).
     """
-    first = 0 if start is None else int(np.argmin(np.abs(q - start).max(axis=1)))
-    order = _shortened(q, _nearest(q, first))
+    order = _shortened(q, nearest_order(q, q[0] if start is None else start))
     tour = with_returns(q[order], returns)
     order = order[tour.order]
     roadmap = Roadmap(np.concatenate([q[order], between]), free)
@@ -135,12 +134,14 @@ def route(q: Array, free: Free, between: Array, start: Array | None = None, retu
     return Route(order, tuple(ways), tuple(blocked), tour.pairs)
 
 
-def _nearest(q: Array, first: int) -> np.ndarray:
-    left, order = set(range(len(q))) - {first}, [first]
+def nearest_order(q: Array, begin: Array) -> np.ndarray:
+    """Numbers of postures q (k, n), each the nearest to the one before it, the first to a posture ``begin`` (n,)."""
+    left, order, here = set(range(len(q))), [], begin
     while left:
         rest = np.array(sorted(left))
-        order.append(int(rest[np.argmin(np.abs(q[rest] - q[order[-1]]).max(axis=1))]))
+        order.append(int(rest[np.argmin(np.abs(q[rest] - here).max(axis=1))]))
         left.discard(order[-1])
+        here = q[order[-1]]
     return np.array(order)
 
 
