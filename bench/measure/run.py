@@ -174,8 +174,8 @@ def impossible(task: harness.Task) -> harness.Result:
     session = place.asked(np.array([station.asked for station in first]))
     model = place.refit(session)
     view = outlook(model, place.pool.where, Known(), rng)
-    more = Chooser(place.pool, view, model).best(session, PLANNED - FIRST, rng, 0)
-    best = place.error(place.refit(place.done(session.asking(more.stations))).calibration)
+    more, _ = Chooser(place.pool, view, model).best(session, PLANNED - FIRST, rng, 0)
+    best = place.error(place.refit(place.done(session.asking(more))).calibration)
     return {**out, "best_mm": best, "ratio": out["true_mm"] / best, "said": advice.outcome.sentence}
 
 

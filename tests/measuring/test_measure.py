@@ -185,7 +185,7 @@ def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
     view = outlook(advice.refitted, pool.where, Cell(), np.random.default_rng(0))
     chooser = Chooser(pool, view, advice.refitted)
     batches = [chooser.best(seen, 12, np.random.default_rng(1)) for seen in (session, advice.session)]
-    unseen, usual = (np.mean([left(s) for s in batch.stations]) for batch in batches)
+    unseen, usual = (np.mean([left(s) for s in stations]) for stations, _ in batches)
     assert unseen < usual
 
 

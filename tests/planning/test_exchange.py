@@ -49,7 +49,7 @@ def test_what_accuracy_counts_is_what_the_claim_draws() -> None:
     """The RMS of the tool's errors that the claim draws, its noise known, is that of the information."""
     planner = ground()
     q = planner.pool.q[:60]
-    expected = 1e3 * planner.outlook.error(planner.outlook.beside(planner.outlook.rows(q)).H)
+    expected = 1e3 * planner.outlook.beside(planner.outlook.rows(q)).error()
     claimed = planner.claim(q).mm["rms"]
     assert claimed.ci95[0] < expected < claimed.ci95[1]
 

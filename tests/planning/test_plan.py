@@ -50,7 +50,7 @@ def test_what_is_chosen_lowers_the_claim() -> None:
     determinant = Planner(accuracy.pool, PlanRequest(criterion="d"), np.random.default_rng(1))
     random = accuracy.pool.q[np.random.default_rng(2).choice(300, 30, replace=False)]
     sets = accuracy.best(30, 1), determinant.best(30, 1), random
-    errors = [accuracy.outlook.error(accuracy.outlook.beside(accuracy.outlook.rows(q)).H) for q in sets]
+    errors = [accuracy.outlook.beside(accuracy.outlook.rows(q)).error() for q in sets]
     claims = [accuracy.claim(q).mm["rms"].ci95[1] for q in sets]
     assert errors[0] < errors[1] < errors[2]
     assert claims[0] < claims[2]

@@ -228,14 +228,14 @@ class Advisor:
         if self._is_met(at):
             asked = at.needing(missing).advice("random stations for the proof")
             return self._asked(asked, proof_stations(self.pool, session, missing))
-        batch = self._chooser(at).best(session, _AHEAD * size, rng, size)
-        after = (at.view.error(batch.after[k - 1]) for k in range(size, len(batch.after) + 1, size))
-        bounds = (at.bound * error / at.view.error() for error in after)
-        enough = next((k for k, bound in enumerate(bounds, 1) if bound <= self.goal.accuracy), None)
-        if enough is None:
-            return self._as_good_as_can_be(at, size, rng)
-        asked = at.needing(enough * size + missing).advice("stations that lower the error most")
-        return self._asked(asked, batch.stations[:size])
+        stations, rows = self._chooser(at).best(session, _AHEAD * size, rng, size)
+        view = at.view
+        for k in range(size, len(rows) + 1, size):
+            view = view.beside(rows[k - size : k])
+            if at.bound * view.error() / at.view.error() <= self.goal.accuracy:
+                asked = at.needing(k + missing).advice("stations that lower the error most")
+                return self._asked(asked, stations[:size])
+        return self._as_good_as_can_be(at, size, rng)
 
     def _chooser(self, at: _Standing) -> Chooser:
         return Chooser(self.pool, at.view, at.refitted, self._method.planned)
@@ -261,9 +261,9 @@ class Advisor:
             # what nobody suspects no choice looks for: half of the stations of a long search are drawn at random
             blind = size // 2 if searching and fitted >= _SEARCHED * least else 0
             chooser = self._chooser(at)
-            stations = chooser.best(session, size - blind, rng).stations
+            stations, _ = chooser.best(session, size - blind, rng)
             if blind:
-                stations += replace(chooser, planned=False).best(session.asking(stations), blind, rng).stations
+                stations += replace(chooser, planned=False).best(session.asking(stations), blind, rng)[0]
             if stations:
                 why = "stations for what the model lacks still" if searching else "stations that lower the error most"
                 return self._asked(at.advice(why), stations)

@@ -12,7 +12,7 @@ from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import LEFT, TRAVEL
 from modcal_core.planning.deciding import DecidingStations, propose, undecided_by_posture
-from modcal_core.planning.exchange import exchange, grown, information
+from modcal_core.planning.exchange import exchange, grown
 from modcal_core.planning.outlook import Outlook, chance_seen, nominal_outlook
 from modcal_core.planning.pool import Pool
 from modcal_core.planning.refit import Refit
@@ -22,14 +22,6 @@ from modcal_core.planning.session import DECIDE, FIT, MEASURED, PROOF, RETURN, U
 _OFFERED = 800  # postures that are compared at once, for time
 _PASSES = 2  # of the exchange that chooses the first stations; later ones take what it missed
 _SAME = 1e-9  # rad or m; postures of a pool are asked for as they are
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Stations to ask for, and the information (K, K) after each of them."""
-
-    stations: list[Station]
-    after: list[Array]
 
 
 def _taken(pool: Pool, session: Session) -> np.ndarray:
@@ -89,8 +81,10 @@ class Chooser:
     refitted: Refit
     planned: bool = True
 
-    def best(self, session: Session, count: int, rng: np.random.Generator, first: int | None = None) -> Batch:
-        """The ``count`` stations from which the fit gains most.
+    def best(
+        self, session: Session, count: int, rng: np.random.Generator, first: int | None = None
+    ) -> tuple[list[Station], Array]:
+        """The ``count`` stations from which the fit gains most, and their rows (count, c, K).
 
         first: how many of them are to be measured: each is moved about where it is, while that is better; None: all.
         """
@@ -98,12 +92,12 @@ class Chooser:
         ways = rng.choice([-1.0, 1.0], pool.q.shape)
         if not self.planned:
             free = _at_random(pool, session, count)
-            return self._batch([_station(pool, j, FIT) for j in free], view.rows(pool.q[free], ways[free]))
+            return [_station(pool, j, FIT) for j in free], view.rows(pool.q[free], ways[free])
         candidates = np.flatnonzero(~_taken(pool, session))
         candidates = candidates if pool.recorded else np.setdiff1d(candidates, pool.order)
         candidates = np.sort(rng.permutation(candidates)[: max(_OFFERED, 4 * count)])
         if not len(candidates):
-            return Batch([], [])
+            return [], np.zeros((0, 3, len(view.H)))
         q, ways = pool.q[candidates], ways[candidates]
         rows = view.rows(q, ways)
         chosen = grown(view.search(rows), count, self._chances(q, session))
@@ -114,10 +108,7 @@ class Chooser:
             (best,) = grown(view.search(moved), 1, self._chances(near, session))
             stations[k], rows[k] = replace(stations[k], asked=near[best]), moved[best]
             view = view.beside(moved[best][None])
-        return self._batch(stations, rows)
-
-    def _batch(self, stations: list[Station], rows: Array) -> Batch:
-        return Batch(stations, [self.view.H + information(rows[: k + 1]) for k in range(len(rows))])
+        return stations, rows
 
     def _chances(self, q: Array, session: Session) -> Array:
         """Chance of each posture (N, n) to be seen, by what has and what has not been seen so far."""

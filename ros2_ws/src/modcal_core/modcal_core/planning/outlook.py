@@ -80,11 +80,10 @@ class Outlook:
             k += len(effect.values)
         return J
 
-    def error(self, H: Array | None = None, own: bool = False) -> float:
-        """RMS error of the tool [m] that this information (default: that so far) leaves; own: with the fit's values."""
-        k = self.own if own else np.arange(len(self.gamma))
-        known = (self.H if H is None else H)[np.ix_(k, k)]
-        return float(np.sqrt(max(np.sum(np.linalg.inv(known) * self.gamma[np.ix_(k, k)]), 0.0)))
+    def error(self, own: bool = False) -> float:
+        """RMS error of the tool [m] that is to be expected; own: of the values that a fit has alone."""
+        k = np.ix_(*2 * [self.own if own else np.arange(len(self.gamma))])
+        return float(np.sqrt(max(np.sum(np.linalg.inv(self.H[k]) * self.gamma[k]), 0.0)))
 
     def beside(self, rows: Array) -> Outlook:
         """The same once stations with these rows (N, c, K) have been read."""

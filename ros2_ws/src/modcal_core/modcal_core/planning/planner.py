@@ -135,7 +135,7 @@ class Planner:
 
     def left(self, rows: Array) -> float:
         """RMS error of the tool [m] that a fit to stations with these rows leaves."""
-        return self.outlook.error(self.outlook.beside(rows).H, own=True)
+        return self.outlook.beside(rows).error(own=True)
 
     def quick(self, count: int) -> Array:
         """A good set of so many stations, (count, n), soon."""
