@@ -15,7 +15,7 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.measuring.refit import refit
+from modcal_core.planning.refit import refit
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.sentence import readmitted_note
 

@@ -35,13 +35,12 @@ _ALSO = {"lazy", "errors", "files", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
 LAYERS["claim"] = LAYERS["calibration"] | {"claim"}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
-LAYERS["planning"] = LAYERS["claim"] | {"planning"}
 LAYERS["camera"] = LAYERS["diagnosis"] | {"camera"}
 LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}
 LAYERS["checking"] = LAYERS["diagnosis"] | {"checking"}
-LAYERS["measuring"] = LAYERS["verdict"] | {"claim", "planning", "measuring"}
+LAYERS["planning"] = LAYERS["verdict"] | {"claim", "planning"}
 LAYERS["report"] = {*LAYERS, "report", "top"}
 LAYERS["top"] = {*LAYERS, "top"}
 

@@ -25,7 +25,7 @@ from modcal_core.calibration import (
 )
 from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
-from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, joint_motion, neighbourhood, shows_base
+from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, arms_near, joint_motion, shows_base
 from modcal_core.claim.remedy import OpenDirection, open_direction
 from modcal_core.effects import STEPS
 from modcal_core.geometry import Array, se3, so3
@@ -119,7 +119,7 @@ def claim_at_tool(
     how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
     that is less.
     """
-    about = neighbourhood(calibration.calibrated, calibration.nominal.chain, samples, cell)
+    about = arms_near(calibration.calibrated, calibration.nominal.chain, samples, cell)
     about = with_carried(about, calibration) if frozen else about
     claim, drawn = _claim(about, calibration, samples, cell, _Asked(postures, carried))
     placed = shows_base(samples, _frame(samples))
@@ -133,7 +133,7 @@ def expected_claim(
 
     planned: stations with readings of any value. postures: asked for, (M, n) [rad, m]; None: in the planned ranges.
     """
-    about = neighbourhood(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
+    about = arms_near(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
     return _claim(about.unread(), calibration, planned, cell, _Asked(postures))[0]
 
 

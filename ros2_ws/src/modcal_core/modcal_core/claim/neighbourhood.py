@@ -107,7 +107,7 @@ class Neighbourhood:
         return np.concatenate([np.zeros(len(self.parameters)), *(e.values for e in self.model.effects)])
 
 
-def neighbourhood(
+def arms_near(
     calibrated: Model,
     nominal: Mechanism,
     samples: Samples,

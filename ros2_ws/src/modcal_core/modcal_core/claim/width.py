@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from modcal_core.calibration import Cell, Fit, Model, ModelParameter, fit_geometry
 from modcal_core.claim.evidence import widths_of_links
-from modcal_core.claim.neighbourhood import ANGLE_RAD, LENGTH_M, neighbourhood, shows_base
+from modcal_core.claim.neighbourhood import ANGLE_RAD, LENGTH_M, arms_near, shows_base
 from modcal_core.measurements import RANGE, RAY, Samples
 
 USUAL_WIDTH = 1.0  # what fits begin with, and the narrowest
@@ -41,7 +41,7 @@ def fit_held(start: Model, samples: Samples, parameters: Sequence[ModelParameter
     if placed or cell.distances or {RANGE, RAY} & set(samples.kinds):
         return fit_geometry(start, samples, parameters, cell)
     fit = fit_geometry(start, samples, held(parameters), cell)
-    widths = widths_of_links(neighbourhood(fit.model, start.chain, samples, cell, functions=False))
+    widths = widths_of_links(arms_near(fit.model, start.chain, samples, cell, functions=False))
     if max(widths.values(), default=0.0) <= _WIDER:
         return fit
     return fit_geometry(start, samples, held(parameters, widths), cell)

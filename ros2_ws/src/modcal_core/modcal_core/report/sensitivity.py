@@ -74,14 +74,14 @@ def sensitivity_data(study: Study) -> dict[str, Any]:
     return {
         "modcal_sensitivity": 1,
         "joints": list(study.closed.chain.names),
-        "design": {"name": study.design, "postures": len(study.q)},
+        "design": {"name": study.of.design, "postures": len(study.of.q)},
         "base_factor": at.names[at.base],
         "rms_mm": {"as_built": 1e3 * joint.before.rms, "after_measuring": 1e3 * joint.after.rms},
         "measured": {
-            "stations": len(study.measured.q),
-            "kind": study.measured.kind,
-            "std_mm": 1e3 * study.measured.std_m,
-            "std_mrad": 1e3 * study.measured.std_rad,
+            "stations": len(study.of.measured.q),
+            "kind": study.of.measured.kind,
+            "std_mm": 1e3 * study.of.measured.std_m,
+            "std_mrad": 1e3 * study.of.measured.std_rad,
         },
         "parameters": rows,
         "sentences": sensitivity_sentences(study),
@@ -96,7 +96,7 @@ def _constant(study: Study) -> np.ndarray:
 
 def sensitivity_sentences(study: Study) -> list[str]:
     """What a person should know first."""
-    joint, names = study.joint, study.closed.names
+    joint, names, measured = study.joint, study.closed.names, study.of.measured
     lengths = np.array([f.is_length for f in study.closed.factors])
     constant = _constant(study)
     order = np.argsort(-joint.before.share)
@@ -112,7 +112,7 @@ def sensitivity_sentences(study: Study) -> list[str]:
         said = f"{varying} of {angles} angles have a different influence from pose to pose"
         out.append(said + (f"; {', '.join(steady)} move the point by the same at every one." if steady else "."))
     out.append(
-        f"{len(study.measured.q)} stations ({study.measured.kind}s, {1e3 * study.measured.std_m:.3g} mm) would leave "
+        f"{len(measured.q)} stations ({measured.kind}s, {1e3 * measured.std_m:.3g} mm) would leave "
         f"{1e3 * joint.after.rms:.3f} mm."
     )
     for k in np.flatnonzero(joint.unseen):
@@ -148,7 +148,7 @@ def to_text(study: Study) -> str:
     joint, at = study.joint, study.indices
     head = (
         f"| parameter | SFCDPE mm | RSFCDPE | mean mm | min … max mm | share | S | S_T | S_T distance | gain mm "
-        f"| seen by {len(study.measured.q)} stations | gain left mm |"
+        f"| seen by {len(study.of.measured.q)} stations | gain left mm |"
     )
     lines = ["# Sensitivity", "", *(f"* {s}" for s in sensitivity_sentences(study)), "", head, "|---" * 12 + "|"]
     vector, distance = study.variance["vector"], study.variance["distance"]
@@ -161,14 +161,14 @@ def to_text(study: Study) -> str:
             f"| {distance.total[k]:.3f} | {1e3 * joint.before.rms_gain[k]:.4f} | {joint.seen[k]:.0%} "
             f"| {1e3 * joint.after.rms_gain[k]:.4f} |"
         )
-    lines += ["", f"Base factor {at.names[at.base]}; {study.design}, {len(study.q)} postures."]
+    lines += ["", f"Base factor {at.names[at.base]}; {study.of.design}, {len(study.of.q)} postures."]
     return "\n".join(lines) + "\n"
 
 
 def single_csv(study: Study) -> str:
     """Single-point indices [mm] as CSV: joints, then parameters; one row a posture."""
     head = ",".join([*study.closed.chain.names, *study.indices.names])
-    rows = np.c_[study.q, 1e3 * study.indices.single]
+    rows = np.c_[study.of.q, 1e3 * study.indices.single]
     return head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
 
 
@@ -213,14 +213,14 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
 def _robot(study: Study) -> RobotScene:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
     chain, share = study.closed.chain, study.joint.before.share
-    rows = spread_rows(len(study.q), MAX_POSTURES)
-    paths = arm_paths(chain, study.q[rows])
+    rows = spread_rows(len(study.of.q), MAX_POSTURES)
+    paths = arm_paths(chain, study.of.q[rows])
     of_joint = [
         sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint)
         for joint in chain.names
     ]
     said = [
-        f"Posture {row + 1} of {len(study.q)}: {joints_in_words(chain, study.q[row])}. Discs: share of the "
+        f"Posture {row + 1} of {len(study.of.q)}: {joints_in_words(chain, study.of.q[row])}. Discs: share of the "
         "squared error that each joint's parameters have."
         for row in rows
     ]
@@ -255,9 +255,9 @@ def _by_pose(study: Study) -> PlotSpec:
     import lets_plot as lp
 
     relative = study.indices.relative_single.T
-    wide, high = 160 + min(23 * len(study.q), 960), 120 + _ROW * len(relative)
+    wide, high = 160 + min(23 * len(study.of.q), 960), 120 + _ROW * len(relative)
     down, across = (n.ravel() for n in np.indices(relative.shape))
-    x = f"posture of the design {study.design}"
+    x = f"posture of the design {study.of.design}"
     drawn = plot(wide, high, x, "", "right", across=across, down=down, relative=relative.ravel())
     drawn += lp.geom_raster(lp.aes("across", "down", fill="relative"))
     bar = lp.guide_colorbar(barheight=0.5 * high)

@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from modcal_core.claim import Claim
 from modcal_core.errors import BadTable
 from modcal_core.verdict import Floor
 
@@ -68,27 +67,25 @@ class End:
     sentence: str
 
 
-def proven(goal: Goal, claim: Claim, measured: int, unseen: int) -> End:
-    """The goal is proven. measured: stations in all. unseen: those at random."""
+def proven(goal: Goal, claimed: float, measured: int, unseen: int) -> End:
+    """The goal is proven. claimed: upper end [mm] of what it asks for. measured: stations in all. unseen: at random."""
     assert goal.accuracy is not None
     return End(
         "proven",
-        f"{1e3 * goal.accuracy:g} mm is proven: over all postures that are allowed and seen {_claimed(goal, claim)}, "
+        f"{1e3 * goal.accuracy:g} mm is proven: over all postures that are allowed and seen {_said(goal, claimed)}, "
         f"from {measured} stations, {unseen} of them at random and in no fit.",
     )
 
 
-def spent(goal: Goal, measured: int, claim: Claim | None) -> End:
-    """The budget is gone. claim: None where there is no fit yet."""
-    said = f"The budget is gone after {measured} stations"
-    if claim is None:
-        return End("budget", f"{said}: too few for a fit.")
-    return End("budget", f"{said}: {_claimed(goal, claim)}, and the goal is not proven.")
+def spent(goal: Goal, measured: int, claimed: float | None) -> End:
+    """The budget is gone. claimed: upper end [mm] of what the goal asks for; None where there is no fit yet."""
+    reached = "too few for a fit." if claimed is None else f"{_said(goal, claimed)}, and the goal is not proven."
+    return End("budget", f"The budget is gone after {measured} stations: {reached}")
 
 
-def no_station_helps(goal: Goal, claim: Claim, floor: Floor | None, left: float) -> End:
-    """Why more stations would change nothing. left: RMS [m] of the fit's residuals."""
-    reached = _claimed(goal, claim)
+def no_station_helps(goal: Goal, claimed: float, floor: Floor | None, left: float) -> End:
+    """Why more stations would change nothing. claimed: as of :func:`spent`. left: RMS [m] of the fit's residuals."""
+    reached = _said(goal, claimed)
     if floor is None:
         cause = "what is left does not get smaller with more stations; no posture was visited twice to tell why"
     elif left**2 > UNEXPLAINED * 1e-6 * floor.interval[1]:
@@ -107,7 +104,6 @@ def no_station_helps(goal: Goal, claim: Claim, floor: Floor | None, left: float)
     return End("no_station_helps", f"{said}: {cause}; reached: {reached}.")
 
 
-def _claimed(goal: Goal, claim: Claim) -> str:
-    """The upper end of the claim, of the statistic that was asked for."""
+def _said(goal: Goal, claimed: float) -> str:
     name = "95th percentile" if goal.statistic == "p95" else "RMS error"
-    return f"the tool's {name} is at most {claim.mm[goal.statistic].ci95[1]:.3f} mm with 95 % confidence"
+    return f"the tool's {name} is at most {claimed:.3f} mm with 95 % confidence"

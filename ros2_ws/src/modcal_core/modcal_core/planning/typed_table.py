@@ -4,7 +4,7 @@ Angles are in degrees and lengths in millimetres, for people type them. What a s
 (semicolons, decimal commas, byte order marks, UTF-16) is undone; what a person may have typed wrongly is refused with
 its row, and nothing of that table is taken in.
 
-Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.consensus`), so that a few
+Base and tool are those on which most of the stations agree (:mod:`modcal_core.plausibility.consensus`), so that a few
 wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, columns that were swapped,
 another row's reading or a wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
 stands beside the arm can still correct it.
@@ -24,7 +24,7 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses import LIMIT_OF_REACH, HandEye, HandEyeFit, left_handed, placed
 from modcal_core.measurements import POSE
-from modcal_core.measuring.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
+from modcal_core.planning.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
 from modcal_core.robots import Mechanism, is_serial_arm
 
 _POINT_COLUMNS, _POSE_COLUMNS = ("x_mm", "y_mm", "z_mm"), ("rx_deg", "ry_deg", "rz_deg")
@@ -94,8 +94,7 @@ def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -
     separator = ";" if first_line.count(";") > first_line.count(",") else separator
     lines = list(csv.reader(io.StringIO(text.lstrip("\ufeff")), delimiter=separator))
     head = [cell.strip() for cell in lines[0]] if lines else []
-    joints, read = _joint_columns(session.names, revolute), _reading_columns(session.kind)
-    for name in ("station", *joints, *read):
+    for name in ("station", *_joint_columns(session.names, revolute), *_reading_columns(session.kind)):
         if head.count(name) != 1:
             raise BadTable(source, f"has {head.count(name)} columns '{name}'", "keep the head of the table as it was")
     first: dict[int, int] = {}
@@ -112,42 +111,35 @@ def with_table(session: Session, text: str, revolute: np.ndarray, source: str) -
         if number in first:
             raise BadTable(at, f"station {number + 1} stands in row {first[number]} as well", "keep one of them")
         first[number] = row
-        filled = _filled(filled, number, cells, joints, read, revolute, at)
+        filled = _filled(filled, number, cells, revolute, at)
     return filled
 
 
-def _filled(
-    filled: FilledTable,
-    number: int,
-    cells: Mapping[str, str],
-    joints: Sequence[str],
-    read: Sequence[str],
-    turns: np.ndarray,
-    at: str,
-) -> FilledTable:
+def _filled(filled: FilledTable, number: int, cells: Mapping[str, str], turns: np.ndarray, at: str) -> FilledTable:
+    """With one row of the table. turns: joints that do, (n,). at: where the row stands."""
     session = filled.session
     if not 0 <= number < len(session.stations):
         raise BadTable(at, f"station {number + 1} is not asked for", "keep the numbers of the table as they were")
+    joints, read = _joint_columns(session.names, turns), _reading_columns(session.kind)
     station, note = session.stations[number], cells.get(NOTE, "").lower()
-    given = [cells[name] for name in read]
+    written = any(cells[name] for name in read)
     if note in _UNSEEN_WORDS or note in _SKIPPED_WORDS:
         state = UNSEEN if note in _UNSEEN_WORDS else SKIPPED
-        if any(given):
+        if written:
             raise BadTable(at, f"has a reading and says '{note}'", "delete one of them")
         if station.state not in (PLANNED, state):
             raise _taken_before(at, number, station)
         return replace(filled, session=session.with_station(number, replace(station, state=state)))
-    if not any(given):
+    if not written:
         if note not in _LATER_WORDS:
             raise BadTable(at, f"has no reading and says '{note}'", "write unseen, skipped or later, or the reading")
         return filled
-    values = np.array([_number(cell, f"{at}, {name}") for cell, name in zip(given, read, strict=True)])
-    stood = np.array([_number(cells[name], f"{at}, {name}") for name in joints])
+    values, stood = (np.array([_number(cells[n], f"{at}, {n}") for n in names]) for names in (read, joints))
     q = np.where(turns, np.radians(stood), 1e-3 * stood)
     reading = 1e-3 * values[:3]
     if session.kind == POSE:
         reading = np.r_[reading, so3.to_quaternion(so3.from_rpy(np.radians(values[3:])))]
-    if station.state == MEASURED and station.reading is not None and np.abs(station.reading - reading).max() < _SAME:
+    if station.reading is not None and np.abs(station.reading - reading).max() < _SAME:
         return filled
     if station.state != PLANNED:
         raise _taken_before(at, number, station)
@@ -156,11 +148,8 @@ def _filled(
         k = int(np.argmax(off))
         size = f"{np.degrees(off[k]):.2f}°" if turns[k] else f"{1e3 * off[k]:.1f} mm"
         raise BadTable(f"{at}, {joints[k]}", f"is {size} from where it was asked to be", "correct it, or note: skipped")
-    return FilledTable(
-        session.with_station(number, station.measured(reading, q)),
-        (*filled.read, number),
-        (*filled.checked, number) if note == CHECKED else filled.checked,
-    )
+    checked = (*filled.checked, number) if note == CHECKED else filled.checked
+    return FilledTable(session.with_station(number, station.measured(reading, q)), (*filled.read, number), checked)
 
 
 def _taken_before(at: str, number: int, station: Station) -> BadTable:
@@ -198,66 +187,64 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
     rows = session.rows()
     if not is_serial_arm(mechanism) or len(rows) < _MIN or not read:
         return
-    samples = session.samples(rows)
-    fit = placed(HandEye.holding(samples, mechanism))
-    if fit.agree().mean() < _MAX:
+    fit = placed(HandEye.holding(session.samples(rows), mechanism))
+    agree = fit.agree()
+    if agree.mean() < _MAX:
         _require_convention(fit, source)
         return
-    for k in np.flatnonzero(~fit.agree(_CLEARLY)).tolist():
-        if rows[k] in read:
-            what, remedy = _meant(k, fit, rows)
-            raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
+    expected, limit = fit.placement.expected(fit.case.A)[1], _CLEARLY * fit.case.limits[1]
+    elsewhere = f"from where the other {int(agree.sum())} readings have it"
+    for k in np.flatnonzero(~fit.agree(_CLEARLY) & np.isin(rows, read)).tolist():
+        what, remedy = _meant(fit.case.p[k], expected, k, rows, limit, elsewhere)
+        if not what:
+            what = f"is turned by {np.degrees(float(fit.turn[k])):.1f}° {elsewhere}"
+        raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
 
 
 def _require_convention(as_is: HandEyeFit, source: str) -> None:
-    case = as_is.case
-    meant = [(f"readings look like {unit}", case.read(scale * case.p), "write millimetres") for scale, unit in _UNITS]
-    mirrored = left_handed()  # by which axis nothing says: the tracker may stand in any way
+    case, mirrored = as_is.case, left_handed()  # by which axis nothing says: a tracker stands in any way
+    meant = [(f"readings {said}", case.read(other), remedy) for said, other, remedy in _of_units(case.p)]
     meant.append((mirrored.what, mirrored.undone(case), mirrored.remedy))
-    missed = as_is.usual[1]
     left, i = min((placed(other, thorough=False).usual[1], i) for i, (_, other, _) in enumerate(meant))
-    if left < min(LIMIT_OF_REACH * case.chain.reach(), missed / _BETTER):
-        said = f"{meant[i][0]}: the arm misses them by {1e3 * missed:.0f} mm, corrected by {1e3 * left:.0f} mm"
+    if left < min(LIMIT_OF_REACH * case.chain.reach(), as_is.usual[1] / _BETTER):
+        said = f"{meant[i][0]}: the arm misses them by {1e3 * as_is.usual[1]:.0f} mm, corrected by {1e3 * left:.0f} mm"
         raise BadTable(source, said, meant[i][2])
 
 
-def _meant(k: int, fit: HandEyeFit, rows: Sequence[int]) -> tuple[str, str]:
-    """What a reading may have been meant to be, and what to do."""
-    p, limit, others = fit.case.p[k], _CLEARLY * fit.case.limits[1], int(fit.agree().sum())
-    expected = fit.placement.expected(fit.case.A)[1]
-    gap = p - expected[k]
-    far = float(np.linalg.norm(gap))
-    if far < limit:
-        said = f"is turned by {np.degrees(fit.turn[k]):.1f}° from where the other {others} readings have it"
-        return said, "correct rx, ry and rz (degrees, about fixed axes)"
-    for words, other, remedy in _corrected(p):
+def _meant(p: Array, expected: Array, k: int, numbers: Sequence[int], limit: float, elsewhere: str) -> tuple[str, str]:
+    """What the reading p (3,) [m] of row k may have been meant to be, "" where it is at its place, and what to do.
+
+    expected: positions by the other readings (N, 3). numbers: of the stations (N,).
+    """
+    gap, far = p - expected[k], np.linalg.norm(expected - p, axis=1)
+    if far[k] < limit:
+        return "", "correct rx, ry and rz (degrees, about fixed axes)"
+    for said, other, remedy in _corrected(p):
         if float(np.linalg.norm(other - expected[k])) < limit:
-            return words, remedy
-    for j in np.argsort(np.linalg.norm(expected - p, axis=1))[:1]:
-        if j != k and float(np.linalg.norm(expected[j] - p)) < limit:
-            return f"has what the arm should read at station {rows[j] + 1}", "write each reading into its own row"
-    axis = int(np.argmax(np.abs(gap)))
+            return said, remedy
+    nearest, axis = int(np.argmin(far)), int(np.argmax(np.abs(gap)))
+    if far[nearest] < limit:
+        said = f"has what the arm should read at station {numbers[nearest] + 1}"
+        return said, "write each reading into its own row"
     if float(np.linalg.norm(np.delete(gap, axis))) < limit:
-        said = (
-            f"{'xyz'[axis]} is {1e3 * gap[axis]:+.1f} mm from where the other {others} readings have it; the rest fits"
-        )
+        said = f"{'xyz'[axis]} is {1e3 * gap[axis]:+.1f} mm {elsewhere}; the rest fits"
         return said, "look for a wrong digit or decimal point"
-    said = f"lies {1e3 * far:.0f} mm from where the other {others} readings have it"
-    return said, "correct it, or note: unseen"
+    return f"lies {1e3 * far[k]:.0f} mm {elsewhere}", "correct it, or note: unseen"
+
+
+def _of_units(p: Array) -> Iterator[tuple[str, Array, str]]:
+    """What positions [m] would be in another unit: words for it, the positions, and what to do."""
+    for scale, unit in _UNITS:
+        yield f"look{'s' * (p.ndim == 1)} like {unit}", scale * p, "write millimetres"
 
 
 def _corrected(p: Array) -> Iterator[tuple[str, Array, str]]:
     """What a position (3,) [m] would be without a mistake of typing: words for it, the position, and what to do."""
-    for scale, unit in _UNITS:
-        yield f"looks like {unit}", scale * p, "write millimetres"
+    yield from _of_units(p)
     for order in permutations(range(3)):
         if order != (0, 1, 2):
             columns = ", ".join("xyz"[i] for i in order)
-            yield (
-                f"looks as if its columns stood in the order {columns}",
-                p[list(np.argsort(order))],
-                "put them in order",
-            )
+            yield f"looks as if its columns stood in the order {columns}", p[np.argsort(order)], "put them in order"
     for signs in product((1.0, -1.0), repeat=3):
         if min(signs) < 0.0:
             wrong = " and ".join("xyz"[i] for i in range(3) if signs[i] < 0.0)

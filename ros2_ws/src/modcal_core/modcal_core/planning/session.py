@@ -15,7 +15,7 @@ from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import APART, POINT, POSE, TRAVEL, Samples, require
 from modcal_core.measurements.kinds import KIND_NAMES
-from modcal_core.measuring.proof import Goal
+from modcal_core.planning.proof import Goal
 
 FIT, RETURN, DECIDE, PROOF = "fit", "return", "decide", "proof"  # what a station is for
 PLANNED, MEASURED, UNSEEN, SKIPPED = "planned", "measured", "unseen", "skipped"  # what became of it
@@ -90,11 +90,33 @@ class Session:
 
         Also of an instrument on the tool they say where the tool is in a frame that stands still.
         """
-        samples = samples_of([self.stations[i] for i in rows], self.names, self.kind, rows, self._approach(rows))
-        if not self.carried:
-            return samples
-        R = samples.R.transpose(0, 2, 1)
-        return replace(samples, R=R, reading=-np.einsum("nij,nj->ni", R, samples.reading))
+        stations, N, n = [self.stations[i] for i in rows], len(rows), len(self.names)
+        reading = np.array([s.reading for s in stations], dtype=float).reshape(N, -1)
+        stamps = np.array([s.stamp for s in stations])
+        clock = bool(np.isfinite(stamps).all()) and N > 0
+        p, R = reading[:, :3], np.tile(np.eye(3), (N, 1, 1))
+        R = so3.from_quaternion(reading[:, 3:]) if self.kind == POSE else R
+        if self.carried:
+            R = R.transpose(0, 2, 1)
+            p = -np.einsum("nij,nj->ni", R, p)
+        return Samples(
+            names=self.names,
+            frames=(FRAME,),
+            q=np.array([s.q for s in stations], dtype=float).reshape(N, n),
+            stamps=stamps if clock else APART * np.array(rows, dtype=float),
+            station=np.array(rows, dtype=int),
+            frame=np.zeros(N, dtype=int),
+            kind=np.full(N, self.kind, dtype=KIND_NAMES),
+            reading=p,
+            R=R,
+            sigma_position=np.array([s.sigma for s in stations]),
+            sigma_rotation=np.full(N, np.nan),
+            velocity=np.zeros((N, n)),
+            moving=np.zeros(N, dtype=bool),
+            approach=self._approach(rows),
+            effort=np.array([np.full(n, np.nan) if s.effort is None else s.effort for s in stations]).reshape(N, n),
+            clock=clock,
+        )
 
     def _approach(self, rows: list[int]) -> Array:
         """The way each joint came to these stations: as known, else as it comes from the one measured before."""
@@ -112,37 +134,6 @@ class Session:
             if i in wanted:
                 way[wanted[i]] = last if s.approach is None else s.approach
         return way
-
-
-def samples_of(
-    stations: list[Station], names: tuple[str, ...], kind: str, numbers: list[int], approach: Array
-) -> Samples:
-    """Measured stations as samples, one each."""
-    N, n = len(stations), len(names)
-    reading = np.array([s.reading for s in stations], dtype=float).reshape(N, -1)
-    stamps = np.array([s.stamp for s in stations])
-    clock = bool(np.isfinite(stamps).all()) and N > 0
-    if not clock:
-        stamps = APART * np.array(numbers, dtype=float)
-    posed = kind == POSE
-    return Samples(
-        names=names,
-        frames=(FRAME,),
-        q=np.array([s.q for s in stations], dtype=float).reshape(N, n),
-        stamps=stamps,
-        station=np.array(numbers, dtype=int),
-        frame=np.zeros(N, dtype=int),
-        kind=np.full(N, kind, dtype=KIND_NAMES),
-        reading=reading[:, :3],
-        R=so3.from_quaternion(reading[:, 3:]) if posed else np.tile(np.eye(3), (N, 1, 1)),
-        sigma_position=np.array([s.sigma for s in stations]),
-        sigma_rotation=np.full(N, np.nan),
-        velocity=np.zeros((N, n)),
-        moving=np.zeros(N, dtype=bool),
-        approach=approach,
-        effort=np.array([np.full(n, np.nan) if s.effort is None else s.effort for s in stations]).reshape(N, n),
-        clock=clock,
-    )
 
 
 FORMAT = 1  # of the file
@@ -164,6 +155,7 @@ _SCHEMA = {
             "items": {
                 "type": "object",
                 "required": ["role", "state", "asked"],
+                "additionalProperties": False,
                 "properties": {
                     "role": {"enum": [FIT, RETURN, DECIDE, PROOF]},
                     "state": {"enum": [PLANNED, MEASURED, UNSEEN, SKIPPED]},
@@ -199,16 +191,11 @@ def to_data(session: Session, goal: Goal, seed: int, robot: str, began: float | 
 
 
 def _station_data(s: Station) -> dict[str, Any]:
-    out: dict[str, Any] = {"role": s.role, "state": s.state, "asked": np.asarray(s.asked, dtype=float).tolist()}
-    for name in ("q", "reading", "approach", "effort"):
+    out = {name: value for name, value in vars(s).items() if isinstance(value, str) or (name == "row" and value >= 0)}
+    for name in ("asked", "q", "reading", "approach", "effort", "stamp", "sigma"):
         value = getattr(s, name)
         if value is not None and np.isfinite(value).all():
             out[name] = np.asarray(value, dtype=float).tolist()
-    for name in ("stamp", "sigma"):
-        if np.isfinite(value := getattr(s, name)):
-            out[name] = float(value)
-    if s.row >= 0:
-        out["row"] = s.row
     return out
 
 
@@ -216,34 +203,16 @@ def _station_data(s: Station) -> dict[str, Any]:
 def from_data(data: Any, source: str) -> tuple[Session, Goal, int, str, float | None]:
     """Session, goal, seed, fingerprint and beginning of what :func:`to_data` made. Raises BadTable."""
     require(data, _SCHEMA, source, _REMEDY)
-    names = tuple(str(name) for name in data["joints"])
-    stations = []
+    names, stations = tuple(data["joints"]), []
     for i, row in enumerate(data["stations"]):
-        wide = {key: row.get(key) for key in ("asked", "q", "approach", "effort")}
-        vectors = {k: None if v is None else np.array(v, dtype=float) for k, v in wide.items()}
-        if any(v is not None and v.shape != (len(names),) for v in vectors.values()):
+        known = ((k, v) for k, v in row.items() if v is not None)
+        values: dict[str, Any] = {k: np.array(v, dtype=float) if isinstance(v, list) else v for k, v in known}
+        if any(values[k].shape != (len(names),) for k in ("asked", "q", "approach", "effort") if k in values):
             raise BadTable(f"{source}, station {i + 1}", f"does not have {len(names)} joints", _REMEDY)
-        reading = None if row.get("reading") is None else np.array(row["reading"], dtype=float)
+        reading = values.get("reading")
         size = 7 if data["reading"] == POSE else 3
         if (row["state"] == MEASURED) != (reading is not None) or (reading is not None and reading.shape != (size,)):
             raise BadTable(f"{source}, station {i + 1}", f"is {row['state']} and has {reading} as reading", _REMEDY)
-        asked = vectors.pop("asked")
-        assert asked is not None
-        stations.append(
-            Station(
-                asked,
-                row["role"],
-                row["state"],
-                reading=reading,
-                stamp=_or_nan(row.get("stamp")),
-                sigma=_or_nan(row.get("sigma")),
-                row=row.get("row", -1),
-                **vectors,
-            )
-        )
+        stations.append(Station(**values))
     session = Session(names, data["reading"], tuple(stations), data.get("on_tool", False))
     return session, Goal(**data["goal"]), data["seed"], data["robot"], data.get("began")
-
-
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else float(value)

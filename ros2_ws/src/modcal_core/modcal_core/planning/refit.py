@@ -14,7 +14,6 @@ from modcal_core.calibration import (
     EQUATIONS_PER_PARAMETER,
     Calibration,
     Cell,
-    Fit,
     Readmitted,
     choose_parameters,
     finalise,
@@ -27,7 +26,8 @@ from modcal_core.calibration import (
     sharpened,
     views_of,
 )
-from modcal_core.diagnosis import Diagnosis, causes_of_moves, diagnose, with_residual_curves
+from modcal_core.diagnosis import causes_of_moves, diagnose, with_residual_curves
+from modcal_core.effects import Effect
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import proved
 from modcal_core.measurements import Samples
@@ -42,19 +42,13 @@ _MIN_FREEDOM = 10  # rows beyond what is fitted, from which effects are looked f
 
 @dataclass(frozen=True)
 class Refit:
-    """calibration: fitted to all stations. scored: the fit that chose its effects. samples: those it was fitted to, in
-    one convention. wrong: True for those left out of it, (N,). freedom: equations less parameters. searched: whether
-    effects were looked for. left: what is significant still and was not turned into an effect, None where nothing is.
-    taken_in: what was rejected first and is fitted after all.
+    """calibration: fitted to all stations. samples: those it was fitted to, in one convention. wrong: True for those
+    left out of it, (N,). taken_in: what was rejected first and is fitted after all.
     """
 
     calibration: Calibration
-    scored: Fit
     samples: Samples
     wrong: np.ndarray
-    freedom: float
-    searched: bool
-    left: str | None
     taken_in: Readmitted
 
     @property
@@ -85,23 +79,21 @@ def refit(
     nominal = fit_cell(chain, samples, cell, inertias)
     choice = choose_parameters(nominal.model, views_of(samples), cell.kept, cell.distances)
     choice = replace(choice, parameters=free_cell(choice.parameters, cell))
-    P = len(choice.parameters)
     trained = ~np.isin((samples.station + seed) % 10, _EXPLAIN)
-    searched = effects and _equations(samples.select(trained)) >= EQUATIONS_PER_PARAMETER * P and not trained.all()
+    equations = float(dimensions(samples.select(trained)).sum())
+    searched = effects and equations >= EQUATIONS_PER_PARAMETER * len(choice.parameters) and not trained.all()
     regimes = None
-    left = None
+    rivals: tuple[tuple[Effect, ...], ...] = ()
     again = np.zeros(len(samples), bool)
     if not searched:
         final = geometric = fit_geometry(nominal.model, samples, choice.parameters, cell)
-        choice = replace(choice, parameters=geometric.parameters)
     else:
         regimes = find_regimes(samples, chain, cell, inertias, cell.moved)
         if regimes:
             nominal = fit_cell(chain, samples, cell, inertias, regimes)
         train, explain = samples.select(trained), samples.select(~trained)
         geometric = fit_geometry(nominal.model, train, choice.parameters, cell)
-        choice = replace(choice, parameters=geometric.parameters)
-        found: Diagnosis = diagnose(
+        found = diagnose(
             geometric,
             train,
             explain,
@@ -112,9 +104,10 @@ def refit(
         )
         held = with_residual_curves(found.fit, train, explain, np.random.default_rng(seed), cell.distances)
         final = replace(held, model=sharpened(held.model, samples))
-        left = None if found.left is None else found.left.effect.label
+        rivals = tuple(cause.rivals for cause in found.causes)
         if found.again is not None:
             again[trained] = found.again
+    choice = replace(choice, parameters=geometric.parameters)
     wrong = outlying(final.model, final.noise, samples)
     if wrong.sum() > 0.1 * len(samples):  # that is no longer a few wrong readings: the model is wrong, and keeps all
         wrong = np.zeros(len(samples), bool)
@@ -123,11 +116,8 @@ def refit(
         wrong, again = wrong & ~right, again | right
     shipped = finalise(samples, chain, choice, cell, inertias, final, wrong, regimes, geometric)
     if searched:
-        shipped = replace(shipped, rivals=tuple(cause.rivals for cause in found.causes))
-    values = P + sum(e.freedom for e in shipped.calibrated.effects)
-    freedom = max(_equations(samples.select(~wrong)) - values, 1.0)
-    taken_in = readmitted(shipped.calibrated, samples, again & ~wrong, wrong)
-    return Refit(shipped, final, samples, wrong, freedom, searched, left, taken_in)
+        shipped = replace(shipped, rivals=rivals)
+    return Refit(shipped, samples, wrong, readmitted(shipped.calibrated, samples, again & ~wrong, wrong))
 
 
 def proven_over(refitted: Refit, where: Array) -> Refit:
@@ -137,7 +127,3 @@ def proven_over(refitted: Refit, where: Array) -> Refit:
     known = refitted.calibration
     low, high = np.minimum(known.seen[0], where.min(axis=0)), np.maximum(known.seen[1], where.max(axis=0))
     return replace(refitted, calibration=replace(known, seen=np.array([low, high])))
-
-
-def _equations(samples: Samples) -> float:
-    return float(dimensions(samples).sum())
