@@ -16,9 +16,9 @@ from modcal_core.calibration import Calibration, Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.report.page import Chart, framed, render
+from modcal_core.report.charts import Axis, Chart, framed
+from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTable, Paragraph, Section, Signatures
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.plots import round_numbers
 from modcal_core.report.report import Report
 from modcal_core.report.sentence import counted
 from modcal_core.verdict import PoseTest, pose_test
@@ -347,15 +347,26 @@ def listed(hashes: Hashes, recording: str) -> tuple[tuple[str, str], ...]:
 
 def certificate_html(one: Certificate) -> str:
     """The certificate as HTML text."""
-    return render(
-        "certificate.html.j2",
-        title=one.title,
-        verdict=one.because,
-        heading=one.heading,
-        tone=one.tone,
-        one=one,
-        scale=drawn(one.scale, one.tone),
-    )
+    blocks: list[Block] = []
+    if one.reservations:
+        label = "Reservations" if one.result == "PASS" else "Reasons"
+        blocks.append(Listing(one.reservations, one.tone, label))
+    blocks += [Figures([drawn(one.scale, one.tone)]), Facts(one.facts)]
+    if one.errors:
+        names = ("mean", "RMS", "95 %", "largest")
+        mm = tuple((row.name, *(f"{value:.3f}" for value in row.mm)) for row in one.errors)
+        deg = tuple((row.name, *(f"{value:.4f}" for value in row.deg)) for row in one.errors if row.deg)
+        tables = [PageTable("Error before and after", ("position, mm", *names), mm)]
+        tables += [PageTable("Orientation before and after", ("orientation, °", *names), deg)] if deg else []
+        floor = Paragraph(f"Floor of arm and instrument: {one.floor}.")
+        blocks.append(Section("errors", "Error on scored stations", [*tables, floor]))
+    if one.iso:
+        blocks.append(Section("iso", "ISO 9283", [Paragraph(said) for said in one.iso]))
+    blocks.append(Section("silent", "What this certificate does not say", [Listing(one.silent_on)]))
+    if one.hashes:
+        blocks.append(Section("hashes", "SHA-256", [Facts(one.hashes, small=True)]))
+    blocks.append(Signatures(one.signatures))
+    return Page(one.title, one.because, blocks, one.heading, one.tone, "certificate").html()
 
 
 def drawn(scale: Scale, tone: str) -> Chart:
@@ -366,9 +377,9 @@ def drawn(scale: Scale, tone: str) -> Chart:
 
     ink = "stroke:var(--ink)"
     parts = [f'<path d="M{_LEFT} {_AXIS}H{_RIGHT}" style="{ink};stroke-width:0.8"/>']
-    for mm in (abs(round(float(value), 9)) for value in round_numbers(0.0, 0.92 * scale.end)[0]):
+    for mm, said in Axis("mm", 0.0, 0.92 * scale.end).ticks():
         parts.append(f'<path d="M{at(mm):.1f} {_AXIS}v4" style="{ink};stroke-width:0.8"/>')
-        parts.append(_text(f"{mm:g}", at(mm), _AXIS + 14.0, "middle" if mm else "start"))
+        parts.append(_text(said if mm else "0", at(mm), _AXIS + 14.0, "middle" if mm else "start"))
     parts.append(_text("mm", _RIGHT, _AXIS + 14.0, "end"))
     if scale.value is not None:
         low = scale.value if scale.low is None else scale.low
@@ -378,10 +389,8 @@ def drawn(scale: Scale, tone: str) -> Chart:
             f'<rect x="{at(low):.1f}" y="{_BAR - 5}" width="{wide:.1f}" height="10" style="fill:var(--{tone})"/>'
             f'<path d="M{at(scale.value):.1f} {_BAR - 8}v16" style="{ink};stroke-width:1.6"/>'
         )
-    parts.append(
-        f'<path d="M{at(scale.asked):.1f} 13V{_AXIS}" style="stroke:var(--bad);stroke-width:1.4;stroke-dasharray:4 2"/>'
-    )
     asked = at(scale.asked)
+    parts.append(f'<path d="M{asked:.1f} 13V{_AXIS}" style="stroke:var(--bad);stroke-width:1.4;stroke-dasharray:4 2"/>')
     anchor = "start" if asked < _LEFT + _LABEL else "end" if asked > _RIGHT - _LABEL else "middle"
     parts.append(_text(f"tolerance {scale.asked:g}", asked, 9.0, anchor))
     said = f"tolerance {scale.asked:g} mm"
@@ -394,7 +403,7 @@ def drawn(scale: Scale, tone: str) -> Chart:
     )
     if scale.before is not None:
         words += f" Before calibration the error was {scale.before:.3f} mm."
-    return Chart("scale", framed("".join(parts) + "</svg>", _WIDTH, _HEIGHT, f"Scale in millimetres: {said}."), words)
+    return framed("scale", "".join(parts), (_WIDTH, _HEIGHT), f"Scale in millimetres: {said}.", words)
 
 
 def _text(said: str, x: float, y: float, anchor: str) -> str:

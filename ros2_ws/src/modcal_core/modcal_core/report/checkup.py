@@ -11,8 +11,8 @@ import numpy as np
 from modcal_core.checking import NamedChange, Series, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
-from modcal_core.report.page import AFTER, BEFORE, Chart, PageTable, plain_page
-from modcal_core.report.plots import Panel
+from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
+from modcal_core.report.page import Figures, Listing, Page, PageTable, Section, files_section
 from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
 
 _HEADINGS = {
@@ -23,17 +23,6 @@ _HEADINGS = {
 }
 _TONES: dict[str, Tone] = {"unchanged": "good", "changed": "undecided", "ambiguous": "undecided", "unexplained": "bad"}
 _SIZES = ("change", "size", "value", "95 % interval", "unit")
-_FILES = {
-    "check.json": "all numbers, for programs",
-    "stations.csv": "the stations to measure next",
-    "calibration.yaml": "the repaired calibration, everything needed to predict",
-    "calibrated.urdf": "the repaired robot description",
-    "calibrated_delta.yaml": "the repaired description of the Delta",
-    "kinematics.yaml": "the repaired kinematics",
-    "report.json": "how far the model misses at these stations",
-    "report.html": "the same as a page",
-    "certificate.html": "the certificate",
-}
 
 
 def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
@@ -149,16 +138,9 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
     met = found.report.tolerance
     if met is not None:
         lines.insert(1, f"{met.result}. {_judged(found)} {met.because}")
-    return plain_page(
-        title,
-        found.sentence,
-        lines,
-        _charts(found),
-        [(name, _FILES.get(name, "")) for name in files],
-        _tables(found),
-        heading=heading,
-        tone=tone,
-    )
+    sections = [Section("tables", "What was seen", tables)] if (tables := _tables(found)) else []
+    blocks = [Listing(lines), *sections, _errors(found), files_section(files)]
+    return Page(title, found.sentence, blocks, heading, tone).html()
 
 
 def _rarely(chance: float) -> str:
@@ -175,37 +157,37 @@ def _tables(found: Checked) -> tuple[PageTable, ...]:
     out = []
     if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
         below = "Of a base: in the frame of the first joint. Of a tool: in its own."
-        out.append(PageTable("What changed", _SIZES, rows, 2, below))
+        out.append(PageTable("What changed", _SIZES, rows, 2, below, heading=True))
     if found.changes:
         rivals = tuple(
             (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
         )
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
-        out.append(PageTable("What it may as well be", columns, rivals, 3))
+        out.append(PageTable("What it may as well be", columns, rivals, 3, heading=True))
     if len(found.advice.stations):
         numbered = tuple((str(i), *(f"{x:.4f}" for x in q)) for i, q in enumerate(found.advice.stations, 1))
-        out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered))
+        out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered, heading=True))
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
         below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"
-        out.append(PageTable("Noticed in 95 of 100 such checks", ("change", "mm"), noticed, 1, below))
+        out.append(PageTable("Noticed in 95 of 100 such checks", ("change", "mm"), noticed, below=below, heading=True))
     return tuple(out)
 
 
-def _charts(found: Checked) -> list[Chart]:
+def _errors(found: Checked) -> Section | None:
     """The error of each station before and after."""
     if found.station_errors is None:
-        return []
+        return None
     before, after = (1e3 * e for e in found.station_errors)
     x = np.arange(1.0, len(before) + 1.0)
     top = 1.1 * max(float(before.max()), float(after.max()), 1e-6)
-    panel = Panel((0.4, len(before) + 0.6), (0.0, top))
-    panel.hollow(x, before, BEFORE, "circle")
-    panel.hollow(x, after, AFTER, "square")
+    panel = Panel(Axis("station", 0.4, len(before) + 0.6), Axis("error, mm", 0.0, top))
+    panel.marks(x, before, BEFORE, "circle")
+    panel.marks(x, after, AFTER, "square")
     alt = f"Error at every station: up to {before.max():.3f} mm by the frozen model"
     alt += f", up to {after.max():.3f} mm with what changed." if found.changes else "."
     caption = "circles: the model as calibrated; squares: with what changed put in"
-    return [panel.chart("stations", "station", "error, mm", alt, caption)]
+    return Section("errors", "Error at the stations", [Figures([panel.chart("stations", alt, caption)])])
 
 
 @dataclass(frozen=True)

@@ -14,28 +14,30 @@ from modcal_core.calibration import Errors
 from modcal_core.effects import AXIS, JOINTS, LENGTH, RADIAL, Effect, component_names, curve
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
-from modcal_core.report.contents import ReportContents
-from modcal_core.report.page import AFTER, BAD, BEFORE, GOOD, LIGHT, OF_AXES, SOFT, WARN, Chart
-from modcal_core.report.plots import (
-    CIRCLE,
-    CROSS,
-    DOT,
-    SQUARE,
-    TRIANGLE,
+from modcal_core.report.charts import (
+    AFTER,
+    BAD,
+    BEFORE,
+    GOOD,
+    INK,
+    LARGE,
+    OF_AXES,
+    SOFT,
+    WARN,
+    Axis,
+    Chart,
     Panel,
-    chart,
-    columns,
-    in_decades,
-    in_numbers,
-    line_size,
-    plot,
-    with_margin,
 )
+from modcal_core.report.contents import ReportContents
 from modcal_core.report.sentence import counted
+from modcal_core.report.terminal import Account
 
 MAX_POINTS = 1200  # more make the page heavy and show no more
-_SETS = (("train", CIRCLE, SOFT), ("explain", SQUARE, GOOD), ("held_out", TRIANGLE, AFTER))
+_SETS = (("train", "circle", SOFT), ("explain", "square", GOOD), ("held_out", "triangle", AFTER))
 _MAX_REJECTED = 300
+_WIDE = 532.0  # points; of the stations over time
+_MIN_DECADE = 1e-6  # of the largest row of an account; smaller ones are drawn as this
+_ROW = 15.0  # points of a chart, a row
 
 
 def error_histogram(report: ReportContents) -> Chart | None:
@@ -43,36 +45,23 @@ def error_histogram(report: ReportContents) -> Chart | None:
     norms = {stage: 1e3 * report.errors[stage].position_norm for stage in ("final", "nominal")}
     if not len(norms["final"]):
         return None
-    import lets_plot as lp
-
     smallest = max(min(float(np.percentile(n, 1)) for n in norms.values()), 1e-5)
     largest = max(float(n.max()) for n in norms.values())
     bins = np.geomspace(0.8 * smallest, max(1.2 * largest, 2.0 * smallest), 40)
-    said = {stage: f"{stage}: {np.sqrt(np.mean(n**2)):.3f} mm RMS" for stage, n in norms.items()}
     counts = {stage: np.histogram(np.clip(n, bins[0], None), bins)[0] for stage, n in norms.items()}
-    highest = max(1, *(int(count.max()) for count in counts.values()))
-    step = next(s for s in (k * 10**p for p in range(9) for k in (1, 2, 5)) if highest / s <= 5.0)
-    ends = with_margin(float(bins[0]), float(bins[-1]))
-    drawn = plot(490, 245, "position error of held-out samples, mm", "samples", "top")
-    for stage, count in counts.items():  # the nominal outlines stand over the final bars
-        seen = np.flatnonzero(count)
-        said_of = np.repeat(said[stage], len(seen))
-        bars = {"left": bins[seen], "right": bins[seen + 1], "count": count[seen], "said": said_of}
-        what = lp.aes(xmin="left", xmax="right", ymax="count", fill="said", color="said")
-        drawn += lp.geom_rect(what, data=columns(bars), ymin=0, size=line_size(1.2))
-    order = [said["nominal"], said["final"]]
-    drawn += lp.scale_fill_manual(["rgba(0,0,0,0)", LIGHT[AFTER]], breaks=order, limits=order)
-    drawn += lp.scale_color_manual([LIGHT[BEFORE], LIGHT[AFTER]], breaks=order, limits=order)
-    drawn += lp.scale_x_log10(limits=list(ends), expand=[0, 0], **in_numbers(*ends))
-    drawn += lp.scale_y_continuous(
-        limits=[0.0, 1.05 * highest], expand=[0, 0], breaks=list(range(0, highest + 1, step))
-    )
-    alt = f"Histogram of held-out position errors. {'; '.join(order)}."
+    said = [f"{stage}: {np.sqrt(np.mean(norms[stage] ** 2)):.3f} mm RMS" for stage in ("nominal", "final")]
+    x = Axis.decades("position error of held-out samples, mm", float(bins[0]), float(bins[-1]))
+    y = Axis("samples", 0.0, 1.05 * max(1, *(int(count.max()) for count in counts.values())), whole=True)
+    panel = Panel(x, y, *LARGE, keys=((said[0], BEFORE, "square"), (said[1], AFTER, "bar")))
+    for stage, colour, full in (("final", AFTER, 1.0), ("nominal", BEFORE, 0.0)):  # outlines over bars
+        seen = np.flatnonzero(counts[stage])
+        panel.bars((bins[seen], bins[seen + 1]), (np.zeros(len(seen)), counts[stage][seen]), colour, full)
+    alt = f"Histogram of held-out position errors. {'; '.join(said)}."
     words = (
         "Each bar counts held-out samples with an error of this size: outlined with the nominal model, "
         "solid with the final."
     )
-    return chart(drawn, "histogram", alt, words)
+    return panel.chart("histogram", alt, words)
 
 
 def spread_chart(report: ReportContents) -> Chart | None:
@@ -80,27 +69,20 @@ def spread_chart(report: ReportContents) -> Chart | None:
     seen = report.identifiability
     if seen is None or not seen.deviations:
         return None
-    import lets_plot as lp
-
     deviations = np.clip(np.array(seen.deviations), 1e-9, 1e3)
-    count = np.arange(1, len(deviations) + 1)
-    known = np.arange(len(deviations)) < seen.rank
-    ends = with_margin(min(float(deviations.min()), 0.5), max(float(deviations.max()), 2.0))
-    drawn = plot(490, 213, "combination of parameters, best known first", "deviation ÷ expected")
-    drawn += lp.geom_hline(yintercept=1.0, color=LIGHT[WARN], size=line_size(1.3), linetype="dashed")
-    for rows, shape, colour, size in ((known, DOT, AFTER, 5.0), (~known, CROSS, BAD, 5.0)):
-        if rows.any():
-            at = columns({"count": count[rows], "deviation": deviations[rows]})
-            drawn += lp.geom_point(
-                lp.aes("count", "deviation"), data=at, shape=shape, color=LIGHT[colour], size=line_size(size)
-            )
-    drawn += lp.scale_y_log10(limits=list(ends), expand=[0, 0], **in_decades(*ends))
+    count = np.arange(1.0, len(deviations) + 1.0)
+    x = Axis("combination of parameters, best known first", 0.0, len(deviations) + 1.0)
+    y = Axis.decades("deviation ÷ expected", min(float(deviations.min()), 0.5), max(float(deviations.max()), 2.0))
+    panel = Panel(x, y, LARGE[0], 144.0)
+    panel.line(np.array([x.low, x.high]), np.ones(2), WARN, 0.9, dashed=True)
+    panel.marks(count[: seen.rank], deviations[: seen.rank], AFTER, "dot", 3.4)
+    panel.marks(count[seen.rank :], deviations[seen.rank :], BAD, "cross", 0.9)
     alt = f"{seen.rank} of {seen.parameters} combinations of parameters are determined by the data."
     words = (
         "Remaining uncertainty of each combination, as a share of what was expected before measuring. "
         "Crosses, above the dashed line: not shown by these stations, held near nominal."
     )
-    return chart(drawn, "spread", alt, words)
+    return panel.chart("spread", alt, words)
 
 
 def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
@@ -111,35 +93,60 @@ def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
     samples = report.samples
     if not len(report.residuals) or not len(samples):
         return None
-    import lets_plot as lp
-
     wrong = report.wrong if len(report.wrong) == len(samples) else np.zeros(len(samples), bool)
     miss, time = 1e3 * np.maximum(report.residuals, 1e-9), (samples.stamps - samples.stamps.min()) / 60.0
     sizes = report.set_sizes()
-    marks: list[tuple[np.ndarray, str, int, str]] = []
+    marks: list[tuple[np.ndarray, str, str, str]] = []
     for name, shape, colour in _SETS:
         rows = getattr(report.sets, name)
         rows = rows[~wrong[rows]]
         rows = rows[spread_rows(len(rows), int(share * MAX_POINTS / 6.0))]
-        marks.append((rows, f"{name.replace('_', '-')} ({sizes[name]})", shape, colour))
+        marks.append((rows, f"{name.replace('_', '-')} ({sizes[name]})", colour, shape))
     out = report.rejected_rows()[:_MAX_REJECTED]
-    marks.append((out, f"rejected ({len(out)})", CROSS, BAD))
+    marks.append((out, f"rejected ({len(out)})", BAD, "cross"))
     marks = [mark for mark in marks if len(mark[0])]
     every = np.concatenate([rows for rows, *_ in marks])
-    said = np.repeat([said for _, said, *_ in marks], [len(rows) for rows, *_ in marks])
-    order = [said for _, said, *_ in marks]
-    ends = with_margin(float(miss[every].min()), float(miss[every].max()) * (1.0 + 1e-6))
-    x, y = "time since the first sample, min", "error of the final model, mm"
-    drawn = plot(788, 245, x, y, "top", time=time[every], miss=miss[every], said=said)
-    what = lp.aes("time", "miss", color="said", shape="said")
-    drawn += lp.geom_point(what, size=line_size(3.4), stroke=line_size(1.3))
-    drawn += lp.scale_shape_manual([shape for _, _, shape, _ in marks], breaks=order, limits=order)
-    drawn += lp.scale_color_manual([LIGHT[colour] for *_, colour in marks], breaks=order, limits=order)
-    drawn += lp.scale_y_log10(limits=list(ends), expand=[0, 0], **in_numbers(*ends))
+    x = Axis.around("time since the first sample, min", time)
+    y = Axis.decades("error of the final model, mm", float(miss[every].min()), float(miss[every].max()) * (1.0 + 1e-6))
+    panel = Panel(x, y, _WIDE, LARGE[1], keys=tuple((said, colour, shape) for _, said, colour, shape in marks))
+    for rows, _, colour, shape in marks:
+        panel.marks(time[rows], miss[rows], colour, shape, 0.9)
     over = f"{samples.stations} stations over {time.max():.1f} minutes"
     alt = f"Error of the final model at {over}; {counted(report.rejected_stations(), 'station')} rejected."
     words = "Circles fitted the model, squares chose the effects, triangles scored it; crosses were rejected."
-    return chart(drawn, "timeline", alt, words)
+    return panel.chart("timeline", alt, words)
+
+
+def account_chart(account: Account) -> Chart:
+    """A bar a row on a logarithmic axis, outlined where negative, with whiskers for the interval."""
+    lines, unit = [line for line in account.lines if line.known], account.unit
+    most = max(abs(line.value) for line in lines) or 1.0
+    least = _MIN_DECADE * most
+    largest = max([most, *(line.ci95[1] for line in lines if line.ci95)])
+    x, y = Axis.decades(f"squared error, {unit}²", 0.5 * least, largest, 0.02), Axis.rows([one.words for one in lines])
+    high = 42.0 + len(lines) * (_ROW + 8.0 * max(name.count("\n") for name in y.names))
+    panel = Panel(x, y, LARGE[0] + 40.0, high)
+    for k, line in enumerate(lines):
+        if line.value:
+            ends = (np.array([x.low]), np.array([max(abs(line.value), least)]))
+            full = 0.0 if line.value < 0.0 else 1.0
+            panel.bars(ends, (np.array([k - 0.31]), np.array([k + 0.31])), line.colour, full)
+        if line.value > 0.0 and line.ci95 is not None:
+            whiskers(panel, np.array([float(k)]), np.maximum(np.array([line.ci95]), least))
+    said = "; ".join(f"{line.words} {line.value:.3g}" for line in lines)
+    alt = f"Account of the squared error of the nominal model in {unit}²: {said}."
+    words = (
+        "Contributions to the squared error of the nominal model, on a logarithmic axis. Outlined: negative. "
+        "Whiskers: 95 % interval."
+    )
+    return panel.chart(f"account-{unit}", alt, words)
+
+
+def whiskers(panel: Panel, rows: Array, ends: Array, half: float = 0.15) -> None:
+    """Intervals (N, 2) along x at these rows (N,), each with an end (half as high) that is seen."""
+    panel.strokes(np.c_[ends[:, 0], rows], np.c_[ends[:, 1], rows], INK)
+    for side in (0, 1):
+        panel.strokes(np.c_[ends[:, side], rows - half], np.c_[ends[:, side], rows + half], INK)
 
 
 _MAX_STEPS = 5  # that are drawn; more effects are drawn together
@@ -158,12 +165,11 @@ class Against:
 
 @dataclass(frozen=True)
 class ChartGroup:
-    """Charts of what one step removed, or of the final residual. opened: shown at once."""
+    """Charts of what one step removed, or of the final residual."""
 
     title: str
     text: str
     charts: tuple[Chart, ...]
-    opened: bool = False
 
 
 def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup, ...]:
@@ -182,7 +188,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
     for k, (added, before, after) in enumerate(pairs):
         sizes = f"{_rms(before):.3f} to {_rms(after):.3f} mm RMS"
         text = "Dashes: before. Dots: after. All three components of the residual, on one scale."
-        charts = tuple(_before_after(a, before, after, rows, f"step{k}-{i}", added) for i, a in enumerate(along))
+        charts = tuple(_before_after(a, (before, after), rows, f"step{k}-{i}", added) for i, a in enumerate(along))
         out.append(ChartGroup(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
     final = report.errors["final"]
     rows = spread_rows(len(report.scored), max(int(share * MAX_POINTS / 3.0), 20))
@@ -191,7 +197,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
         "The residual of the final model: x as circles, y as triangles, z as squares. "
         "A pattern here is an effect that the model lacks."
     )
-    return (*out, ChartGroup(f"Residual: {_rms(final):.3f} mm RMS", text, charts, opened=True))
+    return (*out, ChartGroup(f"Residual: {_rms(final):.3f} mm RMS", text, charts))
 
 
 def axes_of(report: ReportContents) -> list[Against]:
@@ -226,31 +232,35 @@ def _rms(errors: Errors) -> float:
     return 0.0 if size is None else size.rms
 
 
-def _before_after(a: Against, before: Errors, after: Errors, rows: np.ndarray, name: str, added: str) -> Chart:
+def _before_after(a: Against, errors: tuple[Errors, Errors], rows: np.ndarray, name: str, added: str) -> Chart:
     x = np.repeat(a.values[rows], 3)
-    first, second = (1e3 * e.position[rows].ravel() for e in (before, after))
-    panel = _panel(x, first)
-    panel.dashes(x, first, BEFORE, 0.012, 1.1)
-    panel.dashes(x, second, AFTER, 0.0, 2.2)
-    alt = f"Residual against {a.name}, before and after {added}: {_rms(before):.3f} and {_rms(after):.3f} mm RMS."
-    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name.replace(':', ' of ')}")
+    first, second = (1e3 * e.position[rows].ravel() for e in errors)
+    panel = residual_panel(Axis.around(a.words, x), first)
+    panel.marks(x, first, BEFORE, "dash", 1.1)
+    panel.marks(x, second, AFTER, "dot", 2.2)
+    before, after = map(_rms, errors)
+    alt = f"Residual against {a.name}, before and after {added}: {before:.3f} and {after:.3f} mm RMS."
+    return panel.chart(name, alt, f"against {a.name.replace(':', ' of ')}")
 
 
 def _left(a: Against, errors: Errors, rows: np.ndarray, name: str) -> Chart:
     left = 1e3 * errors.position[rows]
-    panel = _panel(a.values[rows], left.ravel())
-    for k, (colour, shape) in enumerate(zip(OF_AXES, ("circle", "triangle", "square"), strict=True)):
-        panel.hollow(a.values[rows], left[:, k], colour, shape)
+    panel = residual_panel(Axis.around(a.words, a.values[rows]), left)
+    mark_components(panel, a.values[rows], left)
     alt = f"Residual against {a.name}: {_rms(errors):.3f} mm RMS."
-    return panel.chart(name, a.words, "residual, mm", alt, f"against {a.name.replace(':', ' of ')}")
+    return panel.chart(name, alt, f"against {a.name.replace(':', ' of ')}")
 
 
-def _panel(x: Array, y: Array) -> Panel:
-    """An empty one with limits that a few far samples do not stretch."""
+def residual_panel(x: Axis, y: Array) -> Panel:
+    """An empty panel for residuals [mm] of any shape, whose limits a few far samples do not stretch."""
     reach = 1.15 * max(float(np.percentile(np.abs(y), 99.5)), 1e-6)
-    low, high = float(x.min()), float(x.max())
-    margin = 0.04 * max(high - low, 1e-6)
-    return Panel((low - margin, high + margin), (-reach, reach))
+    return Panel(x, Axis("residual, mm", -reach, reach))
+
+
+def mark_components(panel: Panel, x: Array, y: Array) -> None:
+    """The three components of vectors (N, 3) at x (N,)."""
+    for k, (colour, shape) in enumerate(OF_AXES):
+        panel.marks(x, y[:, k], colour, shape)
 
 
 _POINTS = 1600
@@ -296,7 +306,7 @@ def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, c
     x, size, std = x[shown], size[shown], std[shown]
     at = at[(at >= x[0]) & (at <= x[-1])]
     low, high = (1e3 * (size + k * std) for k in (-2.0, 2.0))
-    panel = Panel(_limits(float(x.min()), float(x.max())), _limits(float(low.min()), float(high.max())))
+    panel = Panel(Axis.around(words, x, 0.05), Axis.around(f"{direction}, {unit}", np.r_[low, high], 0.05))
     panel.band(x, low, high, BEFORE)
     panel.line(x, 1e3 * size, AFTER, 1.1)
     panel.rug(np.sort(at)[spread_rows(len(at), _MAX_TICKS)], SOFT)
@@ -307,7 +317,7 @@ def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, c
         f"{title} over {words}: {1e3 * float(size.min()):.3g} to {1e3 * float(size.max()):.3g} {unit}, with a standard "
         f"deviation of up to {1e3 * float(std.max()):.2g} {unit}."
     )
-    return panel.chart(name, words, f"{direction}, {unit}", alt, title)
+    return panel.chart(name, alt, title)
 
 
 def _few_waves(size: Array) -> slice:
@@ -318,12 +328,6 @@ def _few_waves(size: Array) -> slice:
         return slice(None)
     middle = len(turns) // 2
     return slice(int(turns[middle - _DRAWN_WAVES]), int(turns[middle + _DRAWN_WAVES]) + 2)
-
-
-def _limits(low: float, high: float) -> tuple[float, float]:
-    """Limits of a chart axis with a small margin."""
-    margin = 0.05 * max(high - low, 1e-9)
-    return low - margin, high + margin
 
 
 def _turns(report: ReportContents, place: str) -> bool:
