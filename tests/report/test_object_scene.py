@@ -13,7 +13,7 @@ from report.browser import Page, browser
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.track import Track
 from modcal_core.report.articulation import Articulation, articulation_data, articulation_html, object_scene
-from modcal_core.report.scene import Scene
+from modcal_core.report.scene import Scene3D
 
 
 def found(kind: str) -> tuple[Seen, Articulation]:
@@ -25,7 +25,7 @@ def found(kind: str) -> tuple[Seen, Articulation]:
     return seen, Articulation("door.txt", "cell", track, choose(track, np.random.default_rng(0)))
 
 
-def drawn(about: Articulation) -> Scene:
+def drawn(about: Articulation) -> Scene3D:
     fit = about.choice.fit
     joint = articulation_data(about)["joint"]
     return object_scene(fit, (fit.configurations, about.track.positions), joint, 1.0, "cell")

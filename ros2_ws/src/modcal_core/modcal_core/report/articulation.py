@@ -12,15 +12,15 @@ from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
 from modcal_core.report.charts import AFTER, BEFORE, SMALL, Axis, Chart, Panel
 from modcal_core.report.figures import MAX_POINTS, mark_components, residual_panel
-from modcal_core.report.page import Block, Figures, Page, PageTable, Paragraph, Section, Tables, number
-from modcal_core.report.scene import Scene
+from modcal_core.report.page import Block, Figures, Page, PageTable, Paragraph, Section, SideBySide, number
+from modcal_core.report.scene import Scene3D
 
 _MAX_SEEN, _MAX_PLACES = 400, 61  # that a page can show and a person look through
 _BEYOND = 0.15  # of the path's size, by which the axis goes on beyond what turns about it
 _HAND = 0.06  # m; the strokes of the handle's orientation are half a hand long
 
 
-def object_scene(fit: JointFit, track: tuple[Array, Array], joint: dict[str, Any], scale: float, frame: str) -> Scene:
+def object_scene(fit: JointFit, track: tuple[Array, Array], joint: dict[str, Any], scale: float, frame: str) -> Scene3D:
     """The path of a joint, the object on it, and where its handle was seen, in the frame of the track.
 
     track: configurations (n,) of samples that are no outliers, and their places (n, 3) [m]. joint: its ``axis`` and
@@ -50,7 +50,7 @@ def object_scene(fit: JointFit, track: tuple[Array, Array], joint: dict[str, Any
         for x, p in zip(over, path, strict=True)
     )
     alt = f"The measured places of the handle, the path of a {model.kind} joint"
-    return Scene(
+    return Scene3D(
         points=path,
         arms=[[stroke[k] for stroke in strokes] for k in range(len(path))],
         shown=np.arange(len(path)),
@@ -164,7 +164,7 @@ def articulation_html(found: Articulation) -> str:
     blocks: list[Block] = [
         Paragraph(said, soft=True),
         Section("kind", "Joint type", [PageTable("Probabilities", ("kind", "probability"), kinds)]),
-        Section("joint", f"The joint: {kind}", [Tables(_tables(data))]),
+        Section("joint", f"The joint: {kind}", [SideBySide(_tables(data))]),
         Section("object", "The object in three dimensions", [drawn]),
         Section("path", "Path and residual", [Figures(_charts(found, data))]),
     ]

@@ -43,7 +43,7 @@ from modcal_core.report.page import (
     size_tables,
 )
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.scene import Postures
+from modcal_core.report.scene import ShownPostures
 from modcal_core.report.sentence import counted
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
@@ -147,7 +147,7 @@ def _robot(model: Model, q: Array) -> Section | None:
     if not len(q):
         return None
     alt = f"The arm in the postures of {counted(len(q), 'image')}."
-    return Section("robot", "Robot", [Postures(model.serial, q, "Image").scene(alt)])
+    return Section("robot", "Robot", [ShownPostures(model.serial, q, "Image").scene(alt)])
 
 
 _DRAWN = 4000  # corners in a picture; more only make the page heavy

@@ -32,7 +32,7 @@ from modcal_core.report.page import (
     PageTable,
     Paragraph,
     Section,
-    Tables,
+    SideBySide,
     Tiles,
     files_section,
     parameter_tables,
@@ -300,7 +300,7 @@ class _Sections:
         out: list[Block] = [PageTable("Effects", (*header, "p"), rows, words=4, below=below)]
         if sizes := size_tables(effects):
             words = "Each ± one standard deviation; a table for each unit."
-            out += [Paragraph(words, "Their sizes.", soft=True), Tables(sizes)]
+            out += [Paragraph(words, "Their sizes.", soft=True), SideBySide(sizes)]
         for e in effects:
             if e["same_as"]:
                 words = f"cannot be distinguished from: {'; '.join(e['same_as'])}."

@@ -10,7 +10,7 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.report.page import Listing, Page, PageTable, Section, files_section
-from modcal_core.report.scene import Postures
+from modcal_core.report.scene import ShownPostures
 from modcal_core.report.sentence import counted, percent
 from modcal_core.robots import LoadedArm, Window, constant_bounds
 
@@ -183,7 +183,7 @@ def _span(low: float, high: float) -> str:
 
 def _robot(found: LimitsFound) -> Section:
     """The arm in its postures, every joint as large as the share of its torque that is needed at most."""
-    chain, shown = found.arm.chain, Postures(found.arm.chain, found.q)
+    chain, shown = found.arm.chain, ShownPostures(found.arm.chain, found.q)
     more = []
     for row in shown.rows:
         j = int(np.argmax(found.load[row]))

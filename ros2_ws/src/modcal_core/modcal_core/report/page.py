@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modcal_core.report.charts import DARK, LIGHT, Chart
-from modcal_core.report.scene import Scene
+from modcal_core.report.scene import Scene3D
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -58,7 +58,7 @@ class PageTable:
 
 
 @dataclass(frozen=True)
-class Tables:
+class SideBySide:
     """Small tables side by side."""
 
     tables: Sequence[PageTable]
@@ -149,12 +149,12 @@ class Section:
     @property
     def script(self) -> bool:
         """Whether it is empty without scripts."""
-        return all(isinstance(block, Scene) for block in self.blocks)
+        return all(isinstance(block, Scene3D) for block in self.blocks)
 
 
 Block = (
-    Paragraph | Listing | PageTable | Tables | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
-    | Section | Scene
+    Paragraph | Listing | PageTable | SideBySide | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
+    | Section | Scene3D
 )  # fmt: skip
 
 
@@ -184,7 +184,7 @@ class Page:
                 lead=blocks[:begin],
                 sections=blocks[begin:],
                 links=[link for link in links if link[1]],
-                scene=any(isinstance(b, Scene) for s in blocks if isinstance(s, Section) for b in s.blocks),
+                scene=any(isinstance(b, Scene3D) for s in blocks if isinstance(s, Section) for b in s.blocks),
                 light=LIGHT,
                 dark=DARK,
                 tint=TINT,

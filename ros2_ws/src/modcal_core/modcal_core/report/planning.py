@@ -14,7 +14,7 @@ from modcal_core.planning import Accuracy, Plan
 from modcal_core.report.as_json import claim_data
 from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel, as_file
 from modcal_core.report.page import Figures, Listing, Page, Section, files_section
-from modcal_core.report.scene import MAX_POINTS, Postures, arm_paths
+from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
 from modcal_core.report.sentence import percent
 from modcal_core.robots import plain
 
@@ -151,7 +151,7 @@ def planning_html(plan: Plan, title: str) -> str:
 def _robot(plan: Plan) -> Section:
     """The arm at the stations in their order, among the places that could be chosen."""
     pool, tracker = plan.pool, plan.pool.site.tracker
-    shown = Postures(pool.model.chain, plan.q, "Station", pool.model.T_tip_tool)
+    shown = ShownPostures(pool.model.chain, plan.q, "Station", pool.model.T_tip_tool)
     some = pool.q[spread_rows(len(pool.q), MAX_POINTS)]
     way, could = (arm_paths(shown.chain, q, shown.T_tip_tool)[:, -1] for q in (plan.q, some))
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."

@@ -21,13 +21,13 @@ MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look thr
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene3D:
     """What the page's script draws, all in one frame [m].
 
     points: of the target (N, 3). arms: polylines (k, 3) of each posture that can be chosen. shown: the point of each
     posture, indices. said: a sentence for each posture. base: name of the frame. alt: for those who do not see it.
     stages: name and misses (N, 3) by model; names: of the points, for sentences about them. route: whether the points
-    are connected in order. cloud: others (M, 3). marks: named places. lines: named lines (2, 3). weights: how large each
+    are connected in order. cloud: others (M, 3). marks: named places. lines: named lines (2, 3). weights: how large a
     joint is drawn, 0 … 1. local: whether the frame's origin may be far away. slider, legend: words beside the scene.
     """
 
@@ -90,7 +90,7 @@ def joints_in_words(chain: Mechanism, q: Array) -> str:
 
 
 @dataclass(frozen=True)
-class Postures:
+class ShownPostures:
     """Postures of an arm that a scene shows. what: Posture, Station or Image. q: (N, n). rows: those that are shown."""
 
     chain: Mechanism
@@ -107,13 +107,13 @@ class Postures:
         """A posture in words."""
         return f"{self.what} {row + 1} of {len(self.q)}: {joints_in_words(self.chain, self.q[row])}."
 
-    def scene(self, alt: str, more: Sequence[str] = (), **others: Any) -> Scene:
+    def scene(self, alt: str, more: Sequence[str] = (), **others: Any) -> Scene3D:
         """The scene of these postures. more: a sentence for each that is shown. others: fields of the scene."""
         paths = arm_paths(self.chain, self.q[self.rows], self.T_tip_tool)
         said = [self.said(int(row)) for row in self.rows]
         said = [f"{one} {also}" for one, also in zip(said, more, strict=True)] if more else said
         given: dict[str, Any] = {"points": paths[:, -1], "shown": np.arange(len(paths)), **others}
-        return Scene(arms=[[path] for path in paths], said=said, base=self.chain.base, alt=alt, **given)
+        return Scene3D(arms=[[path] for path in paths], said=said, base=self.chain.base, alt=alt, **given)
 
 
 MAX_ARROWS = 300
@@ -123,7 +123,7 @@ _STILL = (262.0, 260.0)  # points, either view
 _VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))
 
 
-def scene(report: ReportContents, share: float = 1.0) -> Scene | None:
+def scene(report: ReportContents, share: float = 1.0) -> Scene3D | None:
     """The arm and what each held-out sample misses by; None where no model or no sample is at hand.
 
     share: of the arrows that are usually drawn.
@@ -145,7 +145,7 @@ def scene(report: ReportContents, share: float = 1.0) -> Scene | None:
         stages.append((name, np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))))
     places = _arms(model, samples)
     shown = spread_rows(len(samples), max(int(share * MAX_POSTURES), 8))
-    return Scene(
+    return Scene3D(
         points=places[-1][:, -1],
         arms=tuple(tuple(path[k] for path in places) for k in shown),
         shown=shown,
@@ -172,7 +172,7 @@ def _arms(model: Model, samples: Samples) -> list[Array]:
     return [*arms, np.concatenate([tip, p[:, -1:]], axis=1)]
 
 
-def still(drawn: Scene) -> tuple[Chart, ...]:
+def still(drawn: Scene3D) -> tuple[Chart, ...]:
     """The same from above and from the side, for paper and where no script runs."""
     rows = spread_rows(len(drawn.points), _MAX_STILL)
     points, arm = drawn.points[rows], drawn.arms[len(drawn.arms) // 2]

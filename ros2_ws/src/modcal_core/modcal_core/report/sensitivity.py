@@ -9,7 +9,7 @@ import numpy as np
 from modcal_core.planning import NAMED, Study
 from modcal_core.report.charts import AFTER, GOOD, INK, LARGE, WARN, Axis, Chart, Panel, as_file
 from modcal_core.report.page import Block, Figures, Fold, Listing, Page, PageTable, Section, files_section
-from modcal_core.report.scene import Postures, Scene
+from modcal_core.report.scene import Scene3D, ShownPostures
 from modcal_core.report.sentence import percent
 
 _SAME = 1e-6  # share of an index within which it is the same at every posture
@@ -192,14 +192,14 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
     return tuple(out)
 
 
-def _robot(study: Study) -> Scene:
+def _robot(study: Study) -> Scene3D:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
     chain, share = study.closed.chain, study.joint.before.share
     of_joint = [
         float(sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint))
         for joint in chain.names
     ]
-    shown = Postures(chain, study.q)
+    shown = ShownPostures(chain, study.q)
     more = ["Discs: share of the squared error that each joint's parameters have."] * len(shown.rows)
     alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
         f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
