@@ -15,11 +15,11 @@ from modcal_core.calibration.data_split import Split
 from modcal_core.calibration.noise import Errors
 from modcal_core.measurements.dwells import SAME
 from modcal_core.measurements.kinds.rows import indirect_rows
+from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.charts import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, WARN
 from modcal_core.report.html import MAX_BYTES, _page, to_html
 from modcal_core.report.page import FILES, TINT, as_script_data
-from modcal_core.report.report import Report
 from modcal_core.report.scene import scene
 
 Element = tuple[str, dict[str, str]]
@@ -223,7 +223,7 @@ def test_a_page_with_many_effects_stays_small_and_says_so() -> None:
     assert f"{to_json_data(heavy)['error_mm']['final']['rms']:.3f}" in thinner
 
 
-def repeated(report: Report, times: int) -> Report:
+def repeated(report: Outcome, times: int) -> Outcome:
     """The same recording over and over, each time later and at stations of its own, a little beside the last ones."""
     n = len(report.samples)
     long = report.samples.select(np.tile(np.arange(n), times))

@@ -18,6 +18,7 @@ from modcal_core.camera import CameraFit, CameraSolution, ToolError, distances_o
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
+from modcal_core.outcome import Trace, counted
 from modcal_core.report.certificates import (
     MAX_REASONS,
     Certificate,
@@ -28,7 +29,6 @@ from modcal_core.report.certificates import (
     listed,
 )
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
-from modcal_core.report.contents import Trace
 from modcal_core.report.page import (
     Block,
     Figures,
@@ -44,7 +44,6 @@ from modcal_core.report.page import (
 )
 from modcal_core.report.particulars import Particulars
 from modcal_core.report.scene import ShownPostures
-from modcal_core.report.sentence import counted
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
 

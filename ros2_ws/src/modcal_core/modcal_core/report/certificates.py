@@ -16,11 +16,10 @@ from modcal_core.calibration import Calibration, Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
+from modcal_core.outcome import Outcome, counted
 from modcal_core.report.charts import Axis, Chart, framed
 from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTable, Paragraph, Section, Signatures
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.report import Report
-from modcal_core.report.sentence import counted
 from modcal_core.verdict import PoseTest, pose_test
 
 Tone = Literal["good", "warn", "bad"]
@@ -94,7 +93,7 @@ class Certificate:
 
 
 def certificate(
-    report: Report,
+    report: Outcome,
     stated: Stated | None = None,
     particulars: Particulars | None = None,
     hashes: Hashes | None = None,
@@ -131,7 +130,7 @@ def certificate(
     )
 
 
-def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
+def _reservations(report: Outcome, stated: Stated) -> tuple[str, ...]:
     """Why a PASS is not one without reservations; empty where it is."""
     out = []
     if report.status == "open":
@@ -161,7 +160,7 @@ def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _reasons(report: Report) -> tuple[str, ...]:
+def _reasons(report: Outcome) -> tuple[str, ...]:
     """What stands behind another result than PASS: the reasons of an open verdict, and what was left out."""
     out = []
     floor = None if report.judged is None else report.judged.floor_mm
@@ -182,7 +181,7 @@ def _reasons(report: Report) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _rejected(report: Report, count: int) -> str:
+def _rejected(report: Outcome, count: int) -> str:
     rejection = report.rejection
     sizes = ""
     if rejection is not None and rejection.with_mm is not None and rejection.without_mm is not None:
@@ -191,7 +190,7 @@ def _rejected(report: Report, count: int) -> str:
     return f"{count} of {report.samples.stations} stations were rejected and {counts} in the figures{sizes}."
 
 
-def _scale(report: Report) -> Scale:
+def _scale(report: Outcome) -> Scale:
     met = report.tolerance
     assert met is not None
     before = report.size_mm("nominal")
@@ -204,7 +203,7 @@ def _scale(report: Report) -> Scale:
     return Scale(met.asked.mm, start, met.value_mm, low, high, 1.25 * largest)
 
 
-def _facts(report: Report, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
+def _facts(report: Outcome, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
     trace = report.trace
     sizes, counts = report.set_sizes(), report.samples.stations
     held = f"{sizes['held_out']} of them scored that no fit has seen"
@@ -245,7 +244,7 @@ def _accuracy(stated: Stated) -> str | None:
     return f"{', '.join(parts)}, as stated" if parts else "not stated"
 
 
-def _volume(report: Report) -> str | None:
+def _volume(report: Outcome) -> str | None:
     """The box that the tool was in, in the arm's base [m]."""
     if report.model is None or not len(report.scored):
         return None
@@ -262,14 +261,14 @@ def box_in_words(p: Array) -> str:
     return f"{box.replace('-', '−')} from the base"
 
 
-def _temperatures(report: Report) -> str:
+def _temperatures(report: Outcome) -> str:
     """The recorded temperatures, all together."""
     values = [np.asarray(s.values).ravel() for s in report.samples.signals if s.name.startswith("temperature:")]
     finite = np.concatenate(values)[np.isfinite(np.concatenate(values))] if values else np.empty(0)
     return f"{finite.min():.1f} … {finite.max():.1f} °C recorded" if len(finite) else ""
 
 
-def _errors(report: Report) -> tuple[ErrorRow, ...]:
+def _errors(report: Outcome) -> tuple[ErrorRow, ...]:
     rows = []
     for stage, name in _STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
@@ -279,7 +278,7 @@ def _errors(report: Report) -> tuple[ErrorRow, ...]:
     return tuple(rows)
 
 
-def _floor(report: Report) -> str:
+def _floor(report: Outcome) -> str:
     judged = report.judged
     if judged is None or judged.floor_mm is None:
         return "not known"
@@ -311,7 +310,7 @@ def _iso(tests: PoseTest) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _silent_on(report: Report, stated: Stated, tests: PoseTest) -> tuple[str, ...]:
+def _silent_on(report: Outcome, stated: Stated, tests: PoseTest) -> tuple[str, ...]:
     met = report.tolerance
     assert met is not None
     standing = "in motion" if report.samples.moving.all() else "at rest" if not report.samples.moving.any() else "these"

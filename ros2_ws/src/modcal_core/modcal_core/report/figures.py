@@ -14,6 +14,7 @@ from modcal_core.calibration import Errors
 from modcal_core.effects import AXIS, JOINTS, LENGTH, RADIAL, Effect, component_names, curve
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
+from modcal_core.outcome import Outcome, counted
 from modcal_core.report.charts import (
     AFTER,
     BAD,
@@ -28,8 +29,6 @@ from modcal_core.report.charts import (
     Chart,
     Panel,
 )
-from modcal_core.report.contents import ReportContents
-from modcal_core.report.sentence import counted
 from modcal_core.report.terminal import Account
 
 MAX_POINTS = 1200  # more make the page heavy and show no more
@@ -40,7 +39,7 @@ _MIN_DECADE = 1e-6  # of the largest row of an account; smaller ones are drawn a
 _ROW = 15.0  # points of a chart, a row
 
 
-def error_histogram(report: ReportContents) -> Chart | None:
+def error_histogram(report: Outcome) -> Chart | None:
     """How often the tool misses by how much on the held-out set, before and after, on a logarithmic axis."""
     norms = {stage: 1e3 * report.errors[stage].position_norm for stage in ("final", "nominal")}
     if not len(norms["final"]):
@@ -64,7 +63,7 @@ def error_histogram(report: ReportContents) -> Chart | None:
     return panel.chart("histogram", alt, words)
 
 
-def spread_chart(report: ReportContents) -> Chart | None:
+def spread_chart(report: Outcome) -> Chart | None:
     """How well each combination of parameters is known by the data alone."""
     seen = report.identifiability
     if seen is None or not seen.deviations:
@@ -85,7 +84,7 @@ def spread_chart(report: ReportContents) -> Chart | None:
     return panel.chart("spread", alt, words)
 
 
-def timeline(report: ReportContents, share: float = 1.0) -> Chart | None:
+def timeline(report: Outcome, share: float = 1.0) -> Chart | None:
     """The stations in the order of their time, what each was used for, and those that were left out.
 
     share: of the marks that it usually has.
@@ -172,7 +171,7 @@ class ChartGroup:
     charts: tuple[Chart, ...]
 
 
-def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup, ...]:
+def comparisons(report: Outcome, share: float = 1.0) -> tuple[ChartGroup, ...]:
     """Before and after geometry, before and after each effect, and what is left at the end.
 
     share: of the dots that charts usually have.
@@ -200,7 +199,7 @@ def comparisons(report: ReportContents, share: float = 1.0) -> tuple[ChartGroup,
     return (*out, ChartGroup(f"Residual: {_rms(final):.3f} mm RMS", text, charts))
 
 
-def axes_of(report: ReportContents) -> list[Against]:
+def axes_of(report: Outcome) -> list[Against]:
     """Each joint, time since the first sample, and the recorded temperatures."""
     scored = report.scored
     units = ["rad or m"] * len(scored.names)
@@ -216,7 +215,7 @@ def axes_of(report: ReportContents) -> list[Against]:
     return [*joints, time, *heat]
 
 
-def _pairs(report: ReportContents) -> list[tuple[str, Errors, Errors]]:
+def _pairs(report: Outcome) -> list[tuple[str, Errors, Errors]]:
     """What was added, and the errors before and after."""
     stages = [report.errors["nominal"], *(step.errors for step in report.steps)]
     names = [step.added for step in report.steps]
@@ -271,7 +270,7 @@ _UNITS = {"load": "N m", "effort": "N m", "payload": "N m per kg", "direction": 
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
-def effect_shapes(report: ReportContents, share: float = 1.0) -> tuple[Chart, ...]:
+def effect_shapes(report: Outcome, share: float = 1.0) -> tuple[Chart, ...]:
     """A chart for each direction of each effect that follows one number; none of what is a single number.
 
     share: of the charts that there are at most.
@@ -293,7 +292,7 @@ def _is_curve(effect: Effect) -> bool:
     return not many and kind not in ("velocity", "reading", "constant", "moment")
 
 
-def _shape(report: ReportContents, effects: tuple[Effect, ...], driver: Array, component: int, name: str) -> Chart:
+def _shape(report: Outcome, effects: tuple[Effect, ...], driver: Array, component: int, name: str) -> Chart:
     effect, direction = effects[0], component_names(effects[0])[component]
     x, size, std = curve(effects, float(driver.min()), float(driver.max()), _POINTS, component)
     at, words = driver, _words(report, effect.driver)
@@ -330,12 +329,12 @@ def _few_waves(size: Array) -> slice:
     return slice(int(turns[middle - _DRAWN_WAVES]), int(turns[middle + _DRAWN_WAVES]) + 2)
 
 
-def _turns(report: ReportContents, place: str) -> bool:
+def _turns(report: Outcome, place: str) -> bool:
     chain = report.model.chain if report.model is not None else None
     return chain is None or place not in chain.names or bool(chain.revolute[chain.names.index(place)])
 
 
-def _words(report: ReportContents, driver: str) -> str:
+def _words(report: Outcome, driver: str) -> str:
     """A driver for people, with its unit."""
     kind, _, of = driver.partition(":")
     if kind in ("position", "following"):

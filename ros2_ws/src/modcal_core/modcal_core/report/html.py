@@ -11,8 +11,8 @@ import numpy as np
 
 from modcal_core.effects import remembered
 from modcal_core.measurements.kinds import indirect_rows
+from modcal_core.outcome import STAGES, Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.figures import (
     account_chart,
     comparisons,
@@ -59,7 +59,7 @@ _DECIDE = File(
 
 
 @remembered()
-def to_html(report: ReportContents, files: Iterable[str] = (), calibration: str = "") -> str:
+def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -> str:
     """The report as HTML text, below 1 MB. files: names of what is written beside it. calibration: of an evaluation,
     the name of what was evaluated.
 
@@ -73,7 +73,7 @@ def to_html(report: ReportContents, files: Iterable[str] = (), calibration: str 
     return page
 
 
-def _page(report: ReportContents, files: tuple[str, ...], calibration: str, share: float) -> str:
+def _page(report: Outcome, files: tuple[str, ...], calibration: str, share: float) -> str:
     """The page with this share of the marks and curves that charts usually have."""
     kind = "evaluation" if report.searched is None else "calibration"
     title = f"{report.title}: {kind} report"
@@ -92,7 +92,7 @@ def _page(report: ReportContents, files: tuple[str, ...], calibration: str, shar
 class _Sections:
     """Sections of a report; each is None, or has no block, where there is nothing to say. data: of ``report.json``."""
 
-    report: ReportContents
+    report: Outcome
     data: Mapping[str, Any]
     files: tuple[str, ...]
     share: float

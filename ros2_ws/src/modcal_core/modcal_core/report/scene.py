@@ -13,8 +13,8 @@ from modcal_core.effects import motion
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import indirect_rows
+from modcal_core.outcome import Outcome
 from modcal_core.report.charts import AFTER, BEFORE, INK, SOFT, Chart, Panel, round_numbers
-from modcal_core.report.contents import ReportContents
 from modcal_core.robots import ARMS, Delta, Mechanism, is_delta, tool_frames
 
 MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
@@ -123,7 +123,7 @@ _STILL = (262.0, 260.0)  # points, either view
 _VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))
 
 
-def scene(report: ReportContents, share: float = 1.0) -> Scene3D | None:
+def scene(report: Outcome, share: float = 1.0) -> Scene3D | None:
     """The arm and what each held-out sample misses by; None where no model or no sample is at hand.
 
     share: of the arrows that are usually drawn.

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from modcal_core.outcome import STAGES, Outcome
 from modcal_core.report.charts import AFTER, BAD, SOFT, WARN
-from modcal_core.report.contents import STAGES, ReportContents
 from modcal_core.report.sentence import MAX_REASONS, sentence
 from modcal_core.verdict import Row, Status, Verdict
 
@@ -117,7 +117,7 @@ class SummaryTable:
     words: int = 1
 
 
-def summary(report: ReportContents) -> tuple[SummaryTable | SummaryLine, ...]:
+def summary(report: Outcome) -> tuple[SummaryTable | SummaryLine, ...]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
     return tuple(_blocks(report))
 
@@ -129,7 +129,7 @@ def text(blocks: Sequence[SummaryTable | SummaryLine]) -> str:
     )
 
 
-def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
+def _blocks(report: Outcome) -> Iterator[SummaryTable | SummaryLine]:
     rows = []
     for stage in STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
@@ -186,7 +186,7 @@ def _account(one: Account) -> SummaryTable:
     return SummaryTable(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
 
 
-def _effects(report: ReportContents) -> SummaryTable:
+def _effects(report: Outcome) -> SummaryTable:
     rows = tuple(
         (f.family, f.place, f.direction, f.driver, f"{f.p_value:.1g}", f"{1e3 * f.before:.3f}", f"{1e3 * f.after:.3f}")
         for f in report.effects

@@ -11,8 +11,9 @@ from rich.console import Console
 
 from modcal_core.calibration import Calibration, Stated
 from modcal_core.measurements import Samples
+from modcal_core.outcome import Outcome
 from modcal_core.public import evaluate
-from modcal_core.report import Hashes, Particulars, Report, report_files, to_json_data
+from modcal_core.report import Hashes, Particulars, report_files, to_json_data
 from modcal_core.verdict import STATISTICS
 from modcal_msgs_py import Topics
 from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
@@ -205,7 +206,7 @@ def calibration_name(calibration: Path) -> str:
 
 
 def certified(
-    report: Report,
+    report: Outcome,
     samples: Samples,
     options: Mapping[str, Any],
     said: Particulars,
@@ -222,7 +223,7 @@ def certified(
     return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
 
 
-def _say(report: Report, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
+def _say(report: Outcome, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
     """Write the files and show the report; returns the exit code."""
 
     def show(console: Console) -> None:

@@ -30,8 +30,8 @@ from modcal_core.measuring import (
     text_of,
     with_table,
 )
+from modcal_core.outcome import counted, readmitted_note
 from modcal_core.planning import Site, site_from_data
-from modcal_core.report import counted, readmitted_note
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET

@@ -34,8 +34,8 @@ from modcal_core.measuring import (
     of_robot,
     timed,
 )
+from modcal_core.outcome import counted
 from modcal_core.planning import Site, Spheres, clearance, site_from_data, spheres_of, with_limits
-from modcal_core.report import counted
 from modcal_core.robot import Robot
 from modcal_core.robots import forward, read_drives
 from modcal_nodes.measuring.collision import CollisionModel, has_shapes
