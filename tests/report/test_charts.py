@@ -41,24 +41,6 @@ def test_points_and_ticks_share_a_scale() -> None:
     assert abs(dots[1][1] + 2.85 - float(texts["−0.5"].get("y", ""))) < 0.06
 
 
-def test_a_simplified_line_stays_where_it_was() -> None:
-    """Of a wave of many turns: no point of it is farther from what is drawn than the line is wide."""
-    t = np.linspace(0.0, 1.0, 1600)
-    panel = Panel(Axis("t, s", 0.0, 1.0), Axis("y, mm", -1.2, 1.2))
-    panel.line(t, np.sin(60.0 * t) * np.exp(-t), AFTER, 1.1)
-    drawn = panel.chart("wave", "A wave.", "a wave").drawn
-    (corners,) = re.findall(r'<path d="(M[\d. L]+)" style="fill:none;stroke:var\(--after\)', drawn)
-    kept = np.array([p.split() for p in corners[1:].split("L")], float)
-    assert len(kept) < 600
-    across = np.interp(t, [0.0, 1.0], kept[[0, -1], 0])
-    low, high = (float(v) for v in (kept[:, 1].min(), kept[:, 1].max()))
-    true = np.sin(60.0 * t) * np.exp(-t)
-    along = np.interp(true, [true.min(), true.max()], [high, low])
-    nearest = np.interp(across, kept[:, 0], kept[:, 1])
-    slope = np.abs(np.gradient(along, across))
-    assert (np.abs(nearest - along) / np.hypot(1.0, slope)).max() < 0.5
-
-
 @pytest.mark.parametrize(
     "ends", [(0.003, 0.02), (0.01, 0.02), (0.5, 0.7), (1.01, 1.09), (0.0112, 0.0119), (1e-5, 10.0)]
 )

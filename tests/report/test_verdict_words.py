@@ -166,7 +166,7 @@ def test_the_page_shows_the_account_and_the_reasons() -> None:
     page = to_html(report.with_tolerance(Asked(0.2)))
     for reason in WHY:
         assert f"<li>{reason.sentence}</li>" in page
-    assert page.count('<figure id="account-') == 2  # one in mm², one in deg²
+    assert page.count('aria-label="Account in ') == 2  # one in mm², one in deg²
     assert '<th scope="row">gear_harmonic elbow_joint</th>' in page
     assert '<b class="warn">CANNOT TELL</b>' in page
     rms = report.rejection

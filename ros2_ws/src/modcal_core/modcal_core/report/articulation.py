@@ -10,7 +10,7 @@ import numpy as np
 from modcal_core.articulation import Choice, JointFit, Track, sound
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import spread_rows
-from modcal_core.report.charts import AFTER, BEFORE, SMALL, Axis, Chart, Panel
+from modcal_core.report.charts import Axis, Chart
 from modcal_core.report.figures import MAX_POINTS, mark_components, residual_panel
 from modcal_core.report.page import Block, Figures, Page, PageTable, Paragraph, Section, SideBySide, number
 from modcal_core.report.scene import Scene3D
@@ -68,7 +68,6 @@ def object_scene(fit: JointFit, track: tuple[Array, Array], joint: dict[str, Any
 
 _UNITS = {"rad": ("°", float(np.degrees(1.0))), "m": ("mm", 1e3), "1": ("", 1.0)}  # how people read them
 _MAX_LEFT = 0.05  # m; what is farther is no residual of a joint, and would flatten the chart
-_HIGH = 170.0  # points; of the path
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,7 @@ def articulation_html(found: Articulation) -> str:
         Section("kind", "Joint type", [PageTable("Probabilities", ("kind", "probability"), kinds)]),
         Section("joint", f"The joint: {kind}", [SideBySide(_tables(data))]),
         Section("object", "The object in three dimensions", [drawn]),
-        Section("path", "Path and residual", [Figures(_charts(found, data))]),
+        Section("path", "Residual along the path", [Figures([_residual(found, data)])]),
     ]
     heading, tone = ("Verdict", "good") if data["enough"] else ("Verdict: something is open", "warn")
     return Page(f"{found.source}: articulation", data["verdict"], blocks, heading, tone).html()
@@ -228,8 +227,8 @@ def _component(std: dict[str, Any], name: str, k: int) -> float | None:
     return float(std[name][k]) if name in std and k < len(std[name]) else None
 
 
-def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
-    """The path in its own plane, and what is left along it."""
+def _residual(found: Articulation, data: dict[str, Any]) -> Chart:
+    """What is left along the path."""
     left, _ = _left(found)
     shown = np.linalg.norm(left, axis=1) < _MAX_LEFT
     far = int((~shown).sum())
@@ -243,27 +242,4 @@ def _charts(found: Articulation, data: dict[str, Any]) -> list[Chart]:
     words = "What the joint leaves along its motion: x as circles, y as triangles, z as squares."
     words += f" {far} samples farther than {1e3 * _MAX_LEFT:.0f} mm are not shown." if far else ""
     alt = f"Residual along the path: {data['residual_mm']['rms']:.2f} mm RMS."
-    return [_path(found), panel.chart("residual", alt, words)]
-
-
-def _path(found: Articulation) -> Chart:
-    """The measured path and that of the joint, in the plane of the path."""
-    fit, p = found.choice.fit, found.track.positions
-    good = _trusted(fit)
-    middle = p[good].mean(axis=0)
-    plane = np.linalg.svd(p[good] - middle, full_matrices=False)[2][:2].T
-    seen = 1e3 * ((p - middle) @ plane)[good][spread_rows(int(good.sum()), MAX_POINTS)]
-    a = fit.configurations[good]
-    path = 1e3 * (fit.model.position(np.linspace(a.min(), a.max(), 200)) - middle) @ plane
-    point = fit.model.centre()
-    centre = np.empty((0, 2)) if point is None else 1e3 * (point - middle)[None] @ plane
-    around = np.concatenate([seen, path, centre])
-    if float(np.ptp(seen, axis=0).max()) < 1e-3:  # a picture needs some width
-        around = np.concatenate([around, [[-1.0, -1.0], [1.0, 1.0]]])
-    panel = Panel.to_scale(("along the path, mm", around[:, 0]), ("across it, mm", around[:, 1]), SMALL[0], _HIGH)
-    panel.marks(seen[:, 0], seen[:, 1], BEFORE, "dot", 1.8)
-    panel.line(path[:, 0], path[:, 1], AFTER, 1.2)
-    panel.marks(centre[:, 0], centre[:, 1], AFTER, "cross", 1.1)
-    alt = f"The measured path and that of a {fit.model.kind} joint, in the plane of the path."
-    words = "The measured path as dots, that of the joint as a line, in the plane of the path; a cross is its axis."
-    return panel.chart("path-in-plane", alt, words)
+    return panel.chart("residual", alt, words)

@@ -17,7 +17,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, counted
-from modcal_core.report.charts import Axis, Chart, framed
+from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
 from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTable, Paragraph, Section, Signatures
 from modcal_core.report.particulars import Particulars
 from modcal_core.verdict import PoseTest, pose_test
@@ -27,9 +27,6 @@ MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
 _STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
-_WIDTH, _LEFT, _RIGHT = 370.0, 8.0, 362.0  # points of the scale; a phone shows all of it
-_LABEL = 36.0  # points, half of what the tolerance's label takes
-_HEIGHT, _BAR, _AXIS = 54.0, 22.0, 36.0
 OWN_RECORDING = (
     "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
     "it on another one."
@@ -370,40 +367,20 @@ def certificate_html(one: Certificate) -> str:
 
 def drawn(scale: Scale, tone: str) -> Chart:
     """The error, its interval and the tolerance on one axis."""
-
-    def at(mm: float) -> float:
-        return _LEFT + min(mm / scale.end, 1.0) * (_RIGHT - _LEFT)
-
-    ink = "stroke:var(--ink)"
-    parts = [f'<path d="M{_LEFT} {_AXIS}H{_RIGHT}" style="{ink};stroke-width:0.8"/>']
-    for mm, said in Axis("mm", 0.0, 0.92 * scale.end).ticks():
-        parts.append(f'<path d="M{at(mm):.1f} {_AXIS}v4" style="{ink};stroke-width:0.8"/>')
-        parts.append(_text(said if mm else "0", at(mm), _AXIS + 14.0, "middle" if mm else "start"))
-    parts.append(_text("mm", _RIGHT, _AXIS + 14.0, "end"))
-    if scale.value is not None:
-        low = scale.value if scale.low is None else scale.low
-        high = scale.value if scale.high is None else scale.high
-        wide = max(at(high) - at(low), 1.5)
-        parts.append(
-            f'<rect x="{at(low):.1f}" y="{_BAR - 5}" width="{wide:.1f}" height="10" style="fill:var(--{tone})"/>'
-            f'<path d="M{at(scale.value):.1f} {_BAR - 8}v16" style="{ink};stroke-width:1.6"/>'
-        )
-    asked = at(scale.asked)
-    parts.append(f'<path d="M{asked:.1f} 13V{_AXIS}" style="stroke:var(--bad);stroke-width:1.4;stroke-dasharray:4 2"/>')
-    anchor = "start" if asked < _LEFT + _LABEL else "end" if asked > _RIGHT - _LABEL else "middle"
-    parts.append(_text(f"tolerance {scale.asked:g}", asked, 9.0, anchor))
+    keys = ((f"tolerance {scale.asked:g}", BAD, "line"),)
+    panel = Panel(Axis("mm", 0.0, scale.end), Axis.rows([""]), 370.0, 62.0, keys)
     said = f"tolerance {scale.asked:g} mm"
     if scale.value is not None:
         said += f", error {scale.value:.3f} mm"
+        ends = [scale.value if end is None else end for end in (scale.low, scale.high)]
+        panel.bars((np.array(ends[:1]), np.array(ends[1:])), (np.array([-0.25]), np.array([0.25])), tone)
+        panel.line(np.full(2, scale.value), np.array([-0.4, 0.4]), INK, 1.6)
     if scale.low is not None and scale.high is not None:
         said += f" with a 95 % interval of {scale.low:.3f} to {scale.high:.3f} mm"
+    panel.line(np.full(2, scale.asked), np.array([-0.5, 0.5]), BAD, 1.4, dashed=True)
     words = (
         "Bar: the tool's error, each end passed with a chance of 5 %; stroke: the likely one; dashed: the tolerance."
     )
     if scale.before is not None:
         words += f" Before calibration the error was {scale.before:.3f} mm."
-    return framed("scale", "".join(parts), (_WIDTH, _HEIGHT), f"Scale in millimetres: {said}.", words)
-
-
-def _text(said: str, x: float, y: float, anchor: str) -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" style="font-size:8.5px;text-anchor:{anchor}">{said}</text>'
+    return panel.chart("scale", f"Scale in millimetres: {said}.", words)

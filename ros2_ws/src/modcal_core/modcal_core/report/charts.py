@@ -10,7 +10,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
-from textwrap import wrap
 from typing import Self
 
 import numpy as np
@@ -47,8 +46,6 @@ _TICK, _PAD = 3.5, 3.5
 _TICK_PRINT, _NAME_PRINT = 7.5, 8.0  # sizes of letters
 _WIDE = {"−": 0.838, ".": 0.318}  # widths of letters in units of their size; digits and others have another
 _DIGIT = 0.636
-_LINE_OF_NAME = 30  # letters of a name beside a bar
-_OFF = 0.15  # an eighth of a line's width: what a drawn curve may be off by
 _TICKS = 4  # about as many
 _MAX_DECADES = 7  # with a number on an axis
 _IN_POWERS = 1e4  # ratio of the ends of a logarithmic axis, beyond which powers of ten stand on it
@@ -115,7 +112,7 @@ class Axis:
     @classmethod
     def rows(cls, names: Sequence[str]) -> Self:
         """Names one below the other, the first above."""
-        return cls("", len(names) - 0.5, -0.5, names=tuple("\n".join(wrap(name, _LINE_OF_NAME)) for name in names))
+        return cls("", len(names) - 0.5, -0.5, names=tuple(names))
 
     def share(self, values: Array) -> Array:
         """Where values stand, 0 at low and 1 at high."""
@@ -167,8 +164,8 @@ class Panel:
     def _left(self) -> float:
         if not self.y.names:
             return _LEFT
-        longest = max(len(line) for name in self.y.names for line in name.split("\n"))
-        return max(_LEFT, _TICK + _PAD + 4.0 + 0.62 * _TICK_PRINT * longest)
+        longest = max(map(len, self.y.names))
+        return max(_LEFT, _TICK + _PAD + 4.0 + 0.62 * _TICK_PRINT * longest) if longest else 8.0
 
     @property
     def _right(self) -> float:
@@ -191,7 +188,7 @@ class Panel:
 
     def line(self, x: Array, y: Array, colour: str, wide: float = 1.1, dashed: bool = False) -> None:
         """A line through points (N,) in order."""
-        drawn = "M" + _places(_simplified(np.c_[self._across(x), self._along(y)]), "L")
+        drawn = "M" + _places(np.c_[self._across(x), self._along(y)], "L")
         more = ";stroke-dasharray:4 2" if dashed else ""
         self._drawn.append(f'<path d="{drawn}" style="fill:none;stroke:var(--{colour});stroke-width:{wide:g}{more}"/>')
 
@@ -203,7 +200,7 @@ class Panel:
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> None:
         """The area between two lines over the same points (N,)."""
-        above, below = (_simplified(np.c_[self._across(x), self._along(y)]) for y in (high, low))
+        above, below = (np.c_[self._across(x), self._along(y)] for y in (high, low))
         drawn = f"M{_places(np.r_[above, below[::-1]], 'L')}z"
         self._drawn.append(f'<path d="{drawn}" style="fill:var(--{colour});fill-opacity:0.45"/>')
 
@@ -220,13 +217,6 @@ class Panel:
         """A short stroke on the axis below at each of these places (N,)."""
         drawn = "".join(f"M{a:.1f} {self._bottom - 4.0:g}v4" for a in self._across(x).tolist())
         self._drawn.append(f'<path d="{drawn}" style="stroke:var(--{colour});stroke-width:0.5"/>')
-
-    def text(self, x: float, y: float, said: str, anchor: str = "start") -> None:
-        """Words at a point."""
-        at = float(self._across(np.array(x))), float(self._along(np.array(y)))
-        self._drawn.append(
-            f'<g style="font-family:{_FONT};fill:var(--ink)">{_text(said, *at, _TICK_PRINT, anchor)}</g>'
-        )
 
     def chart(self, name: str, alt: str, caption: str) -> Chart:
         """The chart for a page. alt: what it shows, for those who do not see it. caption: how to read it."""
@@ -261,7 +251,14 @@ class Panel:
             f'style="{ink};stroke-linecap:square"/>'
             f'<g style="font-family:{_FONT};fill:var(--ink)">{self._legend()}{"".join(texts)}</g>'
         )
-        return framed(name, body, (self.width, self.height), alt, caption)
+        natural = _PX * self.width
+        least = min(natural, max(_NARROWEST, 0.65 * natural))
+        drawn = (
+            f'<svg class="chart" viewBox="0 0 {self.width:g} {self.height:g}" role="img" '
+            f'aria-label="{escape(alt, quote=True)}" style="max-width:{natural:.0f}px;min-width:{least:.0f}px">'
+            f"{body}</svg>"
+        )
+        return Chart(name, drawn, caption, self.width, self.height)
 
     def _legend(self) -> str:
         out, at = [], self._left + 6.0
@@ -276,17 +273,6 @@ class Panel:
 
     def _along(self, y: Array) -> Array:
         return np.asarray(self._bottom - self.y.share(y) * (self._bottom - self._top))
-
-
-def framed(name: str, body: str, size: tuple[float, float], alt: str, caption: str) -> Chart:
-    """A chart of this width and height [points]. body: what stands in its SVG element."""
-    natural = _PX * size[0]
-    least = min(natural, max(_NARROWEST, 0.65 * natural))
-    drawn = (
-        f'<svg class="chart" viewBox="0 0 {size[0]:g} {size[1]:g}" role="img" aria-label="{escape(alt, quote=True)}" '
-        f'style="max-width:{natural:.0f}px;min-width:{least:.0f}px">{body}</svg>'
-    )
-    return Chart(name, drawn, caption, *size)
 
 
 def as_file(charts: Sequence[Chart]) -> str:
@@ -327,25 +313,6 @@ def _places(points: Array, between: str) -> str:
     return (f"{between}%.1f %.1f" * len(points))[1:] % tuple(points.ravel().tolist())
 
 
-def _simplified(points: Array) -> Array:
-    """The points (N, 2) that a line needs to stay within _OFF of all of them (Douglas and Peucker)."""
-    if len(points) < 3:
-        return points
-    kept = np.array([0, len(points) - 1])
-    while True:  # all parts between points that are kept at once
-        first, last = kept[:-1], kept[1:]
-        part = np.repeat(np.arange(len(first)), last - first)
-        inside, chord = points[:-1] - points[first][part], points[last] - points[first]
-        length, chord = np.hypot(*chord.T)[part], chord[part]
-        along = np.einsum("ni,ni->n", inside, chord) / np.maximum(length, 1e-12)
-        across = np.abs(inside[:, 0] * chord[:, 1] - inside[:, 1] * chord[:, 0]) / np.maximum(length, 1e-12)
-        off = np.where((along < 0.0) | (along > length), np.hypot(inside[:, 0], inside[:, 1]), across)
-        far = np.flatnonzero((off > _OFF) & (off == np.maximum.reduceat(off, first)[part]))
-        if not len(far):
-            return points[kept]
-        kept = np.sort(np.r_[kept, far[np.unique(part[far], return_index=True)[1]]])
-
-
 def round_numbers(low: float, high: float) -> tuple[Array, float]:
     """(Round numbers from low to high, about four and at least two; the step between them)."""
     raw = (high - low) / _TICKS
@@ -383,12 +350,6 @@ def _in_numbers(low: float, high: float) -> Array:
 
 
 def _text(said: str, x: float, y: float, size: float, anchor: str = "middle", turned: bool = False) -> str:
-    """Words at a place, lines one below the other around it."""
     turn = f' transform="rotate(-90 {x:.2f} {y:.2f})"' if turned else ""
     style = f"font-size:{size:g}px;text-anchor:{anchor}"
-    lines = said.split("\n")
-    return "".join(
-        f'<text x="{x:.2f}" y="{y + 1.15 * size * (k - 0.5 * (len(lines) - 1)):.2f}"{turn} style="{style}">'
-        f"{escape(line)}</text>"
-        for k, line in enumerate(lines)
-    )
+    return f'<text x="{x:.2f}" y="{y:.2f}"{turn} style="{style}">{escape(said)}</text>'

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modcal_core.calibration import Errors
 from modcal_core.effects import AXIS, JOINTS, LENGTH, RADIAL, Effect, component_names, curve
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
@@ -20,23 +19,18 @@ from modcal_core.report.charts import (
     BAD,
     BEFORE,
     GOOD,
-    INK,
     LARGE,
     OF_AXES,
     SOFT,
-    WARN,
     Axis,
     Chart,
     Panel,
 )
-from modcal_core.report.terminal import Account
 
 MAX_POINTS = 1200  # more make the page heavy and show no more
 _SETS = (("train", "circle", SOFT), ("explain", "square", GOOD), ("held_out", "triangle", AFTER))
 _MAX_REJECTED = 300
 _WIDE = 532.0  # points; of the stations over time
-_MIN_DECADE = 1e-6  # of the largest row of an account; smaller ones are drawn as this
-_ROW = 15.0  # points of a chart, a row
 
 
 def error_histogram(report: Outcome) -> Chart | None:
@@ -63,32 +57,8 @@ def error_histogram(report: Outcome) -> Chart | None:
     return panel.chart("histogram", alt, words)
 
 
-def spread_chart(report: Outcome) -> Chart | None:
-    """How well each combination of parameters is known by the data alone."""
-    seen = report.identifiability
-    if seen is None or not seen.deviations:
-        return None
-    deviations = np.clip(np.array(seen.deviations), 1e-9, 1e3)
-    count = np.arange(1.0, len(deviations) + 1.0)
-    x = Axis("combination of parameters, best known first", 0.0, len(deviations) + 1.0)
-    y = Axis.decades("deviation ÷ expected", min(float(deviations.min()), 0.5), max(float(deviations.max()), 2.0))
-    panel = Panel(x, y, LARGE[0], 144.0)
-    panel.line(np.array([x.low, x.high]), np.ones(2), WARN, 0.9, dashed=True)
-    panel.marks(count[: seen.rank], deviations[: seen.rank], AFTER, "dot", 3.4)
-    panel.marks(count[seen.rank :], deviations[seen.rank :], BAD, "cross", 0.9)
-    alt = f"{seen.rank} of {seen.parameters} combinations of parameters are determined by the data."
-    words = (
-        "Remaining uncertainty of each combination, as a share of what was expected before measuring. "
-        "Crosses, above the dashed line: not shown by these stations, held near nominal."
-    )
-    return panel.chart("spread", alt, words)
-
-
-def timeline(report: Outcome, share: float = 1.0) -> Chart | None:
-    """The stations in the order of their time, what each was used for, and those that were left out.
-
-    share: of the marks that it usually has.
-    """
+def timeline(report: Outcome) -> Chart | None:
+    """The stations in the order of their time, what each was used for, and those that were left out."""
     samples = report.samples
     if not len(report.residuals) or not len(samples):
         return None
@@ -99,7 +69,7 @@ def timeline(report: Outcome, share: float = 1.0) -> Chart | None:
     for name, shape, colour in _SETS:
         rows = getattr(report.sets, name)
         rows = rows[~wrong[rows]]
-        rows = rows[spread_rows(len(rows), int(share * MAX_POINTS / 6.0))]
+        rows = rows[spread_rows(len(rows), MAX_POINTS // 6)]
         marks.append((rows, f"{name.replace('_', '-')} ({sizes[name]})", colour, shape))
     out = report.rejected_rows()[:_MAX_REJECTED]
     marks.append((out, f"rejected ({len(out)})", BAD, "cross"))
@@ -116,41 +86,7 @@ def timeline(report: Outcome, share: float = 1.0) -> Chart | None:
     return panel.chart("timeline", alt, words)
 
 
-def account_chart(account: Account) -> Chart:
-    """A bar a row on a logarithmic axis, outlined where negative, with whiskers for the interval."""
-    lines, unit = [line for line in account.lines if line.known], account.unit
-    most = max(abs(line.value) for line in lines) or 1.0
-    least = _MIN_DECADE * most
-    largest = max([most, *(line.ci95[1] for line in lines if line.ci95)])
-    x, y = Axis.decades(f"squared error, {unit}²", 0.5 * least, largest, 0.02), Axis.rows([one.words for one in lines])
-    high = 42.0 + len(lines) * (_ROW + 8.0 * max(name.count("\n") for name in y.names))
-    panel = Panel(x, y, LARGE[0] + 40.0, high)
-    for k, line in enumerate(lines):
-        if line.value:
-            ends = (np.array([x.low]), np.array([max(abs(line.value), least)]))
-            full = 0.0 if line.value < 0.0 else 1.0
-            panel.bars(ends, (np.array([k - 0.31]), np.array([k + 0.31])), line.colour, full)
-        if line.value > 0.0 and line.ci95 is not None:
-            whiskers(panel, np.array([float(k)]), np.maximum(np.array([line.ci95]), least))
-    said = "; ".join(f"{line.words} {line.value:.3g}" for line in lines)
-    alt = f"Account of the squared error of the nominal model in {unit}²: {said}."
-    words = (
-        "Contributions to the squared error of the nominal model, on a logarithmic axis. Outlined: negative. "
-        "Whiskers: 95 % interval."
-    )
-    return panel.chart(f"account-{unit}", alt, words)
-
-
-def whiskers(panel: Panel, rows: Array, ends: Array, half: float = 0.15) -> None:
-    """Intervals (N, 2) along x at these rows (N,), each with an end (half as high) that is seen."""
-    panel.strokes(np.c_[ends[:, 0], rows], np.c_[ends[:, 1], rows], INK)
-    for side in (0, 1):
-        panel.strokes(np.c_[ends[:, side], rows - half], np.c_[ends[:, side], rows + half], INK)
-
-
-_MAX_STEPS = 5  # that are drawn; more effects are drawn together
 _MAX_TEMPERATURES = 4
-_MAX_DRAWN = 14_000  # dots of a page before and after its steps, which are folded
 
 
 @dataclass(frozen=True)
@@ -162,41 +98,20 @@ class Against:
     values: Array
 
 
-@dataclass(frozen=True)
-class ChartGroup:
-    """Charts of what one step removed, or of the final residual."""
-
-    title: str
-    text: str
-    charts: tuple[Chart, ...]
-
-
-def comparisons(report: Outcome, share: float = 1.0) -> tuple[ChartGroup, ...]:
-    """Before and after geometry, before and after each effect, and what is left at the end.
-
-    share: of the dots that charts usually have.
-    """
+def residual_charts(report: Outcome) -> list[Chart]:
+    """What the final model leaves of the scored samples, against each joint, time and the recorded temperatures."""
     if not len(report.scored):
-        return ()
-    along = axes_of(report)
-    pairs = _pairs(report)
-    most = max(min(MAX_POINTS // 3, _MAX_DRAWN // (6 * len(along) * len(pairs))), 40)
-    most = max(int(share * most), 20)
-    rows = spread_rows(len(report.scored), most)
+        return []
+    rows = spread_rows(len(report.scored), MAX_POINTS // 3)
+    left = 1e3 * report.errors["final"].position[rows]
+    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
     out = []
-    for k, (added, before, after) in enumerate(pairs):
-        sizes = f"{_rms(before):.3f} to {_rms(after):.3f} mm RMS"
-        text = "Dashes: before. Dots: after. All three components of the residual, on one scale."
-        charts = tuple(_before_after(a, (before, after), rows, f"step{k}-{i}", added) for i, a in enumerate(along))
-        out.append(ChartGroup(f"Adding {added.replace(':', ' of ')}: {sizes}", text, charts))
-    final = report.errors["final"]
-    rows = spread_rows(len(report.scored), max(int(share * MAX_POINTS / 3.0), 20))
-    charts = tuple(_left(a, final, rows, f"left-{i}") for i, a in enumerate(along))
-    text = (
-        "The residual of the final model: x as circles, y as triangles, z as squares. "
-        "A pattern here is an effect that the model lacks."
-    )
-    return (*out, ChartGroup(f"Residual: {_rms(final):.3f} mm RMS", text, charts))
+    for i, a in enumerate(axes_of(report)):
+        panel = residual_panel(Axis.around(a.words, a.values[rows]), left)
+        mark_components(panel, a.values[rows], left)
+        alt = f"Residual against {a.name}: {rms:.3f} mm RMS."
+        out.append(panel.chart(f"left-{i}", alt, f"against {a.name.replace(':', ' of ')}"))
+    return out
 
 
 def axes_of(report: Outcome) -> list[Against]:
@@ -215,41 +130,6 @@ def axes_of(report: Outcome) -> list[Against]:
     return [*joints, time, *heat]
 
 
-def _pairs(report: Outcome) -> list[tuple[str, Errors, Errors]]:
-    """What was added, and the errors before and after."""
-    stages = [report.errors["nominal"], *(step.errors for step in report.steps)]
-    names = [step.added for step in report.steps]
-    if len(names) > _MAX_STEPS:
-        rest = len(names) - _MAX_STEPS + 1
-        names = [*names[: _MAX_STEPS - 1], f"{rest} more effects"]
-        stages = [*stages[:_MAX_STEPS], stages[-1]]
-    return [(name, stages[k], stages[k + 1]) for k, name in enumerate(names)]
-
-
-def _rms(errors: Errors) -> float:
-    size = errors.size_mm()
-    return 0.0 if size is None else size.rms
-
-
-def _before_after(a: Against, errors: tuple[Errors, Errors], rows: np.ndarray, name: str, added: str) -> Chart:
-    x = np.repeat(a.values[rows], 3)
-    first, second = (1e3 * e.position[rows].ravel() for e in errors)
-    panel = residual_panel(Axis.around(a.words, x), first)
-    panel.marks(x, first, BEFORE, "dash", 1.1)
-    panel.marks(x, second, AFTER, "dot", 2.2)
-    before, after = map(_rms, errors)
-    alt = f"Residual against {a.name}, before and after {added}: {before:.3f} and {after:.3f} mm RMS."
-    return panel.chart(name, alt, f"against {a.name.replace(':', ' of ')}")
-
-
-def _left(a: Against, errors: Errors, rows: np.ndarray, name: str) -> Chart:
-    left = 1e3 * errors.position[rows]
-    panel = residual_panel(Axis.around(a.words, a.values[rows]), left)
-    mark_components(panel, a.values[rows], left)
-    alt = f"Residual against {a.name}: {_rms(errors):.3f} mm RMS."
-    return panel.chart(name, alt, f"against {a.name.replace(':', ' of ')}")
-
-
 def residual_panel(x: Axis, y: Array) -> Panel:
     """An empty panel for residuals [mm] of any shape, whose limits a few far samples do not stretch."""
     reach = 1.15 * max(float(np.percentile(np.abs(y), 99.5)), 1e-6)
@@ -262,7 +142,7 @@ def mark_components(panel: Panel, x: Array, y: Array) -> None:
         panel.marks(x, y[:, k], colour, shape)
 
 
-_POINTS = 1600
+_POINTS, _MAX_CORNERS = 1600, 240  # of a curve: computed, and drawn
 _MAX_SHAPES = 24  # charts; more are looked at by nobody
 _MAX_WAVES, _DRAWN_WAVES = 20, 6  # more than the first make a grey block of a small chart
 _MAX_TICKS = 250  # of samples, below the curve
@@ -270,18 +150,15 @@ _UNITS = {"load": "N m", "effort": "N m", "payload": "N m per kg", "direction": 
 _SHIFTS = ("x", "y", "z", LENGTH)
 
 
-def effect_shapes(report: Outcome, share: float = 1.0) -> tuple[Chart, ...]:
-    """A chart for each direction of each effect that follows one number; none of what is a single number.
-
-    share: of the charts that there are at most.
-    """
+def effect_shapes(report: Outcome) -> tuple[Chart, ...]:
+    """A chart for each direction of each effect that follows one number; none of what is a single number."""
     out: list[Chart] = []
     for finding in report.effects:
         drawn = tuple(e for e in finding.effects if _is_curve(e) and e.driver == finding.effects[0].driver)
         if drawn and report.model is not None:
             driver = report.model.drivers(report.samples).values(drawn[0].driver, drawn[0].lag)
             for component in range(len(component_names(drawn[0]))):
-                if len(out) < share * _MAX_SHAPES:
+                if len(out) < _MAX_SHAPES:
                     out.append(_shape(report, drawn, driver, component, f"shape{len(out)}"))
     return tuple(out)
 
@@ -302,7 +179,9 @@ def _shape(report: Outcome, effects: tuple[Effect, ...], driver: Array, componen
     slides = direction == AXIS and not _turns(report, effect.place)
     unit = "mm" if direction in _SHIFTS or slides else "mrad"
     shown = _few_waves(size)
-    x, size, std = x[shown], size[shown], std[shown]
+    rows = np.arange(len(x))[shown]
+    rows = rows[spread_rows(len(rows), _MAX_CORNERS)]
+    x, size, std = x[rows], size[rows], std[rows]
     at = at[(at >= x[0]) & (at <= x[-1])]
     low, high = (1e3 * (size + k * std) for k in (-2.0, 2.0))
     panel = Panel(Axis.around(words, x, 0.05), Axis.around(f"{direction}, {unit}", np.r_[low, high], 0.05))

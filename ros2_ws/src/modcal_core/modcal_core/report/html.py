@@ -14,11 +14,9 @@ from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import STAGES, Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.figures import (
-    account_chart,
-    comparisons,
     effect_shapes,
     error_histogram,
-    spread_chart,
+    residual_charts,
     timeline,
 )
 from modcal_core.report.page import (
@@ -38,15 +36,13 @@ from modcal_core.report.page import (
     parameter_tables,
     size_tables,
 )
-from modcal_core.report.scene import scene, still
+from modcal_core.report.scene import scene
 from modcal_core.report.sentence import STATUS_WORDS, sentence
 from modcal_core.report.terminal import Account, accounts
 from modcal_core.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
 OF_RESULT = {"PASS": "good", "FAIL": "bad"}
-MAX_BYTES = 950_000  # of a page: below 1 MB, with what a mail puts around it
-_SHARES = (1.0, 0.5, 0.25, 0.1, 0.04)  # of the usual marks that charts have, tried in turn
 _MAX_COLUMNS = 28  # drivers of a map
 STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest"}
 _MAX_LISTED = 30  # stations that were left out
@@ -60,21 +56,10 @@ _DECIDE = File(
 
 @remembered()
 def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -> str:
-    """The report as HTML text, below 1 MB. files: names of what is written beside it. calibration: of an evaluation,
-    the name of what was evaluated.
+    """The report as HTML text, below 1 MB: of long recordings a part is drawn, and all is counted.
 
-    Where recordings, effects or joints are many, charts are thinned until the page is small enough, and it says so.
+    files: names of what is written beside it. calibration: of an evaluation, the name of what was evaluated.
     """
-    beside = tuple(files)
-    for share in _SHARES:
-        page = _page(report, beside, calibration, share)
-        if len(page.encode()) < MAX_BYTES:
-            break
-    return page
-
-
-def _page(report: Outcome, files: tuple[str, ...], calibration: str, share: float) -> str:
-    """The page with this share of the marks and curves that charts usually have."""
     kind = "evaluation" if report.searched is None else "calibration"
     title = f"{report.title}: {kind} report"
     if report.searched is None and calibration:
@@ -82,7 +67,7 @@ def _page(report: Outcome, files: tuple[str, ...], calibration: str, share: floa
     return Page(
         title,
         sentence(report),
-        _Sections(report, to_json_data(report), files, share).all(),
+        _Sections(report, to_json_data(report), tuple(files)).all(),
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
         tone=TONES[report.status],
     ).html()
@@ -95,7 +80,6 @@ class _Sections:
     report: Outcome
     data: Mapping[str, Any]
     files: tuple[str, ...]
-    share: float
 
     def all(self) -> list[Block | None]:
         """All in their order, those for experts folded together."""
@@ -117,16 +101,12 @@ class _Sections:
             self.grounds(),
             _section("notes", "Notes", [Listing(self.data["notes"])] if self.data["notes"] else [], "Notes"),
             Fold(title, [one for one in expert if one is not None], "expert"),
-            *self.end(),
+            self.end(),
         ]
 
     @cached_property
     def _unit(self) -> str:
         return str(self.data["split"]["unit"])
-
-    @cached_property
-    def _comparisons(self) -> Any:
-        return comparisons(self.report, self.share)
 
     def answer(self) -> list[Block]:
         """What stands above the sections."""
@@ -260,19 +240,24 @@ class _Sections:
 
     def robot(self) -> Section | None:
         """The arm in three dimensions, and on paper."""
-        drawn = scene(self.report, self.share)
+        drawn = scene(self.report)
         if drawn is None:
             return None
         partly = "Some of these instruments measure along one line only: their arrows show that component of the error."
         out: list[Block] = [Paragraph(partly, soft=True)] if indirect_rows(self.report.scored).any() else []
-        return Section("robot", "Robot and errors", [*out, drawn, Figures(still(drawn), still=True)], "Robot")
+        return Section("robot", "Robot and errors", [*out, drawn], "Robot")
 
     def residual(self) -> Section | None:
         """What the final model leaves."""
-        if not self._comparisons:
+        charts, size = residual_charts(self.report), self.report.size_mm("final")
+        if not charts or size is None:
             return None
-        last = self._comparisons[-1]
-        return Section("residuals", last.title, [Paragraph(last.text, soft=True), Figures(last.charts)], "Residual")
+        said = (
+            "The residual of the final model: x as circles, y as triangles, z as squares. A pattern here is an effect "
+            "that the model lacks."
+        )
+        title = f"Residual: {size.rms:.3f} mm RMS"
+        return Section("residuals", title, [Paragraph(said, soft=True), Figures(charts)], "Residual")
 
     def effects(self) -> Section | None:
         """What was added to the geometry."""
@@ -305,7 +290,7 @@ class _Sections:
             if e["same_as"]:
                 words = f"cannot be distinguished from: {'; '.join(e['same_as'])}."
                 out.append(Paragraph(words, f"{e['family'].replace('_', ' ')} at {e['place']}"))
-        if shapes := effect_shapes(self.report, self.share):
+        if shapes := effect_shapes(self.report):
             words = "The line is the estimate, the band its two standard deviations; ticks below show the samples."
             out += [Paragraph(words, "Their shapes.", soft=True), Figures(shapes)]
         return Section("effects", "Unmodelled effects", out, "Effects")
@@ -313,7 +298,7 @@ class _Sections:
     def stations(self) -> Section:
         """The stations in time, and those that were left out, the farthest first."""
         report, rows = self.report, self.report.rejected_rows()
-        drawn = timeline(report, self.share)
+        drawn = timeline(report)
         out: list[Block] = [] if drawn is None else [Figures([drawn])]
         if not len(rows):
             return Section("stations", "Stations", [*out, Paragraph("No station was rejected.")], "Stations")
@@ -357,7 +342,7 @@ class _Sections:
         )
         out: list[Block] = [Paragraph(said, soft=True)]
         for one in found:
-            out += [_account_table(one), Figures([account_chart(one)])]
+            out.append(_account_table(one))
         parts = []
         if position := data["predictable"]:
             said = f"A regressor without physics predicts {_predicted(position)} of the squared position error left"
@@ -372,10 +357,11 @@ class _Sections:
 
     def steps(self) -> Section | None:
         """What each step took away."""
-        folds = [
-            Fold(one.title, [Paragraph(one.text, soft=True), Figures(one.charts)]) for one in self._comparisons[:-1]
-        ]
-        return _section("steps", "What each step took away", folds)
+        rows, before = [], self.data["error_mm"]["nominal"]
+        for step in self.data["steps"] if before else ():
+            rows.append((step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}"))
+        header = ("added", "RMS of what is left, mm")
+        return _section("steps", "What each step leaves", [PageTable("Steps", header, tuple(rows))] if rows else [])
 
     def evidence(self) -> Section | None:
         """Maps of the first and the last scan, with the same columns: the drivers that explain most in either."""
@@ -443,8 +429,6 @@ class _Sections:
         if left := seen["left_out"]:
             title = f"{len(left)} directions that no recording of this kind can distinguish from others"
             out.append(Fold(title, [Paragraph(", ".join(left))]))
-        if spread := spread_chart(self.report):
-            out.append(Figures([spread]))
         return Section("told", "Identifiability", out)
 
     def parameters(self) -> Section | None:
@@ -453,16 +437,12 @@ class _Sections:
         said = "Deviations from the nominal robot, with their standard deviations; one unit a table."
         return Section("parameters", "All parameters", [Paragraph(said, soft=True), *tables]) if tables else None
 
-    def end(self) -> list[Block]:
-        """What stands below the sections."""
-        trace, out = self.data["trace"], list[Block]()
-        if self.share < 1.0:
-            said = "Charts are thinned so that this page stays below 1 MB: they show at most "
-            said += f"{100 * self.share:.0f} % of what they usually do. All numbers are in report.json."
-            out.append(Paragraph(said, soft=True))
+    def end(self) -> Paragraph:
+        """Where the numbers come from."""
+        trace = self.data["trace"]
         digest = trace["bag_sha256"] and f"recording sha256 {trace['bag_sha256']}"
         known = (f"modcal {trace['version']}", trace["date"], trace["robot"], trace["instrument"], digest)
-        return [*out, Paragraph(" · ".join(filter(None, known)), soft=True)]
+        return Paragraph(" · ".join(filter(None, known)), soft=True)
 
 
 def _section(name: str, title: str, blocks: list[Any], short: str = "") -> Section | None:

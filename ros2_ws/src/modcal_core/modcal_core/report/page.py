@@ -98,10 +98,9 @@ class Signatures:
 
 @dataclass(frozen=True)
 class Figures:
-    """Charts: small ones side by side, large ones one below the other. still: only on paper or without scripts."""
+    """Charts: small ones side by side, large ones one below the other."""
 
     charts: Sequence[Chart]
-    still: bool = False
 
     @property
     def small(self) -> bool:
@@ -138,7 +137,7 @@ class Fold:
 @dataclass(frozen=True)
 class Section:
     """A part of a page. name: for links, unique on the page. title: its heading. short: its name in the list of
-    sections; empty: not listed. script: whether it is nothing without scripts.
+    sections; empty: not listed.
     """
 
     name: str

@@ -14,7 +14,6 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import indirect_rows
 from modcal_core.outcome import Outcome
-from modcal_core.report.charts import AFTER, BEFORE, INK, SOFT, Chart, Panel, round_numbers
 from modcal_core.robots import ARMS, Delta, Mechanism, is_delta, tool_frames
 
 MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
@@ -117,21 +116,15 @@ class ShownPostures:
 
 
 MAX_ARROWS = 300
-_MAX_STILL = 120  # arrows of the still picture, which cannot be turned or zoomed
 _MAX_STAGES = 7
-_STILL = (262.0, 260.0)  # points, either view
-_VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))
 
 
-def scene(report: Outcome, share: float = 1.0) -> Scene3D | None:
-    """The arm and what each held-out sample misses by; None where no model or no sample is at hand.
-
-    share: of the arrows that are usually drawn.
-    """
+def scene(report: Outcome) -> Scene3D | None:
+    """The arm and what each held-out sample misses by; None where no model or no sample is at hand."""
     model, scored = report.model, report.scored
     if model is None or not len(scored):
         return None
-    rows = spread_rows(len(scored), int(share * MAX_ARROWS))
+    rows = spread_rows(len(scored), MAX_ARROWS)
     samples = scored.select(rows)
     indirect = indirect_rows(samples)
     named = [("nominal model", report.errors["nominal"]), *((s.added, s.errors) for s in report.steps)]
@@ -144,7 +137,7 @@ def scene(report: Outcome, share: float = 1.0) -> Scene3D | None:
         of_root = miss @ model.chain.T_base_root[:3, :3].T
         stages.append((name, np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))))
     places = _arms(model, samples)
-    shown = spread_rows(len(samples), max(int(share * MAX_POSTURES), 8))
+    shown = spread_rows(len(samples), MAX_POSTURES)
     return Scene3D(
         points=places[-1][:, -1],
         arms=tuple(tuple(path[k] for path in places) for k in shown),
@@ -170,37 +163,3 @@ def _arms(model: Model, samples: Samples) -> list[Array]:
     elbows = [p[:, i] + (f.loops[i].lever.T @ T[:3, :3].T) for i in range(1, 1 + ARMS)]
     arms = [np.concatenate([base, p[:, i : i + 1], elbows[i - 1][:, None], tip], axis=1) for i in range(1, 1 + ARMS)]
     return [*arms, np.concatenate([tip, p[:, -1:]], axis=1)]
-
-
-def still(drawn: Scene3D) -> tuple[Chart, ...]:
-    """The same from above and from the side, for paper and where no script runs."""
-    rows = spread_rows(len(drawn.points), _MAX_STILL)
-    points, arm = drawn.points[rows], drawn.arms[len(drawn.arms) // 2]
-    misses = [1e3 * drawn.stages[k][1][rows] for k in (0, -1)]
-    reach = float(np.ptp(points, axis=0).max()) or 1.0
-    usual = float(np.percentile(np.linalg.norm(misses[0], axis=1), 95)) or 1.0
-    scale = float(f"{0.15e3 * reach / usual:.1g}")
-    tips = [points + 1e-3 * scale * miss for miss in misses]
-    every = np.concatenate([points, *tips, *arm])
-    out = []
-    for i, j, seen in _VIEWS:
-        axes = [(f"{'xyz'[k]}, m ({seen})" if k == i else f"{'xyz'[k]}, m", every[:, k]) for k in (i, j)]
-        panel = Panel.to_scale(axes[0], axes[1], *_STILL)
-        for path in arm:
-            panel.line(path[:, i], path[:, j], INK, 2.0)
-            panel.marks(path[:, i], path[:, j], INK, "dot", 3.5)
-        for tip, colour, width in zip(tips, (BEFORE, AFTER), (0.8, 1.4), strict=True):
-            panel.strokes(points[:, [i, j]], tip[:, [i, j]], colour, width)
-        panel.marks(points[:, i], points[:, j], SOFT, "dot", 1.8)
-        wide, tall = panel.x.high - panel.x.low, panel.y.high - panel.y.low
-        mm = round_numbers(0.0, 0.5e3 * wide / scale)[1]
-        begin = np.array([[panel.x.low + 0.04 * wide, panel.y.low + 0.04 * tall]])
-        panel.strokes(begin, begin + [1e-3 * scale * mm, 0.0], INK, 1.4)
-        panel.text(begin[0, 0], begin[0, 1] + 0.025 * tall, f"{mm:g} mm of error")
-        alt = f"The arm and the errors of {len(points)} held-out samples, {seen}."
-        words = (
-            f"Seen {seen}. Errors are drawn {scale:g} times as long as they are: thin grey lines with the nominal "
-            "model, thick blue ones with the final."
-        )
-        out.append(panel.chart(f"still-{'xyz'[j]}", alt, words))
-    return tuple(out)

@@ -139,9 +139,9 @@ def calibrate_command(
     camera = split_options(options)
     images = by_camera(ctx, bag, camera)
     said = particulars(options)
-    if images or bag is None:
-        return calibrate_images(camera, options, bag, out, output, said)
     asked = Options(**{name: value for name, value in options.items() if name not in ("certificate", "serial")})
+    if images or bag is None:
+        return calibrate_images(camera, asked, bag, out, output, said)
     with output.working() as watch:
         done = calibrate_bag(bag, asked, more, watch)
         files = dict(done.files)
@@ -161,28 +161,17 @@ def calibrate_command(
 @click.option("--refit-tool", is_flag=True, help="Fit the tool again: it was changed.")
 @with_options((*FROZEN, _SPLITS))
 @speaking
-def evaluate_command(
-    calibration: Path,
-    bag: Path,
-    refit_base: bool,
-    refit_tool: bool,
-    block: int | None,
-    out: Path | None,
-    output: Output,
-    **options: Any,
-) -> int:
+def evaluate_command(calibration: Path, bag: Path, out: Path | None, output: Output, **options: Any) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     said = particulars(options)
     frozen = Calibration.load(calibration)
-    asked = {name: options[name] for name in ("seed", "tolerance_mm", "tolerance_of")}
+    of_core = ("refit_base", "refit_tool", "block", "seed", "tolerance_mm", "tolerance_of")
     cell = read_cell(options["cell_file"], stated=stated_from(options))
     with output.working() as watch:
         samples = frozen_samples(frozen, bag, options, watch)
         watch("scoring")
         with of_cell(options["cell_file"]):
-            report = evaluate(
-                frozen, samples, refit_base=refit_base, refit_tool=refit_tool, cell=cell, block=block, **asked
-            )
+            report = evaluate(frozen, samples, cell=cell, **{name: options[name] for name in of_core})
         files = report_files(report, calibration=calibration_name(calibration))
         if said is not None:
             watch("writing the certificate")
