@@ -123,7 +123,7 @@ def test_paper_shows_everything_in_light_and_the_robot_too(opened: Page, tmp_pat
     opened.send("Emulation.setEmulatedMedia", media="print")
     opened.run(told)
     assert opened.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-    assert opened.run("document.getElementById('scene').clientWidth") > 300
+    assert opened.run("document.getElementById('scene').clientHeight") > 200
     assert opened.run(corner) == [255, 255, 255, 255]
     assert opened.run(HIDDEN.format(".controls"))
     opened.print(tmp_path / "report.pdf")

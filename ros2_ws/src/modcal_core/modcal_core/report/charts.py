@@ -132,7 +132,7 @@ class Axis:
         if self.log:
             return [(float(tick), f"{tick:g}") for tick in _in_numbers(self.low, self.high)]
         ticks = _labelled(self.low, self.high)
-        return [(value, f"{value:.0f}") for value, _ in ticks if value == round(value)] if self.whole else ticks
+        return [(value, f"{value + 0.0:.0f}") for value, _ in ticks if value == round(value)] if self.whole else ticks
 
 
 @dataclass
