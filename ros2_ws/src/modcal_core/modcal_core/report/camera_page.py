@@ -24,9 +24,9 @@ from modcal_core.report.certificates import (
     Certificate,
     Hashes,
     Scale,
-    Tone,
     box_in_words,
     listed,
+    signatures,
 )
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.page import (
@@ -212,7 +212,6 @@ def camera_certificate(
     doubts = tuple(said for said in solution.decision.because if said != met.because)[:MAX_REASONS]
     if met.result == "PASS":
         doubts = _reservations(solution, images)
-    tones: dict[str, Tone] = {"PASS": "warn", "FAIL": "bad"}
     fit = solution.fit
     flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
     low, high = met.ci95
@@ -237,18 +236,13 @@ def camera_certificate(
     return Certificate(
         title="Accuracy certificate: calibration by camera",
         result=met.result,
-        heading="PASS, with reservations" if met.result == "PASS" else met.result,
-        tone=tones.get(met.result, "warn"),
         because=met.because,
         reservations=doubts,
         scale=Scale(met.asked.mm, before, met.value_mm, low, high, 1.25 * max(met.asked.mm, high or 0.0)),
         facts=facts,
-        errors=(),
-        floor="not known",
-        iso=(),
         silent_on=_SILENT_ON,
         hashes=listed(hashes, "images and joints"),
-        signatures=(("Measured by", said.measured_by), ("Approved by", said.approved_by)),
+        signatures=signatures(said),
     )
 
 

@@ -8,7 +8,6 @@ of the score.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTa
 from modcal_core.report.particulars import Particulars
 from modcal_core.verdict import PoseTest, pose_test
 
-Tone = Literal["good", "warn", "bad"]
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
@@ -55,38 +53,35 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class ErrorRow:
-    """A row of before and after: mean, RMS, 95th percentile and largest, in mm, and in degrees or None."""
-
-    name: str
-    mm: tuple[float, float, float, float]
-    deg: tuple[float, float, float, float] | None
-
-
-@dataclass(frozen=True)
 class Certificate:
-    """What the page says, in the order of the page, however it is laid out.
+    """What the page says, in its order.
 
     result: of the tolerance. heading: the same as it is shown. because: how it came about. reservations: what keeps a
     PASS from being one without. facts: names and what is known, None where a line is left to be filled in by hand.
-    iso: figures of ISO 9283, or what the recording lacks for them. silent_on: what the result does not say.
-    hashes: names and SHA-256. signatures: roles and names, empty where they are to be written.
+    sections: errors, and results by ISO 9283. silent_on: what the result does not say. hashes: names and SHA-256.
+    signatures: roles and names, empty where they are to be written.
     """
 
     title: str
     result: str
-    heading: str
-    tone: Tone
     because: str
     reservations: tuple[str, ...]
     scale: Scale
     facts: tuple[tuple[str, str | None], ...]
-    errors: tuple[ErrorRow, ...]
-    floor: str
-    iso: tuple[str, ...]
     silent_on: tuple[str, ...]
     hashes: tuple[tuple[str, str], ...]
     signatures: tuple[tuple[str, str], ...]
+    sections: tuple[Section, ...] = ()
+
+    @property
+    def heading(self) -> str:
+        """The result as it is shown."""
+        return "PASS, with reservations" if self.result == "PASS" and self.reservations else self.result
+
+    @property
+    def tone(self) -> str:
+        """The colour of the result."""
+        return {"PASS": "good", "FAIL": "bad"}.get(self.heading, "warn")
 
 
 def certificate(
@@ -106,24 +101,18 @@ def certificate(
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
     doubts = _reservations(report, stated) if met.result == "PASS" else _reasons(report)
     doubts = (OWN_RECORDING, *doubts) if made_from else doubts
-    heading = f"{met.result}, with reservations" if met.result == "PASS" and doubts else met.result
-    tones: dict[str, Tone] = {"PASS": "warn" if doubts else "good", "FAIL": "bad"}
     tests = pose_test(report.scored, {k: report.errors[k] for k in ("nominal", "final")})
     return Certificate(
         title="Accuracy certificate: " + ("frozen calibration" if report.searched is None else "calibration"),
         result=met.result,
-        heading=heading,
-        tone=tones.get(met.result, "warn"),
         because=met.because,
         reservations=doubts,
         scale=_scale(report),
         facts=_facts(report, stated, said, made_from),
-        errors=_errors(report),
-        floor=_floor(report),
-        iso=_iso(tests),
+        sections=(*_errors(report), Section("iso", "ISO 9283", [Paragraph(said) for said in _iso(tests)])),
         silent_on=_silent_on(report, stated, tests),
         hashes=listed(replace(hashes, recording=hashes.recording or report.trace.bag_sha256), "recording"),
-        signatures=(("Measured by", said.measured_by), ("Approved by", said.approved_by)),
+        signatures=signatures(said),
     )
 
 
@@ -265,14 +254,20 @@ def _temperatures(report: Outcome) -> str:
     return f"{finite.min():.1f} … {finite.max():.1f} °C recorded" if len(finite) else ""
 
 
-def _errors(report: Outcome) -> tuple[ErrorRow, ...]:
-    rows = []
+def _errors(report: Outcome) -> tuple[Section, ...]:
+    """The errors before and after, where anything was scored in millimetres."""
+    mm, deg = [], []
     for stage, name in _STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
         if size is not None:
-            turned = None if angle is None else (angle.mean, angle.rms, angle.p95, angle.max)
-            rows.append(ErrorRow(name, (size.mean, size.rms, size.p95, size.max), turned))
-    return tuple(rows)
+            mm.append((name, *(f"{x:.3f}" for x in (size.mean, size.rms, size.p95, size.max))))
+        if size is not None and angle is not None:
+            deg.append((name, *(f"{x:.4f}" for x in (angle.mean, angle.rms, angle.p95, angle.max))))
+    names = ("mean", "RMS", "95 %", "largest")
+    tables = [PageTable("Error before and after", ("position, mm", *names), tuple(mm))]
+    tables += [PageTable("Orientation before and after", ("orientation, °", *names), tuple(deg))] if deg else []
+    floor = Paragraph(f"Floor of arm and instrument: {_floor(report)}.")
+    return (Section("errors", "Error on scored stations", [*tables, floor]),) if mm else ()
 
 
 def _floor(report: Outcome) -> str:
@@ -341,6 +336,11 @@ def listed(hashes: Hashes, recording: str) -> tuple[tuple[str, str], ...]:
     return tuple((name, digest) for name, digest in named if digest)
 
 
+def signatures(said: Particulars) -> tuple[tuple[str, str], ...]:
+    """Who signs, as far as it is stated."""
+    return (("Measured by", said.measured_by), ("Approved by", said.approved_by))
+
+
 def certificate_html(one: Certificate) -> str:
     """The certificate as HTML text."""
     blocks: list[Block] = []
@@ -348,16 +348,7 @@ def certificate_html(one: Certificate) -> str:
         label = "Reservations" if one.result == "PASS" else "Reasons"
         blocks.append(Listing(one.reservations, one.tone, label))
     blocks += [Figures([drawn(one.scale, one.tone)]), Facts(one.facts)]
-    if one.errors:
-        names = ("mean", "RMS", "95 %", "largest")
-        mm = tuple((row.name, *(f"{value:.3f}" for value in row.mm)) for row in one.errors)
-        deg = tuple((row.name, *(f"{value:.4f}" for value in row.deg)) for row in one.errors if row.deg)
-        tables = [PageTable("Error before and after", ("position, mm", *names), mm)]
-        tables += [PageTable("Orientation before and after", ("orientation, °", *names), deg)] if deg else []
-        floor = Paragraph(f"Floor of arm and instrument: {one.floor}.")
-        blocks.append(Section("errors", "Error on scored stations", [*tables, floor]))
-    if one.iso:
-        blocks.append(Section("iso", "ISO 9283", [Paragraph(said) for said in one.iso]))
+    blocks += one.sections
     blocks.append(Section("silent", "What this certificate does not say", [Listing(one.silent_on)]))
     if one.hashes:
         blocks.append(Section("hashes", "SHA-256", [Facts(one.hashes, small=True)]))
