@@ -9,21 +9,16 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.outcome import STAGES, Outcome
-from modcal_core.report.charts import AFTER, BAD, SOFT, WARN
 from modcal_core.report.sentence import MAX_REASONS, sentence
 from modcal_core.verdict import Row, Status, Verdict
 
 EFFECT = "effect:"
-# How a row is called on a page, and its colour: what the model took away, what it leaves though it could be predicted,
-# what no model can take away, and what nobody has a name for.
 _WORDS = {
-    "geometry": ("geometry", AFTER),
-    "shared": ("shared among effects", AFTER),
-    "predictable": ("predictable, not modelled", BAD),
-    "estimation": ("uncertainty of the parameters", SOFT),
-    "repeatability": ("repeatability of the arm", SOFT),
-    "instrument": ("instrument", SOFT),
-    "unaccounted": ("unaccounted for", WARN),
+    "shared": "shared among effects",
+    "predictable": "predictable, not modelled",
+    "estimation": "uncertainty of the parameters",
+    "repeatability": "repeatability of the arm",
+    "unaccounted": "unaccounted for",
 }
 _OF_FLOOR = ("repeatability", "instrument")
 _ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
@@ -37,7 +32,6 @@ class Line:
     """
 
     words: str
-    colour: str
     value: float
     share: float
     rms: float
@@ -72,11 +66,11 @@ def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
 def _line(row: Row, total: float, known: bool) -> Line:
     value = 0.0 if abs(row.value) < _ROUNDING * total else row.value
     effect = row.what.startswith(EFFECT)
-    words, colour = _WORDS.get(row.what, (row.what.replace("_", " "), SOFT))
+    words = _WORDS.get(row.what, row.what.replace("_", " "))
     if effect:
-        words, colour = row.what.removeprefix(EFFECT).replace(":", " of "), AFTER
+        words = row.what.removeprefix(EFFECT).replace(":", " of ")
     rms = float(np.copysign(np.sqrt(abs(value)), value))
-    return Line(words, colour, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
+    return Line(words, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
 
 
 Tone = Literal["plain", "legend", "doubt", "good", "bad", "undecided", "reason"]
