@@ -75,15 +75,7 @@ def _change(c: NamedChange) -> dict[str, Any]:
 def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
     """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
     out: list[SummaryTable | SummaryLine] = []
-    rows = [
-        (what, *("" if x is None else f"{x:.{digits}f}" for x, digits in zip(pair, (3, 4), strict=True)))
-        for what, pair in (
-            ("frozen model", found.before),
-            ("expected while nothing has changed", found.expected),
-            *((("with what changed", found.after),) if found.changes else ()),
-        )
-    ]
-    out.append(SummaryTable((f"error at {found.stations} stations", "RMS mm", "RMS deg"), tuple(rows)))
+    out.append(SummaryTable(_errors_header(found), _errors(found)))
     for change in found.changes:
         if lines := tuple(_row(change, s) for s in change.sizes):
             out.append(SummaryTable(_SIZES, lines, words=2))
@@ -100,6 +92,21 @@ def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
         tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
         out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tones.get(met.result, "undecided")))
     return tuple(out)
+
+
+def _errors_header(found: Checked) -> tuple[str, ...]:
+    return (f"error at {found.stations} stations", "RMS mm", "RMS deg")
+
+
+def _errors(found: Checked) -> tuple[tuple[str, ...], ...]:
+    """The error by the frozen model, what is expected, and with what changed."""
+    stages = {"frozen model": found.before, "expected while nothing has changed": found.expected}
+    if found.changes:
+        stages["with what changed"] = found.after
+    return tuple(
+        (what, *("" if x is None else f"{x:.{digits}f}" for x, digits in zip(pair, (3, 4), strict=True)))
+        for what, pair in stages.items()
+    )
 
 
 def _not_shown(found: Checked) -> str:
@@ -123,9 +130,6 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
         heading, tone = "No change is seen", "warn"
     lines = [
         f"What to do: {found.advice.sentence}",
-        f"The error at these {found.stations} stations is {_pair(found.before)} by the model as it was calibrated; "
-        f"{_pair(found.expected)} is expected while nothing has changed.",
-        *([f"With what changed put in it is {_pair(found.after)}."] if found.changes else []),
         *([f"{_judged(found)} {found.report.claim.sentence}"] if found.report.claim is not None else []),
         (
             f"While nothing has changed, as much is named by chance in fewer than {_rarely(found.chance)} checks."
@@ -138,23 +142,17 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
     met = found.report.tolerance
     if met is not None:
         lines.insert(1, f"{met.result}. {_judged(found)} {met.because}")
-    sections = [Section("tables", "What was seen", tables)] if (tables := _tables(found)) else []
-    blocks = [Listing(lines), *sections, _errors(found), files_section(files)]
-    return Page(title, found.sentence, blocks, heading, tone).html()
+    seen = Section("seen", "What was seen", [*_tables(found), *_station_errors(found)])
+    return Page(title, found.sentence, [Listing(lines), seen, files_section(files)], heading, tone).html()
 
 
 def _rarely(chance: float) -> str:
     return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
 
 
-def _pair(pair: tuple[float | None, float | None]) -> str:
-    mm, deg = pair
-    said = [f"{mm:.3f} mm"] if mm is not None else []
-    return " and ".join([*said, *([f"{deg:.4f}°"] if deg is not None else [])]) + " RMS"
-
-
 def _tables(found: Checked) -> tuple[PageTable, ...]:
-    out = []
+    header = _errors_header(found)
+    out = [PageTable(header[0].capitalize(), ("model", *header[1:]), _errors(found), heading=True)]
     if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
         below = "Of a base: in the frame of the first joint. Of a tool: in its own."
         out.append(PageTable("What changed", _SIZES, rows, 2, below, heading=True))
@@ -170,14 +168,16 @@ def _tables(found: Checked) -> tuple[PageTable, ...]:
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
         below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"
-        out.append(PageTable("Noticed in 95 of 100 such checks", ("change", "mm"), noticed, below=below, heading=True))
+        out.append(
+            PageTable("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True)
+        )
     return tuple(out)
 
 
-def _errors(found: Checked) -> Section | None:
+def _station_errors(found: Checked) -> list[Figures]:
     """The error of each station before and after."""
     if found.station_errors is None:
-        return None
+        return []
     before, after = (1e3 * e for e in found.station_errors)
     x = np.arange(1.0, len(before) + 1.0)
     top = 1.1 * max(float(before.max()), float(after.max()), 1e-6)
@@ -187,7 +187,7 @@ def _errors(found: Checked) -> Section | None:
     alt = f"Error at every station: up to {before.max():.3f} mm by the frozen model"
     alt += f", up to {after.max():.3f} mm with what changed." if found.changes else "."
     caption = "circles: the model as calibrated; squares: with what changed put in"
-    return Section("errors", "Error at the stations", [Figures([panel.chart("stations", alt, caption)])])
+    return [Figures([panel.chart("stations", alt, caption)])]
 
 
 @dataclass(frozen=True)
