@@ -18,7 +18,7 @@ from modcal_core.measurements.samples import Samples
 from modcal_core.measuring.refit import refit
 from modcal_core.outcome.notes import readmitted_note
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.sentence import sentence
+from modcal_core.report.words import sentence
 
 ELBOW = 2
 

@@ -11,7 +11,7 @@ from report.reports import points
 from rich.console import Console
 
 from modcal_core.outcome.contents import Outcome
-from modcal_core.report.sentence import sentence
+from modcal_core.report.words import sentence
 from modcal_core.verdict.verdict import Row, Verdict
 from modcal_nodes.cli.show import show_report
 

@@ -15,7 +15,7 @@ from modcal_core.measurements.samples import cut_stations
 from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
-from modcal_core.report.sentence import NOT_SOUGHT, REMEDY, sentence
+from modcal_core.report.words import NOT_SOUGHT, REMEDY, sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Verdict

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modcal_core.report.report import Report, calibration_files, delta_files, report_files
     from modcal_core.report.sensitivity import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences
     from modcal_core.report.sensitivity import single_csv, to_text
-    from modcal_core.report.sentence import REMEDY, STATUS_WORDS, sentence, short_status
+    from modcal_core.report.words import REMEDY, STATUS_WORDS, sentence, short_status
     from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone, summary
 else:
     from modcal_core.lazy import lazy_face

@@ -37,8 +37,8 @@ from modcal_core.report.page import (
     size_tables,
 )
 from modcal_core.report.scene import scene
-from modcal_core.report.sentence import STATUS_WORDS, sentence
 from modcal_core.report.terminal import Account, accounts
+from modcal_core.report.words import STATUS_WORDS, sentence
 from modcal_core.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}

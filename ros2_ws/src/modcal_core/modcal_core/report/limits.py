@@ -12,7 +12,7 @@ from modcal_core.geometry import Array
 from modcal_core.outcome import counted
 from modcal_core.report.page import Listing, Page, PageTable, Section, files_section
 from modcal_core.report.scene import ShownPostures
-from modcal_core.report.sentence import percent
+from modcal_core.report.words import percent
 from modcal_core.robots import LoadedArm, Window, constant_bounds
 
 _MAX = 200  # postures written one by one

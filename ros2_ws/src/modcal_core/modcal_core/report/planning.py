@@ -15,7 +15,7 @@ from modcal_core.report.as_json import claim_data
 from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel, as_file
 from modcal_core.report.page import Figures, Listing, Page, Section, files_section
 from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
-from modcal_core.report.sentence import percent
+from modcal_core.report.words import percent
 from modcal_core.robots import plain
 
 _MEASURES = {"p95": "95th percentile", "rms": "RMS"}

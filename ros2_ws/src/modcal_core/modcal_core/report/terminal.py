@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from modcal_core.outcome import STAGES, Outcome
-from modcal_core.report.sentence import MAX_REASONS, sentence
+from modcal_core.report.words import MAX_REASONS, sentence
 from modcal_core.verdict import Row, Status, Verdict
 
 EFFECT = "effect:"
