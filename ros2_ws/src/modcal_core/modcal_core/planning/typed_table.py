@@ -4,7 +4,7 @@ Angles are in degrees and lengths in millimetres, for people type them. What a s
 (semicolons, decimal commas, byte order marks, UTF-16) is undone; what a person may have typed wrongly is refused with
 its row, and nothing of that table is taken in.
 
-Base and tool are those on which most of the stations agree (:mod:`modcal_core.plausibility.consensus`), so that a few
+Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.hand_eye`), so that a few
 wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, columns that were swapped,
 another row's reading or a wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
 stands beside the arm can still correct it.
