@@ -24,8 +24,7 @@ from judging import columns_judged, judged
 
 from modcal_core.errors import ModcalError
 from modcal_core.robot import Robot
-from modcal_msgs_py.tables.propose import find
-from modcal_msgs_py.tables.proposed import proposal
+from modcal_msgs_py.tables.propose import Arm, find
 
 TARGET, OUTCOMES, SEEDS = 0.95, ("right", "asked", "less", "wrong"), {"plain": 120, "columns": 60}
 
@@ -37,7 +36,7 @@ def one(task: harness.Task) -> harness.Result:
         written = (exports if plain else columns).draw(task["seed"], folder)
         robot = Robot.from_urdf((FOLDER / f"{written.recorded.robot}.urdf").read_text())
         try:
-            made = proposal(find(written.paths, robot.chain, inertias=None if plain else robot.inertias), None)
+            made = find(written.paths, Arm(robot.chain, None if plain else robot.inertias))
             if made.open:
                 return {**written.about, "outcome": "asked", "said": "; ".join(made.open)[:300]}
             if plain:

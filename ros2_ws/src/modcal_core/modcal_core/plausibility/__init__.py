@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_core.plausibility.computed_part import computed_in_part
     from modcal_core.plausibility.consensus import CLEARLY, Consensus
     from modcal_core.plausibility.consistency import disagreement
-    from modcal_core.plausibility.conventions import BEYOND_DOUBT, points_match, proved
+    from modcal_core.plausibility.conventions import BEYOND_DOUBT, is_astray, points_left, points_match, proved
     from modcal_core.plausibility.coordinates import written_otherwise
     from modcal_core.plausibility.joint_columns import likely_orders
     from modcal_core.plausibility.joint_map import mixed_joints
@@ -33,6 +33,6 @@ else:
 __all__ = ["ANGLE", "BEYOND_DOUBT", "CLEARLY", "EULER", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
 __all__ += ["MISREAD", "OF_REACH", "QUATERNION", "ArmMiss", "Consensus", "Disagreement", "Judged", "Placed"]
 __all__ += ["Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreeing_channel", "disagreement"]
-__all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "mispaired", "mixed_joints"]
-__all__ += ["other_link", "part_apart", "points_match", "proved", "recognised", "require_plausible", "rivals"]
+__all__ += ["inverse_pose", "is_astray", "judge", "left_handed", "likely_orders", "limits", "mispaired", "mixed_joints"]
+__all__ += ["other_link", "part_apart", "points_left", "points_match", "proved", "recognised", "require_plausible", "rivals"]
 __all__ += ["same_poses", "several_placements", "sights_match", "turnings", "written_otherwise", "wrong_joints"]

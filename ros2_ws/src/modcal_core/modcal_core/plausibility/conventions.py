@@ -260,15 +260,68 @@ def match(samples: Samples, chain: Chain, log_volume: float = 0.0, parts: tuple[
     return best
 
 
-def points_match(chain: Chain, q: Array, position: Array, log_volume: float = 0.0) -> Match:
-    """How well points (N, 3) [m] of the tool fit, as :func:`match` of poses; angles are zero."""
-    A, size = forward(chain, q)[None], len(q)
-    gaps = tool_and_place(base_by_positions(A, position[None]), A, position[None])[0][0]
-    scale = _Scale.of(chain, position)
+def points_match(
+    chain: Chain, q: Array, position: Array, log_volume: float = 0.0, group: np.ndarray | None = None
+) -> Match:
+    """How well points (N, 3) [m] of the tool fit, as :func:`match` of poses; angles are zero. group: see below."""
+    gaps, size, scale = points_left(chain, q, position, group), len(q), _Scale.of(chain, position)
     total = _log_likelihood(gaps, scale.position, scale.extent) + size * log_volume
-    score = total * min(1.0, _INDEPENDENT / size) - 4.5 * np.log(size)
+    cost = 3.0 + 1.5 * (1 if group is None else len(np.unique(group)))
+    score = total * min(1.0, _INDEPENDENT / size) - cost * np.log(size)
     typical = float(np.median(np.linalg.norm(gaps, axis=1)))
     return Match(float(score), 0.0, _rms(gaps), _perfect(np.zeros_like(gaps), gaps, scale), typical, 0.0, 1)
+
+
+def points_left(chain: Chain, q: Array, position: Array, group: np.ndarray | None = None) -> Array:
+    """What base and tool leave of points (N, 3) [m], fitted so that single bad rows do not move them.
+
+    group: which target on the tool each is of (N,), where there are several; each has a place of its own.
+    """
+    A, scale = forward(chain, q), _Scale.of(chain, position)
+    of = np.zeros(len(q), int) if group is None else np.unique(group, return_inverse=True)[1]
+    best, rows = np.zeros((0, 3)), np.arange(len(q))
+    for _ in range(2):  # from all rows, and from the half that then fits best
+        Y = base_by_positions(A[None, rows], position[None, rows])[0]
+        gaps = _refined_points(Y, A, position, of, scale)
+        if not len(best) or _log_likelihood(gaps, scale.position, scale.extent) > _log_likelihood(
+            best, scale.position, scale.extent
+        ):
+            best = gaps
+        rows = np.sort(np.argsort(np.linalg.norm(gaps, axis=1), kind="stable")[: max(len(q) // 2, 6)])
+    return best
+
+
+def _refined_points(Y: Array, A: Array, position: Array, of: np.ndarray, scale: _Scale) -> Array:
+    """Residuals (N, 3) after robust Newton steps of the base's turn, its place, and a place of each target."""
+    _, x0, t = tool_and_place(Y, A, position)
+    x, N = np.tile(x0, (int(of.max()) + 1, 1)), len(A)
+    for _ in range(_ROUNDS):
+        point = (A[:, :3, :3] @ x[of][..., None])[..., 0] + A[:, :3, 3]
+        gaps = position - (point @ Y.T + t)
+        G = np.zeros((N, 3, 6 + x.size))
+        G[:, :, :3] = -Y @ so3.hat(point)
+        G[:, :, 3:6] = np.eye(3)
+        for k in range(len(x)):
+            G[of == k, :, 6 + 3 * k : 9 + 3 * k] = Y @ A[of == k, :3, :3]
+        square = np.sum(gaps**2, axis=1)
+        weight = 1.0 / (max(float(np.median(square)) / 2.366, scale.position**2) + square)  # Cauchy
+        H = np.einsum("n,nij,nik->jk", weight, G, G)
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        g = np.einsum("n,nij,ni->j", weight, G, gaps)
+        step = unit * np.linalg.solve(H * np.outer(unit, unit) + 1e-9 * np.eye(len(H)), unit * g)
+        step = step / max(float(np.linalg.norm(step[:3])), 1.0)
+        Y, t, x = Y @ so3.exp(step[:3]), t + step[3:6], x + step[6:].reshape(-1, 3)
+        if np.linalg.norm(step[:3]) < 1e-6:
+            break
+    return position - ((A[:, :3, :3] @ x[of][..., None])[..., 0] + A[:, :3, 3]) @ Y.T - t
+
+
+def is_astray(chain: Chain, position: Array, gaps: Array) -> np.ndarray:
+    """Rows (N,) whose residuals (N, 3) are twenty times as likely of a reading that may say anything."""
+    scale, square = _Scale.of(chain, position), np.sum(gaps**2, axis=1)
+    sigma = max(scale.position, float(np.sqrt(np.median(square) / 2.366)))
+    inside = np.log((1.0 - _ASTRAY) / (2.0 * np.pi * sigma**2) ** 1.5) - 0.5 * square / sigma**2
+    return np.log(_ASTRAY / scale.extent) - inside > np.log(20.0)
 
 
 def _perfect(turns: Array, gaps: Array, scale: _Scale) -> bool:
