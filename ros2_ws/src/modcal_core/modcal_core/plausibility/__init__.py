@@ -34,5 +34,14 @@ __all__ = ["ANGLE", "BEYOND_DOUBT", "CLEARLY", "EULER", "LENGTHS", "LIMIT_OF_REA
 __all__ += ["MISREAD", "OF_REACH", "QUATERNION", "ArmMiss", "Consensus", "Disagreement", "Judged", "Placed"]
 __all__ += ["Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreeing_channel", "disagreement"]
 __all__ += ["inverse_pose", "is_astray", "judge", "left_handed", "likely_orders", "limits", "mispaired", "mixed_joints"]
-__all__ += ["other_link", "part_apart", "points_left", "points_match", "proved", "recognised", "require_plausible", "rivals"]
+__all__ += [
+    "other_link",
+    "part_apart",
+    "points_left",
+    "points_match",
+    "proved",
+    "recognised",
+    "require_plausible",
+    "rivals",
+]
 __all__ += ["same_poses", "several_placements", "sights_match", "turnings", "written_otherwise", "wrong_joints"]

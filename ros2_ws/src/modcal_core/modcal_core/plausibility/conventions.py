@@ -47,6 +47,7 @@ _TURNED = 3.0  # nominal angles RMS over space, as an arm's own errors come to
 _MAX_LEFT = 0.5  # of the residual, by the convention that is meant
 _PART = 0.2  # share of the stations that agree as they are, from which another convention is none of all of them
 _ROUNDS = 8  # iterations
+_HOPELESS = 0.25  # of the reach; what the usual row misses by more no bad row has brought about
 _NEAR = 3.0  # nominal deviations within which a nominal arm's readings lie (Gaussian: 99 % along each axis)
 
 
@@ -279,15 +280,16 @@ def points_left(chain: Chain, q: Array, position: Array, group: np.ndarray | Non
     """
     A, scale = forward(chain, q), _Scale.of(chain, position)
     of = np.zeros(len(q), int) if group is None else np.unique(group, return_inverse=True)[1]
-    best, rows = np.zeros((0, 3)), np.arange(len(q))
+    best, most, rows = np.zeros((0, 3)), -np.inf, np.arange(len(q))
     for _ in range(2):  # from all rows, and from the half that then fits best
         Y = base_by_positions(A[None, rows], position[None, rows])[0]
         gaps = _refined_points(Y, A, position, of, scale)
-        if not len(best) or _log_likelihood(gaps, scale.position, scale.extent) > _log_likelihood(
-            best, scale.position, scale.extent
-        ):
-            best = gaps
-        rows = np.sort(np.argsort(np.linalg.norm(gaps, axis=1), kind="stable")[: max(len(q) // 2, 6)])
+        if (now := _log_likelihood(gaps, scale.position, scale.extent)) > most:
+            best, most = gaps, now
+        away = np.linalg.norm(gaps, axis=1)
+        if not _NEAR * scale.position < np.median(away) < _HOPELESS * chain.reach():
+            break
+        rows = np.sort(np.argsort(away, kind="stable")[: max(len(q) // 2, 6)])
     return best
 
 

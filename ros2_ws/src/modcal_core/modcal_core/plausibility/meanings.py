@@ -80,7 +80,7 @@ class Judged:
         return self.share <= OF_MOTION
 
     def explained(self, chain: Chain) -> bool:
-        """Whether what is left is besides no more than most nominal arms are wrong by: no other meaning is looked for."""
+        """Whether what is left is also no more than most nominal arms are wrong by: no other meaning is looked for."""
         return self.near and self.match.typical <= ARM_SHARE * chain.reach() and self.match.typical_angle <= ARM_ANGLE
 
 

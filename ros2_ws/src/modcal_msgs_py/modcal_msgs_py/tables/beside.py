@@ -16,8 +16,8 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_gravity_wrench
 from modcal_msgs_py.tables.columns import JointColumns, Numbers, is_counter
-from modcal_msgs_py.tables.fits import Choice, Fitted
-from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped
+from modcal_msgs_py.tables.fits import Fitted, JointChoice
+from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped, words
 from modcal_msgs_py.tables.readings import EFFORTS, UNITS
 
 _SPEEDS = {name: unit for unit, names in {"rad/s": "rad/s rad/sec rads", "deg/s": "deg/s °/s deg/sec dps degs"}.items()
@@ -29,16 +29,16 @@ _SURE = 0.9  # correlation of speeds with slopes
 _SLOPE = 1.25  # factor by which the scale of speeds may be off: filters of controllers and coarse stamps
 _HOLDS = 0.8  # correlation of efforts with what gravity asks, from which their sign is told
 _FOLLOWS = 0.1  # rad or m; commanded joints are this near
-_NOT_A_SIGNAL = frozenset(
+_NOT_A_SIGNAL = words(
     "frame index id nr no number count sample row station sub residual rms error err std sigma stdev deviation "
-    "uncertainty quality intensity confidence status valid time timestamp stamp date flag markers covariance".split()
+    "uncertainty quality intensity confidence status valid time timestamp stamp date flag markers covariance"
 )
-_WARM = frozenset("temperature temp temperatur".split())
+_WARM = words("temperature temp temperatur")
 _NOT_CELSIUS = ("k", "°f", "f")
 _TOPIC = re.compile(r"[^A-Za-z0-9_]+")
-_STD = frozenset("std stdev stddev sigma sd deviation".split())
+_STD = words("std stdev stddev sigma sd deviation")
 _SHORT = re.compile(r"\b(?:s|sd|std|sigma)[xyz]\b")
-_TURNED = frozenset("rot rotation angle orientation ori angular rx ry rz roll pitch yaw".split())
+_TURNED = words("rot rotation angle orientation ori angular rx ry rz roll pitch yaw")
 _FINEST = 1e-6  # m, rad; standard deviations of instruments are more
 
 
@@ -66,7 +66,7 @@ class Surroundings:
 
     numbers: Numbers
     chain: Chain
-    choice: Choice
+    choice: JointChoice
     fitted: Fitted | None
     taken: set[int]
     stamps: Array | None
@@ -105,7 +105,7 @@ def _commanded(out: OtherColumns, around: Surroundings, some: Sequence[JointColu
     for one in some:
         units = {}
         for angle in ("rad", "deg"):
-            values = Choice(one, angle, choice.length, choice.counted).postures(chain, around.numbers.values)
+            values = JointChoice(one, angle, choice.length, choice.counted).postures(chain, around.numbers.values)
             gap = np.abs(values - q)
             if np.isfinite(gap).any() and bool((np.nanmedian(gap, axis=0) < _FOLLOWS).all()):
                 units[angle] = float(np.nanmedian(gap))
@@ -296,9 +296,7 @@ def _is_warm(numbers: Numbers, k: int) -> bool:
     return bool(_WARM & set(numbers.labels[k].words)) and numbers.labels[k].told not in _NOT_CELSIUS
 
 
-def _signals(
-    out: OtherColumns, around: Surroundings, families: Sequence[JointColumns], of_joints: set[int]
-) -> None:
+def _signals(out: OtherColumns, around: Surroundings, families: Sequence[JointColumns], of_joints: set[int]) -> None:
     """Take every other labelled column that changes and is neither a counter nor a reading's own error as a signal."""
     numbers, labels = around.numbers, around.numbers.labels
     for one in families:

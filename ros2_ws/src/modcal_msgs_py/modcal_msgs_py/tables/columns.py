@@ -155,7 +155,8 @@ def bodies(numbers: Numbers, taken: set[int], time: set[int]) -> list[Body]:
         own = sorted((t for t in turns if not set(t) & set(p)), key=lambda t, p=p: (_apart(numbers, p, t), -len(t)))  # type: ignore[misc]
         if not own:  # columns beside it, whatever they are called
             beside = [tuple(range(max(p) + 1, max(p) + 4)), tuple(range(min(p) - 3, min(p)))]
-            own = [t for t in beside if set(t) <= set(numbers.usable) & set(turning) and is_turned(numbers.whole(t))]
+            plain = {k for k in turning if k in numbers.usable and not numbers.labels[k].of_instrument}
+            own = [t for t in beside if set(t) <= plain and is_turned(numbers.whole(t))]
         out += [Body(p, t, True, computed) for t in (*own[:4], None)]
     out += [Body(t[:3], t[3:], True) for t in grouped(labelled, "homogeneous") if is_turned(numbers.whole(t[3:]))]
     out.sort(key=lambda body: (body.computed, body.turned is None))
@@ -230,8 +231,8 @@ def _by_name(numbers: Numbers, names: Sequence[str]) -> list[JointColumns]:
             if not common and all(w.isdigit() for w in core):
                 break
             wordy = any(len(w) > 2 and not w.isdigit() for w in core)
-            fits = [k for k, label in labels.items()
-                    if core and k not in chosen and core <= set(label.words) and (wordy or _holds(label.words, own))]  # fmt: skip
+            fits = [k for k, label in labels.items() if core and k not in chosen and core <= set(label.words)]
+            fits = [k for k in fits if wordy or _holds(labels[k].words, own)]
             if not fits:
                 break
             chosen.append(min(fits, key=lambda k: len(labels[k].words)))

@@ -17,7 +17,17 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
-from modcal_core.measurements import SOCKETS, JointTrack, ReadingTrack, Recording, Schema, SignalTrack, require, shown
+from modcal_core.measurements import (
+    SOCKETS,
+    TARGETS,
+    JointTrack,
+    ReadingTrack,
+    Recording,
+    Schema,
+    SignalTrack,
+    require,
+    shown,
+)
 from modcal_msgs_py.tables import readings as of_readings
 from modcal_msgs_py.tables.moments import TIME, stamps_of
 from modcal_msgs_py.tables.readings import COLUMN, FORMS, JOINTS, READINGS, each, mapping, one_of, said
@@ -151,9 +161,10 @@ def _faulty(table: Mapping[str, Any]) -> Iterator[_Fault]:
             yield ": signals", f"{shown(name)} is not a topic name", remedy
     joints = table.get("joints", {})
     for part in ("units", "sign", "offset", "coupled", "velocity", "effort", "commanded"):
-        named = joints.get(part, {})
-        named = [*named, *(n for some in named.values() for n in some)] if part == "coupled" else named
-        for name in named.get("columns", {}) if part in ("velocity", "effort", "commanded") else named:
+        stated = joints.get(part, {})
+        stated = stated.get("columns", {}) if part in ("velocity", "effort", "commanded") else stated
+        others = [name for some in stated.values() for name in some] if part == "coupled" else []
+        for name in (*stated, *others):
             if name not in joints["columns"]:
                 yield f": joints: {part}", f"{name} has no position column", "name joints of columns"
 
@@ -248,7 +259,8 @@ class _Found:
         stamps, note = stamps_of(table, time, self._clock)
         if target is not None:
             names = table.text(target)
-            self._changes += [float(stamps[i]) for i in range(1, len(names)) if names[i] != names[i - 1]]
+            self._changes += [0.5 * (a + b) for a, b, *change in zip(stamps, stamps[1:], names, names[1:], strict=False)
+                              if change[0] != change[1]]  # fmt: skip
         if "joints" in entry:
             track, wanted = of_readings.joints_of(table, entry["joints"], stamps)
             self.joints.append(track)
@@ -257,7 +269,9 @@ class _Found:
         self.signals += _signals(table, entry, stamps)
         faults.require_none()
         if not np.isfinite(stamps).any() or ("joints" in entry and not len(self.joints[-1].stamps)):
-            raise BadTable(sheet.path.name, "has no row with a time and all joints", "check the columns and missing cells")
+            raise BadTable(
+                sheet.path.name, "has no row with a time and all joints", "check the columns and missing cells"
+            )
         self._clock = float(np.nanmax(stamps)) + 1.0
         self._notes += [n for n in (note, *faults.notes()) if n and n not in self._notes]
         self.readings += found
@@ -268,6 +282,8 @@ class _Found:
         yield from self._notes
         if self._sockets:
             yield f"{SOCKETS}{', '.join(dict.fromkeys(self._sockets))}."
+        if self._changes:
+            yield f"{TARGETS}{', '.join(f'{stamp:.3f}' for stamp in self._changes)}."
 
 
 _TARGET_S = 10.0  # s between rows that are put in order of their targets, whose times are then lost

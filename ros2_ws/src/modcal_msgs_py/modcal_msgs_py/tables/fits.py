@@ -17,7 +17,7 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.columns import Body, JointColumns, Numbers
-from modcal_msgs_py.tables.proof import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, Correction, Judged
+from modcal_msgs_py.tables.proof import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, JointCounting, Judged
 
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 _GOAL = 0.1  # of what goal plus or minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be
@@ -25,7 +25,7 @@ MAX_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
 
 
 @dataclass(frozen=True)
-class Choice:
+class JointChoice:
     """What the joints' columns are taken for. angle, length: unit of turning joints, and of sliding ones. counted: how
     the table counts them.
     """
@@ -33,7 +33,7 @@ class Choice:
     joints: JointColumns
     angle: str
     length: str
-    counted: Correction = field(default_factory=lambda: Correction({}, ""))
+    counted: JointCounting = field(default_factory=lambda: JointCounting({}, ""))
 
     def scales(self, chain: Chain) -> Array:
         """What a unit of each joint is in rad or m, (n,)."""
@@ -62,13 +62,13 @@ class Choice:
         return out
 
 
-def choices_of(chain: Chain, joints: JointColumns, values: Array) -> list[Choice]:
+def choices_of(chain: Chain, joints: JointColumns, values: Array) -> list[JointChoice]:
     """Units that the joints may be in, of turning and of sliding ones."""
     turning = np.asarray(chain.revolute, bool)
     largest = float(np.abs(values[:, list(joints.columns)][:, turning]).max(initial=0.0))
     angles = ["deg"] if largest > MAX_RAD else ["rad", "deg"]
     lengths = ["m"] if turning.all() else list(LENGTHS)
-    return [Choice(joints, *units) for units in product(angles if turning.any() else ["rad"], lengths)]
+    return [JointChoice(joints, *units) for units in product(angles if turning.any() else ["rad"], lengths)]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Fitted:
     """One place of columns with its meanings, best first. target: the column that tells which target was measured."""
 
     body: Body
-    choices: tuple[Choice, ...]
+    choices: tuple[JointChoice, ...]
     found: tuple[Judged, ...]
     rows: np.ndarray
     target: int | None = None
@@ -87,7 +87,7 @@ class Fitted:
         return self.found[0]
 
     @property
-    def choice(self) -> Choice:
+    def choice(self) -> JointChoice:
         """What it takes the joints for."""
         return self.choices[self.best.meaning.postures]
 
@@ -216,9 +216,9 @@ def with_deviations(numbers: Numbers, places: Sequence[Body], away: tuple[int, .
     out: list[Body] = []
     for body in places:
         out.append(body)
-        if away and body.named and body.turned is None and not body.points:
-            if numbers.labels[away[0]].unit in (None, numbers.labels[body.position[0]].unit):
-                out += [replace(body, away=away, sign=sign, computed=False) for sign in (-1.0, 1.0)]
+        alike = away and numbers.labels[away[0]].unit in (None, numbers.labels[body.position[0]].unit)
+        if alike and body.named and body.turned is None and not body.points:
+            out += [replace(body, away=away, sign=sign, computed=False) for sign in (-1.0, 1.0)]
     return out
 
 

@@ -12,6 +12,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+
+def words(text: str) -> frozenset[str]:
+    """The words of a text."""
+    return frozenset(text.split())
+
+
 _BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]*)\s*[\])>}]")
 _SUFFIX = re.compile(r"[_ ](k?Nm{1,2}|(?:rad|deg|mm|m)[/_]s|gon|kg|degC|hPa|bar|mm|m|in|cm|deg|rad|%)$", re.IGNORECASE)
 _COVERAGE = re.compile(r"([23])[ _-]?(?:sigma|σ|std|s\b)|\bk ?= ?([23])|95")
@@ -33,10 +39,10 @@ _ROLES = {
     VELOCITY: "velocity vel qd dq speed rate",
     COMMANDED: "commanded command cmd target desired des setpoint ref reference demand nominal soll planned goal",
 }
-_ROLE_WORDS = {role: frozenset(words.split()) for role, words in _ROLES.items()}
+_ROLE_WORDS = {role: words(said) for role, said in _ROLES.items()}
 _COMPUTED = _ROLE_WORDS[COMMANDED] | {"tcp", "flange", "fk", "controller", "robot"}
 _TURNS = "r rot rotation orientation euler q quat quaternion angle ori rpy rotvec attitude"
-TURNS = frozenset(_TURNS.split())
+TURNS = words(_TURNS)
 _TURN = rf"\b(?:{_TURNS.replace(' ', '|')})\b(?: \w+)*? "
 _TRIPLES = (
     "rx ry rz", "roll pitch yaw", "a b c", "w p r", "alpha beta gamma", "phi theta psi", "u v w", "heading pitch roll",
@@ -45,7 +51,7 @@ _TRIPLES = (
 _XYZ = (("x", "y", "z"),)
 _ANGLE_ORDERS = tuple(tuple(triple.split()) for triple in _TRIPLES)
 _ANGLES = "|".join(sorted({name for order in _ANGLE_ORDERS for name in order}, key=len, reverse=True))
-_PLAIN = frozenset("rx ry rz roll pitch yaw rotx roty rotz".split())
+_PLAIN = words("rx ry rz roll pitch yaw rotx roty rotz")
 
 
 @dataclass(frozen=True)
@@ -89,7 +95,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     "position": (Rule((r"\b(?P<axis>[xyz])$", r"\b(?P<axis>[xyz])\b"), _XYZ, barred=TURNS | _ROLE_WORDS[OTHER]),
                  Rule((r"\b[tpd](?P<axis>[xyz])$",), _XYZ)),
     "difference": (Rule((r"\b(?P<axis>[xyz])\b",), _XYZ,
-                        frozenset("dif diff difference delta dev deviation err error d".split()), TURNS),
+                        words("dif diff difference delta dev deviation err error d"), TURNS),
                    Rule((r"\bd(?P<axis>[xyz])$",), _XYZ)),
     "quaternion": (Rule((rf"(?:\bq ?|\be (?=\d)|{_TURN})(?P<axis>[xyzw]|\d)$",),
                         (tuple("xyzw"), tuple("xyz0"), tuple("0123"), tuple("1234"))),),
@@ -163,6 +169,11 @@ class Label:
         """(name of the column in its body, name of the body) as a column of a kind; None where it is none."""
         found = (rule.axis(self.name) for rule in RULES[kind])
         return None if self.coverage and kind != "deviation" else next((axis for axis in found if axis), None)
+
+    @property
+    def of_instrument(self) -> bool:
+        """Whether it is one of a distance, a direction or a height."""
+        return any(self.axis(kind) for kind in ("range", "bearing", "touch"))
 
     @property
     def plainly_turned(self) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from modcal_core.geometry import Array
 from modcal_core.measurements import ORDER_ONLY, Schema
 from modcal_msgs_py.tables.columns import Numbers
+from modcal_msgs_py.tables.labels import words
 from modcal_msgs_py.tables.readings import COLUMN, mapping, one_of
 from modcal_msgs_py.tables.table import Table
 
@@ -85,9 +86,7 @@ def _dates(table: Table, column: Any, form: str) -> Array:
     return out
 
 
-_NAMES = frozenset(
-    "time timestamp stamp t zeit seconds sec secs epoch datetime date datum uhrzeit temps clock utc".split()
-)
+_NAMES = words("time timestamp stamp t zeit seconds sec secs epoch datetime date datum uhrzeit temps clock utc")
 # Every date with every time of day and zone; where two read all cells, the first counts
 _DATES = (
     "%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%m/%d/%Y", "%d/%m/%Y", "%Y.%m.%d", "%d-%m-%Y", "%Y%m%d", "%d-%b-%Y",
@@ -166,7 +165,7 @@ def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
         return None
     label = numbers.labels[k]
     told = label.unit if label.unit in SECONDS else next((w for w in label.words if w in SECONDS), None)
-    since_1970 = [u for u, s in SECONDS.items() if _EPOCH < s * column.min() and s * column.max() < _LAST]
+    since_1970 = [u for u, s in SECONDS.items() if s * column.min() > _EPOCH and s * column.max() < _LAST]
     unit = since_1970[0] if len(since_1970) == 1 else told or "s"
     how = "since 1970, by its size" if len(since_1970) == 1 else "by its label" if told else "assumed: no unit is told"
     if SECONDS[unit] * column.max() >= _LAST:

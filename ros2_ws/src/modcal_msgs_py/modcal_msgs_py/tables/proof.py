@@ -38,10 +38,20 @@ from modcal_core.plausibility import (
     sights_match,
     turnings,
 )
-from modcal_core.robots import Chain
+from modcal_core.robots import Chain, forward
 from modcal_msgs_py.tables.readings import joint_map
 
-__all__ = ["BEYOND_DOUBT", "EULER", "LENGTHS", "MATRIX", "MIN_ROWS", "QUATERNION", "Correction", "Judged", "Postures"]
+__all__ = [
+    "BEYOND_DOUBT",
+    "EULER",
+    "LENGTHS",
+    "MATRIX",
+    "MIN_ROWS",
+    "QUATERNION",
+    "JointCounting",
+    "Judged",
+    "Postures",
+]
 __all__ += ["SightMatch", "Sighting", "Turning", "astray", "by_target", "corrected", "is_turned", "judge"]
 __all__ += ["likely_orders", "rivals", "same_poses", "sights_match"]
 
@@ -49,7 +59,8 @@ _ROUNDS = 3  # mistakes in how joints are counted that are looked for, one after
 _HALF = 0.5  # of what is left, by which the reading that is meant must be better
 _TURNS = (90.0, -90.0, 180.0)  # degrees, by which zeros differ that were set otherwise
 _MOST_TARGETS, _EACH = 12, 5  # targets on a tool, and rows of each
-_MAX = 300  # rows that meanings are judged by
+_ROWS, _MAX = 60, 300  # rows that are looked at for the likeliest ways, and judged
+_COEFFICIENTS, _TRIED = 13, 8  # of a coordinate; ways that are judged
 
 
 def is_turned(values: Array) -> bool:
@@ -58,7 +69,7 @@ def is_turned(values: Array) -> bool:
 
 
 @dataclass(frozen=True)
-class Correction:
+class JointCounting:
     """How joints are counted otherwise than the robot description does: as a mapping states it, and in words."""
 
     stated: Mapping[str, Any]
@@ -69,44 +80,44 @@ class Correction:
         M, offset = joint_map({"unit": "rad", **self.stated}, names)
         return q @ M.T + offset
 
-    def joined(self, other: Correction) -> Correction:
+    def joined(self, other: JointCounting) -> JointCounting:
         """Both."""
         merged: dict[str, Any] = {key: dict(value) for key, value in self.stated.items()}
         for key, value in other.stated.items():
             merged[key] = {**merged.get(key, {}), **value}
-        return Correction(merged, "; ".join(w for w in (self.words, other.words) if w))
+        return JointCounting(merged, "; ".join(w for w in (self.words, other.words) if w))
 
 
-def _corrections(chain: Chain) -> Iterator[Correction]:
+def _corrections(chain: Chain) -> Iterator[JointCounting]:
     """Every joint the other way round, with another zero, and counted together with another."""
     names = [name for name, turns in zip(chain.names, chain.revolute, strict=True) if turns]
     for name in chain.names:
-        yield Correction({"sign": {name: -1.0}}, f"{name} counts the other way")
+        yield JointCounting({"sign": {name: -1.0}}, f"{name} counts the other way")
     for name in names:
         for angle in _TURNS:
             words = f"{abs(angle):g}° are {'added to' if angle > 0.0 else 'taken from'} {name}"
-            yield Correction({"offset": {name: float(np.radians(angle))}}, words)
+            yield JointCounting({"offset": {name: float(np.radians(angle))}}, words)
     for name, other in permutations(names, 2):
         for factor in (1.0, -1.0):
             words = f"{name} is counted together with {other} (so {other} is {'added' if factor > 0 else 'taken off'})"
-            yield Correction({"coupled": {name: {other: factor}}}, words)
+            yield JointCounting({"coupled": {name: {other: factor}}}, words)
 
 
 def corrected(
     chain: Chain, choices: Sequence[Postures], position: Array
-) -> tuple[int, Correction, list[Correction]] | None:
+) -> tuple[int, JointCounting, list[JointCounting]] | None:
     """Which choice of postures, counted how, makes points (N, 3) fit, and what fits as well; None: nothing does.
 
     One mistake after the other, each beyond doubt and of half of what is left.
     """
-    known = [Correction({}, "")] * len(choices)
+    known = [JointCounting({}, "")] * len(choices)
     base = max(_all(chain, choices, known, position), key=lambda j: j.match.score, default=None)
     if base is None:
         return None
     first, best = base.meaning.postures, base
-    so_far, alike = Correction({}, ""), list[Correction]()
+    so_far, alike = JointCounting({}, ""), list[JointCounting]()
     for _ in range(_ROUNDS):
-        tried = [so_far.joined(c) for c in _corrections(chain)]
+        tried = _likeliest(chain, [so_far.joined(c) for c in _corrections(chain)], choices[first].q, position)
         found = _all(chain, [choices[first]] * len(tried), tried, position)
         top = found[0]
         if top.match.score - best.match.score <= BEYOND_DOUBT or top.match.typical > _HALF * best.match.typical:
@@ -118,7 +129,24 @@ def corrected(
     return (first, so_far, alike) if so_far.stated and best.near else None
 
 
-def _all(chain: Chain, choices: Sequence[Postures], counted: Sequence[Correction], position: Array) -> list[Judged]:
+def _likeliest(chain: Chain, tried: list[JointCounting], q: Array, position: Array) -> list[JointCounting]:
+    """The ways of counting that leave least of the positions, whatever base, tool and unit are.
+
+    A coordinate of a point of the tool is linear in the tip's turn, its place and 1.
+    """
+    rows = spread_rows(len(position), _ROWS)
+    if len(rows) < 2 * _COEFFICIENTS:
+        return tried
+    left = []
+    for counted in tried:
+        T = forward(chain, counted.applied(q[rows], chain.names))
+        design = np.c_[T[:, :3].reshape(-1, 12), np.ones(len(rows))]
+        fit = design @ np.linalg.lstsq(design, position[rows], rcond=1e-9)[0]
+        left.append(float(np.median(np.linalg.norm(position[rows] - fit, axis=1))))
+    return [tried[i] for i in np.argsort(left, kind="stable")[:_TRIED]]
+
+
+def _all(chain: Chain, choices: Sequence[Postures], counted: Sequence[JointCounting], position: Array) -> list[Judged]:
     rows = spread_rows(len(position), _MAX)
     postures = [
         Postures(c.applied(choice.q[rows], chain.names), choice.name)

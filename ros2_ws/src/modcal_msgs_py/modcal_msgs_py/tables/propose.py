@@ -33,8 +33,8 @@ from modcal_msgs_py.tables.columns import (
 )
 from modcal_msgs_py.tables.fits import (
     MAX_RAD,
-    Choice,
     Fitted,
+    JointChoice,
     choices_of,
     decided,
     differences,
@@ -42,7 +42,7 @@ from modcal_msgs_py.tables.fits import (
     with_deviations,
     worse,
 )
-from modcal_msgs_py.tables.labels import MEASURED
+from modcal_msgs_py.tables.labels import MEASURED, words
 from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
 from modcal_msgs_py.tables.proof import (
     LENGTHS,
@@ -60,7 +60,7 @@ from modcal_msgs_py.tables.proof import (
 )
 from modcal_msgs_py.tables.readings import rigid_poses
 from modcal_msgs_py.tables.sheet import Sheet, joined, sniff
-from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, is_sight, sight_columns
+from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, sight_columns
 from modcal_msgs_py.tables.table import Table
 
 _ORDERS = 6  # of columns without labels that are judged in full
@@ -112,7 +112,7 @@ class Arm:
 
 
 def find(paths: Sequence[Path], arm: Arm | Chain, watch: Watch = lambda stage: None) -> Proposal:
-    """A mapping for a file; for several, joined by a column that they share, or row by row where that makes the arm fit.
+    """A mapping for a file; of several, joined by a column that they share, or by their order where the arm then fits.
 
     Raises BadTable where no reading of the columns has to do with the arm at all.
     """
@@ -142,7 +142,7 @@ def _found(way: _Together, arm: Arm, watch: Watch) -> Proposal:
     labelled = [
         j
         for j in joint_columns(numbers, chain.names)
-        if not set(j.columns) & sure and not all(is_sight(numbers.labels[k]) for k in j.columns)
+        if not set(j.columns) & sure and not all(numbers.labels[k].of_instrument for k in j.columns)
     ]
     taken = {k for j in labelled for k in j.columns}
     time = find_time(numbers, taken)
@@ -228,7 +228,7 @@ class _Search:
                 out.append(fitted)
         return out
 
-    def _fitted(self, body: Body, joints: Sequence[JointColumns], counted: Sequence[Choice] = ()) -> Fitted | None:
+    def _fitted(self, body: Body, joints: Sequence[JointColumns], counted: Sequence[JointChoice] = ()) -> Fitted | None:
         values = self._numbers.values
         used = [*body.columns, *(k for j in joints for k in j.columns)]
         rows = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1))
@@ -369,7 +369,8 @@ def _decided(
         elif set(chosen.body.position) != set(other.body.position):
             questions.append(f"{' and '.join(names)} both move with the tool: keep the columns of the target that was "
                              "measured")  # fmt: skip
-    if not chosen.body.posed and any(f.body.turned for f in rest):
+    turned = [f.body.turned for f in rest if f.body.turned is not None]
+    if not chosen.body.posed and any(len(t) > 3 or numbers.labels[t[0]].axis("angles") for t in turned):
         questions.append(
             "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, "
             "rotvec or matrix, or leave the orientation out"
@@ -451,7 +452,7 @@ def _made(
         if stated:
             entry[key] = stated
     said += [*assumed, *beside.said, *_unused(numbers, {*used, *time.columns})]
-    mapping = {"undecided": list(questions)} if questions else {}
+    mapping: dict[str, Any] = {"undecided": list(questions)} if questions else {}
     mapping |= {**({"urdf": arm.urdf} if arm.urdf else {}), "tables": [entry]}
     return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), questions)
 
@@ -471,7 +472,7 @@ def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
 # --- Several files: rows belong together by a column that they share, or by their order
 
 _SHARED = 0.5  # of the rows must have a partner
-_KEYS = frozenset("station id pose index nr no number point frame time timestamp stamp t sample".split())
+_KEYS = words("station id pose index nr no number point frame time timestamp stamp t sample")
 _STEP = 0.5  # of the usual step of the finer file, by which times may differ
 _MIN_SHARED, _MIN_COLUMNS = 3, 2
 
@@ -509,7 +510,9 @@ def _joined(known: _Together, other: Sheet, path: Path) -> Iterator[_Together]:
         how += "" if within is None else f", the nearest within {within:g}"
         options.append(({"by": {ours.key(a): theirs.key(b)}, **near}, how))
     if len(known.sheet.rows) == len(other.rows):
-        how = f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the arm's fit bears out"
+        how = (
+            f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the arm's fit bears out"
+        )
         options.append(({"by": "row"}, how))
     for by, how in options:
         stated = {"files": path.name, **form, **by}

@@ -138,14 +138,16 @@ def merged_joints(tracks: list[JointTrack]) -> JointTrack | None:
         return None
     if any(track.names != tracks[0].names for track in tracks):
         raise BadTable("tables", "have different joints", "import them into bags of their own")
-    return replace(tracks[0], **{n: np.concatenate([getattr(t, n) for t in tracks]) for n in _OF_ROWS})
+    columns: dict[str, Any] = {n: np.concatenate([getattr(t, n) for t in tracks]) for n in _OF_ROWS}
+    return replace(tracks[0], **columns)
 
 
 _OF_ROWS = ("stamps", "position", "velocity", "effort", "received")
 
 
 def _rows(track: JointTrack, keep: np.ndarray) -> JointTrack:
-    return replace(track, **{name: getattr(track, name)[keep] for name in _OF_ROWS})
+    columns: dict[str, Any] = {name: getattr(track, name)[keep] for name in _OF_ROWS}
+    return replace(track, **columns)
 
 
 def _scale(part: Mapping[str, Any], units: Mapping[str, float], name: str) -> float:
@@ -173,7 +175,7 @@ def _beside(
 
 
 @dataclass(frozen=True)
-class Form:
+class OrientationForm:
     """One form of an orientation. properties: of a mapping, all required but those in optional. rotations: of the
     columns (m, k) that hold one, with which of them (m,) do.
     """
@@ -223,13 +225,13 @@ _SEQUENCE: Schema = {
     "description": "upper case turning along with the body, lower case about fixed axes",
 }
 FORMS = {
-    "euler": Form(3, {"unit": _ANGLE, "sequence": _SEQUENCE}, (), _by_angles),
-    "quaternion": Form(
+    "euler": OrientationForm(3, {"unit": _ANGLE, "sequence": _SEQUENCE}, (), _by_angles),
+    "quaternion": OrientationForm(
         4, {"columns": said(columns(4), "those of x, y, z and w, in this order"), "conjugate": {"type": "boolean"}},
         ("conjugate",), _by_quaternion,
     ),
-    "rotvec": Form(3, {"unit": _ANGLE}, (), _by_angles),
-    "matrix": Form(9, {"columns": said(columns(9), "row by row")}, (), _by_matrix),
+    "rotvec": OrientationForm(3, {"unit": _ANGLE}, (), _by_angles),
+    "matrix": OrientationForm(9, {"columns": said(columns(9), "row by row")}, (), _by_matrix),
 }  # fmt: skip
 
 
@@ -285,10 +287,13 @@ def _length(table: Table, one: Mapping[str, Any], where: str) -> _Read:
     return UNITS[one["unit"]] * table.numbers([one["column"]]), table.present(one["column"])
 
 
-def direction(azimuth: Array, second: Array, zenith: bool, clockwise: bool) -> Array:
-    """Unit vectors (N, 3) of angles [rad]. zenith: the second is from above. clockwise: azimuths grow so."""
-    up = np.pi / 2.0 - second if zenith else second
-    azimuth = -azimuth if clockwise else azimuth
+def direction(angles: Array, zenith: bool, clockwise: bool) -> Array:
+    """Unit vectors (N, 3) of azimuths and second angles (N, 2) [rad].
+
+    zenith: the second is from above. clockwise: azimuths grow so.
+    """
+    up = np.pi / 2.0 - angles[:, 1] if zenith else angles[:, 1]
+    azimuth = -angles[:, 0] if clockwise else angles[:, 0]
     return np.stack([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)], axis=1)
 
 
@@ -296,7 +301,7 @@ def _bearing(table: Table, one: Mapping[str, Any], where: str) -> _Read:
     keys = one.get("vector") or [one[key] for key in ("azimuth", "elevation", "zenith") if key in one]
     u, there = table.numbers(keys), table.present(keys)
     if "vector" not in one:
-        u = direction(*(UNITS[one["unit"]] * u.T), "zenith" in one, bool(one.get("clockwise")))
+        u = direction(UNITS[one["unit"]] * u, "zenith" in one, bool(one.get("clockwise")))
     length = np.linalg.norm(u, axis=1)
     for i in np.flatnonzero(there & ~(length > 0.0)).tolist():
         table.bad(i, keys[0], "a vector of zeros is not a direction", "zeros")
@@ -313,7 +318,9 @@ def _targets(table: Table, one: Mapping[str, Any], where: str) -> _Read:
     if there.any():
         poses, shape = rigid_poses(seen[there])
         if np.linalg.svd(shape, compute_uv=False)[1] < _ON_A_LINE:
-            raise BadTable(where, f"targets {', '.join(names)} lie on a line", "give three that do not, or one as point")
+            raise BadTable(
+                where, f"targets {', '.join(names)} lie on a line", "give three that do not, or one as point"
+            )
         values[there] = se3.to_pose(poses)
     return values, there
 
@@ -333,7 +340,7 @@ def rigid_poses(points: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadingKind:
     """One kind of reading in a mapping. kind: of the track. properties: that are stated beside the frame."""
 
     kind: str
@@ -360,28 +367,28 @@ _PLACE: Schema = {
     "std": _STD,
 }
 READINGS = {
-    "pose": Reading(
+    "pose": ReadingKind(
         POSE, "/tracker/pose", _pose,
         {**_PLACE, "inverse": said({"type": "boolean"}, "true: the table holds the tracker's pose in the tool"),
          **{name: form.schema for name, form in FORMS.items()}},
         ("unit", "position"),
     ),
-    "targets": Reading(
+    "targets": ReadingKind(
         POSE, "/tracker/pose", _targets,
         {"unit": _LENGTH, "points": {"type": "object", "additionalProperties": columns(3), "minProperties": 3}},
         ("unit", "points"),
     ),
-    "point": Reading(POINT, "/tracker/point", _position, _PLACE, ("unit", "position")),
-    "same_point": Reading(POINT, "/tracker/point", partial(_nothing, 3), {}, several=False),
-    "range": Reading(RANGE, "/tracker/range", _length, _LENGTHS, ("unit", "column")),
-    "bearing": Reading(
+    "point": ReadingKind(POINT, "/tracker/point", _position, _PLACE, ("unit", "position")),
+    "same_point": ReadingKind(POINT, "/tracker/point", partial(_nothing, 3), {}, several=False),
+    "range": ReadingKind(RANGE, "/tracker/range", _length, _LENGTHS, ("unit", "column")),
+    "bearing": ReadingKind(
         BEARING, "/tracker/bearing", _bearing,
         {"vector": columns(3), "unit": one_of("rad", "deg", "gon"), "azimuth": COLUMN, "elevation": COLUMN,
          "zenith": COLUMN,
          "clockwise": said({"type": "boolean"}, "true: the azimuth grows clockwise, seen from above")},
     ),
-    "plane": Reading(TOUCH, "/tracker/plane", _length, _LENGTHS),
-    "ray": Reading(RAY, "/gripper/range", _length, _LENGTHS, ("unit", "column")),
+    "plane": ReadingKind(TOUCH, "/tracker/plane", _length, _LENGTHS),
+    "ray": ReadingKind(RAY, "/gripper/range", _length, _LENGTHS, ("unit", "column")),
 }  # fmt: skip
 
 

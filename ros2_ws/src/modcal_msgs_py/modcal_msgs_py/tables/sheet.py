@@ -15,12 +15,12 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
+from modcal_msgs_py.tables.labels import words
 
 BLANKS = " "  # as a delimiter: any run of blanks and tabs
 # What exports write where there is no number, in small letters
-MISSING = frozenset(
-    "nan na n/a #n/a #na null none nil - -- --- missing inf -inf -nan 1.#qnan -1.#ind -nan(ind) nan(ind) #value! "
-    "#num!".split()
+MISSING = words(
+    "nan na n/a #n/a #na null none nil - -- --- missing inf -inf -nan 1.#qnan -1.#ind -nan(ind) nan(ind) #value! #num!"
 ) | {""}
 _NO_READING = -1e28  # NDI writes -3.697314e28 where a tool was not seen
 _NAMED = re.compile(r"\s*([A-Za-z]\w*)\s*[=:]\s*(?=[-+.,\d])")  # X=12.5
@@ -120,7 +120,7 @@ def texts(path: Path, encoding: str | None = None) -> tuple[dict[str, str], str,
 def _workbook(path: Path) -> dict[str, str]:
     """The sheets of an Excel workbook as tables with tabs."""
     try:
-        from openpyxl import load_workbook  # an optional library, and a large one
+        from openpyxl import load_workbook  # type: ignore[import-untyped]  # an optional library, and a large one
     except ImportError as error:
         remedy = "install openpyxl (pip install modcal[xlsx]), or save the sheet as CSV"
         raise BadTable(str(path), "is a workbook, and openpyxl is not installed", remedy) from error
@@ -131,7 +131,7 @@ def _workbook(path: Path) -> dict[str, str]:
     except Exception as error:  # whatever a damaged archive leads it to
         said = f"cannot be read as an Excel workbook ({type(error).__name__})"
         raise BadTable(str(path), said, "save the sheet as CSV") from error
-    return {name: "\n".join("\t".join(map(_cell, row)) for row in some) for name, some in rows.items()}
+    return {name: "\n".join("\t".join(map(_cell, row)).rstrip("\t") for row in some) for name, some in rows.items()}
 
 
 def _cell(value: Any) -> str:
@@ -218,7 +218,7 @@ _UNIT = re.compile(
 
 
 def sniff(path: Path, least: int = _MIN_COLUMNS) -> Sheet:
-    """A file with how it is written. least: columns with numbers. Raises BadTable where no block of such rows is found."""
+    """A file with how it is written. least: columns with numbers. Raises BadTable where no such rows are found."""
     found, encoding, sure = texts(path)
     best: tuple[int, str, Form] = (0, "", Form())
     for name, text in found.items():
@@ -333,8 +333,8 @@ def _partners(sheet: Sheet, other: Sheet, stated: Mapping[str, Any], source: str
     wanted = [cell_value(cell, sheet.form.decimal) for cell in sheet.column(index(sheet, ours))]
     known = [cell_value(cell, other.form.decimal) for cell in other.column(index(other, theirs))]
     if "within" in stated:
-        partner = _nearest(*(np.array([k if isinstance(k, float) else np.nan for k in x]) for x in (wanted, known)),
-                           float(stated["within"]))  # fmt: skip
+        numbers = [np.array([k if isinstance(k, float) else np.nan for k in side]) for side in (wanted, known)]
+        partner = _nearest(numbers[0], numbers[1], float(stated["within"]))
     else:
         rows: dict[object, int] = {}
         for k, key in enumerate(known):

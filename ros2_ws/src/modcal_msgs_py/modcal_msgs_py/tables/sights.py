@@ -13,8 +13,8 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import BEARING, RANGE, TOUCH
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.columns import JointColumns, Numbers
-from modcal_msgs_py.tables.fits import Choice, choices_of
-from modcal_msgs_py.tables.labels import Label, grouped
+from modcal_msgs_py.tables.fits import JointChoice, choices_of
+from modcal_msgs_py.tables.labels import grouped, words
 from modcal_msgs_py.tables.proof import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_msgs_py.tables.readings import UNITS, direction
 
@@ -23,7 +23,7 @@ _MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
 _VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
 _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane"}
 _FRAMES = {RANGE: "anchor", BEARING: "station", TOUCH: "plane"}
-_EMPTY = frozenset("angle to sensor reading above x ux dx nx direction dir u unit vector".split())  # of an instrument
+_EMPTY = words("angle to sensor reading above x ux dx nx direction dir u unit vector")  # of an instrument
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Way:
     zenith: bool = False
     clockwise: bool = False
 
-    def words(self, choices: Sequence[Choice]) -> str:
+    def words(self, choices: Sequence[JointChoice]) -> str:
         """Description in words."""
         said = f"in {self.unit}" if self.unit else "as unit vectors"
         if self.unit in _ANGLES:
@@ -59,7 +59,7 @@ class Way:
 class Sighted:
     """Readings that are no positions, with what they mean: for each kind its ways, best first."""
 
-    choices: tuple[Choice, ...]
+    choices: tuple[JointChoice, ...]
     rows: np.ndarray
     found: dict[str, list[tuple[Way, SightMatch]]]
     instruments: tuple[SightColumns, ...]
@@ -67,7 +67,7 @@ class Sighted:
     zeros: tuple[int, ...] = ()
 
     @property
-    def choice(self) -> Choice:
+    def choice(self) -> JointChoice:
         """What the joints' columns are taken for."""
         return self.choices[next(iter(self.found.values()))[0][0].choice]
 
@@ -104,11 +104,6 @@ class Sighted:
                 gap = match.score - worse.score
                 out.append(f"second best, worse by {gap:.0f} in log-likelihood: {other.words(self.choices)}")
         return out
-
-
-def is_sight(label: Label) -> bool:
-    """Whether a label is one of a distance, a direction or a height."""
-    return any(label.axis(kind) for kind in _WORDS)
 
 
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
@@ -150,7 +145,7 @@ def find_sights(
     numbers: Numbers, chain: Chain, joints: Sequence[JointColumns], instruments: Sequence[SightColumns]
 ) -> Sighted | None:
     """What columns of distances, directions and heights mean; None where no reading of any of them fits the arm."""
-    used = [k for one in (*instruments, *joints) for k in one.columns]
+    used = [k for columns in (*(i.columns for i in instruments), *(j.columns for j in joints)) for k in columns]
     rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
     if len(rows) < MIN_ROWS:
         return None
@@ -215,6 +210,6 @@ def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[SightCo
         else:
             x = UNITS[unit] * x
             volume += len(one.columns) * float(np.log(UNITS[unit]))
-            x = direction(*x.T, zenith, clockwise) if one.kind == BEARING else x
+            x = direction(x, zenith, clockwise) if one.kind == BEARING else x
         sightings.append(Sighting(one.frame, one.kind, x))
     return sights_match(chain, q, sightings, volume)

@@ -98,7 +98,7 @@ def _labelled(path: Path, line: int) -> TextTrack:
     read = {k: label for k, label in free.items() if label.role in (MEASURED, COMMANDED) and not label.computed}
     axes = {k: axis for k, label in read.items() if (axis := label.axis("position")) is not None}
     if twice := [k for k, axis in axes.items() if list(axes.values()).count(axis) > 1]:
-        said = f"has two columns labelled {numbers.shown(twice[-1])}"
+        said = f"has two columns labelled {numbers.shown(twice[0])}"
         raise BadTable(str(path), said, "give each a label of its own")
     named = grouped(read, "position")
     if len(named) != 1:
