@@ -299,9 +299,10 @@ class _Search:
         found = corrected(self._chain, choices, position)
         if found is None:
             return fits
-        k, counted, alike = found
-        some = [replace(point.choices[k], counted=c) for c in (counted, *alike)]
-        made = [self._fitted(b, [some[0].joints], some) for b in dict.fromkeys((first.body, point.body))]
+        k, counted, rivalling = found
+        some = [replace(point.choices[k], counted=c) for c in (counted, *rivalling)]
+        alike = [f.body for f in plain if f.body.position == point.body.position]
+        made = [self._fitted(b, [some[0].joints], some) for b in dict.fromkeys((*alike, point.body))]
         return [f for f in made if f is not None and f.best.near] or fits
 
     def _of_targets(self, point: Fitted) -> Fitted | None:
@@ -345,10 +346,12 @@ def _decided(
 ) -> tuple[Fitted, list[str], list[str]]:
     """The place that is proposed, what is to be asked, and what is to be said."""
 
-    def likely(f: Fitted) -> tuple[object, ...]:
+    def likely(f: Fitted) -> tuple[bool | float, ...]:
         explained = f.best.explained(chain)
-        rank = (f.computed, f.body.computed, not f.body.posed, not f.body.named) if explained else ()
-        return (not explained, not f.best.near, *rank, -f.best.match.score if not explained else 0.0)
+        # numbers that are rotations for themselves are believed where they are near; angles may be read in many ways
+        posed = f.body.posed and (explained or len(f.body.turned or ()) > 3)
+        order = (f.computed, f.body.computed, not posed, not explained, not f.body.named)
+        return (not f.best.near, *order, -f.best.match.score)
 
     chosen, *rest = sorted(fits, key=likely)
     questions, assumed, best = list[str](), list[str](), chosen.best
