@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from judging import same_rigid
 from scipy.spatial.transform import Rotation
-from sheet import ARMS, DIGITS, LENGTH, Array, Sheet, Written, record
+from sheet import ARMS, DIGITS, LENGTH, Array, Sheet, Written, nominal, record
 
 FAULTS = ("bad row", "zero", "coupled", "reversed", "quarter turn", "targets", "by row", "ten rows", "two faults")
 
@@ -73,10 +74,13 @@ def judged(written: Written, recording: Any) -> str:
     """Of joints and their points: "right", or what is wrong."""
     (joints,), (reading,), truth = recording.joints, recording.readings, written.recorded
     q: Array = joints.position[:, [joints.names.index(name) for name in truth.names]]
-    off = (q - truth.q + np.pi) % (2.0 * np.pi) - np.pi
-    off = off - (np.median(off, axis=0) if written.about["fault"] == "quarter turn" else 0.0)
-    if np.abs(off).max() > 1e-4:
-        return f"joints off by {np.abs(off).max():.3g}"
+    arm = nominal(truth.robot)
+    A, B = (np.tile(np.eye(4), (len(q), 1, 1)) for _ in range(2))
+    for T, values in ((A, q), (B, truth.q)):
+        T[:, :3, 3], T[:, :3, :3] = arm.tool(values, np.zeros(3))
+    gap, turn = same_rigid(A, B)  # a joint that turns the other way may be half a turn of its neighbours
+    if gap > 1e-4 or turn > 1e-3:
+        return f"the arm is off by {gap:.3g} m, {turn:.3g} rad"
     (kind,) = written.readings
     if reading.kind != kind:
         return f"{reading.kind} of a {kind}"

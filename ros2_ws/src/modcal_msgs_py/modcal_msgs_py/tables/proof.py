@@ -103,6 +103,9 @@ def _corrections(chain: Chain) -> Iterator[JointCounting]:
             yield JointCounting({"coupled": {name: {other: factor}}}, words)
 
 
+_Way = tuple[int, JointCounting]  # number of the choice of postures, and how it counts joints
+
+
 def corrected(
     chain: Chain, choices: Sequence[Postures], position: Array
 ) -> tuple[int, JointCounting, list[JointCounting]] | None:
@@ -110,26 +113,40 @@ def corrected(
 
     One mistake after the other, each beyond doubt and of half of what is left.
     """
-    known = [JointCounting({}, "")] * len(choices)
-    base = max(_all(chain, choices, known, position), key=lambda j: j.match.score, default=None)
-    if base is None:
-        return None
-    first, best = base.meaning.postures, base
-    so_far, alike = JointCounting({}, ""), list[JointCounting]()
+    ways: list[_Way] = [(k, JointCounting({}, "")) for k in range(len(choices))]
+    best = next(iter(_all(chain, choices, ways, position)), None)
+    alike = list[JointCounting]()
     for _ in range(_ROUNDS):
-        tried = _likeliest(chain, [so_far.joined(c) for c in _corrections(chain)], choices[first].q, position)
-        found = _all(chain, [choices[first]] * len(tried), tried, position)
+        if best is None or best.explained(chain):
+            break
+        tried = [(k, counted.joined(c)) for k, counted in ways for c in _corrections(chain)]
+        tried = _likeliest(chain, choices, tried, position)
+        found = _all(chain, choices, tried, position)
         top = found[0]
-        if top.match.score - best.match.score <= BEYOND_DOUBT or top.match.typical > _HALF * best.match.typical:
+        if top.match.score - best.match.score <= BEYOND_DOUBT or top.share > _HALF * best.share:
             break
-        best, so_far = top, tried[top.meaning.postures]
-        alike = [tried[j.meaning.postures] for j in rivals(found) if j.meaning.unit == top.meaning.unit]
-        if best.explained(chain):
-            break
-    return (first, so_far, alike) if so_far.stated and best.near else None
+        k = tried[top.meaning.postures][0]
+        same = [j for j in (top, *rivals(found)) if j.meaning.unit == top.meaning.unit]
+        counted = [tried[j.meaning.postures][1] for j in same if tried[j.meaning.postures][0] == k]
+        best, (first, *alike) = top, _distinct(chain, counted, choices[k].q)
+        ways = [(k, first)]
+    (k, counted_so), *others = ways
+    return (k, counted_so, alike) if counted_so.stated and not others and best is not None and best.near else None
 
 
-def _likeliest(chain: Chain, tried: list[JointCounting], q: Array, position: Array) -> list[JointCounting]:
+def _distinct(chain: Chain, counted: Sequence[JointCounting], q: Array) -> list[JointCounting]:
+    """The same without those that are the first one said otherwise, of which the plainest is kept.
+
+    A joint between two others that turns the other way is one with half a turn added to its neighbours.
+    """
+    T = [forward(chain, c.applied(q, chain.names)) for c in counted]
+    same = [c for c, other in zip(counted, T, strict=True) if same_poses(T[0], other[:, :3, :3], other[:, :3, 3])]
+    plainest = [c.words for c in _corrections(chain)]
+    first = min(same, key=lambda c: next((i for i, w in enumerate(plainest) if c.words.endswith(w)), 0))
+    return [first, *(c for c in counted if c not in same)]
+
+
+def _likeliest(chain: Chain, choices: Sequence[Postures], tried: list[_Way], position: Array) -> list[_Way]:
     """The ways of counting that leave least of the positions, whatever base, tool and unit are.
 
     A coordinate of a point of the tool is linear in the tip's turn, its place and 1.
@@ -138,20 +155,18 @@ def _likeliest(chain: Chain, tried: list[JointCounting], q: Array, position: Arr
     if len(rows) < 2 * _COEFFICIENTS:
         return tried
     left = []
-    for counted in tried:
-        T = forward(chain, counted.applied(q[rows], chain.names))
+    for k, counted in tried:
+        T = forward(chain, counted.applied(choices[k].q[rows], chain.names))
         design = np.c_[T[:, :3].reshape(-1, 12), np.ones(len(rows))]
         fit = design @ np.linalg.lstsq(design, position[rows], rcond=1e-9)[0]
         left.append(float(np.median(np.linalg.norm(position[rows] - fit, axis=1))))
     return [tried[i] for i in np.argsort(left, kind="stable")[:_TRIED]]
 
 
-def _all(chain: Chain, choices: Sequence[Postures], counted: Sequence[JointCounting], position: Array) -> list[Judged]:
+def _all(chain: Chain, choices: Sequence[Postures], ways: Sequence[_Way], position: Array) -> list[Judged]:
+    """The meanings of points, of these postures counted in these ways, best first."""
     rows = spread_rows(len(position), _MAX)
-    postures = [
-        Postures(c.applied(choice.q[rows], chain.names), choice.name)
-        for choice, c in zip(choices, counted, strict=True)
-    ]
+    postures = [Postures(c.applied(choices[k].q[rows], chain.names), choices[k].name) for k, c in ways]
     return judge(chain, postures, position[rows], None)
 
 

@@ -288,7 +288,10 @@ class _Search:
         if not fits or not self._measured or any(f.best.explained(self._chain) for f in fits):
             return fits
         self._watch("comparing how joints may be counted")
-        plain = [f for f in fits if f.body.named and not f.body.points and not f.body.away] or fits
+        labelled = [f for f in fits if f.choice.joints in self._measured and not f.body.points and not f.body.away]
+        plain = [f for f in labelled if f.body.named] or labelled
+        if not plain:
+            return fits
         first = max(plain, key=lambda f: (f.best.near, f.best.match.score))
         point = next((f for f in fits if f.body == replace(first.body, turned=None)), None)
         point = point or self._fitted(replace(first.body, turned=None), self._measured) or first
