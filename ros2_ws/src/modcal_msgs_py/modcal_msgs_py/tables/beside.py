@@ -20,8 +20,8 @@ from modcal_msgs_py.tables.fits import Fitted, JointChoice
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped, words
 from modcal_msgs_py.tables.readings import EFFORTS, UNITS
 
-_SPEEDS = {name: unit for unit, names in {"rad/s": "rad/s rad/sec rads", "deg/s": "deg/s °/s deg/sec dps degs"}.items()
-           for name in names.split()}  # fmt: skip
+_SPEEDS = {name: "rad/s" for name in words("rad/s rad/sec rads")}
+_SPEEDS |= {name: "deg/s" for name in words("deg/s °/s deg/sec dps degs")}
 _TORQUES = {"nm": "N m", "n-m": "N m", "n.m": "N m", "n": "N", "nmm": "N mm", "knm": "kN m"}
 _GAP = 0.25  # s between rows that are one motion, so that the slope of the joints is their speed
 _MOVING, _MIN_MOVING = 0.02, 20  # rad/s, and values that move as fast or faster, to tell a unit
@@ -210,9 +210,8 @@ def _holds(chain: Chain, inertias: Inertias | None, q: Array, effort: Array) -> 
 def _bystanders(out: OtherColumns, around: Surroundings) -> None:
     """Other joints of the robot description, by their names; turning ones in the arm's unit where no label says it."""
     for name, turns in around.bystanders.items():
-        words = Label.of(name).words
-        columns = [k for k, label in around.numbers.free(around.taken | out.used).items()
-                   if label.words == words and label.role == MEASURED]  # fmt: skip
+        own, free = Label.of(name).words, around.numbers.free(around.taken | out.used)
+        columns = [k for k, label in free.items() if label.words == own and label.role == MEASURED]
         unit = around.numbers.labels[columns[0]].unit if len(columns) == 1 else None
         unit = unit or (around.choice.angle if turns else None)
         if len(columns) != 1 or unit not in (("rad", "deg") if turns else ("m", "cm", "mm", "in")):

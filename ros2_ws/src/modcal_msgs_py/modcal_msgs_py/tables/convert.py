@@ -225,10 +225,8 @@ def read_tables(mapping: Any, folder: Path, source: str, heard: Callable[[float]
     if joints and readings and not sum(len(track.stamps) for track in readings):
         raise BadTable(source, "no row has a reading", "check the columns and missing cells")
     states = of_readings.merged_joints(joints)
-    recording = Recording(
-        () if states is None else (states,), of_readings.merged(readings), tuple(found.signals), None, source,
-        tuple(found.notes()),
-    )  # fmt: skip
+    tracks, signals, notes = of_readings.merged(readings), tuple(found.signals), tuple(found.notes())
+    recording = Recording(() if states is None else (states,), tracks, signals, None, source, notes)
     return Tables(recording, of_readings.merged_joints(found.commanded))
 
 
@@ -249,8 +247,9 @@ class _Found:
         """Read one table. Raises BadTable."""
         faults = Faults(sheet.path.name, entry.get("missing", "refuse") == "skip")
         time = entry["time"]
-        if target := next((one["target"] for key in ("pose", "point") for one in each(entry.get(key))
-                           if "target" in one), None):  # fmt: skip
+        places = [one for key in ("pose", "point") for one in each(entry.get(key))]
+        target = next((one["target"] for one in places if "target" in one), None)
+        if target is not None:
             sheet, in_order = _by_target(sheet, target)
             time = time if in_order else {"order": {"period_s": _TARGET_S}}
         table = Table(sheet, faults, frozenset(map(str, entry.get("missing_values", ()))))
@@ -259,8 +258,8 @@ class _Found:
         stamps, note = stamps_of(table, time, self._clock)
         if target is not None:
             names = table.text(target)
-            self._changes += [0.5 * (a + b) for a, b, *change in zip(stamps, stamps[1:], names, names[1:], strict=False)
-                              if change[0] != change[1]]  # fmt: skip
+            changes = [i for i in range(1, len(names)) if names[i] != names[i - 1]]
+            self._changes += [0.5 * float(stamps[i - 1] + stamps[i]) for i in changes]
         if "joints" in entry:
             track, wanted = of_readings.joints_of(table, entry["joints"], stamps)
             self.joints.append(track)

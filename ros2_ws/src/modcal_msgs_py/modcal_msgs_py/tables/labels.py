@@ -23,13 +23,10 @@ _SUFFIX = re.compile(r"[_ ](k?Nm{1,2}|(?:rad|deg|mm|m)[/_]s|gon|kg|degC|hPa|bar|
 _COVERAGE = re.compile(r"([23])[ _-]?(?:sigma|σ|std|s\b)|\bk ?= ?([23])|95")
 _WORD = re.compile(r"[A-Za-z°µ]+|\d+")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
-_NAMES_OF_UNITS = {
-    "mm": "mm millimeter millimeters millimetre", "cm": "cm", "m": "m meter meters metre", "in": "in inch inches",
-    "deg": "deg degree degrees °", "rad": "rad radian radians", "gon": "gon", "s": "s sec seconds", "ms": "ms",
-    "us": "us µs", "ns": "ns",
-}  # fmt: skip
 # Units as labels have them, and as a mapping does
-UNITS = {name: unit for unit, names in _NAMES_OF_UNITS.items() for name in names.split()}
+_UNITS = "mm millimeter millimeters millimetre|cm|m meter meters metre|in inch inches|deg degree degrees °"
+_UNITS += "|rad radian radians|gon|s sec seconds|ms|us µs|ns"
+UNITS = {name: names.split()[0] for names in _UNITS.split("|") for name in names.split()}
 MEASURED, COMMANDED, VELOCITY, EFFORT, OTHER = "measured", "commanded", "velocity", "effort", "other"
 _ROLES = {
     OTHER: "current temp temperature temperatur error err std stddev sd sigma stdev sx sy sz deviation covariance "
@@ -44,12 +41,10 @@ _COMPUTED = _ROLE_WORDS[COMMANDED] | {"tcp", "flange", "fk", "controller", "robo
 _TURNS = "r rot rotation orientation euler q quat quaternion angle ori rpy rotvec attitude"
 TURNS = words(_TURNS)
 _TURN = rf"\b(?:{_TURNS.replace(' ', '|')})\b(?: \w+)*? "
-_TRIPLES = (
-    "rx ry rz", "roll pitch yaw", "a b c", "w p r", "alpha beta gamma", "phi theta psi", "u v w", "heading pitch roll",
-    "ax ay az", "ox oy oz", "omega phi kappa", "wx wy wz", "rotx roty rotz", "o a t",
-)  # fmt: skip
+_TRIPLES = "rx ry rz|roll pitch yaw|a b c|w p r|alpha beta gamma|phi theta psi|u v w|heading pitch roll|ax ay az"
+_TRIPLES += "|ox oy oz|omega phi kappa|wx wy wz|rotx roty rotz|o a t"
 _XYZ = (("x", "y", "z"),)
-_ANGLE_ORDERS = tuple(tuple(triple.split()) for triple in _TRIPLES)
+_ANGLE_ORDERS = tuple(tuple(triple.split()) for triple in _TRIPLES.split("|"))
 _ANGLES = "|".join(sorted({name for order in _ANGLE_ORDERS for name in order}, key=len, reverse=True))
 _PLAIN = words("rx ry rz roll pitch yaw rotx roty rotz")
 

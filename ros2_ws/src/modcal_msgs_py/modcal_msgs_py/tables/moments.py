@@ -88,10 +88,8 @@ def _dates(table: Table, column: Any, form: str) -> Array:
 
 _NAMES = words("time timestamp stamp t zeit seconds sec secs epoch datetime date datum uhrzeit temps clock utc")
 # Every date with every time of day and zone; where two read all cells, the first counts
-_DATES = (
-    "%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%m/%d/%Y", "%d/%m/%Y", "%Y.%m.%d", "%d-%m-%Y", "%Y%m%d", "%d-%b-%Y",
-    "%d %b %Y", "%b %d %Y", "%d.%m.%y", "%m/%d/%y", "%Y:%m:%d",
-)  # fmt: skip
+_DATES = "%Y-%m-%d|%Y/%m/%d|%d.%m.%Y|%m/%d/%Y|%d/%m/%Y|%Y.%m.%d|%d-%m-%Y|%Y%m%d|%d-%b-%Y|%d %b %Y|%b %d %Y"
+_DATES += "|%d.%m.%y|%m/%d/%y|%Y:%m:%d"
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%I:%M:%S %p", "%H:%M", "%H%M%S", "%H-%M-%S", "%I:%M %p")
 _BETWEEN, _ZONES = (" ", "T", "_", ", ", ",", "-", ""), ("", "Z", "%z", " %z", " UTC")
 _ORDER_S = 10.0  # s between rows of which only the order is known
@@ -103,7 +101,7 @@ _ROWS = 200  # that are tried with a format
 def _formats() -> tuple[tuple[str, str], ...]:
     """(format, the signs that it must find) of every date and time, and of times alone."""
     times = [f"{time}{zone}" for zone, time in product(_ZONES, _TIMES)]
-    forms = [f"{date}{between}{time}" for between, time, date in product(_BETWEEN, times, _DATES)]
+    forms = [f"{date}{between}{time}" for between, time, date in product(_BETWEEN, times, _DATES.split("|"))]
     return tuple((form, re.sub("%.", "", form)) for form in (*forms, *times))
 
 

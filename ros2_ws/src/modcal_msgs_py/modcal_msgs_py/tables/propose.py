@@ -373,8 +373,8 @@ def _decided(
         if other.computed or (other.body.computed and not chosen.body.computed):
             assumed.append(f"{names[1]} look computed by the controller and are not used")
         elif set(chosen.body.position) != set(other.body.position):
-            questions.append(f"{' and '.join(names)} both move with the tool: keep the columns of the target that was "
-                             "measured")  # fmt: skip
+            both = " and ".join(names)
+            questions.append(f"{both} both move with the tool: keep the columns of the target that was measured")
     turned = [f.body.turned for f in rest if f.body.turned is not None]
     if not chosen.body.posed and any(len(t) > 3 or numbers.labels[t[0]].axis("angles") for t in turned):
         questions.append(

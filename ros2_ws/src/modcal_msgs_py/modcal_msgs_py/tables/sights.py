@@ -130,10 +130,10 @@ def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> I
         axis = numbers.labels[columns[0]].axis(kind)
         words = (axis[1] if axis is not None else numbers.labels[columns[0]].name).split()
         stem = "_".join(w for w in words if w not in _EMPTY)
+        anonymous = not stem or (kind != BEARING and (stem[0].isdigit() or len(stem) == 1))
         shared = kind == RANGE and ((stem or "station"), BEARING) in seen
-        plain = stem and (kind == BEARING or not (stem[0].isdigit() or len(stem) == 1))
-        name = first = stem or "station" if shared or (kind == BEARING and not stem) else (
-            stem if plain else f"{_FRAMES[kind]}_{stem}".rstrip("_"))  # fmt: skip
+        first = f"{_FRAMES[kind]}_{stem}".rstrip("_") if anonymous and not shared else stem or "station"
+        name = first
         count = 2
         while (name, kind) in seen:
             name, count = f"{first}_{count}", count + 1
