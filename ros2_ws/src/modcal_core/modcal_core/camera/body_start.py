@@ -356,7 +356,7 @@ def point_weights(fit: CameraFit) -> Array:
     table = fit.table
     T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
     rows = corner_rows(table, fit.state.lens, fit.state.shape, fit.poses.seen(T), fit.state.readout_s)
-    G = fit.equations.grams / fit.sizes.noise**2
+    G = fit.equations.cameras[0].grams / fit.sizes.noise**2
     own = (fit.equations.solve(fit.sizes).S @ G[:, :POSE, -1:])[:, :, 0]  # its twist, as likely as it is
     size = np.abs(rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0])
     sigma = TO_SIGMA * np.median(size[table.weight > 0.0])
@@ -404,8 +404,8 @@ def elsewhere(fit: CameraFit) -> np.ndarray:
 
     Of an image with few points it is those directions that it shows which count.
     """
-    G = fit.equations.grams / fit.sizes.noise**2
-    Q = fit.equations.covariance_of_views(fit.sizes)
+    G = fit.equations.cameras[0].grams / fit.sizes.noise**2
+    Q = fit.equations.cameras[0].covariance_of_views(fit.sizes)
     square, rank = np.zeros(len(G)), np.zeros(len(G), int)
     for i, (one, own) in enumerate(zip(G, Q, strict=True)):
         inner, score = one[:POSE, :POSE], one[:POSE, -1]

@@ -102,6 +102,11 @@ class CornerTable:
         """RMS of residuals (M, 2) of the corners in use."""
         return float(np.sqrt((self.weight @ (gap**2).sum(1)) / max(self.weight.sum(), 1.0)))
 
+    @property
+    def left_out(self) -> float:
+        """Share of corners left out."""
+        return 1.0 - float(self.weight.mean())
+
     def with_weight(self, weight: Array) -> CornerTable:
         """The same corners, those with weight 0 left out."""
         return replace(self, weight=weight)
@@ -340,6 +345,12 @@ class CommonPrior:
     def shape(self) -> Array:
         """Prior mean of shape and marker places, (5 + Z,)."""
         return shape_of(self.mean)
+
+    def with_block(self, rows: slice, information: Array) -> CommonPrior:
+        """The same with other information about these values, which are fitted."""
+        every, free = self.information.copy(), self.free.copy()
+        every[rows, rows], free[rows] = information, True
+        return replace(self, information=every, free=free)
 
     def with_places(self, places: PlacePrior) -> CommonPrior:
         """The same with markers whose places are expected so, of a body, which has no bow."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import minimize
 
 from modcal_core.calibration import Model, Uncertainty, View, general_samples, linearise
@@ -32,7 +33,7 @@ from modcal_core.camera.corners import (
     grams,
     residuals,
 )
-from modcal_core.camera.equations import Equations, OtherBlock, Sizes, SolvedEquations
+from modcal_core.camera.equations import CameraRows, Equations, Sizes, SolvedEquations
 from modcal_core.camera.lens import Lens
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE
@@ -170,7 +171,6 @@ _FIT_MET = 1e-4  # gain of −2 log likelihood
 _ROUNDS = 4  # of fitting and finding the sizes; they settle in two or three
 _SETTLED = 0.05  # change of a size's logarithm
 _DAMPED = 1e6  # at which no step helps
-_MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 @dataclass(frozen=True)
@@ -201,6 +201,27 @@ class CameraFit:
     def misfit(self) -> float:
         """−2 log of the likelihood of the images, everything integrated out, and of sizes as usual as these."""
         return self.equations.solve(self.sizes).misfit() + usual(self.sizes)
+
+    @property
+    def tool(self) -> Array:
+        """T_frame_tool at every image, (N, 4, 4)."""
+        return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
+
+    @property
+    def stated_arm(self) -> float | None:
+        """Size of the arm's faults, where it is stated."""
+        return self.sizes.arm if self.arm_stated else None
+
+    def weighed(
+        self,
+        equations: Equations | None = None,
+        misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
+    ) -> tuple[SolvedEquations, float]:
+        """(equations, −2 log likelihood) with the sizes of all errors found again. equations: None: as they are."""
+        equations = equations or self.equations
+        sizes = likeliest(equations, self.sizes, self.stated_arm, misfit_of)
+        solved = equations.solve(sizes)
+        return solved, misfit_of(solved) + usual(sizes)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -254,47 +275,39 @@ def fit_camera(
 
 
 def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState) -> Equations:
-    """The equations at a state."""
+    """The equations at a state, of all cameras and other instruments."""
+    P = poses.count
+    free = np.r_[np.ones(P, bool), poses.moves, prior.free]
+    free[P + 1 + READOUT] &= poses.moves
+    cameras = [_camera_rows(table, poses, state, np.arange(len(free)))]
+    cameras += [_camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
+    return Equations(
+        tuple(cameras),
+        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
+        block_diag(poses.information, np.array([[CLOCK_S**-2]]), prior.information),
+        free,
+        np.flatnonzero(poses.of_arm),
+        poses.rows_beside(state.values, P + 1),
+        poses.faults,
+        prior.places,
+    )
+
+
+def _camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns: np.ndarray) -> CameraRows:
+    """The factors of one camera. columns: where its parameters stand among those of all."""
     T, motions = poses.tool_motions(state.values, state.offset_s)
     joints = poses.joint_motions(state.values, T)
-    N, P = len(T), motions.shape[2]
     by_clock = np.einsum("nij,nj->ni", joints, poses.velocity)[:, :, None]
-    clocked = bool(np.abs(poses.velocity).max(initial=0.0) > _MOVING)
     moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
-    shifts = np.zeros((N, 6, 3))
-    shifts[:, :3] = poses.R_frame_root(poses.model_at(state.values))  # along axes that other cameras share
-    sweep = moved[:, :, P] if clocked else None
+    sweep = moved[:, :, -1] if poses.moves else None
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
-    information = np.zeros((P + 1 + len(prior.mean), P + 1 + len(prior.mean)))
-    information[:P, :P] = np.diag(poses.prior_std**-2)
-    further = poses.further_at(state)
-    for camera, first, _ in further:
-        own = slice(first, first + len(camera.own))
-        information[own, own] = camera.information
-    information[P, P] = CLOCK_S**-2
-    information[P + 1 :, P + 1 :] = prior.information
-    common_free = prior.free.copy()
-    common_free[READOUT] &= clocked
-    return Equations(
+    return CameraRows(
         grams(table, rows),
         moved,
         poses.as_twists(T, joints),
-        poses.as_twists(T, shifts),
-        np.r_[poses.of_arm, False],
-        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
-        information,
-        np.r_[np.ones(P, bool), clocked, common_free],
+        poses.as_twists(T, poses.shifts(state.values)),
+        columns,
         int((table.weight > 0.0).sum()),
-        poses.rows_beside(state.values, P + 1),
-        tuple(
-            OtherBlock(
-                equations_at(one.table, one.poses.with_effects(poses.model.effects), one.prior, there),
-                one.columns(poses, first),
-            )
-            for one, first, there in further
-        ),
-        poses.faults,
-        prior.places,
         poses.moments.stop,
     )
 
@@ -303,7 +316,7 @@ def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Ar
     """By how much corners (M, 2) are elsewhere than the model has them [px]."""
     T, _ = poses.tool_motions(state.values, state.offset_s)
     sweep = None
-    if np.abs(poses.velocity).max(initial=0.0) > _MOVING:
+    if poses.moves:
         by_clock = np.einsum("nij,nj->ni", poses.joint_motions(state.values, T), poses.velocity)
         sweep = poses.as_twists(T, by_clock[:, :, None])[:, :, 0]
     return residuals(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)

@@ -166,16 +166,16 @@ def _require_motion(T_base_tip: Array, seen: Array, turns: Array) -> None:
 _HELD_OUT = 4  # every fourth image
 
 
-def held_out(fit: CameraFit, nominal: CameraFit, arm: float | None) -> tuple[float, float]:
+def held_out(fit: CameraFit, nominal: CameraFit) -> tuple[float, float]:
     """RMS of (nominal, calibrated) on every fourth image, fitted to the others at the same sizes [px]."""
     N = fit.table.views
     held = np.arange(N) % _HELD_OUT == _HELD_OUT - 1
     if held.sum() == 0 or (~held).sum() < MIN_VIEWS:
         return float("nan"), float("nan")
     out = []
-    for one, size in ((nominal, None), (fit, arm)):
+    for one in (nominal, fit):
         seen = one.table.select(~held), one.poses.select(~held)
-        there = fit_camera(*seen, one.state.lens, one.prior, one.sizes, size, fixed_sizes=True)
+        there = fit_camera(*seen, one.state.lens, one.prior, one.sizes, one.stated_arm, fixed_sizes=True)
         unseen = one.table.select(held)
         out.append(unseen.rms(missed_pixels(unseen, one.poses.select(held), there.state)))
     return out[0], out[1]

@@ -142,9 +142,7 @@ def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> tuple[list[Arr
     rows = corner_rows(table, fit.state.lens, fit.state.shape, at.seen(T))
     G = grams(table, replace(rows, residual=np.zeros_like(rows.residual)))[:, :-1, :-1]
     joints = at.as_twists(T, at.joint_motions(fit.state.values, T))
-    along = np.zeros((len(q), POSE, 3))
-    along[:, :3] = np.eye(3)
-    shifts = at.as_twists(T, along)
+    shifts = at.as_twists(T, at.shifts(fit.state.values))
     own = fit.sizes.joint**2 * joints @ np.swapaxes(joints, 1, 2)
     own = own + fit.sizes.shift**2 * shifts @ np.swapaxes(shifts, 1, 2)
     by_arm, P = at.as_twists(T, motions), motions.shape[2]

@@ -80,9 +80,9 @@ def _kept(table: CornerTable, view: int) -> np.ndarray:
 
 def distances_of_views(fit: CameraFit) -> Array:
     """Squared distance of each image's pose from the arm's, in its own standard deviations, (N,): six on average."""
-    G = fit.equations.grams / fit.sizes.noise**2
+    G = fit.equations.cameras[0].grams / fit.sizes.noise**2
     Gpp, g = G[:, :POSE, :POSE], G[:, :POSE, -1:]
-    Q = fit.equations.covariance_of_views(fit.sizes)
+    Q = fit.equations.cameras[0].covariance_of_views(fit.sizes)
     inverse = np.linalg.pinv(Gpp, hermitian=True)
     off = inverse @ g
     return np.asarray((np.swapaxes(off, 1, 2) @ np.linalg.solve(inverse + Q, off))[:, 0, 0])
@@ -138,10 +138,12 @@ _Seen = tuple[CameraImages, CornerTable, LensFit, CommonPrior, Mounting, dict[st
 
 @dataclass(frozen=True)
 class PreparedImages:
-    """table: the corners. poses: the nominal arm at the images, base and tool as found. placed: parameters of these
-    alone. lens_fit: from the images alone. prior: of lens and sheet. mounting: as found. left_out: images by reason.
+    """target: that was seen. table: its corners. poses: the nominal arm at the images, base and tool as found. placed:
+    parameters of these alone. lens_fit: from the images alone. prior: of lens and sheet. mounting: as found. left_out:
+    images by reason.
     """
 
+    target: CalibrationTarget
     table: CornerTable
     poses: ArmPoses
     placed: tuple[ModelParameter, ...]
@@ -173,7 +175,7 @@ def prepare_images(
     at = (chain, images.q, velocity, mounting.T_frame_base, mounting.T_tip_tool, mounting.camera_on_tip, fixed)
     poses = arm_poses(*at, moments=images.moments, inertias=inertias)
     placed = arm_poses(*at, hand_eye_only=True).parameters
-    return PreparedImages(table, poses, placed, lens_fit, prior, mounting, left_out)
+    return PreparedImages(images.target, table, poses, placed, lens_fit, prior, mounting, left_out)
 
 
 def _of_sheet(chain: Chain, images: CameraImages, progress: Callable[[str], None]) -> _Seen:

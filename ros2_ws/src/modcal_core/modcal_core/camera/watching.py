@@ -103,9 +103,8 @@ class CameraWatch:
         """fit: the calibration, of one camera or several. target: as it was calibrated with, by all of them."""
         self._fit, self._target = fit, target
         self._cameras = {"": _Watched(fit.poses, fit.state, np.arange(len(fit.covariance)))}
-        for one, first, state in fit.poses.further_at(fit.state):
-            poses = one.poses.with_effects(fit.poses.model.effects)
-            self._cameras[one.name] = _Watched(poses, state, one.columns(fit.poses, first))
+        for one, columns, state in fit.poses.further_at(fit.state):
+            self._cameras[one.name] = _Watched(one.poses, state, columns)
         self._seen: deque[_ImageResidual] = deque(maxlen=_WINDOW * len(self._cameras))
         self._count = 0
 
@@ -130,8 +129,6 @@ class CameraWatch:
         G = grams(table, rows)[0] / fit.sizes.noise**2
         own = np.linalg.pinv(G[:POSE, :POSE], hermitian=True)
         by_joints = at.as_twists(T, at.joint_motions(state.values, T))[0]
-        along = np.zeros((1, POSE, 3))
-        along[0, :3] = at.R_frame_root(at.model_at(state.values))  # along axes that other cameras share
         P, K = motions.shape[2], len(watched.columns)
         by_own = np.zeros((POSE, K))
         by_own[:, :P] = at.as_twists(T, motions)[0]
@@ -145,7 +142,9 @@ class CameraWatch:
             T[0, :3, 3],
             own @ G[:POSE, -1],
             own,
-            np.concatenate([fit.sizes.joint * by_joints, fit.sizes.shift * at.as_twists(T, along)[0]], axis=1),
+            np.concatenate(
+                [fit.sizes.joint * by_joints, fit.sizes.shift * at.as_twists(T, at.shifts(state.values))[0]], axis=1
+            ),
             q,
             by_model,
             {half: twists[0] for half, twists in zip(halves, at.half_motions(T), strict=True)},

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from modcal_core.robot import Robot
-from modcal_nodes.cli.camera_input import read_input, stated_lenses
+from modcal_nodes.cli.camera_input import read_input, seen_by, stated_lenses
 from modcal_nodes.cli.certificate import certified_hashes, exit_code
 from modcal_nodes.cli.console import Output, tell
 from modcal_nodes.cli.inputs import EXISTING, Decimal, arm_line
@@ -192,34 +192,22 @@ def plan_next_images(
 def _solved(
     camera: dict[str, Any], options: dict[str, Any], bag: Path | None, watch: Watch
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
-    from modcal_core.camera import read_any_target, solve_camera
+    from modcal_core.camera import CameraProblem, read_any_target, solve_camera
 
     target = read_any_target(camera["target"])
-    stated = stated_lenses(camera["camera_info"] or ())
-    read = read_input(camera, options, target, bag, watch, stated)
+    read = read_input(camera, options, target, bag, watch, stated_lenses(camera["camera_info"] or ()))
     robot, found = read.robot, read.found
-    solution = solve_camera(
+    on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
+    problem = CameraProblem(
         robot.chain,
-        found.q,
-        found.views,
-        target,
-        found.size,
-        np.random.default_rng(options["seed"]),
-        velocity=found.velocity,
-        lens=read.lens,
-        stated=camera["intrinsics"],
+        (seen_by("images", found, target, camera, (read.lens, ""), on_tip), *read.further),
         arm_m=None if camera["arm_mm"] is None else 1e-3 * camera["arm_mm"],
-        camera_on_tip=None if camera["mounting"] is None else camera["mounting"] == "tip",
-        flat=camera["flat_target"],
         fixed=options["fixed"],
-        progress=watch,
-        moments=found.moments,
         inertias=robot.inertias,
         beside=read.others,
         look_for_effects=not options["geometry_only"],
-        fisheye=camera["fisheye"],
-        further=read.further,
     )
+    solution = solve_camera(problem, np.random.default_rng(options["seed"]), watch)
     return robot, found, replace(solution, notes=(*found.notes, *read.notes))
 
 

@@ -137,7 +137,7 @@ def read_input(
             (first, found), *others = by_name.items()
             on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
             further = tuple(
-                _seen(name or "images", one, target, camera, stated.get(camera_key(name), (None, "")), on_tip)
+                seen_by(name or "images", one, target, camera, stated.get(camera_key(name), (None, "")), on_tip)
                 for name, one in others
             )
             for name, one in others:
@@ -198,10 +198,10 @@ def _further(
     lens = stated.get(camera_key(topic))
     size = None if lens is None else lens[0].size
     found = read_bag_images(bag, recording, robot.names, own, topic, watch, size)
-    return _seen(topic, found, own, camera, lens or (found.lens, found.lens_of), None)
+    return seen_by(topic, found, own, camera, lens or (found.lens, found.lens_of), None)
 
 
-def _seen(
+def seen_by(
     name: str,
     found: ImageFolder,
     target: PrintedTarget | MarkerBundle,
@@ -209,7 +209,7 @@ def _seen(
     lens: tuple[Lens | None, str],
     on_tip: bool | None,
 ) -> CameraImages:
-    """What a further camera saw. lens: where known, and its source. on_tip: whether the arm carries the camera."""
+    """What a camera saw. lens: where known, and its source. on_tip: whether the arm carries it, where stated."""
     from modcal_core.camera import CameraImages
     from modcal_nodes.vision import require_size
 
