@@ -9,11 +9,11 @@ columns, the noise of corners counted,
 
 so images never tie parameters together, and the equations are a sum of small ones (Woodbury). Images that several
 cameras took at one stop share what joints and tool are off by: with z in standard deviations, camera k sees ξ_k = B_k
-z. So z is integrated out stop by stop, over all cameras,
+z. So z is integrated out stop by stop,
 
     H = Σ_k H_k − Uᵀ M⁻¹ U,   U = Σ_k B_kᵀ G_p,k,   M = 1 + Σ_k B_kᵀ G_pp,k B_k
 
-which for a stop of one camera is the same as integrating out ξ. The sizes of noise, ξ and the arm's expected faults are
+which for a stop of one image is the same as integrating out ξ. The sizes of noise, ξ and the arm's expected faults are
 those that make the data likeliest, the parameters integrated out (evidence, type II).
 """
 
@@ -72,7 +72,113 @@ class CameraRows:
     grams (N, 22 + Z, 22 + Z): products of each image's columns, at noise 1. moved (N, 6, K): twists by the K parameters
     of arm and clock. joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. columns (K + 15 + Z,):
     where its parameters stand among those of all cameras, −1 for one that is not fitted. corners: number in use. stop
-    (N,): number of each image's stop, which images of other cameras may share; empty where unknown.
+    (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown.
+    """
+
+    grams: Array
+    moved: Array
+    joints: Array
+    shifts: Array
+    columns: np.ndarray
+    corners: int
+    stop: np.ndarray
+
+    def covariance_of_views(self, sizes: Sizes) -> Array:
+        """Q of each image's own twist, (N, 6, 6)."""
+        joints, shifts = sizes.joint * self.joints, sizes.shift * self.shifts
+        return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
+
+    def own_twists(self, sizes: Sizes) -> tuple[Array, Array]:
+        """(S of each image, (N, 6, 6), log det (1 + G_pp Q) of each, (N,)) with these sizes."""
+        Q = self.covariance_of_views(sizes)
+        inner = np.eye(POSE) + self.grams[:, :POSE, :POSE] / sizes.noise**2 @ Q
+        return Q @ np.linalg.inv(inner), np.linalg.slogdet(inner)[1]
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over all images at noise 1. H, b, cost: of images whose target is where the model has it. inner: Σ Bᵀ G_pp B,
+    (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual, (S, m, size + 1). S stops, per unit of what is off.
+    """
+
+    H: Array
+    b: Array
+    cost: float
+    inner: Array
+    rows: Array
+
+    @classmethod
+    def of(cls, cameras: Sequence[CameraRows], size: int) -> _Sums:
+        """Of all cameras. size: number of all columns."""
+        stops = _stops([one.stop for one in cameras])
+        count, m = 1 + max(int(stop.max()) for stop in stops), cameras[0].joints.shape[2] + 3
+        inner, rows = np.zeros((count, m, m)), np.zeros((count, m, size + 1))
+        whole = np.zeros((size + 1, size + 1))
+        for one, stop in zip(cameras, stops, strict=True):
+            K = one.moved.shape[2]
+            own = np.concatenate([one.joints, one.shifts], axis=2)  # twists per unit of what is off
+            G = one.grams[:, :POSE]
+            to_pose = np.swapaxes(own, 1, 2) @ G
+            np.add.at(inner, stop, to_pose[:, :, :POSE] @ own)
+            by = np.concatenate([to_pose[:, :, :POSE] @ one.moved, to_pose[:, :, POSE:]], axis=2)
+            A = one.moved.reshape(-1, K)
+            cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
+            part = np.block(
+                [[A.T @ (G[:, :, :POSE] @ one.moved).reshape(-1, K), cross], [cross.T, one.grams[:, POSE:, POSE:].sum(0)]]
+            )
+            keep = np.flatnonzero(np.r_[one.columns, size] >= 0)
+            at = np.r_[one.columns, size][keep]
+            whole[np.ix_(at, at)] += part[np.ix_(keep, keep)]
+            spread = np.zeros((len(by), m, size + 1))
+            spread[:, :, at] = by[:, :, keep]
+            np.add.at(rows, stop, spread)
+        return cls(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), inner, rows)
+
+
+def _stops(given: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The stop of every image (N,) of each camera, from 0 on, one of its own where it is not known."""
+    known = np.concatenate(given)
+    alone = known == ALONE
+    known[alone] = known.max(initial=ALONE) + 1 + np.arange(alone.sum())
+    return np.split(np.unique(known, return_inverse=True)[1], np.cumsum([len(stop) for stop in given])[:-1])
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """noise: of corners, in units of what detection states. joint: what joints repeat to [rad, m]. shift: of the tool
+    besides [m]. arm: faults of the arm, in units of its prior. other: what readings of other instruments scatter beyond
+    what they state [m]. lengths: faults of its lengths against those of its angles, in units of what is usual.
+    places: offsets of a body's markers, in units of their tolerances.
+    """
+
+    noise: float
+    joint: float
+    shift: float
+    arm: float
+    other: float = 1e-4
+    lengths: float = 1.0
+    places: float = 1.0
+
+    @property
+    def logs(self) -> Array:
+        """Their logarithms, (7,)."""
+        values = (self.noise, self.joint, self.shift, self.arm, self.other, self.lengths, self.places)
+        return np.log(np.array(values))
+
+    @classmethod
+    def of_logs(cls, logs: Array) -> Sizes:
+        """The sizes with these logarithms (7,)."""
+        return cls(*(float(x) for x in np.exp(logs)))
+
+
+@dataclass(frozen=True)
+class CameraRows:
+    """The images of one camera at one state, the factors of a fit.
+
+    grams (N, 22 + Z, 22 + Z): products of each image's columns, at noise 1. moved (N, 6, K): twists by the K parameters
+    of arm and clock. joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. columns (K + 15 + Z,):
+    where its parameters stand among those of all cameras, −1 for one that is not fitted. corners: number in use. stop
+    (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown.
     """
 
     grams: Array
@@ -82,11 +188,6 @@ class CameraRows:
     columns: np.ndarray
     corners: int
     stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
-
-    @cached_property
-    def _total(self) -> Array:
-        """Sum over all images of what no image has of its own, at noise 1: (16 + Z, 16 + Z)."""
-        return np.asarray(self.grams[:, POSE:, POSE:].sum(0))
 
     def covariance_of_views(self, sizes: Sizes) -> Array:
         """Q of each image's own twist, (N, 6, 6)."""
@@ -237,21 +338,8 @@ class Equations:
     places: PlacePrior | None = None
 
     @cached_property
-    def _shares(self) -> list[np.ndarray]:
-        """Which images (N,) of each camera are of a stop that other images are of."""
-        number, seen = np.unique(np.concatenate([one.stop for one in self.cameras]), return_counts=True)
-        often = number[(seen > 1) & (number != ALONE)]
-        return [
-            np.isin(one.stop, often) if len(one.stop) and len(self.cameras) > 1 else np.zeros(len(one.grams), bool)
-            for one in self.cameras
-        ]
-
-    @cached_property
-    def _tied(self) -> TiedStops | None:
-        some = [k for k, share in enumerate(self._shares) if share.any()]
-        if not some:
-            return None
-        return TiedStops.of([self.cameras[k] for k in some], [self._shares[k] for k in some], len(self.offset))
+    def _sums(self) -> _Sums:
+        return _Sums.of(self.cameras, len(self.offset))
 
     def prior(self, sizes: Sizes) -> Array:
         """Information of the prior, (K + 15 + Z, K + 15 + Z)."""
@@ -265,21 +353,29 @@ class Equations:
 
     def solve(self, sizes: Sizes) -> SolvedEquations:
         """The normal equations with these sizes."""
-        size = len(self.offset)
-        data = Summed(np.zeros((size, size)), np.zeros(size), 0.0, 0.0)
-        for one, share in zip(self.cameras, self._shares, strict=True):
-            data = data.plus(one.summed(sizes, share), one.columns)
-        if self._tied is not None:
-            data = data.plus(self._tied.taken(sizes), np.arange(size))
+        sums, unit = self._sums, sizes.noise**-2
+        off = np.r_[np.full(len(sums.inner[0]) - 3, sizes.joint), np.full(3, sizes.shift)]
+        scale = off / sizes.noise
+        L = np.linalg.cholesky(np.eye(len(off)) + scale[:, None] * sums.inner * scale)
+        V = (np.linalg.inv(L) * (off * unit) @ sums.rows).reshape(-1, len(sums.b) + 1)
+        taken = V.T @ V
+        H, b, cost = unit * sums.H - taken[:-1, :-1], unit * sums.b - taken[:-1, -1], unit * sums.cost - taken[-1, -1]
+        spread = 2.0 * sum(one.corners for one in self.cameras) * np.log(sizes.noise**2)
+        spread += 2.0 * np.log(np.einsum("sii->si", L)).sum()
         if self.beside is not None:
-            data = data.plus(_of_readings(self.beside, sizes.other), np.arange(self.beside.J.shape[1]))
+            variance, J, r = self.beside.variance(sizes.other), self.beside.J, self.beside.residual
+            K = J.shape[1]
+            H[:K, :K] += J.T @ (J / variance[:, None])
+            b[:K] += (J / variance[:, None]).T @ r
+            cost += (r**2 / variance).sum()
+            spread += self.beside.share @ np.log(variance)
         prior = self.prior(sizes)
         use = np.flatnonzero(self.free)
         chosen = np.ix_(use, use)
         pull = prior @ self.offset
-        cost = data.cost + float(self.offset @ pull)
-        H = data.H[chosen] + prior[chosen]
-        return SolvedEquations(self, sizes, H, data.b[use] - pull[use], prior[chosen], cost, data.spread)
+        cost += self.offset @ pull
+        P = prior[chosen]
+        return SolvedEquations(self, sizes, H[chosen] + P, b[use] - pull[use], P, float(cost), float(spread))
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from modcal_core.camera.corners import (
     grams,
     residuals,
 )
-from modcal_core.camera.equations import CameraRows, Equations, Sizes, SolvedEquations
+from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
 from modcal_core.camera.lens import Lens
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE
@@ -308,7 +308,7 @@ def _camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, column
         poses.as_twists(T, poses.shifts(state.values)),
         columns,
         int((table.weight > 0.0).sum()),
-        poses.moments.stop,
+        poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE),
     )
 
 
