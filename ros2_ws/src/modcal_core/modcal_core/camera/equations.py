@@ -20,7 +20,7 @@ those that make the data likeliest, the parameters integrated out (evidence, typ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -88,6 +88,11 @@ class CameraRows:
         joints, shifts = sizes.joint * self.joints, sizes.shift * self.shifts
         return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
 
+    def own_twists(self, sizes: Sizes) -> Array:
+        """S of each image, (N, 6, 6)."""
+        Q = self.covariance_of_views(sizes)
+        return np.asarray(Q @ np.linalg.inv(np.eye(POSE) + self.grams[:, :POSE, :POSE] / sizes.noise**2 @ Q))
+
     def own_twists(self, sizes: Sizes) -> tuple[Array, Array]:
         """(S of each image, (N, 6, 6), log det (1 + G_pp Q) of each, (N,)) with these sizes."""
         Q = self.covariance_of_views(sizes)
@@ -124,7 +129,10 @@ class _Sums:
             A = one.moved.reshape(-1, K)
             cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
             part = np.block(
-                [[A.T @ (G[:, :, :POSE] @ one.moved).reshape(-1, K), cross], [cross.T, one.grams[:, POSE:, POSE:].sum(0)]]
+                [
+                    [A.T @ (G[:, :, :POSE] @ one.moved).reshape(-1, K), cross],
+                    [cross.T, one.grams[:, POSE:, POSE:].sum(0)],
+                ]
             )
             keep = np.flatnonzero(np.r_[one.columns, size] >= 0)
             at = np.r_[one.columns, size][keep]
@@ -141,149 +149,6 @@ def _stops(given: Sequence[np.ndarray]) -> list[np.ndarray]:
     alone = known == ALONE
     known[alone] = known.max(initial=ALONE) + 1 + np.arange(alone.sum())
     return np.split(np.unique(known, return_inverse=True)[1], np.cumsum([len(stop) for stop in given])[:-1])
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """noise: of corners, in units of what detection states. joint: what joints repeat to [rad, m]. shift: of the tool
-    besides [m]. arm: faults of the arm, in units of its prior. other: what readings of other instruments scatter beyond
-    what they state [m]. lengths: faults of its lengths against those of its angles, in units of what is usual.
-    places: offsets of a body's markers, in units of their tolerances.
-    """
-
-    noise: float
-    joint: float
-    shift: float
-    arm: float
-    other: float = 1e-4
-    lengths: float = 1.0
-    places: float = 1.0
-
-    @property
-    def logs(self) -> Array:
-        """Their logarithms, (7,)."""
-        values = (self.noise, self.joint, self.shift, self.arm, self.other, self.lengths, self.places)
-        return np.log(np.array(values))
-
-    @classmethod
-    def of_logs(cls, logs: Array) -> Sizes:
-        """The sizes with these logarithms (7,)."""
-        return cls(*(float(x) for x in np.exp(logs)))
-
-
-@dataclass(frozen=True)
-class CameraRows:
-    """The images of one camera at one state, the factors of a fit.
-
-    grams (N, 22 + Z, 22 + Z): products of each image's columns, at noise 1. moved (N, 6, K): twists by the K parameters
-    of arm and clock. joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. columns (K + 15 + Z,):
-    where its parameters stand among those of all cameras, −1 for one that is not fitted. corners: number in use. stop
-    (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown.
-    """
-
-    grams: Array
-    moved: Array
-    joints: Array
-    shifts: Array
-    columns: np.ndarray
-    corners: int
-    stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
-
-    def covariance_of_views(self, sizes: Sizes) -> Array:
-        """Q of each image's own twist, (N, 6, 6)."""
-        joints, shifts = sizes.joint * self.joints, sizes.shift * self.shifts
-        return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
-
-    def own_twists(self, sizes: Sizes) -> tuple[Array, Array]:
-        """(S of each image, (N, 6, 6), log det (1 + G_pp Q) of each, (N,)) with these sizes."""
-        Q = self.covariance_of_views(sizes)
-        inner = np.eye(POSE) + self.grams[:, :POSE, :POSE] / sizes.noise**2 @ Q
-        return Q @ np.linalg.inv(inner), np.linalg.slogdet(inner)[1]
-
-    def summed(self, sizes: Sizes, shared: np.ndarray) -> Summed:
-        """The images' equations in their own columns. shared: images whose twists are not integrated out, (N,) bool."""
-        K = self.moved.shape[2]
-        own = self.grams[:, :POSE] / sizes.noise**2  # an image's pose against everything
-        S, log_det = self.own_twists(sizes)
-        alone = ~shared if shared.any() else slice(None)
-        taken = S[alone] @ own[alone]
-        rows = own.copy()
-        rows[alone] -= own[alone][:, :, :POSE] @ taken
-        width = own.shape[2] - POSE
-        # one product over all images rather than a sum of many
-        E = self._total / sizes.noise**2
-        E = E - own[alone][:, :, POSE:].reshape(-1, width).T @ taken[:, :, POSE:].reshape(-1, width)
-        A = self.moved.reshape(-1, K)
-        cross = A.T @ rows[:, :, POSE:].reshape(-1, width)
-        H = np.block(
-            [[A.T @ (rows[:, :, :POSE] @ self.moved).reshape(-1, K), cross[:, :-1]], [cross[:, :-1].T, E[:-1, :-1]]]
-        )
-        spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(log_det[alone].sum())
-        return Summed(H, np.r_[cross[:, -1], E[:-1, -1]], float(E[-1, -1]), spread)
-
-
-@dataclass(frozen=True)
-class Summed:
-    """Normal equations H x = b, their cost at the state, and the log determinant of the noise."""
-
-    H: Array
-    b: Array
-    cost: float
-    spread: float
-
-    def plus(self, other: Summed, columns: np.ndarray) -> Summed:
-        """The sum with others, whose parameters stand at these columns, −1 for none."""
-        keep = np.flatnonzero(columns >= 0)
-        at = columns[keep]
-        H, b = self.H.copy(), self.b.copy()
-        H[np.ix_(at, at)] += other.H[np.ix_(keep, keep)]
-        b[at] += other.b[keep]
-        return Summed(H, b, self.cost + other.cost, self.spread + other.spread)
-
-
-def _of_readings(rows: BesideRows, size: float) -> Summed:
-    """The equations of other instruments' rows, which scatter by so much beside what they state [m]."""
-    variance = rows.variance(size)
-    weighted = rows.J / variance[:, None]
-    cost, spread = float((rows.residual**2 / variance).sum()), float(rows.share @ np.log(variance))
-    return Summed(rows.J.T @ weighted, weighted.T @ rows.residual, cost, spread)
-
-
-@dataclass(frozen=True)
-class TiedStops:
-    """S stops that several cameras saw. inner: Σ Bᵀ G_pp B, (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual,
-    (S, m, size + 1). Both per unit of what is off, at noise 1.
-    """
-
-    inner: Array
-    rows: Array
-
-    @classmethod
-    def of(cls, cameras: Sequence[CameraRows], shares: Sequence[np.ndarray], size: int) -> TiedStops:
-        """The stops of the images (N,) that cameras share. size: number of all columns."""
-        stops = np.unique(np.concatenate([one.stop[share] for one, share in zip(cameras, shares, strict=True)]))
-        m = cameras[0].joints.shape[2] + 3
-        inner, rows = np.zeros((len(stops), m, m)), np.zeros((len(stops), m, size + 1))
-        for one, share in zip(cameras, shares, strict=True):
-            at = np.searchsorted(stops, one.stop[share])
-            own = np.concatenate([one.joints[share], one.shifts[share]], axis=2)  # twists per unit of what is off
-            to_pose = np.swapaxes(own, 1, 2) @ one.grams[share, :POSE]
-            by_pose = to_pose[:, :, :POSE]
-            inner[at] += by_pose @ own
-            own_rows = np.concatenate([by_pose @ one.moved[share], to_pose[:, :, POSE:]], axis=2)
-            keep = np.flatnonzero(one.columns >= 0)
-            rows[at[:, None], :, np.r_[one.columns[keep], size]] += own_rows[:, :, np.r_[keep, -1]].transpose(0, 2, 1)
-        return cls(inner, rows)
-
-    def taken(self, sizes: Sizes) -> Summed:
-        """What integrating out z takes away: −Uᵀ M⁻¹ U and so on, with log det M, summed over all stops."""
-        off = np.r_[np.full(len(self.inner[0]) - 3, sizes.joint), np.full(3, sizes.shift)]
-        scale = off / sizes.noise
-        L = np.linalg.cholesky(np.eye(len(off)) + scale[:, None] * self.inner * scale)
-        V = (np.linalg.inv(L) * (off / sizes.noise**2) @ self.rows).reshape(-1, self.rows.shape[2])
-        square = V.T @ V
-        log_det = 2.0 * float(np.log(np.einsum("sii->si", L)).sum())
-        return Summed(-square[:-1, :-1], -square[:-1, -1], -float(square[-1, -1]), log_det)
 
 
 def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequence[Array]) -> list[np.ndarray]:
@@ -400,7 +265,7 @@ class SolvedEquations:
     @cached_property
     def S(self) -> Array:
         """S of each image of the first camera, (N, 6, 6)."""
-        return self.equations.cameras[0].own_twists(self.sizes)[0]
+        return self.equations.cameras[0].own_twists(self.sizes)
 
     @property
     def of_views(self) -> Array:
