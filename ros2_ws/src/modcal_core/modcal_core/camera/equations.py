@@ -93,17 +93,11 @@ class CameraRows:
         Q = self.covariance_of_views(sizes)
         return np.asarray(Q @ np.linalg.inv(np.eye(POSE) + self.grams[:, :POSE, :POSE] / sizes.noise**2 @ Q))
 
-    def own_twists(self, sizes: Sizes) -> tuple[Array, Array]:
-        """(S of each image, (N, 6, 6), log det (1 + G_pp Q) of each, (N,)) with these sizes."""
-        Q = self.covariance_of_views(sizes)
-        inner = np.eye(POSE) + self.grams[:, :POSE, :POSE] / sizes.noise**2 @ Q
-        return Q @ np.linalg.inv(inner), np.linalg.slogdet(inner)[1]
-
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums over all images at noise 1. H, b, cost: of images whose target is where the model has it. inner: Σ Bᵀ G_pp B,
-    (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual, (S, m, size + 1). S stops, per unit of what is off.
+    """Sums over all images at noise 1. H, b, cost: of images whose target is where the model has it. inner: Σ Bᵀ G_pp
+    B, (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual, (S, m, size + 1). S stops, per unit of what is off.
     """
 
     H: Array
