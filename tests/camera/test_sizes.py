@@ -10,8 +10,9 @@ from camera.fits import images, start
 from scipy.optimize import minimize
 
 from modcal_core.camera.corners import common_prior
+from modcal_core.camera.descent import downhill
 from modcal_core.camera.equations import Sizes
-from modcal_core.camera.fit import START, CameraFit, downhill, fit_camera, likeliest, usual
+from modcal_core.camera.fit import START, CameraFit, fit_camera, likeliest, usual
 from modcal_core.geometry.so3 import Array
 
 LOW, HIGH = np.full(4, -5.0), np.full(4, 5.0)

@@ -1,10 +1,5 @@
 """The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one.
 
-The sizes of its errors are those that make the data likeliest, looked for with few calls: each costs a solution of all
-equations, and far more than what is decided between. The curvature along each axis is measured once, so that the first
-step is about as long as it has to be; what the axes have to do with each other comes from the steps (Nocedal & Wright
-2006, §6.1). Next to the minimum, as from one fit to the next, that is 2 n + 1 calls.
-
 The fit has its covariance about where its values ended, from the drawing on, with the lens, the target and the sheet's
 size beside them; a calibration is written with the least change to its drawing. Both are the same small motions of the
 tool, so the one is brought to the other by the derivatives of readings at general postures.
@@ -33,69 +28,11 @@ from modcal_core.camera.corners import (
     grams,
     residuals,
 )
+from modcal_core.camera.descent import damped, downhill
 from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
 from modcal_core.camera.lens import Lens
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE
-
-_APART = 0.02  # of calls that measure the curvature: far above rounding, far below one
-_NEXT = 1e-4  # of calls that measure a slope where the curvature is known
-_FARTHEST = 1.0  # step of a value: nothing is known of what lies beyond
-_ENOUGH = 1e-4  # share of the decrease that the slope promises (Armijo); the usual number
-_SHORTEST = 1e-3  # share of a step below which there is no lower place along it
-
-
-def downhill(
-    of: Callable[[Array], float], start: Array, low: Array, high: Array, least_curvature: Array, met: float, most: int
-) -> Array:
-    """Where ``of`` is least, (n,), within low and high (n,).
-
-    least_curvature: second derivative that is taken for each value where less was measured, (n,). met: how much lower
-    it may get with the next step. most: calls after which no step is begun.
-    """
-    x = np.clip(start, low, high)
-    n, value = len(x), of(x)
-    up, down = (np.array([of(x + way * axis) for axis in np.eye(n)]) for way in (_APART, -_APART))
-    slope = (up - down) / (2.0 * _APART)
-    inverse = np.diag(1.0 / np.maximum((up - 2.0 * value + down) / _APART**2, least_curvature))
-    calls = 2 * n + 1
-    while calls < most:
-        free = ~(((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0)))
-        curvature = np.linalg.inv(inverse)
-        step = np.zeros(n)
-        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], slope[free])
-        if -0.5 * float(slope @ step) < met:
-            break
-        step *= min(1.0, _FARTHEST / float(np.abs(step).max()))
-        share = 1.0
-        while share >= _SHORTEST:
-            there = np.clip(x + share * step, low, high)
-            value_there = of(there)
-            calls += 1
-            if value_there <= value + _ENOUGH * float(slope @ (there - x)):
-                break
-            promised = share * float(slope @ step)  # where a parabola through both is least
-            share *= float(np.clip(-0.5 * promised / (value_there - value - promised), 0.1, 0.5))
-        else:
-            break
-        moved = there - x
-        x, value = there, value_there
-        ahead = np.array([of(x + _NEXT * axis) for axis in np.eye(n)])
-        calls += n
-        new = (ahead - value) / _NEXT - 0.5 * _NEXT * np.diag(curvature)
-        inverse = _learnt(inverse, moved, new - slope)
-        slope = new
-    return x
-
-
-def _learnt(inverse: Array, moved: Array, by: Array) -> Array:
-    """The inverse curvature (n, n) after a step (n,) along which the slope changed by so much (n,)."""
-    along = float(moved @ by)
-    if along <= 0.0:
-        return inverse
-    across = np.eye(len(moved)) - np.outer(moved, by) / along
-    return np.asarray(across @ inverse @ across.T + np.outer(moved, moved) / along)
-
 
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
@@ -170,7 +107,6 @@ _STEPS = 30  # at the same sizes
 _FIT_MET = 1e-4  # gain of −2 log likelihood
 _ROUNDS = 4  # of fitting and finding the sizes; they settle in two or three
 _SETTLED = 0.05  # change of a size's logarithm
-_DAMPED = 1e6  # at which no step helps
 
 
 @dataclass(frozen=True)
@@ -255,20 +191,23 @@ def fit_camera(
     afar = sizes == START
     if arm is not None:
         sizes = replace(sizes, arm=arm)
-    converged = False
-    equations = equations_at(table, poses, prior, state)
-    for _ in range(_ROUNDS):
-        state, equations, converged = _descend(table, poses, prior, state, sizes)
-        if fixed_sizes:
+
+    def stepped(here: _At, damping: float) -> _At | None:
+        there = here.state.moved(here.solved.step(damping))
+        if not _possible(poses, there):
+            return None
+        return _At(there, equations_at(table, poses, prior, there).solve(sizes))
+
+    equations, converged, settled = equations_at(table, poses, prior, state), False, fixed_sizes
+    for k in range(_ROUNDS + 1):
+        met, converged = damped(_At(state, equations.solve(sizes)), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
+        state, equations = met.state, met.solved.equations
+        if settled or k == _ROUNDS:
             break
         new = likeliest(equations, sizes, arm, afar=afar)
         afar = False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
-        if settled:
-            break
-    if not fixed_sizes:
-        state, equations, converged = _descend(table, poses, prior, state, sizes)
     pixels = missed_pixels(table, poses, state)
     covariance = equations.solve(sizes).covariance()
     return CameraFit(table, poses, prior, state, sizes, covariance, equations, pixels, converged, arm is not None)
@@ -328,30 +267,16 @@ def _possible(poses: ArmPoses, state: CameraState) -> bool:
     return all(bool((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all()) for s in every)
 
 
-def _descend(
-    table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState, sizes: Sizes
-) -> tuple[CameraState, Equations, bool]:
-    """(state, equations there, whether it met): damped Gauss-Newton steps at these sizes."""
-    equations = equations_at(table, poses, prior, state)
-    solved = equations.solve(sizes)
-    damping = 1e-6
-    for _ in range(_STEPS):
-        new_state = state.moved(solved.step(damping))
-        new: SolvedEquations | None = None
-        if _possible(poses, new_state):
-            there = equations_at(table, poses, prior, new_state)
-            new = there.solve(sizes)
-        if new is not None and new.cost <= solved.cost + _FIT_MET:
-            gain = solved.cost - new.cost
-            state, equations, solved = new_state, there, new
-            damping = max(0.1 * damping, 1e-9)
-            if gain < _FIT_MET * (1.0 + 1e-6 * solved.cost):
-                return state, equations, True
-        else:
-            damping = max(10.0 * damping, 1e-6)
-            if damping > _DAMPED:
-                return state, equations, True
-    return state, equations, False
+@dataclass(frozen=True)
+class _At:
+    """A state, and its equations with the sizes of a fit."""
+
+    state: CameraState
+    solved: SolvedEquations
+
+    @property
+    def cost(self) -> float:
+        return self.solved.cost
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:
