@@ -12,7 +12,7 @@ from modcal_core.camera.bundle import CHARUCO, BoardView, PrintedTarget
 from modcal_core.camera.corners import CornerTable, corner_rows, residuals
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
 from modcal_core.camera.lens import FISHEYE, Lens
-from modcal_core.camera.prepared import enough_corners
+from modcal_core.camera.outliers import enough_corners
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from camera.bodies import Faults, body_scene, icosahedron, measured
 
-from modcal_core.camera.body_start import far_markers
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.corners import SHAPE, CornerTable, left_out_points
+from modcal_core.camera.corners import SHAPE, CornerTable
 from modcal_core.camera.fit import fit_camera
+from modcal_core.camera.outliers import far_markers, left_out_points
 from modcal_core.camera.prepared import prepare_images
 from modcal_core.camera.solve import only_seen
 from modcal_core.geometry import so3

@@ -20,7 +20,7 @@ from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.prepared import corner_weights
+from modcal_core.camera.outliers import corner_weights
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

@@ -8,10 +8,6 @@ whitened by the corners' covariance. What a fit needs of an image is the product
 however many corners there are, which is why many images stay quick. On a body each marker's place moves its own points
 as well, and the product is larger by the places of all markers.
 
-Misreadings of a body are spread over markers and images, and what is left of its points says as much as if they had not
-been read. A marker most of whose points are out has another number, or another place, than the target's file states, or
-came loose. Either is said; it speaks against the fit only where it is more than the others outvote.
-
 The sheet's size, its flatness and the lens's higher terms are fitted with expectations and not left out, so that what
 they may do to the arm is in its uncertainty: the sheet is suspected before the arm.
 """
@@ -23,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle, PlacePrior, PrintScale, whitening
+from modcal_core.camera.bundle import BoardView, CalibrationTarget, PlacePrior, PrintScale, whitening
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.geometry import Array, so3
@@ -232,54 +228,6 @@ def grams(table: CornerTable, rows: CornerRows) -> Array:
         part = columns[table.of_view(i)].reshape(-1, columns.shape[2])
         out[i] = part.T @ part
     return out
-
-
-_SIGHTINGS = 8  # images of a marker, for most of them to say something of the marker
-_MOSTLY = 0.5  # of these, beyond which it is the marker that is not as stated
-_PASSED = 0.05  # share of points left out that a verdict passes over (verdict.md)
-# Share beyond which what is left is no majority to rely on: where a fifth of markers is misread, every second image
-# that shows three has a misread one among them.
-_TOO_MANY = 0.2
-_NAMED = 3  # markers in a sentence
-
-
-@dataclass(frozen=True)
-class LeftOutPoints:
-    """problems: what speaks against the fit. open: what a verdict may not pass over, though the fit stands."""
-
-    problems: tuple[str, ...] = ()
-    open: tuple[str, ...] = ()
-
-
-def left_out_points(cameras: Sequence[tuple[str, CornerTable]], target: MarkerBundle) -> LeftOutPoints:
-    """What is to be said of the points that were left out of the images of a body.
-
-    cameras: (what a sentence calls it, corners, weight 0 where they are left out), of each that sees this body.
-    """
-    problems, open_ = [], []
-    for name, table in cameras:
-        out = table.weight == 0.0
-        strange = []  # markers most of whose points are out, in images enough to say so
-        for k in range(table.markers):
-            own = table.marker == k
-            if len(np.unique(table.view[own])) >= _SIGHTINGS and float(out[own].mean()) > _MOSTLY:
-                strange.append(k)
-        if strange:
-            named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
-            more = f" and {len(strange) - _NAMED} more" if len(strange) > _NAMED else ""
-            open_.append(
-                f"Most points of {named}{more}{name} are nowhere near their place, and are left out: check number, "
-                "place and corner_order in the target file, and whether it came loose."
-            )
-        rest = ~np.isin(table.marker, strange)
-        share = float(out[rest].mean()) if rest.any() else 0.0
-        if max(share, len(strange) / max(table.markers, 1)) > _TOO_MANY:
-            problems.append(f"{100.0 * float(out.mean()):.0f} % of all points{name} fit no body of the stated form.")
-        elif share > _PASSED:
-            open_.append(
-                f"{100.0 * share:.0f} % of the points{name} are misread, spread over markers and images, and left out."
-            )
-    return LeftOutPoints(tuple(problems), tuple(open_))
 
 
 @dataclass(frozen=True)

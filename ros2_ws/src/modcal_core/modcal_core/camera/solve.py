@@ -26,13 +26,14 @@ from modcal_core.camera.contradicted import (
     findings,
     in_doubt,
 )
-from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE, CameraState, LeftOutPoints, left_out_points
+from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE, CameraState
 from modcal_core.camera.equations import numbered
 from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.mounting import Mounting, held_out
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
-from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare_images
+from modcal_core.camera.outliers import LeftOutPoints, PreparedImages, first_fit, left_out_points
+from modcal_core.camera.prepared import CameraImages, prepare_images
 from modcal_core.camera.problems import (
     CANNOT_TELL,
     Decision,
