@@ -213,7 +213,7 @@ def test_flange_poses_place_camera_and_target() -> None:
         flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip, (), True
     )
     assert not arm.of_arm.any()
-    fit = fit_camera(table, arm, s.lens, common_prior(s.lens, s.board.scale))
+    fit = fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
     assert fit.converged
 
 

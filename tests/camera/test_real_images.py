@@ -90,7 +90,7 @@ def placed(lens: Lens | None) -> CameraFit:
     assert found.rival > 3.0
     q = flange_joints(A)
     arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, False, (), True)
-    return fit_camera(table, arm, fit.lens, prior)
+    return fit_camera(table, arm, prior, fit.lens)
 
 
 def test_placed_without_a_guess_as_well_as_somebody_calibrated_it() -> None:

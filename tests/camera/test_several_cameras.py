@@ -120,7 +120,7 @@ def test_a_kicked_second_tripod_is_named(cell: CameraScene) -> None:
     first = CameraImages(cell.q, cell.views, cell.board, cell.lens.size)
     ready = prepare_images(cell.chain, first)
     for kicked_at, count in ((None, 0), (6, 1)):
-        found = further_of(CameraProblem(cell.chain, (first,)), on_tripod(cell, kicked_at), ready, None)
+        found = further_of(CameraProblem(cell.chain, (first,)), on_tripod(cell, kicked_at), ready)
         assert len(found.problems) == count
         assert all(said.startswith("The camera of /second/image was moved before image 6") for said in found.problems)
 

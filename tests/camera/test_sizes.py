@@ -63,7 +63,7 @@ def test_no_step_is_begun_after_so_many_calls() -> None:
 def fitted(on_tip: bool) -> CameraFit:
     s = images(on_tip)
     table, arm = start(s)
-    return fit_camera(table, arm, s.lens, common_prior(s.lens, s.board.scale))
+    return fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
 
 
 @pytest.mark.slow

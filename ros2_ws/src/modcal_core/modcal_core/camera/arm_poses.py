@@ -45,10 +45,13 @@ from modcal_core.robots import Chain, Inertias, body_jacobian
 
 @dataclass(frozen=True)
 class ArmFaults:
-    """Covariance of an arm's A parameters by faults of lengths, and by faults of angles, of size 1, (A, A) each."""
+    """Covariance of an arm's A parameters by faults of lengths, and by faults of angles, of size 1, (A, A) each.
+    stated: their size, where somebody states it.
+    """
 
     lengths: Array
     angles: Array
+    stated: float | None = None
 
     def covariance(self, ratio: float = 1.0) -> Array:
         """Prior covariance of the arm's faults, (A, A). ratio: scale of the length faults over that of the angle
@@ -346,22 +349,21 @@ def arm_poses(
     )
 
 
-def arm_size(poses: ArmPoses, error_m: float, q: Array) -> float:
-    """The factor of the prior at which the nominal arm is off by this RMS [m] at the tool, over postures q (M, n).
-
-    What base and tool can take of it is left out: camera and target are placed by the same images.
+def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:
+    """The poses of an arm whose faults have the size at which the nominal arm is off by this RMS [m] at the tool, over
+    the images; None: nobody states it. What base and tool can take of it is left out: the same images place both.
     """
-    _, motions = poses.at_postures(q).tool_motions(poses.start)
+    arm, faults = poses.of_arm, poses.faults
+    if error_m is None or faults is None:
+        return poses
+    _, motions = poses.at_postures(poses.q).tool_motions(poses.start)
     J = motions[:, :3].reshape(-1, motions.shape[2])
-    arm = poses.of_arm
-    if poses.faults is None:
-        return 1.0
     basis, singular, _ = np.linalg.svd(J[:, ~arm], full_matrices=False)
     basis = basis[:, singular > 1e-9 * singular[0]]
-    faults = J[:, arm] @ np.linalg.cholesky(poses.faults.covariance())
-    rest = faults - basis @ (basis.T @ faults)
-    rms = float(np.sqrt((rest**2).sum() / len(q)))
-    return error_m / max(rms, 1e-12)
+    off = J[:, arm] @ np.linalg.cholesky(faults.covariance())
+    rest = off - basis @ (basis.T @ off)
+    rms = float(np.sqrt((rest**2).sum() / len(poses.q)))
+    return replace(poses, faults=replace(faults, stated=error_m / max(rms, 1e-12)))
 
 
 @dataclass(frozen=True)

@@ -185,7 +185,7 @@ def _with(fit: CameraFit, effect: Effect) -> CameraFit:
     """Everything fitted again, with one more effect."""
     poses = fit.poses.with_effects((*_valued(fit), effect))
     begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, effect.values))
-    return fit_camera(fit.table, poses, begin.lens, fit.prior, fit.sizes, fit.stated_arm, begin=begin)
+    return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
 
 
 def predicted(fit: CameraFit) -> float:
@@ -199,12 +199,8 @@ def predicted(fit: CameraFit) -> float:
     square = np.empty(N)
     for part in range(_PARTS):
         held = np.arange(N) % _PARTS == part
-        table, poses = fit.table.select(~held), fit.poses.select(~held)
-        there = fit_camera(
-            *(table, poses, fit.state.lens, fit.prior, fit.sizes, fit.stated_arm), fixed_sizes=True, begin=fit.state
-        )
         table = fit.table.select(held)
-        gap = missed_pixels(table, fit.poses.select(held), there.state)
+        gap = missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
         total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
         square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
     return float(np.minimum(square, 25.0 * np.median(square)).mean())

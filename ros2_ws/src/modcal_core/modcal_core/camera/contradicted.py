@@ -112,11 +112,12 @@ def contradictions(fit: CameraFit, doubted: Sequence[DoubtedStatement], stated: 
     plain = fit.misfit
     for doubt in doubted:
         if doubt.misfit < plain - _SCREEN:
-            other = fit_camera(fit.table, fit.poses, fit.state.lens, doubt.prior, fit.sizes, fit.stated_arm)
+            other = fit_camera(fit.table, fit.poses, doubt.prior, fit.state.lens, fit.sizes)
             if other.converged and other.misfit < plain - _GAIN:
                 out.append(_contradiction(doubt.what, other, stated))
-    if fit.arm_stated and len(fit.equations.arm):
-        solved, misfit = replace(fit, arm_stated=False).weighed()
+    if fit.arm_stated and fit.poses.faults is not None:
+        free = replace(fit.poses.faults, stated=None)
+        solved, misfit = fit.weighed(replace(fit.equations, faults=free))
         if solved.sizes.arm > fit.sizes.arm and misfit < plain - _GAIN:
             out.append(
                 f"The arm is some {solved.sizes.arm / fit.sizes.arm:.1f} times as far off as --arm-mm states: state "

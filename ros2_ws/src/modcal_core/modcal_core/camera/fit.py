@@ -59,19 +59,18 @@ def usual(sizes: Sizes) -> float:
 def likeliest(
     equations: Equations,
     start: Sizes,
-    arm: float | None = None,
     misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
     afar: bool = False,
 ) -> Sizes:
     """The sizes that make the data likeliest.
 
-    arm: size of the arm's faults where it is stated. misfit_of: −2 log likelihood of the equations with their sizes.
-    afar: start where nothing is known of them. A size that is far too small is nowhere seen to matter, so slopes alone
-    may leave it there.
+    misfit_of: −2 log likelihood of the equations with their sizes. afar: start where nothing is known of them. A size
+    that is far too small is nowhere seen to matter, so slopes alone may leave it there.
     """
-    begin = start if arm is None else replace(start, arm=arm)
+    faults = equations.faults
+    begin = start if faults is None or faults.stated is None else replace(start, arm=faults.stated)
     unknown = [0, 1, 2]
-    if arm is None and equations.arm.any():
+    if faults is not None and faults.stated is None:
         unknown += [_ARM, _LENGTHS]
     if equations.beside is not None:
         unknown.append(_OTHER)
@@ -113,8 +112,7 @@ _SETTLED = 0.05  # change of a size's logarithm
 class CameraFit:
     """table, poses, prior: what was fitted. state: where it ended. sizes: of the errors. covariance: of parameters,
     clock, lens, shape, readout and the places of Z values of markers, (P + 16 + Z, P + 16 + Z). equations: at the
-    state. pixels: residuals (M, 2), the images' own twists not put in. converged: whether it met. arm_stated: whether
-    the size of the arm's faults was.
+    state. pixels: residuals (M, 2), the images' own twists not put in. converged: whether it met.
     """
 
     table: CornerTable
@@ -126,7 +124,6 @@ class CameraFit:
     equations: Equations
     pixels: Array
     converged: bool
-    arm_stated: bool = False
 
     @property
     def rms_px(self) -> float:
@@ -144,9 +141,14 @@ class CameraFit:
         return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
 
     @property
-    def stated_arm(self) -> float | None:
-        """Size of the arm's faults, where it is stated."""
-        return self.sizes.arm if self.arm_stated else None
+    def arm_stated(self) -> bool:
+        """Whether the size of the arm's faults is stated."""
+        return self.poses.faults is not None and self.poses.faults.stated is not None
+
+    def of_part(self, rows: np.ndarray) -> CameraFit:
+        """A fit of these images only (mask (N,)), with the same sizes of errors."""
+        some = self.table.select(rows), self.poses.select(rows)
+        return fit_camera(*some, self.prior, self.state, self.sizes, fixed_sizes=True)
 
     def weighed(
         self,
@@ -155,7 +157,7 @@ class CameraFit:
     ) -> tuple[SolvedEquations, float]:
         """(equations, −2 log likelihood) with the sizes of all errors found again. equations: None: as they are."""
         equations = equations or self.equations
-        sizes = likeliest(equations, self.sizes, self.stated_arm, misfit_of)
+        sizes = likeliest(equations, self.sizes, misfit_of)
         solved = equations.solve(sizes)
         return solved, misfit_of(solved) + usual(sizes)
 
@@ -175,22 +177,19 @@ class CameraFit:
 def fit_camera(
     table: CornerTable,
     poses: ArmPoses,
-    lens: Lens,
     prior: CommonPrior,
+    begin: Lens | CameraState,
     sizes: Sizes = START,
-    arm: float | None = None,
     fixed_sizes: bool = False,
-    begin: CameraState | None = None,
 ) -> CameraFit:
-    """The fit from this lens and from base and tool of the poses' model, nominal arm.
+    """The fit from a state, or from a lens and from base and tool of the poses' model, nominal arm.
 
-    sizes: to begin with. arm: size of the arm's faults in units of its prior, where it is stated. fixed_sizes: take the
-    sizes as they are. begin: a state to begin with instead.
+    sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    state = begin or CameraState(poses.start, 0.0, lens, prior.shape)
+    state = CameraState(poses.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
     afar = sizes == START
-    if arm is not None:
-        sizes = replace(sizes, arm=arm)
+    if poses.faults is not None and poses.faults.stated is not None:
+        sizes = replace(sizes, arm=poses.faults.stated)
 
     def stepped(here: _At, damping: float) -> _At | None:
         there = here.state.moved(here.solved.step(damping))
@@ -204,13 +203,13 @@ def fit_camera(
         state, equations = met.state, met.solved.equations
         if settled or k == _ROUNDS:
             break
-        new = likeliest(equations, sizes, arm, afar=afar)
+        new = likeliest(equations, sizes, afar=afar)
         afar = False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
     pixels = missed_pixels(table, poses, state)
     covariance = equations.solve(sizes).covariance()
-    return CameraFit(table, poses, prior, state, sizes, covariance, equations, pixels, converged, arm is not None)
+    return CameraFit(table, poses, prior, state, sizes, covariance, equations, pixels, converged)
 
 
 def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState) -> Equations:
@@ -218,8 +217,8 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     P = poses.count
     free = np.r_[np.ones(P, bool), poses.moves, prior.free]
     free[P + 1 + READOUT] &= poses.moves
-    cameras = [_camera_rows(table, poses, state, np.arange(len(free)))]
-    cameras += [_camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
+    cameras = [camera_rows(table, poses, state, np.arange(len(free)))]
+    cameras += [camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
     return Equations(
         tuple(cameras),
         np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
@@ -232,7 +231,7 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     )
 
 
-def _camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns: np.ndarray) -> CameraRows:
+def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns: np.ndarray) -> CameraRows:
     """The factors of one camera. columns: where its parameters stand among those of all."""
     T, motions = poses.tool_motions(state.values, state.offset_s)
     joints = poses.joint_motions(state.values, T)

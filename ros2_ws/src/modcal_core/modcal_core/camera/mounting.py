@@ -20,7 +20,7 @@ import numpy as np
 
 from modcal_core.calibration import hand_eye
 from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
+from modcal_core.camera.fit import CameraFit, missed_pixels
 from modcal_core.camera.intrinsics import BoardPose
 from modcal_core.camera.lens import PINHOLE, Lens
 from modcal_core.errors import BadRecording, ModcalError, NotEnoughData
@@ -174,10 +174,8 @@ def held_out(fit: CameraFit, nominal: CameraFit) -> tuple[float, float]:
         return float("nan"), float("nan")
     out = []
     for one in (nominal, fit):
-        seen = one.table.select(~held), one.poses.select(~held)
-        there = fit_camera(*seen, one.state.lens, one.prior, one.sizes, one.stated_arm, fixed_sizes=True)
         unseen = one.table.select(held)
-        out.append(unseen.rms(missed_pixels(unseen, one.poses.select(held), there.state)))
+        out.append(unseen.rms(missed_pixels(unseen, one.poses.select(held), one.of_part(~held).state)))
     return out[0], out[1]
 
 

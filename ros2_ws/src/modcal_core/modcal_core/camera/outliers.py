@@ -65,11 +65,10 @@ class PreparedImages:
         out = {n: why for n, keep in zip(self.table.names, rows, strict=True) if not keep}
         return replace(self, table=self.table.select(rows), poses=self.poses.select(rows), left_out=self.left_out | out)
 
-    def fitted(self, arm: float | None, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
+    def fitted(self, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
         """A fit of these images. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
-        start = (START, None) if last is None else (last.sizes, last.state)
-        given = (self.table, self.poses, self.lens_fit.lens, self.prior, start[0], arm)
-        return fit_camera(*given, fixed_sizes=fixed_sizes, begin=start[1])
+        begin, sizes = (self.lens_fit.lens, START) if last is None else (last.state, last.sizes)
+        return fit_camera(self.table, self.poses, self.prior, begin, sizes, fixed_sizes)
 
 
 def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array) -> Array:
@@ -189,26 +188,26 @@ def far_markers(fit: CameraFit) -> np.ndarray:
     return out
 
 
-def first_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, PreparedImages]:
+def first_fit(ready: PreparedImages) -> tuple[CameraFit, PreparedImages]:
     """(a fit, what it was made from): misread points of a body, and images nowhere near the arm, are left out.
 
-    arm: as of a fit. The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or
+    The sizes of errors stay usual until what is grossly elsewhere is out, for one such image or
     marker would make all errors look as large as its own; then they hardly change but for a marker that was far off.
     """
     if not ready.table.places:
-        fit = ready.fitted(arm)
+        fit = ready.fitted()
         again = _without(ready, ready.table.weight == 0.0, fit)
-        return (fit, ready) if again is None else (again.fitted(arm, fit), again)
+        return (fit, ready) if again is None else (again.fitted(fit), again)
     far = np.zeros(ready.table.markers, bool)
     last: CameraFit | None = None
     for _ in range(_CLEANED):
-        last = replace(ready.fitted(arm, last, fixed_sizes=True), sizes=START)
+        last = replace(ready.fitted(last, fixed_sizes=True), sizes=START)
         far |= far_markers(last)
         again = _without(ready, gross(last.pixels) | far[ready.table.marker])
         if again is None:
             break
         ready = again
-    fit = ready.fitted(arm, last)
+    fit = ready.fitted(last)
     cleaned = False
     for _ in range(_CLEANED):
         more = far_markers(fit) & ~far
@@ -217,8 +216,8 @@ def first_fit(ready: PreparedImages, arm: float | None) -> tuple[CameraFit, Prep
         if again is None:
             break
         ready, cleaned = again, True
-        fit = ready.fitted(arm, fit, fixed_sizes=not more.any())
-    return (ready.fitted(arm, fit) if cleaned else fit), ready
+        fit = ready.fitted(fit, fixed_sizes=not more.any())
+    return (ready.fitted(fit) if cleaned else fit), ready
 
 
 def _without(ready: PreparedImages, out: np.ndarray, fit: CameraFit | None = None) -> PreparedImages | None:

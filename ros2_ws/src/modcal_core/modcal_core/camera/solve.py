@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Model, least_change
-from modcal_core.camera.arm_poses import FurtherCamera, arm_size
+from modcal_core.camera.arm_poses import FurtherCamera, with_stated
 from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
 from modcal_core.camera.changes import FoundChange, find_change
@@ -152,8 +152,8 @@ class _Further:
         return FurtherSeen(self.ready, one.name, one.target, state, std, len(one.views), rms)
 
 
-def further_of(problem: CameraProblem, images: CameraImages, of_first: PreparedImages, arm: float | None) -> _Further:
-    """A further camera, from a fit of its own. of_first: the first camera's images. arm: as of a fit.
+def further_of(problem: CameraProblem, images: CameraImages, of_first: PreparedImages) -> _Further:
+    """A further camera, from a fit of its own. of_first: the first camera's images.
 
     Raises ModcalError for images that cannot carry a fit by themselves.
     """
@@ -161,7 +161,7 @@ def further_of(problem: CameraProblem, images: CameraImages, of_first: PreparedI
     if images.name == first.name:
         raise BadRecording(images.name, "is given twice", "give each camera once")
     ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias)
-    fit, ready = first_fit(ready, arm)
+    fit, ready = first_fit(replace(ready, poses=with_stated(ready.poses, problem.arm_m)))
     out = [] if fit.converged else [f"The fit of {images.name} by itself did not reach its minimum."]
     if (change := find_change(fit)) is not None:
         out.append(change.sentence(fit, f" of {images.name}"))
@@ -250,13 +250,12 @@ def solve_camera(
     ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias, progress)
 
     progress("fit")
-    arm = None if problem.arm_m is None else arm_size(ready.poses, problem.arm_m, ready.poses.q)
-    others = [further_of(problem, one, ready, arm) for one in further]
+    others = [further_of(problem, one, ready) for one in further]
     poses = replace(ready.poses, beside=problem.beside, further=tuple(one.camera for one in others))
-    fit, ready = first_fit(replace(ready, poses=poses), arm)
+    fit, ready = first_fit(replace(ready, poses=with_stated(poses, problem.arm_m)))
     fit = _without_far(fit, ready)
     still = replace(fit.poses, parameters=ready.placed, further=(), faults=None)
-    nominal = fit_camera(ready.table, still, ready.lens_fit.lens, ready.prior)
+    nominal = fit_camera(ready.table, still, ready.prior, ready.lens_fit.lens)
 
     geometric = fit
     causes: tuple[CameraCause, ...] = ()
@@ -331,5 +330,5 @@ def _without_far(fit: CameraFit, ready: PreparedImages) -> CameraFit:
         if not far.any() or (~far).sum() < MIN:
             break
         poses = replace(fit.poses, beside=replace(beside, samples=beside.samples.select(~far)))
-        fit = fit_camera(fit.table, poses, ready.lens_fit.lens, ready.prior, fit.sizes, arm=fit.stated_arm)
+        fit = fit_camera(fit.table, poses, ready.prior, ready.lens_fit.lens, fit.sizes)
     return fit

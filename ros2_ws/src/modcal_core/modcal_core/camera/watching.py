@@ -19,8 +19,8 @@ import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
-from modcal_core.camera.corners import POSE, CameraState, CornerTable, corner_rows, grams
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.corners import POSE, CameraState, CornerTable
+from modcal_core.camera.fit import CameraFit, camera_rows
 from modcal_core.geometry import Array
 
 WORLD, TIP = "world", "tip"
@@ -124,15 +124,11 @@ class CameraWatch:
             return None
         table = CornerTable.of([view], self._target)
         state, at = watched.state, watched.poses.at_postures(q[None])
-        T, motions = at.tool_motions(state.values)
-        rows = corner_rows(table, state.lens, state.shape, at.seen(T))
-        G = grams(table, rows)[0] / fit.sizes.noise**2
+        T = at.tool_at(state.values)
+        rows = camera_rows(table, at, state, watched.columns)
+        G = rows.grams[0] / fit.sizes.noise**2
         own = np.linalg.pinv(G[:POSE, :POSE], hermitian=True)
-        by_joints = at.as_twists(T, at.joint_motions(state.values, T))[0]
-        P, K = motions.shape[2], len(watched.columns)
-        by_own = np.zeros((POSE, K))
-        by_own[:, :P] = at.as_twists(T, motions)[0]
-        by_own[:, P + 1 :] = own @ G[:POSE, POSE:-1]
+        by_own = np.concatenate([rows.moved[0], own @ G[:POSE, POSE:-1]], axis=1)
         by_model = np.zeros((POSE, len(fit.covariance)))
         fitted = watched.columns >= 0
         by_model[:, watched.columns[fitted]] = by_own[:, fitted]
@@ -142,13 +138,11 @@ class CameraWatch:
             T[0, :3, 3],
             own @ G[:POSE, -1],
             own,
-            np.concatenate(
-                [fit.sizes.joint * by_joints, fit.sizes.shift * at.as_twists(T, at.shifts(state.values))[0]], axis=1
-            ),
+            np.concatenate([fit.sizes.joint * rows.joints[0], fit.sizes.shift * rows.shifts[0]], axis=1),
             q,
             by_model,
             {half: twists[0] for half, twists in zip(halves, at.half_motions(T), strict=True)},
-            by_joints,
+            rows.joints[0],
         )
 
     def _judge(self) -> Moved | None:
