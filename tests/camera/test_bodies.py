@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 import yaml
 from camera.boards import seen
-from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icosahedron, looking, measured
+from camera.bodies import (
+    BODY_ON_TIP,
+    SIZE,
+    BodyScene,
+    Faults,
+    body_scene,
+    bundle_to_data,
+    icosahedron,
+    looking,
+    measured,
+)
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.body_start import body_poses, images_with_pose, require_order, resection
@@ -20,7 +30,7 @@ from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import IN_WORLD
 from modcal_core.camera.plan import plan_images
 from modcal_core.camera.solve import CameraProblem, CameraSolution, only_seen, solve_camera
-from modcal_core.camera.target_file import any_target_from_data, bundle_to_data, read_target
+from modcal_core.camera.target_file import any_target_from_data, read_target
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array

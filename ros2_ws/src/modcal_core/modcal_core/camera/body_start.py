@@ -25,7 +25,7 @@ import numpy as np
 from modcal_core.calibration import procrustes
 from modcal_core.camera.bundle import MARKER_CORNERS, MarkerBundle
 from modcal_core.camera.corners import CornerTable, residuals
-from modcal_core.camera.intrinsics import BoardPose, both_poses, homography, pose_of_plane, twin_pose
+from modcal_core.camera.intrinsics import BoardPose, both_poses, homography, pose_of_plane, projection, twin_pose
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import MIN_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
@@ -86,11 +86,8 @@ def _lifted(A: Array, rays: Array) -> Array:
     """The camera's matrix (3, 4) by sightings of one point."""
     M = len(A)
     phi = np.concatenate([A[:, :3, :3].reshape(M, 9), A[:, :3, 3], np.ones((M, 1))], axis=1)
-    zero = np.zeros_like(phi)
-    rows = np.concatenate([np.c_[phi, zero, -rays[:, :1] * phi], np.c_[zero, phi, -rays[:, 1:] * phi]])
-    scale = 1.0 / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    w = scale * np.linalg.svd(rows * scale, full_matrices=False)[2][-1]
-    w = w.reshape(3, 13)
+    scale = 1.0 / np.maximum(np.linalg.norm(phi, axis=0), 1e-300)
+    w = scale * projection(phi * scale, rays)
     products = np.concatenate([w[:, :9].reshape(9, 3), w[:, 9:12].reshape(9, 1)], axis=1)
     U, s, Vt = np.linalg.svd(products, full_matrices=False)
     left = (U[:, 0] * s[0] * Vt[0, 3]).reshape(3, 3)
@@ -135,9 +132,7 @@ def _matrix(at: Array, rays: Array) -> Array:
     to_unit = np.diag([1.0 / size] * 3 + [1.0])
     to_unit[:3, 3] = -centre / size
     unit = at @ to_unit.T
-    zero = np.zeros_like(unit)
-    rows = np.concatenate([np.c_[unit, zero, -rays[:, :1] * unit], np.c_[zero, unit, -rays[:, 1:] * unit]])
-    return np.asarray(np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 4) @ to_unit)
+    return np.asarray(projection(unit, rays) @ to_unit)
 
 
 def _miss(P: Array, A: Array, point: np.ndarray, rays: Array, y: Array) -> Array:

@@ -24,15 +24,21 @@ from modcal_core.geometry import Array, se3, so3
 _MIN_TILT = 1e-3  # of the equations; below, all images show the sheet square on
 
 
+def projection(at: Array, pixels: Array) -> Array:
+    """The matrix (3, k), to a factor, that takes places (m, k), homogeneous, to pixels (m, 2) (direct linear
+    transform).
+    """
+    zero = np.zeros_like(at)
+    rows = np.r_[np.c_[at, zero, -pixels[:, :1] * at], np.c_[zero, at, -pixels[:, 1:] * at]]
+    few = len(rows) < rows.shape[1]  # four corners leave one direction that no row is along
+    return np.asarray(np.linalg.svd(rows, full_matrices=few)[2][-1].reshape(3, -1))
+
+
 def homography(points: Array, pixels: Array) -> Array:
     """H (3, 3) that takes points (m, 2) of a plane to pixels (m, 2), m ≥ 4; its last element is positive."""
     A, a = _scaled(points)
     B, b = _scaled(pixels)
-    one = np.ones(len(a))
-    zero = np.zeros((len(a), 3))
-    p = np.c_[a, one]
-    rows = np.r_[np.c_[p, zero, -b[:, :1] * p], np.c_[zero, p, -b[:, 1:] * p]]
-    H = np.linalg.inv(B) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ A
+    H = np.linalg.inv(B) @ projection(np.c_[a, np.ones(len(a))], b) @ A
     centre = np.r_[points.mean(0), 1.0]
     return np.asarray(H * np.sign(H[2] @ centre) / np.linalg.norm(H))
 
