@@ -18,7 +18,7 @@ from modcal_core.geometry import Array
 _FIRST, _LEAST, _MOST = 1e-6, 1e-12, 1e7  # damping, relative to the curvature of each value; at the last no step helps
 
 
-class Place(Protocol):
+class Descending(Protocol):
     """Where a descent stands."""
 
     @property
@@ -26,7 +26,7 @@ class Place(Protocol):
         """Of the place."""
 
 
-_P = TypeVar("_P", bound=Place)
+_P = TypeVar("_P", bound=Descending)
 
 
 def damped(
