@@ -17,7 +17,9 @@ def camera(rng: np.random.Generator, stop: list[int], K: int, columns: np.ndarra
     N = len(stop)
     rows = rng.normal(size=(N, ROWS, POSE + len(columns) - K + 1))
     own = [rng.normal(size=(N, 6, k)) for k in (K, JOINTS, 3)]
-    return rows, CameraRows(np.swapaxes(rows, 1, 2) @ rows, *own, columns, N * ROWS // 2, np.array(stop))
+    return rows, CameraRows(
+        np.swapaxes(rows, 1, 2) @ rows, *own, columns, N * ROWS // 2, np.array(stop), np.empty((0, 2))
+    )
 
 
 def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leave() -> None:

@@ -34,7 +34,7 @@ from modcal_core.calibration import (
     model_at,
     ordered_candidates,
 )
-from modcal_core.camera.corners import CLOCK_S, SHAPE_NAMES, CameraState, CommonPrior, CornerTable
+from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable, common_names
 from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
 from modcal_core.effects import Drivers, Effect, NominalArm, prior_stds
 from modcal_core.geometry import Array, se3, so3
@@ -390,11 +390,7 @@ class FurtherCamera:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of what it has of its own."""
-        every = (
-            *(p.name for p in self.poses.parameters),
-            *("clock", *self.begin.lens.names, *SHAPE_NAMES, "readout"),
-            *(f"places/{i}" for i in range(self.table.places * self.table.markers)),
-        )
+        every = (*(p.name for p in self.poses.parameters), *common_names(self.begin.lens, self.table))
         return tuple(f"{self.name} {every[i]}" for i in self.own)
 
     @property

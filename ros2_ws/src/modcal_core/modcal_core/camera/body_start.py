@@ -24,7 +24,7 @@ import numpy as np
 
 from modcal_core.calibration import procrustes
 from modcal_core.camera.bundle import MARKER_CORNERS, MarkerBundle
-from modcal_core.camera.corners import CornerTable, residuals
+from modcal_core.camera.corners import CornerTable, corner_rows
 from modcal_core.camera.intrinsics import BoardPose, both_poses, homography, pose_of_plane, projection, twin_pose
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import MIN_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
@@ -229,7 +229,7 @@ class BodyStart:
 
     def miss_px(self, table: CornerTable) -> float:
         """Median distance of corners from where they should be [px]."""
-        off = residuals(table, self.lens, table.unshaped, self.mounting.T_camera_target)
+        off = corner_rows(table, self.lens, table.unshaped, self.mounting.T_camera_target).pixels
         return float(np.median(np.linalg.norm(off, axis=1)))
 
 

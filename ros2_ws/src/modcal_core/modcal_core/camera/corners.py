@@ -169,12 +169,21 @@ def corner_rows(
     shape: with the places of markers behind it, (5 + Z,). readout_s: of a rolling shutter. sweep: twist of the target a
     second, seen from the camera, (N, 6); None: it stands.
     """
-    R, still, X, rate, turned = _in_camera(table, lens, shape, T_camera_target, readout_s, sweep)
+    T = T_camera_target[table.view]
+    R = T[:, :3, :3]
+    still = (R @ table.on_target(shape)[:, :, None])[:, :, 0] + T[:, :3, 3]
+    still[:, 2] = np.maximum(still[:, 2], BEHIND)
+    X, rate = still, np.zeros_like(still)
+    if sweep is not None:
+        along = (table.pixels[:, 1] / lens.size[1] - 0.5)[:, None] * sweep[table.view]
+        rate = along[:, :3] + np.cross(along[:, 3:], still)
+        X = still + readout_s * rate
+        X[:, 2] = np.maximum(X[:, 2], BEHIND)
     seen, by_point, by_lens = lens.linearise(X)
     by_point = table.white @ by_point
     by_readout = by_point @ rate[:, :, None]
-    if turned is not None:
-        by_point = by_point @ turned
+    if sweep is not None:
+        by_point = by_point @ (np.eye(3) + readout_s * so3.hat(along[:, 3:]))
     on = by_point @ R
     by_pose = np.concatenate([by_point, -by_point @ so3.hat(still)], axis=2)
     gap = table.pixels - seen
@@ -186,39 +195,6 @@ def corner_rows(
     )
 
 
-def residuals(
-    table: CornerTable,
-    lens: Lens,
-    shape: Array,
-    T_camera_target: Array,
-    readout_s: float = 0.0,
-    sweep: Array | None = None,
-) -> Array:
-    """Residuals in pixels alone, (M, 2), as of :func:`corner_rows`."""
-    X = _in_camera(table, lens, shape, T_camera_target, readout_s, sweep)[2]
-    return table.pixels - lens.project(X)
-
-
-def _in_camera(
-    table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array, readout_s: float, sweep: Array | None
-) -> tuple[Array, Array, Array, Array, Array | None]:
-    """(rotation of the target (M, 3, 3), corners in the camera's frame (M, 3) when the middle row was read and when
-    their own was, their motion per readout (M, 3), derivative of the second by the first (M, 3, 3), None for 1).
-    """
-    T = T_camera_target[table.view]
-    R = T[:, :3, :3]
-    X = (R @ table.on_target(shape)[:, :, None])[:, :, 0] + T[:, :3, 3]
-    X[:, 2] = np.maximum(X[:, 2], BEHIND)
-    if sweep is None:
-        return R, X, X, np.zeros_like(X), None
-    down = table.pixels[:, 1] / lens.size[1] - 0.5
-    along = down[:, None] * sweep[table.view]
-    rate = along[:, :3] + np.cross(along[:, 3:], X)
-    moved = X + readout_s * rate
-    moved[:, 2] = np.maximum(moved[:, 2], BEHIND)
-    return R, X, moved, rate, np.eye(3) + readout_s * so3.hat(along[:, 3:])
-
-
 def grams(table: CornerTable, rows: CornerRows) -> Array:
     """For each image the products of its columns with each other, (N, 22 + Z, 22 + Z): pose, common, residual last."""
     columns = np.concatenate([rows.by_pose, rows.by_common, rows.residual[:, :, None]], axis=2)
@@ -228,6 +204,12 @@ def grams(table: CornerTable, rows: CornerRows) -> Array:
         part = columns[table.of_view(i)].reshape(-1, columns.shape[2])
         out[i] = part.T @ part
     return out
+
+
+def common_names(lens: Lens, table: CornerTable) -> tuple[str, ...]:
+    """Names of clock and of what all images share, (16 + Z,)."""
+    places = (f"places/{i}" for i in range(table.places * table.markers))
+    return ("clock", *(f"lens/{n}" for n in lens.names), *(f"sheet/{n}" for n in SHAPE_NAMES), "readout", *places)
 
 
 @dataclass(frozen=True)

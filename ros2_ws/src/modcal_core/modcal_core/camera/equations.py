@@ -72,7 +72,8 @@ class CameraRows:
     grams (N, 22 + Z, 22 + Z): products of each image's columns, at noise 1. moved (N, 6, K): twists by the K parameters
     of arm and clock. joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. columns (K + 15 + Z,):
     where its parameters stand among those of all cameras, −1 for one that is not fitted. corners: number in use. stop
-    (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown.
+    (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown. pixels (M, 2): by
+    how much corners are elsewhere than the model has them [px].
     """
 
     grams: Array
@@ -82,6 +83,7 @@ class CameraRows:
     columns: np.ndarray
     corners: int
     stop: np.ndarray
+    pixels: Array
 
     def covariance_of_views(self, sizes: Sizes) -> Array:
         """Q of each image's own twist, (N, 6, 6)."""
@@ -118,7 +120,7 @@ class _Sums:
             own = np.concatenate([one.joints, one.shifts], axis=2)  # twists per unit of what is off
             G = one.grams[:, :POSE]
             to_pose = np.swapaxes(own, 1, 2) @ G
-            np.add.at(inner, stop, to_pose[:, :, :POSE] @ own)
+            inner[stop] += to_pose[:, :, :POSE] @ own  # no two images of one camera are of one stop
             by = np.concatenate([to_pose[:, :, :POSE] @ one.moved, to_pose[:, :, POSE:]], axis=2)
             A = one.moved.reshape(-1, K)
             cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
@@ -131,9 +133,7 @@ class _Sums:
             keep = np.flatnonzero(np.r_[one.columns, size] >= 0)
             at = np.r_[one.columns, size][keep]
             whole[np.ix_(at, at)] += part[np.ix_(keep, keep)]
-            spread = np.zeros((len(by), m, size + 1))
-            spread[:, :, at] = by[:, :, keep]
-            np.add.at(rows, stop, spread)
+            rows[stop[:, None], :, at] += by[:, :, keep].transpose(0, 2, 1)
         return cls(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), inner, rows)
 
 

@@ -20,13 +20,12 @@ from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import (
     CLOCK_S,
     READOUT,
-    SHAPE_NAMES,
     CameraState,
     CommonPrior,
     CornerTable,
+    common_names,
     corner_rows,
     grams,
-    residuals,
 )
 from modcal_core.camera.descent import damped, downhill
 from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
@@ -112,7 +111,7 @@ _SETTLED = 0.05  # change of a size's logarithm
 class CameraFit:
     """table, poses, prior: what was fitted. state: where it ended. sizes: of the errors. covariance: of parameters,
     clock, lens, shape, readout and the places of Z values of markers, (P + 16 + Z, P + 16 + Z). equations: at the
-    state. pixels: residuals (M, 2), the images' own twists not put in. converged: whether it met.
+    state. converged: whether it met.
     """
 
     table: CornerTable
@@ -122,8 +121,12 @@ class CameraFit:
     sizes: Sizes
     covariance: Array
     equations: Equations
-    pixels: Array
     converged: bool
+
+    @property
+    def pixels(self) -> Array:
+        """By how much corners (M, 2) are elsewhere than the model has them, the images' own twists not put in [px]."""
+        return self.equations.cameras[0].pixels
 
     @property
     def rms_px(self) -> float:
@@ -164,14 +167,7 @@ class CameraFit:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the rows of the covariance."""
-        return (
-            *self.poses.names,
-            "clock",
-            *(f"lens/{n}" for n in self.state.lens.names),
-            *(f"sheet/{n}" for n in SHAPE_NAMES),
-            "readout",
-            *(f"places/{i}" for i in range(self.table.places * self.table.markers)),
-        )
+        return (*self.poses.names, *common_names(self.state.lens, self.table))
 
 
 def fit_camera(
@@ -207,9 +203,8 @@ def fit_camera(
         afar = False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
-    pixels = missed_pixels(table, poses, state)
     covariance = equations.solve(sizes).covariance()
-    return CameraFit(table, poses, prior, state, sizes, covariance, equations, pixels, converged)
+    return CameraFit(table, poses, prior, state, sizes, covariance, equations, converged)
 
 
 def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState) -> Equations:
@@ -247,17 +242,13 @@ def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns
         columns,
         int((table.weight > 0.0).sum()),
         poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE),
+        rows.pixels,
     )
 
 
 def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
     """By how much corners (M, 2) are elsewhere than the model has them [px]."""
-    T, _ = poses.tool_motions(state.values, state.offset_s)
-    sweep = None
-    if poses.moves:
-        by_clock = np.einsum("nij,nj->ni", poses.joint_motions(state.values, T), poses.velocity)
-        sweep = poses.as_twists(T, by_clock[:, :, None])[:, :, 0]
-    return residuals(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
+    return camera_rows(table, poses, state, np.empty(0, int)).pixels
 
 
 def _possible(poses: ArmPoses, state: CameraState) -> bool:

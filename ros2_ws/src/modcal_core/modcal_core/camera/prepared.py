@@ -11,7 +11,7 @@ import numpy as np
 from modcal_core.camera.arm_poses import NOTHING_KNOWN, ImageMoments, arm_poses
 from modcal_core.camera.body_start import body_poses, images_with_pose, require_order, start_of_body
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
-from modcal_core.camera.corners import FREE, SHAPE, CommonPrior, CornerTable, common_prior, residuals
+from modcal_core.camera.corners import FREE, SHAPE, CommonPrior, CornerTable, common_prior, corner_rows
 from modcal_core.camera.intrinsics import LensFit, board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, PINHOLE, Lens
@@ -208,7 +208,7 @@ def _of_body(chain: Chain, images: CameraImages, progress: Callable[[str], None]
         raise explained(error, chain, q[whole], *some) from error
     prior = common_prior(begin.lens, target.scale, images.stated if lens is not None else None)
     prior = prior.with_places(target.place_prior())
-    far = gross(residuals(table, begin.lens, table.unshaped, mounting.T_camera_target))
+    far = gross(corner_rows(table, begin.lens, table.unshaped, mounting.T_camera_target).pixels)
     seen = replace(seen, table=table.with_weight(np.where(far, 0.0, 1.0)))
     strange = mostly_out(table, far)
     seen = seen.without(strange, ELSEWHERE)

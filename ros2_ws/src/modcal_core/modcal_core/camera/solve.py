@@ -28,7 +28,7 @@ from modcal_core.camera.contradicted import (
 )
 from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE, CameraState
 from modcal_core.camera.equations import numbered
-from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
+from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit
 from modcal_core.camera.mounting import Mounting, held_out
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
@@ -143,11 +143,11 @@ class _Further:
 
     def seen_by(self, fit: CameraFit) -> FurtherSeen:
         """What the fit of all makes of it."""
-        every = fit.poses.further_at(fit.state)
-        camera, columns, state = next(one for one in every if one[0].name == self.camera.name)
+        every = zip(fit.poses.further_at(fit.state), fit.equations.cameras[1:], strict=True)
+        (camera, columns, state), rows = next(one for one in every if one[0][0].name == self.camera.name)
         columns = columns[len(state.values) + 1 :]
         std = np.where(columns >= 0, np.sqrt(np.diag(fit.covariance))[columns], 0.0)
-        rms = camera.table.rms(missed_pixels(camera.table, camera.poses, state))
+        rms = camera.table.rms(rows.pixels)
         one = self.images
         return FurtherSeen(self.ready, one.name, one.target, state, std, len(one.views), rms)
 
