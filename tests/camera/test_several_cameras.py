@@ -125,6 +125,16 @@ def test_a_kicked_second_tripod_is_named(cell: CameraScene) -> None:
         assert all(said.startswith("The camera of /second/image was moved before image 6") for said in found.problems)
 
 
+@pytest.mark.slow
+def test_a_kick_of_one_tripod_is_not_said_of_the_other(cell: CameraScene) -> None:
+    r = solved(cell, on_tripod(cell, 6))
+    assert r.moved is None
+    assert [said for said in r.decision.problems if "was moved" in said] == [
+        said for said in r.decision.problems if said.startswith("The camera of /second/image was moved before image 6")
+    ]
+    assert any("/second/image was moved" in said for said in r.decision.problems)
+
+
 def test_a_camera_is_given_once(cell: CameraScene) -> None:
     with pytest.raises(BadRecording, match="given twice"):
         solved(cell, replace(on_tripod(cell), name="images"))
