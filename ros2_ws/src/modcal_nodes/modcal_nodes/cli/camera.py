@@ -190,34 +190,23 @@ def plan_next_images(camera: CameraOptions, options: Options, count: int, out: P
 def _solved(
     camera: CameraOptions, options: Options, bag: Path | None, watch: Watch
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
-    from modcal_core.camera import read_any_target, solve_camera
+    from modcal_core.camera import CameraProblem, read_any_target, solve_camera
 
     assert camera.target is not None
     target = read_any_target(camera.target)
-    read = CameraSource(camera, options, target, bag, watch).read()
+    source = CameraSource(camera, options, target, bag, watch)
+    read = source.read()
     robot, found = read.robot, read.found
-    solution = solve_camera(
+    problem = CameraProblem(
         robot.chain,
-        found.q,
-        found.views,
-        target,
-        found.size,
-        np.random.default_rng(options.seed),
-        velocity=found.velocity,
-        lens=read.lens,
-        stated=camera.intrinsics,
+        (source.seen(found, target, read.lens, camera.on_tip), *read.further),
         arm_m=None if camera.arm_mm is None else 1e-3 * camera.arm_mm,
-        camera_on_tip=camera.on_tip,
-        flat=camera.flat_target,
         fixed=options.fixed,
-        progress=watch,
-        moments=found.moments,
         inertias=robot.inertias,
         beside=read.others,
         look_for_effects=not options.geometry_only,
-        fisheye=camera.fisheye,
-        further=read.further,
     )
+    solution = solve_camera(problem, np.random.default_rng(options.seed), watch)
     return robot, found, replace(solution, notes=(*found.notes, *read.notes))
 
 

@@ -166,7 +166,7 @@ class CameraSource:
             robot, notes, seen = self._in_files(self.camera.images)
         two_arms = bool(notes)
         (first, found), *others = seen.items()
-        further = [self._seen(name or "images", one, self.target, self.camera.on_tip) for name, one in others]
+        further = [self._further(name or "images", one, self.target, self.camera.on_tip) for name, one in others]
         for name, one in others:
             out = (f"left out: {image}: {why}." for image, why in one.left_out.items())
             notes += tuple(f"{name}: {said}" for said in (*one.notes, *out))
@@ -224,24 +224,30 @@ class CameraSource:
         lens = self.lenses.get(camera_key(topic))
         size = None if lens is None else lens[0].size
         found = read_bag_images(self.bag, self.recording, robot.names, target, topic, self.watch, size)
-        return self._seen(topic, found, target, None)
+        return self._further(topic, found, target, None)
 
-    def _seen(
+    def _further(
         self, name: str, found: ImageFolder, target: PrintedTarget | MarkerBundle, on_tip: bool | None
     ) -> CameraImages:
         """What a further camera saw. on_tip: whether the arm carries the camera."""
-        from modcal_core.camera import CameraImages
         from modcal_nodes.vision import camera_key, require_size
 
         lens, source = self.lenses.get(camera_key(name), (found.lens, found.lens_of))
         if lens is not None:
             require_size(lens, found.size, source)
+        return replace(self.seen(found, target, lens, on_tip), name=name)
+
+    def seen(
+        self, found: ImageFolder, target: PrintedTarget | MarkerBundle, lens: Lens | None, on_tip: bool | None
+    ) -> CameraImages:
+        """What a camera saw. lens: where known. on_tip: whether the arm carries the camera, where stated."""
+        from modcal_core.camera import CameraImages
+
         return CameraImages(
             *(found.q, found.views, target, found.size, found.velocity, lens, self.camera.intrinsics, on_tip),
             flat=self.camera.flat_target,
             moments=found.moments,
             fisheye=self.camera.fisheye,
-            name=name,
         )
 
     def _lens(self, found: ImageFolder, cameras: list[str]) -> Lens | None:
