@@ -12,7 +12,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.verdict.status import MAX_PREDICTABLE
+from modcal_core.verdict.predictable import MAX_PREDICTABLE
 from modcal_nodes.simulation.world import World
 
 

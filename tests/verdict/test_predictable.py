@@ -16,8 +16,7 @@ from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import PART, SignalTrack
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
-from modcal_core.verdict.predictable import predictable
-from modcal_core.verdict.status import MAX_PREDICTABLE
+from modcal_core.verdict.predictable import MAX_PREDICTABLE, predictable
 
 
 @cache
