@@ -33,7 +33,7 @@ _MAX = 500  # samples; a longer recording is thinned evenly
 MIN_STATIONS = 15  # three in each fold; with fewer nothing can be said
 MAX_PREDICTABLE = 0.05  # lower end (99 %) of the share of E² that is predictable: 2.5 % in RMS (sweep)
 _DEALS = 3  # ways of dealing stations to folds
-_FLIPS = 24  # trials of noise in each, to which a Gumbel law is fitted
+_FLIPS, _FEW = 24, 6  # trials of noise, to which a Gumbel law is fitted; where too little is gained to be sure of it
 _DRAWS = 400  # bootstrap samples
 _FREE = 1e3  # deviations of the noise by which parameters may be off that were fitted to these very samples
 _DOUBT = 2.0  # times; a kept covariance assumes white noise, which an arm that does not repeat has not
@@ -143,22 +143,24 @@ def predictable(case: Case) -> Predictable:
 def _weighed(study: _Study, deals: list[Baseline], tests: list[list[tuple[str, Regressor]]]) -> Predictable:
     """The shares by the best of these regressors, in the mean over all deals."""
     rest, unit = study.rest, study.unit
-    predictions = []
+    predictions: list[list[Array]] = []
     for deal, some in zip(deals, tests, strict=True):
         trials = deal.trials(deal.layout.flat(rest.residual)[:, None])
         left = deal.layout.grid(trials.left[:, 0])
-        predictions.append([deal.layout.grid(p[:, 0]) for _, test in some for p in test.predictions(trials)])
-    names = [name for name, test in tests[0] for _ in range(2)]
+        made = [(name, p) for name, test in some for p in test.predictions(trials)]
+        names = [name for name, _ in made]
+        predictions.append([deal.layout.grid(p[:, 0]) for _, p in made])
     gains = np.mean([[left**2 - (left - p) ** 2 for p in some] for some in predictions], axis=0)  # (T, 6, N)
     best = int(np.argmax(gains.sum(axis=(1, 2))))
     predicted = np.mean([some[best] for some in predictions], axis=0)
+    flips = _FLIPS if gains[best].sum() > MAX_PREDICTABLE * np.sum(left**2) else _FEW
     rng = np.random.default_rng(0)
-    signs = rng.choice([-1.0, 1.0], (unit.max() + 1, _FLIPS))[unit]
+    signs = rng.choice([-1.0, 1.0], (unit.max() + 1, flips))[unit]
     own = study.parameters[: 0 if len(study.free) else None]
-    error = np.tensordot(own, rng.normal(size=(len(own), _FLIPS)), axes=(0, 0))  # (6, N, flips)
+    error = np.tensordot(own, rng.normal(size=(len(own), flips)), axes=(0, 0))  # (6, N, flips)
     drawn = (left - predicted)[..., None] * signs + error
     noise = np.mean([_by_noise(deal, some, drawn) for deal, some in zip(deals, tests, strict=True)], axis=0)
-    top = noise[:, np.argmax(noise[0], axis=0), np.arange(_FLIPS)]  # (3, flips)
+    top = noise[:, np.argmax(noise[0], axis=0), np.arange(flips)]  # (3, flips)
     kinds = zip((slice(0, 6), slice(0, 3), slice(3, 6)), top, strict=True)
     both, position, rotation = (
         _share(left[rows], gains[best][rows], unit, by_noise) if rest.weight[rows].any() else None
@@ -218,10 +220,10 @@ def dependence(case: Case, rows: np.ndarray, least: float, free: bool = True) ->
         new = [deal.new(part.columns) for deal in deals] if part.place else []
         if not new or not len(new[0]):
             continue
-        gains = np.zeros(2)
+        gain = 0.0
         for deal, columns, trial in zip(deals, new, trials, strict=True):
-            gains += [float(np.sum(p * (2.0 * trial.left - p))) for p in Ridge(columns, deal).predictions(trial)]
-        found.append((float(gains.max()) / _DEALS / max(whole, 1e-300), len(new[0]), part))
+            gain += sum(float(np.sum(p * (2.0 * trial.left - p))) for p in Ridge(columns, deal).predictions(trial))
+        found.append((gain / _DEALS / max(whole, 1e-300), len(new[0]), part))
     return _named(found, least)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,7 +31,7 @@ _BEYOND_DOUBT = 50.0  # difference of log-likelihoods beyond the price of the nu
 _MOSTLY = 0.5  # share of the squared error of positions, or of orientations: most of it
 _TIMES = 3.0  # the scatter of the usual joint; sizes of gears and encoders in one arm differ by about two
 _ODDS = float(np.log(20.0))  # difference from joints of which the named ones are louder by no more than that
-_ROUNDS = 60  # of the EM algorithm
+_ROUNDS, _SETTLED = 60, 0.1  # of the EM algorithm, and the gain in log-likelihood at which it ends
 _MIN_TIME = 0.2  # ms; less is what clocks of computers are apart by
 _SEPARATE = 0.85  # share of the squares along a motion that two values explain; of a wave, the next most, it is 0.81
 _MIN_OF_THEM = 0.1  # share of the samples in the smaller group
@@ -69,6 +70,14 @@ class _Part:
         return replace(self, Z=self.Z[rows])
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """height: log-likelihood. free: covariance of each part, (d, d)."""
+
+    height: float
+    free: list[Array]
+
+
 def scatter(rest: Rest, predicted: Array | None = None) -> str:
     """A sentence where most of a rest is scatter of one place, and more than the mean explains; else an empty one.
 
@@ -88,15 +97,16 @@ def scatter(rest: Rest, predicted: Array | None = None) -> str:
         return ""
     usual = [part.at(rows) for part in (*_alike(rest, joints), *_of_instrument(rest))]
     named: list[_Part] = []
-    least, variance, covariances = _likelihood(left, usual, ())
+    fit = _likelihood(left, usual)
     while parts and len(named) < 2:
         found = [(_likelihood(left, usual, (*named, part)), part) for part in parts]
-        best, part = max(found, key=lambda f: f[0][0] - _price(f[1], len(rows)))
-        if best[0] - _price(part, len(rows)) < least + _BEYOND_DOUBT:
+        best, part = max(found, key=lambda f: f[0].height - _price(f[1], len(rows)))
+        if best.height - _price(part, len(rows)) < fit.height + _BEYOND_DOUBT:
             break
-        least, variance, covariances = best
+        fit = best
         named.append(part)
         parts = [p for p in parts if p is not part and p.unit and p.unit == part.unit]
+    covariances = fit.free[len(usual) :]
     share = _share(whole, left, named, covariances)
     if share < _MOSTLY:
         return ""
@@ -106,13 +116,14 @@ def scatter(rest: Rest, predicted: Array | None = None) -> str:
     sizes = [1e3 * float(np.sqrt(C[0, 0]) / part.size[0]) for part, C in zip(named, covariances, strict=True)]
     if moving:
         return _of_way(sizes[0], share) if sizes[0] > _MIN_TIME else ""
-    others = next(1e3 * float(np.sqrt(v) / p.size[0]) for p, v in zip(usual, variance, strict=True) if p.unit == unit)
+    sames = zip(usual, fit.free, strict=False)
+    others = next(1e3 * float(np.sqrt(C[0, 0]) / part.size[0]) for part, C in sames if part.unit == unit)
     shares = [_share(whole, left, [part], [C]) for part, C in zip(named, covariances, strict=True)]
     ranked = sorted(zip(named, sizes, shares, strict=True), key=lambda k: [j.who for j in joints].index(k[0].who))
     loud = {part.who: size for part, size, own in ranked if size > _TIMES * others and own > 0.5 * _MOSTLY}
     limited = [part.at(rows) for part in (*_alike(rest, joints, tuple(loud)), *_of_instrument(rest))]
     quiet = [part for part in named if part.who not in loud]
-    if not loud or least < _likelihood(left, limited, quiet)[0] + _ODDS:
+    if not loud or fit.height < _likelihood(left, limited, quiet).height + _ODDS:
         return ""
     return _of_joints(loud, others, unit, share)
 
@@ -299,31 +310,35 @@ def _share(whole: Array, left: Array, named: Sequence[_Part], covariances: Seque
     return float(np.where(wins, squares / np.maximum(_by_kind(whole), 1e-300), 0.0).max().clip(max=1.0))
 
 
-def _likelihood(left: Array, usual: Sequence[_Part], named: Sequence[_Part]) -> tuple[float, Array, list[Array]]:
-    """Log-likelihood of what is left (N, 6) with a variance of each usual part and a covariance of each named one."""
-    N, c = left.shape
-    variance = np.full(len(usual), 1.0 / len(usual))
-    covariances = [np.eye(len(part.size)) / len(part.size) for part in named]
-    products = np.stack([part.Z @ part.Z.transpose(0, 2, 1) for part in usual])
-    count = np.array([N * part.Z.shape[2] for part in usual])
-    best = -np.inf, variance, covariances
+def _likelihood(left: Array, usual: Sequence[_Part], named: Sequence[_Part] = ()) -> _Fit:
+    """The likeliest variance of each usual part and covariance of each named one, of what is left (N, 6).
+
+    Each begins from above, with all that lies along it: from below, the algorithm stalls.
+    """
+    Z, N = np.concatenate([part.Z for part in (*usual, *named)], axis=2), len(left)
+    ends = np.cumsum([0, *(part.Z.shape[2] for part in (*usual, *named))])
+    blocks = [slice(a, b) for a, b in pairwise(ends.tolist())]
+    C = np.zeros((Z.shape[2], Z.shape[2]))
+    for block in blocks:
+        C[block, block] = np.eye(block.stop - block.start) * np.sum(left**2) / np.sum(Z[..., block] ** 2)
+    best = _Fit(-np.inf, [])
     for _ in range(_ROUNDS):
-        S = np.tensordot(variance, products, axes=1) + 1e-9 * np.eye(c)
-        for part, C in zip(named, covariances, strict=True):
-            S = S + part.Z @ C @ part.Z.transpose(0, 2, 1)
+        S = Z @ C @ Z.transpose(0, 2, 1) + 1e-9 * np.eye(Z.shape[1])
         inverse = np.linalg.inv(S)
         u = np.einsum("nij,nj->ni", inverse, left)
         height = -0.5 * float(np.sum(np.linalg.slogdet(S)[1]) + np.sum(u * left))
-        if height > best[0]:
-            best = height, variance, covariances
-        again = []
-        for part, C in zip(named, covariances, strict=True):
-            b = np.einsum("nid,ni->nd", part.Z, u) @ C
-            inner = np.einsum("nid,nij,nje->de", part.Z, inverse, part.Z, optimize=True) / N
-            again.append(C + b.T @ b / N - C @ inner @ C)
-        covariances = again
-        seen = np.einsum("ni,knij,nj->k", u, products, u, optimize=True) - np.einsum("nij,knij->k", inverse, products)
-        variance = variance + variance**2 * seen / count
+        if height < best.height + _SETTLED:
+            break
+        best = _Fit(height, [C[block, block] for block in blocks])
+        b, A = np.einsum("nid,ni->nd", Z, u), inverse @ Z
+        seen, expected = np.sum(b**2, axis=0), np.sum(A * Z, axis=(0, 1))
+        C = np.zeros_like(C)
+        for k, (block, old) in enumerate(zip(blocks, best.free, strict=True)):
+            if k < len(usual) or len(old) == 1:  # one variance: by the square root of the ratio, which is quicker
+                C[block, block] = old * np.sqrt(seen[block].sum() / max(float(expected[block].sum()), 1e-300))
+            else:
+                inner = np.tensordot(Z[..., block], A[..., block], axes=([0, 1], [0, 1]))
+                C[block, block] = old + old @ (b[:, block].T @ b[:, block] - inner) @ old / N
     return best
 
 
