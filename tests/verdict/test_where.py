@@ -19,7 +19,7 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.drivers import Drivers
+from modcal_core.verdict.drivers import PlaceDrivers
 from modcal_core.verdict.rest import Rest
 
 CHAIN = ur10()
@@ -55,7 +55,7 @@ def test_no_driver_holds_what_was_read(made: Recorded) -> None:
         samples = replace(made.exact, reading=made.exact.reading + error)
         none: Any = None
         case = Case(samples, none, none, "station", model, none, noise, {}, none, fitted=True)
-        drivers = Drivers(Rest.of(case, np.arange(len(samples))))
+        drivers = PlaceDrivers(Rest.of(case, np.arange(len(samples))))
         J = np.ones((1, 6, len(samples)))
         every = (*drivers.grouped(), *drivers.alone(constant=True), *drivers.changed(J))
         columns = [part.columns for part in every if "a gear" not in part.driver]  # whose teeth the residuals choose

@@ -79,7 +79,7 @@ class Waves:
         return out
 
 
-class Drivers:
+class PlaceDrivers:
     """All parts of a rest."""
 
     def __init__(self, rest: Rest) -> None:

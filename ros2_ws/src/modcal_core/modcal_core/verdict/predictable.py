@@ -25,7 +25,7 @@ from modcal_core.geometry import Array
 from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.case import Case, derivatives
 from modcal_core.verdict.crossfit import FOLDS, Baseline, Layout, Regressor, Ridge, Sparse
-from modcal_core.verdict.drivers import Drivers, Part
+from modcal_core.verdict.drivers import Part, PlaceDrivers
 from modcal_core.verdict.rest import Rest, rows_asked
 from modcal_core.verdict.verdict import Share
 
@@ -103,7 +103,7 @@ class _Study:
         elif free and case.refitted:
             J = derivatives(case.model, case.refitted, samples)[1][: len(case.refitted)] * self.rest.weight
             self.free = _FREE * J / np.sqrt(np.einsum("kcn,kcn->k", J, J))[:, None, None]
-        self.drivers = Drivers(self.rest)
+        self.drivers = PlaceDrivers(self.rest)
 
     def deals(self) -> list[Baseline]:
         """The parameters, prepared for each way of dealing units to folds."""
