@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -120,13 +120,6 @@ class Baseline:
         return Trials(_single(r), _single(left), _single(seen), _single(np.stack(moved)))
 
 
-class Regressor(Protocol):
-    """Anything that predicts each fold of a residual from the others."""
-
-    def predictions(self, trials: Trials) -> list[Array]:
-        """Predictions (R, m) of what is left in the trials, one for each way to set the regressor."""
-
-
 class Ridge:
     """Ridge regression on columns (D, R) of unit length, in single precision, for every fold.
 
@@ -223,6 +216,9 @@ class Sparse:
             each = each.reshape(len(each), len(numbers), len(motions), m).transpose(0, 2, 1, 3)
             out.append(each.reshape(len(each), len(motions) * len(numbers), m))
         return np.concatenate(out, axis=1)
+
+
+Regressor = Ridge | Sparse
 
 
 def _single(x: Array) -> Array:

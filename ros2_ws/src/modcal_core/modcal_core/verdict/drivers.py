@@ -31,7 +31,7 @@ _MAX_WAVES, _LOADED_WAVES = 130, 60  # waves a turn that are looked for alone, a
 _MAX_SIGNALS, _MAX_BESIDE, _MAX_NAMED = 40, 14, 6  # signals, other joints, names in a sentence
 _CUTS = (0.25, 0.5, 0.75)  # of the order of the stations, at which everything may have become another
 _HATS = 9  # over a range
-_MIN_OF_FRAME, _MAX_FRAMES = 12, 6  # readings of an instrument that tell its nine numbers of scale; instruments
+MIN_OF_FRAME, _MAX_FRAMES = 12, 6  # readings of an instrument that tell its nine numbers of scale; instruments
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,7 @@ class PlaceDrivers:
             who, own = f"joint {name}", f"the position of {name} itself"
             if constant:
                 yield _part("", who, CONSTANT, [self.axes[j]], self.one)
-            q = self.samples.q[:, j]
-            yield _part("", who, own, [self.axes[j]], np.concatenate([self.one, self._waves(j, 5)]))
-            yield _part("", who, own, [self.axes[j]], _hats(q))
+            yield _part("", who, own, [self.axes[j]], _hats(self.samples.q[:, j]))
             every = self._directions(j)
             yield _part("", f"{who} across its axis too", own, every, np.concatenate([self.one, self._waves(j, 2)]))
             sizes = {"": self.one[0]}
@@ -158,7 +156,7 @@ class PlaceDrivers:
         group = "the order of the stations: parameters of the model, or the readings, changed"
         yield _part(group, "", "", np.concatenate([by_parameters, scales]), sides)
         frame, names = self.samples.frame, self.samples.frames
-        seen = np.flatnonzero(np.bincount(frame, minlength=len(names)) >= _MIN_OF_FRAME).tolist()
+        seen = np.flatnonzero(np.bincount(frame, minlength=len(names)) >= MIN_OF_FRAME).tolist()
         if not 2 <= len(seen) <= _MAX_FRAMES or self.samples.sockets:
             return
         x = self.rest.view.expected.copy()

@@ -17,6 +17,7 @@ from modcal_core.robots import is_serial_arm
 from modcal_core.verdict.account import account
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.contributions import Contribution, contributions, mean_square
+from modcal_core.verdict.drivers import MIN_OF_FRAME
 from modcal_core.verdict.floor import MIN_ASKED, Floor, Floors, floors
 from modcal_core.verdict.grounds import Grounds
 from modcal_core.verdict.predictable import MIN_STATIONS, Predictable, predictable
@@ -278,12 +279,17 @@ def _spoken(question: NotAsked) -> str:
 
 def _not_asked(seen: Facts) -> Iterator[NotAsked]:
     """What so few stations do not answer."""
-    stations, returns = seen.case.samples.stations, seen.known.position
+    samples, returns = seen.case.samples, seen.known.position
+    stations, read = samples.stations, np.bincount(samples.frame, minlength=len(samples.frames))
     if seen.mean.both is None:
         yield NotAsked("whether the rest can be predicted", f"{MIN_STATIONS} stations ({stations} so far)")
     if stations < MIN_SCATTERED:
         what = "whether one joint, the base or the tool scatters more than the others, or stands in two places"
         yield NotAsked(what, f"{MIN_SCATTERED} stations ({stations} so far)")
+    few = [name for name, count in zip(samples.frames, read, strict=True) if 0 < count < MIN_OF_FRAME]
+    if few and len(samples.frames) > 1 and not samples.sockets:
+        what = f"whether the readings in {', '.join(few)} agree with the others in scale, shape and target"
+        yield NotAsked(what, f"{MIN_OF_FRAME} readings of each")
     if returns is not None and 0 < returns.returns < MIN_ASKED:
         needs = f"{MIN_ASKED} postures visited twice ({returns.returns} so far)"
         yield NotAsked("whether what returns differ by depends on time, side or posture", needs)
