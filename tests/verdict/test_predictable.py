@@ -76,6 +76,25 @@ def test_what_changes_half_way_is_predictable(changed: str) -> None:
     assert "changed" in found.source
 
 
+@pytest.mark.slow
+def test_how_stations_are_dealt_decides_nothing() -> None:
+    """Stations recorded under other numbers fall into other folds, and the share stays as it is."""
+    case = fitted("pose", 60)
+    case = with_noise(case, np.random.default_rng(3), "normal")
+    heat = np.random.default_rng(4).normal(size=60)
+    tilt = 3e-5 * heat[:, None] * [0.0, 0.0, 1.0]
+    signals = (SignalTrack("signal:/x", case.samples.stamps, heat[:, None], "/x"),)
+    shares = []
+    for seed in range(4):
+        order = np.random.default_rng(seed).permutation(60)
+        samples = replace(case.samples, reading=case.samples.reading + tilt, signals=signals, station=order)
+        found = predictable(replace(case, samples=samples)).both
+        assert found is not None
+        shares.append(found.share)
+    assert min(shares) > 0.1
+    assert np.ptp(shares) < 0.1 * np.mean(shares)
+
+
 def faulty(fault: str, seed: int = 5, stations: int = 160) -> Samples:
     """Readings of an arm in MuJoCo with 0.1 mm that no geometry explains, on 0.02 mm of noise."""
     made, q, _ = tour(seed, stations, 0)
