@@ -205,7 +205,7 @@ def _share(left: Array, gained: Array, unit: np.ndarray, by_noise: Array) -> Sha
 
 
 def dependence(case: Case, rows: np.ndarray, least: float, free: bool = True) -> Dependence | None:
-    """The place and driver that predict most of the rest at some rows, None where no pair predicts a good part of it.
+    """The place and driver that predict most of the rest at some rows, None if nothing predicts a good part of it.
 
     least: share of the squares that is a good part. free: whether what was fitted may be off.
     """

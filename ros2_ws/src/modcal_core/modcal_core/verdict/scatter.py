@@ -96,16 +96,7 @@ def scatter(rest: Rest, predicted: Array | None = None) -> str:
     if not parts:
         return ""
     usual = [part.at(rows) for part in (*_alike(rest, joints), *_of_instrument(rest))]
-    named: list[_Part] = []
-    fit = _likelihood(left, usual)
-    while parts and len(named) < 2:
-        found = [(_likelihood(left, usual, (*named, part)), part) for part in parts]
-        best, part = max(found, key=lambda f: f[0].height - _price(f[1], len(rows)))
-        if best.height - _price(part, len(rows)) < fit.height + _BEYOND_DOUBT:
-            break
-        fit = best
-        named.append(part)
-        parts = [p for p in parts if p is not part and p.unit and p.unit == part.unit]
+    named, fit = _selected(left, usual, parts)
     covariances = fit.free[len(usual) :]
     share = _share(whole, left, named, covariances)
     if share < _MOSTLY:
@@ -116,16 +107,28 @@ def scatter(rest: Rest, predicted: Array | None = None) -> str:
     sizes = [1e3 * float(np.sqrt(C[0, 0]) / part.size[0]) for part, C in zip(named, covariances, strict=True)]
     if moving:
         return _of_way(sizes[0], share) if sizes[0] > _MIN_TIME else ""
-    sames = zip(usual, fit.free, strict=False)
-    others = next(1e3 * float(np.sqrt(C[0, 0]) / part.size[0]) for part, C in sames if part.unit == unit)
-    shares = [_share(whole, left, [part], [C]) for part, C in zip(named, covariances, strict=True)]
-    ranked = sorted(zip(named, sizes, shares, strict=True), key=lambda k: [j.who for j in joints].index(k[0].who))
-    loud = {part.who: size for part, size, own in ranked if size > _TIMES * others and own > 0.5 * _MOSTLY}
+    own = [_share(whole, left, [part], [C]) for part, C in zip(named, covariances, strict=True)]
+    same = next(k for k, part in enumerate(usual) if part.unit == unit)
+    others = 1e3 * float(np.sqrt(fit.free[same][0, 0]) / usual[same].size[0])
+    found = {p.who: s for p, s, o in zip(named, sizes, own, strict=True) if s > _TIMES * others and o > 0.5 * _MOSTLY}
+    loud = {part.who: found[part.who] for part in joints if part.who in found}
     limited = [part.at(rows) for part in (*_alike(rest, joints, tuple(loud)), *_of_instrument(rest))]
-    quiet = [part for part in named if part.who not in loud]
-    if not loud or fit.height < _likelihood(left, limited, quiet).height + _ODDS:
-        return ""
-    return _of_joints(loud, others, unit, share)
+    within = _likelihood(left, limited, [part for part in named if part.who not in loud])
+    return _of_joints(loud, others, unit, share) if loud and fit.height > within.height + _ODDS else ""
+
+
+def _selected(left: Array, usual: Sequence[_Part], parts: list[_Part]) -> tuple[list[_Part], _Fit]:
+    """The part, or the two joints, with which what is left (N, 6) is beyond doubt likelier; none at all otherwise."""
+    named: list[_Part] = []
+    fit = _likelihood(left, usual)
+    while parts and len(named) < 2:
+        found = [(_likelihood(left, usual, (*named, part)), part) for part in parts]
+        best, part = max(found, key=lambda f: f[0].height - _price(f[1], len(left)))
+        if best.height - _price(part, len(left)) < fit.height + _BEYOND_DOUBT:
+            break
+        fit, named = best, [*named, part]
+        parts = [p for p in parts if p is not part and p.unit and p.unit == part.unit]
+    return named, fit
 
 
 def two_values(rest: Rest, fitted: bool) -> str:
