@@ -21,7 +21,7 @@ from modcal_core.geometry import Array
 from modcal_core.verdict.drivers import Waves
 
 FOLDS = 5  # of cross-validation; the usual number (Breiman & Spector 1992)
-_EXPECTED = 0.15  # share of the residual that a group may be expected to explain: sets the ridge
+_EXPECTED = (0.05, 0.5)  # shares of the residual that a group may be expected to explain: sets the ridge
 _MIN_NEW = 0.02  # length that must be left of a column without what the parameters could make of it
 _ALIKE = 0.1  # ridge in units of a column's square; columns that are nearly the same share what they explain
 _COUNTS = (2, 8)  # of very many columns at a time
@@ -121,7 +121,7 @@ class Baseline:
 
 
 class Ridge:
-    """Ridge regression on columns (D, R) of unit length, in single precision, for every fold.
+    """Ridge regression on columns (D, R) of unit length, in single precision, for every fold and several ridges.
 
     With as many columns as D, none of them special, and a share s of R unit variances expected to be explained, each
     coefficient has a variance of s R / D, and the ridge is its inverse.
@@ -133,18 +133,19 @@ class Ridge:
         parts = [columns[:, a:b] for a, b in self.spans]
         grams = [part @ part.T for part in parts]
         whole = np.sum(grams, axis=0)
-        self._factors = [_factored(whole - gram, D / (_EXPECTED * R)) for gram in grams]
+        self._factors = [[_factored(whole - gram, D / (share * R)) for gram in grams] for share in _EXPECTED]
         own = np.stack([part @ Q[:, a:b].T for part, (a, b) in zip(parts, self.spans, strict=True)])
         self._along = own.sum(axis=0) - own  # with the parameters' directions over the other folds, (FOLDS, D, K)
 
     def predictions(self, trials: Trials) -> list[Array]:
-        """The prediction (R, m) of what is left in the trials."""
+        """Predictions (R, m) of what is left in the trials, one for each size of ridge."""
         own = np.stack([self.columns[:, a:b] @ trials.residual[a:b] for a, b in self.spans])
         products = own.sum(axis=0) - own - self._along @ trials.moved
-        prediction = np.empty_like(trials.left)
-        for (a, b), target, factor in zip(self.spans, products, self._factors, strict=True):
-            prediction[a:b] = self.columns[:, a:b].T @ cho_solve(factor, target, check_finite=False)
-        return [prediction]
+        out = [np.empty_like(trials.left) for _ in _EXPECTED]
+        for prediction, factors in zip(out, self._factors, strict=True):
+            for (a, b), target, factor in zip(self.spans, products, factors, strict=True):
+                prediction[a:b] = self.columns[:, a:b].T @ cho_solve(factor, target, check_finite=False)
+        return out
 
 
 class Sparse:

@@ -228,7 +228,7 @@ class PlaceDrivers:
             yield _part(f"fast waves over {order}", "the base", order, self.base, waves[_SLOW:])
         hats = np.concatenate([_hats(self.rank), self.rank > np.arange(1, 10)[:, None] / 10.0])
         for who, body in (("the tool", self.tool), ("the base", self.base)):
-            yield _part("", who, order, body, hats)
+            yield _part(f"stretches and steps of {order}", who, order, body, hats)
 
     def _history(self) -> Iterator[Part]:
         """Joints, base and tool with the way joints arrived, how far they came, and how fast they move."""

@@ -220,10 +220,11 @@ def dependence(case: Case, rows: np.ndarray, least: float, free: bool = True) ->
         new = [deal.new(part.columns) for deal in deals] if part.place else []
         if not new or not len(new[0]):
             continue
-        gain = 0.0
-        for deal, columns, trial in zip(deals, new, trials, strict=True):
-            gain += sum(float(np.sum(p * (2.0 * trial.left - p))) for p in Ridge(columns, deal).predictions(trial))
-        found.append((gain / _DEALS / max(whole, 1e-300), len(new[0]), part))
+        gains = [
+            [float(np.sum(p * (2.0 * trial.left - p))) for p in Ridge(columns, deal).predictions(trial)]
+            for deal, columns, trial in zip(deals, new, trials, strict=True)
+        ]
+        found.append((float(np.mean(gains, axis=0).max()) / max(whole, 1e-300), len(new[0]), part))
     return _named(found, least)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from modcal_core.calibration import Errors
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case
-from modcal_core.verdict.predictable import MAX_PREDICTABLE, dependence
+from modcal_core.verdict.predictable import MAX_PREDICTABLE, MIN_STATIONS, dependence
 from modcal_core.verdict.rejected import alike, too_many
 from modcal_core.verdict.rest import Rest, rows_asked
 from modcal_core.verdict.scatter import along_joint
@@ -48,7 +48,8 @@ def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
     share = both.share if both is not None and both.lower99 > MAX_PREDICTABLE else 1.0
     rows = rows_asked(case, _MAX)
     found = dependence(case, rows, float(np.clip(_MOSTLY * share, _MIN_NAMED, _WORTH_NAMING)))
-    along = along_joint(Rest.of(case, rows)) if len(rows) else None
+    many = case.samples.select(rows).stations >= MIN_STATIONS
+    along = along_joint(Rest.of(case, rows)) if many else None
     if along is not None and (found is None or found.share < _HALF * along[1]):
         yield (
             f"The residual correlates with nothing that was recorded, as an error of joint {along[0]} "
