@@ -15,6 +15,7 @@ from typing import cast
 
 import numpy as np
 
+from modcal_core.calibration import station_numbers
 from modcal_core.diagnosis import last_moves, moments_on_base, play, slipped
 from modcal_core.effects import periodic
 from modcal_core.geometry import Array
@@ -88,13 +89,13 @@ class PlaceDrivers:
         self.N = len(rest.samples)
         self.one = np.ones((1, self.N))
         self.rng = np.random.default_rng(0)
-        self.rank = _rank(rest)
+        # order in time of each sample's station, 0 … 1
+        self.rank = station_numbers(rest.samples) / max(rest.samples.stations - 1, 1)
         self.axes = [rest.axis(j) for j in range(self.chain.n)]
         self.base, self.tool = rest.body(0), rest.body(self.chain.tool_place)
-        step = last_moves(self.samples).T
-        came = self.samples.approach.T
-        self.came = came if came.any() else np.sign(step)
-        self.step = _standard(step)
+        step, approach = last_moves(self.samples), self.samples.approach
+        self.came = np.where(approach.any(axis=1, keepdims=True), approach, np.sign(step)).T
+        self.step = _standard(step.T)
 
     def grouped(self) -> Iterator[Part]:
         """Parts of groups, which tell how much of the rest is predictable."""
@@ -396,10 +397,3 @@ def _hats(x: Array) -> Array:
     """Hats over a range, (_HATS, N)."""
     u = (x - x.min()) / max(float(np.ptp(x)), 1e-12) * (_HATS - 1)
     return np.asarray(np.maximum(1.0 - np.abs(u - np.arange(_HATS)[:, None]), 0.0))
-
-
-def _rank(rest: Rest) -> Array:
-    """Order in time of each sample's station, 0 … 1, (N,)."""
-    from modcal_core.calibration import station_numbers
-
-    return np.asarray(station_numbers(rest.samples) / max(rest.samples.stations - 1, 1))
