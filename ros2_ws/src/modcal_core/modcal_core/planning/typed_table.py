@@ -4,7 +4,7 @@ Angles are in degrees and lengths in millimetres, for people type them. What a s
 (semicolons, decimal commas, byte order marks, UTF-16) is undone; what a person may have typed wrongly is refused with
 its row, and nothing of that table is taken in.
 
-Base and tool are those on which most of the stations agree (:mod:`modcal_core.plausibility.consensus`), so that a few
+Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.consensus`), so that a few
 wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, columns that were swapped,
 another row's reading or a wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
 stands beside the arm can still correct it.
@@ -21,11 +21,11 @@ from itertools import permutations, product
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import Array, se3, so3
-from modcal_core.measurements import POSE, Samples
+from modcal_core.geometry import Array, so3
+from modcal_core.hypotheses import LIMIT_OF_REACH, HandEye, HandEyeFit, left_handed, placed
+from modcal_core.measurements import POSE
 from modcal_core.planning.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
-from modcal_core.plausibility import CLEARLY, LIMIT_OF_REACH, Consensus, left_handed, points_match
-from modcal_core.robots import Chain, Mechanism, is_serial_arm
+from modcal_core.robots import Mechanism, is_serial_arm
 
 _POINT_COLUMNS, _POSE_COLUMNS = ("x_mm", "y_mm", "z_mm"), ("rx_deg", "ry_deg", "rz_deg")
 NOTE = "note"  # the column in which a technician says what became of a station
@@ -175,6 +175,7 @@ def _number(cell: str, where: str) -> float:
 _MIN = 10  # stations; of fewer, base and tool leave nothing to tell a wrong one by
 _MAX = 2.0 / 3.0  # of the stations that agree; where fewer do it is the arm that is off, or all readings are wrong
 _UNITS = ((1e3, "metres"), (10.0, "centimetres"), (25.4, "inches"), (1e-3, "micrometres"))  # with their size in mm
+_CLEARLY = 2.0  # times what a nominal arm misses by
 _BETTER = 4.0  # times smaller must be what is missed, before all readings are said to be mistaken
 
 
@@ -187,49 +188,43 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
     if not is_serial_arm(mechanism) or len(rows) < _MIN or not read:
         return
     samples = session.samples(rows)
-    consensus = Consensus(samples, mechanism)
-    placed, agree = consensus.largest(np.arange(len(samples)))
-    if placed is None or agree.mean() < _MAX:
-        _require_convention(samples, mechanism, source)
+    fit = placed(HandEye.holding(samples, mechanism))
+    if fit.agree().mean() < _MAX:
+        _require_convention(fit, source)
         return
-    near = consensus.within(placed, consensus.A, samples, CLEARLY)
-    expected = se3.apply(consensus.A, placed.x) @ placed.Y.T + placed.t
-    elsewhere = f"from where the other {int(agree.sum())} readings have it"
-    limit, turned = CLEARLY * consensus.limit[1], placed.residual(consensus.A, samples)[0]
-    for k in np.flatnonzero(~near & np.isin(rows, read)).tolist():
-        what, remedy = _meant(samples.reading[k], expected, k, rows, limit, elsewhere)
-        if not what:
-            what = f"is turned by {np.degrees(float(turned[k])):.1f}° {elsewhere}"
-        raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
+    for k in np.flatnonzero(~fit.agree(_CLEARLY)).tolist():
+        if rows[k] in read:
+            what, remedy = _meant(k, fit, rows)
+            raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
 
 
-def _require_convention(samples: Samples, chain: Chain, source: str) -> None:
-    def missed(other: Array) -> float:
-        return points_match(chain, samples.q, other).typical
-
-    as_is, mirrored = missed(samples.reading), left_handed()  # by which axis nothing says: a tracker stands in any way
-    meant = [(f"readings {said}", other, remedy) for said, other, remedy in _of_units(samples.reading)]
-    meant.append((mirrored.offender, mirrored.undone(samples).reading, mirrored.remedy))
-    left, i = min((missed(other), i) for i, (_, other, _) in enumerate(meant))
-    if left < min(LIMIT_OF_REACH * chain.reach(), as_is / _BETTER):
-        said = f"{meant[i][0]}: the arm misses them by {1e3 * as_is:.0f} mm, corrected by {1e3 * left:.0f} mm"
+def _require_convention(as_is: HandEyeFit, source: str) -> None:
+    case = as_is.case
+    meant = [(f"readings look like {unit}", case.read(scale * case.p), "write millimetres") for scale, unit in _UNITS]
+    mirrored = left_handed()  # by which axis nothing says: the tracker may stand in any way
+    meant.append((mirrored.what, mirrored.undone(case), mirrored.remedy))
+    missed = as_is.usual[1]
+    left, i = min((placed(other, thorough=False).usual[1], i) for i, (_, other, _) in enumerate(meant))
+    if left < min(LIMIT_OF_REACH * case.chain.reach(), missed / _BETTER):
+        said = f"{meant[i][0]}: the arm misses them by {1e3 * missed:.0f} mm, corrected by {1e3 * left:.0f} mm"
         raise BadTable(source, said, meant[i][2])
 
 
-def _meant(p: Array, expected: Array, k: int, numbers: Sequence[int], limit: float, elsewhere: str) -> tuple[str, str]:
-    """What the reading p (3,) [m] of row k may have been meant to be, "" where it is at its place, and what to do.
-
-    expected: positions by the other readings (N, 3). numbers: of the stations (N,).
-    """
+def _meant(k: int, fit: HandEyeFit, rows: Sequence[int]) -> tuple[str, str]:
+    """What a reading may have been meant to be, and what to do."""
+    p, limit = fit.case.p[k], _CLEARLY * fit.case.limits[1]
+    elsewhere = f"from where the other {int(fit.agree().sum())} readings have it"
+    expected = fit.placement.expected(fit.case.A)[1]
     gap, far = p - expected[k], np.linalg.norm(expected - p, axis=1)
     if far[k] < limit:
-        return "", "correct rx, ry and rz (degrees, about fixed axes)"
+        said = f"is turned by {np.degrees(fit.turn[k]):.1f}° {elsewhere}"
+        return said, "correct rx, ry and rz (degrees, about fixed axes)"
     for said, other, remedy in _corrected(p):
         if float(np.linalg.norm(other - expected[k])) < limit:
             return said, remedy
     nearest, axis = int(np.argmin(far)), int(np.argmax(np.abs(gap)))
     if far[nearest] < limit:
-        said = f"has what the arm should read at station {numbers[nearest] + 1}"
+        said = f"has what the arm should read at station {rows[nearest] + 1}"
         return said, "write each reading into its own row"
     if float(np.linalg.norm(np.delete(gap, axis))) < limit:
         said = f"{'xyz'[axis]} is {1e3 * gap[axis]:+.1f} mm {elsewhere}; the rest fits"
@@ -237,15 +232,10 @@ def _meant(p: Array, expected: Array, k: int, numbers: Sequence[int], limit: flo
     return f"lies {1e3 * far[k]:.0f} mm {elsewhere}", "correct it, or note: unseen"
 
 
-def _of_units(p: Array) -> Iterator[tuple[str, Array, str]]:
-    """What positions [m] would be in another unit: words for it, the positions, and what to do."""
-    for scale, unit in _UNITS:
-        yield f"look{'s' * (p.ndim == 1)} like {unit}", scale * p, "write millimetres"
-
-
 def _corrected(p: Array) -> Iterator[tuple[str, Array, str]]:
     """What a position (3,) [m] would be without a mistake of typing: words for it, the position, and what to do."""
-    yield from _of_units(p)
+    for scale, unit in _UNITS:
+        yield f"looks like {unit}", scale * p, "write millimetres"
     for order in permutations(range(3)):
         if order != (0, 1, 2):
             columns = ", ".join("xyz"[i] for i in order)
