@@ -26,7 +26,7 @@ _LAYERS = (
     "measurements",
     "effects",
     "calibration",
-    "plausibility",
+    "hypotheses",
     "regimes",
     "modules",
     "diagnosis",

@@ -37,9 +37,9 @@ from modcal_core.checking import (
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome, unseen_note
-from modcal_core.plausibility import recognised
 from modcal_core.verdict import Applied, applicable, own_rows
 
 MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by

@@ -25,9 +25,9 @@ from modcal_core.diagnosis import (
 )
 from modcal_core.effects import remembered
 from modcal_core.effects.families import payload
+from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
 from modcal_core.outcome import Outcome
-from modcal_core.plausibility import require_plausible
 from modcal_core.robots import Inertias, Mechanism
 from modcal_core.scoring import scored
 from modcal_core.task import Fits, Task, task_of

@@ -7,10 +7,10 @@ import numpy as np
 from modcal_core.calibration import Calibration, Errors, Fit, Readmitted
 from modcal_core.diagnosis import Loads
 from modcal_core.effects import companionless
+from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import kinds
 from modcal_core.outcome.entries import MAX_SEEN, at_tool, rms
-from modcal_core.plausibility import LIMIT_OF_REACH
 from modcal_core.robots import Mechanism
 from modcal_core.verdict import Case, Verdict, left_without
 
