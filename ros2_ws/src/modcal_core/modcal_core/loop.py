@@ -37,7 +37,7 @@ from modcal_core.calibration import (
     views_of,
     with_sockets,
 )
-from modcal_core.claim import claim_at_tool, fit_held
+from modcal_core.claim import claim_at_tool, fit_held, settled
 from modcal_core.diagnosis import (
     Diagnosis,
     Loads,
@@ -170,6 +170,7 @@ def calibrate(
     if diagnosis.again is not None:
         again[sets.train] |= diagnosis.again
     kept = samples.select(~wrong | again)
+    shipped = settled(shipped, kept, cell)
     carried = carried_over(shipped, kept)
     claim = claim_at_tool(shipped, kept, cell, carried=carried.model if carried.not_applied else None)
     shipped = replace(shipped, uncertainty=claim.known or shipped.uncertainty, claim_mm=claim.mm["p95"].ci95[1])

@@ -2,6 +2,6 @@
 
 from modcal_core.claim.claim import Claim, Statistic, claim_at_tool, expected_claim
 from modcal_core.claim.remedy import OpenDirection
-from modcal_core.claim.width import fit_held
+from modcal_core.claim.width import fit_held, settled
 
-__all__ = ["Claim", "OpenDirection", "Statistic", "claim_at_tool", "expected_claim", "fit_held"]
+__all__ = ["Claim", "OpenDirection", "Statistic", "claim_at_tool", "expected_claim", "fit_held", "settled"]

@@ -23,11 +23,12 @@ from modcal_core.calibration import (
     linearise,
     procrustes,
 )
+from modcal_core.claim.beyond import growth
 from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
 from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, joint_motion, neighbourhood, shows_base
 from modcal_core.claim.remedy import OpenDirection, open_direction
-from modcal_core.effects import STEPS
+from modcal_core.effects import STEPS, NominalArm
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
@@ -179,6 +180,8 @@ def _claim(
     at = _errors(about, calibration, drawn, there, asked.carried)
     M = len(at.samples)
     joints = _joints(about, at.samples, drawn, cell, rng)
+    if about.g.any():  # there are readings
+        joints = joints * np.tile(growth(about.model, samples, at.samples.q, rng.standard_normal(len(drawn.scale))), 3)
     at = replace(at, calibrated=at.calibrated + joints)
     shown, deg = at.norms(at.calibrated - at.open), None
     if samples.is_pose.any():
@@ -209,12 +212,17 @@ def _errors(
     J = _without_scale(about, linearise(about.model, about.parameters, about.values, samples).J)
     position = J[:, : 3 * len(samples)]
     apart = _apart(about.model, calibration.nominal.with_effects(()), samples, placed)
-    lost = np.zeros(position.shape[1])
-    if carried is not None:
-        lost = _apart(calibration.calibrated, carried, samples, placed)
+    lost = _apart(about.model, _applied(calibration, carried), samples, placed)
     P = _unknown(about, drawn, position, samples, placed)
     move, other, lost = (_clear(rows, P) for rows in (position, apart[None], lost[None]))
     return _Errors(drawn.values @ move + lost, drawn.open @ move, other[0] - lost[0], samples, J)
+
+
+def _applied(calibration: Calibration, carried: Model | None) -> Model:
+    """The model as it predicts, outside of the joint ranges that were seen as well."""
+    model = carried or calibration.calibrated
+    arm = replace(model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
+    return replace(model, arm=arm, fallback=model.fallback or calibration.fallback(model, calibration.geometric))
 
 
 def _limits(chain: Mechanism, low: Array, high: Array) -> tuple[Array, Array]:
