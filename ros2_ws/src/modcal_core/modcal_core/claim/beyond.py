@@ -1,9 +1,8 @@
 """What is left grows away from the recorded postures, as far as it is a smooth function of posture.
 
-Scatter that joints do not repeat is the same anywhere. What a model misses as a smooth function of posture is as large
-as its residuals only where stations stand as close as those of the recording, and grows with the distance to the
-nearest one. How much of the residuals is such a function is seen where they are alike at neighbours: with a correlation
-that falls as exp(-h / L), what is smooth over at least the distance h of neighbours is at most e times as much.
+Scatter that joints do not repeat is the same anywhere. What a model misses smoothly is as large as its residuals where
+stations stand as close as the recorded ones, and grows with the distance to the nearest. It is seen where neighbours
+miss by the same: with a correlation exp(-h / L), what is smooth over their distance h is at most e times as much.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 
 _MOST = 400  # stations that are compared with each other
-_FEWEST = 4
+_SAME = 1e-6  # m; postures that are closer are one
 
 
 def growth(model: Model, samples: Samples, q: Array, z: Array) -> Array:
@@ -25,25 +24,18 @@ def growth(model: Model, samples: Samples, q: Array, z: Array) -> Array:
     z: standard normal numbers (D,). Postures are as far from each other as joints one by one move the tool between.
     """
     rows = np.unique(independent_unit(samples), return_index=True)[1][:: block_length(samples)]
-    out = np.ones((len(z), len(q)))
-    if len(rows) < _FEWEST:
-        return out
     some = samples.select(rows[spread_rows(len(rows), _MOST)])
     view = RowView.of(model, some, model.drivers(some))
     motions = [joint_motion(view, model.chain, j)[: 3 * len(some)] for j in range(model.chain.n)]
     lever = np.sqrt((np.array(motions) ** 2).sum(axis=1) / len(some))
     x = some.q * lever
     apart = _distances(x, x)
-    np.fill_diagonal(apart, np.inf)
-    near, usual = apart.argmin(axis=1), float(np.median(apart.min(axis=1)))
+    apart[apart < _SAME] = np.inf
     left = errors(model, some).position
-    square = float((left**2).sum())
-    if not usual > 0.0 or not square > 0.0:
-        return out
-    alike = float((left * left[near]).sum()) / square + z / np.sqrt(left.size)
+    alike = (left * left[apart.argmin(axis=1)]).sum() / max((left**2).sum(), 1e-300) + z / np.sqrt(left.size)
     smooth = np.clip(np.e * alike, 0.0, 1.0)
-    farther = np.maximum(_distances(q * lever, x).min(axis=1) / usual, 1.0)
-    return np.sqrt(1.0 + smooth[:, None] * (farther**2 - 1.0))
+    farther = np.maximum(_distances(q * lever, x).min(axis=1) / np.median(apart.min(axis=1)), 1.0)
+    return np.asarray(np.sqrt(1.0 + smooth[:, None] * (farther**2 - 1.0)))
 
 
 def _distances(a: Array, b: Array) -> Array:

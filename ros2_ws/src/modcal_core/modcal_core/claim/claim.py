@@ -41,7 +41,6 @@ _DRAWS, _POSTURES = 400, 200
 _TRIES = 50  # for each posture of a robot that cannot take all of them
 _SURE = 0.95
 _MOSTLY = 0.5  # of the claim, from which what no reading shows is told
-_MARGIN = 1.0  # of what a linear model leaves out
 _UNKNOWN_M = 5e-3  # of a tool that is known no better, nothing is claimed along that direction
 
 
@@ -345,4 +344,4 @@ def _of(norms: Array, name: StatisticName) -> Array:
 def _statistic(norms: Array, name: StatisticName) -> Statistic:
     every = _of(norms, name)
     low, middle, high = np.quantile(every, [1.0 - _SURE, 0.5, _SURE])
-    return Statistic(float(middle), (float(low) / _MARGIN, _MARGIN * float(high)))
+    return Statistic(float(middle), (float(low), float(high)))

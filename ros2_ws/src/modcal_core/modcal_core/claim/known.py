@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from modcal_core.calibration import (
     FINEST,
@@ -91,10 +90,7 @@ def _of_functions(about: Neighbourhood, calibration: Calibration) -> Array:
     noise = max(float(np.hypot(calibration.noise.position, calibration.scatter[0])), FINEST)
     values = np.concatenate([np.zeros(names), *(e.values for e in more)])
     J = linearise(model, about.parameters, values, samples).J / noise
-    Q, R, _ = scipy.linalg.qr(J[:names].T, mode="economic", pivoting=True)
-    size = np.abs(np.diag(R))
-    Q = Q[:, size > _SAME * size[0]]
-    rows = J[names:] - (J[names:] @ Q) @ Q.T
+    rows = J[names:] - np.linalg.lstsq(J[:names].T, J[names:].T, rcond=_SAME)[0].T @ J[:names]
     own = np.arange(len(out) - len(rows), len(out))
     out[np.ix_(own, own)] = rows @ rows.T
     return out
