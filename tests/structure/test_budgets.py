@@ -33,7 +33,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/geometry": (530, 370),
     "modcal_core/impedance": (3140, 2180),
     "modcal_core/measurements": (3980, 2650),
-    "modcal_core/measuring": (1660, 1070),
+    "modcal_core/outcome": (400, 300),
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1420, 980),
     "modcal_core/planning": (3780, 2440),

@@ -20,7 +20,7 @@ from modcal_core.calibration import (
     right_after_all,
     runs_of,
 )
-from modcal_core.claim import Claim, claim_at_tool
+from modcal_core.claim import Claim, claim_at_tool, settled
 from modcal_core.diagnosis import located
 from modcal_core.measurements import Samples
 from modcal_core.outcome import (
@@ -130,6 +130,7 @@ def _shipped(task: Task, fits: Fits, wrong: np.ndarray) -> tuple[Calibration, Cl
     if fits.diagnosis.again is not None:
         again[task.sets.train] |= fits.diagnosis.again
     kept = samples.select(~wrong | again)
+    shipped = settled(shipped, kept, cell)
     carried = carried_over(shipped, kept)
     claim = claim_at_tool(shipped, kept, cell, carried=carried.model if carried.not_applied else None)
     shipped = replace(
