@@ -21,19 +21,19 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "bench": (14840, 10730),
     "launch": (90, 50),
     "modcal": (50, 30),
-    "modcal_core": (2120, 1140),
+    "modcal_core": (2130, 1140),
     "modcal_core/articulation": (5140, 3530),
     "modcal_core/calibration": (6920, 4300),
     "modcal_core/camera": (5880, 3860),
     "modcal_core/checking": (2690, 1840),
-    "modcal_core/claim": (1010, 630),
+    "modcal_core/claim": (1140, 700),
     "modcal_core/correction": (990, 640),
     "modcal_core/diagnosis": (3780, 2600),
     "modcal_core/effects": (2780, 1810),
     "modcal_core/geometry": (530, 370),
     "modcal_core/impedance": (3140, 2180),
     "modcal_core/measurements": (3980, 2650),
-    "modcal_core/outcome": (400, 300),
+    "modcal_core/outcome": (1000, 610),
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1420, 980),
     "modcal_core/planning": (3780, 2440),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2060, 1510),
     "modcal_nodes/watching": (280, 200),
-    "tests": (53550, 37240),
+    "tests": (53570, 37260),
 }
-SOURCE = (93550, 61200)
-TEXT = 183500  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (93650, 61300)
+TEXT = 183700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 104
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
