@@ -24,14 +24,15 @@ _FARTHEST = 5.0  # times the median size; no sample may rule alone
 class Rest:
     """The rest of some samples.
 
-    weight: inverse deviations of their six components, (6, N); zero where there is no orientation. residual: (6, N) in
-    units of the noise, samples beyond several times the usual size brought in to there.
+    weight: inverse deviations of their six components, (6, N); zero where there is no orientation. raw: residuals in
+    units of the noise, (6, N). residual: the same with samples beyond several times the usual size brought in to there.
     """
 
     model: Model
     samples: Samples
     view: RowView
     weight: Array
+    raw: Array
     residual: Array
 
     @classmethod
@@ -41,10 +42,10 @@ class Rest:
         view = RowView.of(case.model, samples, case.model.drivers(samples))
         weight = weights(case.noise, samples)
         flat = np.concatenate([view.position.ravel(), view.rotation.ravel()])
-        residual = by_sample(flat, view.pose, len(samples)) * weight
-        size = np.linalg.norm(residual, axis=0)
+        raw = by_sample(flat, view.pose, len(samples)) * weight
+        size = np.linalg.norm(raw, axis=0)
         limit = _FARTHEST * float(np.median(size)) if len(size) else 0.0
-        return cls(case.model, samples, view, weight, residual * np.minimum(1.0, limit / np.maximum(size, 1e-300)))
+        return cls(case.model, samples, view, weight, raw, raw * np.minimum(1.0, limit / np.maximum(size, 1e-300)))
 
     @property
     def chain(self) -> Mechanism:

@@ -142,7 +142,7 @@ def two_values(rest: Rest, fitted: bool) -> str:
     if len(rest.samples) < MIN_STATIONS or not _asked(rest):
         return ""
     joints, (tool, base) = _joints(rest), _bodies(rest, every=True)
-    residual = rest.residual
+    residual = rest.raw
     if not fitted:  # what moved since a calibration is not in two places where stations are near two postures
         flat = np.concatenate([part.columns for part in (base, tool, *joints)]).reshape(-1, residual.size)
         residual = residual - (np.linalg.lstsq(flat.T, residual.ravel(), rcond=1e-9)[0] @ flat).reshape(6, -1)
