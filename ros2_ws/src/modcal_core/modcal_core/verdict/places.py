@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from modcal_core.calibration import Errors
 from modcal_core.diagnosis import WORTH_NAMING, asked_of, dependence
-from modcal_core.measurements import Samples
-from modcal_core.plausibility import (
-    Disagreement,
-    disagreeing_channel,
-    disagreement,
-    limits,
-    mispaired,
-    mixed_joints,
-    other_link,
-    part_apart,
-    several_placements,
-    written_otherwise,
-    wrong_joints,
-)
+from modcal_core.hypotheses import disagreement, limits
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case, derivatives, weights
 from modcal_core.verdict.rejected import too_many
@@ -29,7 +16,6 @@ from modcal_core.verdict.rejected_alike import rejected_alike
 from modcal_core.verdict.status import MAX_PREDICTABLE
 from modcal_core.verdict.verdict import Verdict
 
-_Look = Callable[[Samples, Mechanism], Disagreement | None]
 _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is named, however little it is
 _MIN_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 _SURELY = 0.5  # of the floor; what is less beyond it is not told from it
@@ -100,14 +86,12 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
     chain: the arm before it was fitted, for a fitted one has links that make up for what is wrong.
     """
     many = too_many(case.wrong, case.samples)
-    looks = _looks(case, chain, many)
-    other = next((found for look in looks if (found := look(case.samples, chain)) is not None), None)
-    if many or _far(case.errors["final"], chain):
-        other = other or mispaired(case.samples, chain) or disagreement(case.samples, chain)
-        other = other or part_apart(case.samples, chain) or several_placements(case.samples, chain)
-    if other is not None:
-        what = other.what[0].upper() + other.what[1:]
-        yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
+    far = many or _far(case.errors["final"], chain)
+    if far or _far(case.errors["nominal"], chain):  # a fit can come to terms with wrong joints without a rejection
+        found = disagreement(case.samples, chain, joints_only=not far)
+        if found is not None:
+            what = found.what[0].upper() + found.what[1:]
+            yield f"{what} ({found.stations} of {found.of} stations that were looked at): {found.remedy}."
     if not many:
         return
     yield from rejected_alike(case)
@@ -116,16 +100,6 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
         along = dependence(case.model, samples, weights(case.noise, samples))
         if along is not None:
             yield f"The residual of the rejected stations {along.sentence}."
-
-
-def _looks(case: Case, chain: Mechanism, many: bool) -> tuple[_Look, ...]:
-    """What may be wrong throughout, the likeliest first. many: whether too many stations were rejected."""
-    if many:  # a base found again hides how much
-        throughout = (disagreeing_channel, written_otherwise, wrong_joints, other_link, mixed_joints)
-        return throughout if case.wrong.mean() > 0.5 or not case.fitted else ()
-    if _far(case.errors["final"], chain):  # all channels go along with the posture: joints come first
-        return (wrong_joints, disagreeing_channel, written_otherwise, other_link, mixed_joints)
-    return (wrong_joints,) if _far(case.errors["nominal"], chain) else ()
 
 
 def _far(left: Errors, chain: Mechanism) -> bool:
