@@ -3,7 +3,7 @@
 hand_eye, hypothesis: readings beside tip poses and the evidence of a fit; what may be wrong, undone, with its price.
 conventions, channels, rows, joints, description: the catalogues. search: rank, refit, repeat; *nothing* and *none*.
 meant: conventions proved before a fit, and of a robot that is known. refusal: what no fit may come to terms with.
-meanings, turning, sights, targets, joint_columns: what columns of a table mean. socket_places, stated_distances,
+meanings, turning, sights, joint_columns: what columns of a table mean. socket_places, stated_distances,
 computed_part: plain checks of statements.
 """
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from modcal_core.hypotheses.refusal import LIMIT_OF_REACH, disagreement, require_plausible
     from modcal_core.hypotheses.search import explain
     from modcal_core.hypotheses.sights import SightMatch, Sighting, sights_match
-    from modcal_core.hypotheses.targets import is_astray, points_left, points_match
     from modcal_core.hypotheses.turning import EULER, MATRIX, QUATERNION, Turning, turnings
 else:
     from modcal_core.lazy import lazy_face
@@ -32,6 +31,5 @@ else:
 __all__ = ["ANGLE", "BEYOND_DOUBT", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
 __all__ += ["MISREAD", "OF_REACH", "QUATERNION", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit", "Hypothesis"]
 __all__ += ["Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement", "explain"]
-__all__ += ["inverse_pose", "is_astray", "judge", "left_handed", "likely_orders", "limits", "placed", "points_left"]
-__all__ += ["points_match", "proved", "recognised", "require_plausible", "rivals", "same_poses", "sights_match"]
-__all__ += ["turnings"]
+__all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "placed", "proved", "recognised"]
+__all__ += ["require_plausible", "rivals", "same_poses", "sights_match", "turnings"]

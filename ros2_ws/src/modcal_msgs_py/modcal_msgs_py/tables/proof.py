@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, so3
 from modcal_core.hypotheses import (
     BEYOND_DOUBT,
     EULER,
@@ -22,16 +22,15 @@ from modcal_core.hypotheses import (
     MATRIX,
     MIN_ROWS,
     QUATERNION,
+    HandEye,
     Judged,
     Postures,
     Sighting,
     SightMatch,
     Turning,
-    is_astray,
     judge,
     likely_orders,
-    points_left,
-    points_match,
+    placed,
     rivals,
     same_poses,
     sights_match,
@@ -58,6 +57,8 @@ __all__ += ["likely_orders", "rivals", "same_poses", "sights_match"]
 _ROUNDS = 3  # mistakes in how joints are counted that are looked for, one after the other
 _HALF = 0.5  # of what is left, by which the reading that is meant must be better
 _TURNS = (90.0, -90.0, 180.0)  # degrees, by which zeros differ that were set otherwise
+_STEPS = 10  # iterations
+_ASTRAY, _ODDS = 0.05, float(np.log(20.0))  # share of readings that may say anything; odds, by which one does
 _MOST_TARGETS, _EACH = 12, 5  # targets on a tool, and rows of each
 _ROWS, _MAX = 60, 300  # rows that are looked at for the likeliest ways, and judged
 _COEFFICIENTS, _TRIED = 13, 8  # of a coordinate; ways that are judged
@@ -170,28 +171,57 @@ def _all(chain: Chain, choices: Sequence[Postures], ways: Sequence[_Way], positi
     return judge(chain, postures, position[rows], None)
 
 
-def by_target(chain: Chain, q: Array, position: Array, columns: Mapping[int, Sequence[str]], log: float) -> int | None:
-    """The column whose texts tell which of several targets points (N, 3) [m] are of, beyond doubt; None: no column.
-
-    log: by how much a reading's volume was shrunk to have it in metres, in logarithm.
-    """
-    plain = points_match(chain, q, position, log)
+def by_target(chain: Chain, q: Array, position: Array, columns: Mapping[int, Sequence[str]]) -> int | None:
+    """The column whose texts tell which of several targets points (N, 3) [m] are of, beyond doubt; None: no column."""
+    case = HandEye.of_arrays(chain, q, position)
+    plain = placed(case)
     found: list[tuple[float, int]] = []
     for k, texts in columns.items():
-        names, count = np.unique(np.array(texts), return_counts=True)
+        names, of, count = np.unique(np.array(texts), return_inverse=True, return_counts=True)
         if 2 <= len(names) <= _MOST_TARGETS and count.min() >= _EACH:
-            told = points_match(chain, q, position, log, np.array(texts))
-            if told.score - plain.score > BEYOND_DOUBT and told.typical < _HALF * plain.typical:
-                found.append((told.score, k))
+            told = placed(_of_one_target(case, of))
+            gain = told.evidence - 1.5 * (len(names) - 1) * np.log(len(case)) - plain.evidence
+            if gain > BEYOND_DOUBT and told.usual[1] < _HALF * plain.usual[1]:
+                found.append((gain, k))
     return max(found)[1] if found else None
 
 
-def astray(chain: Chain, q: Array, position: Array, group: np.ndarray | None = None) -> list[tuple[int, int | None]]:
+def _of_one_target(case: HandEye, of: np.ndarray) -> HandEye:
+    """The case with all readings as if of the first target. of: which target each row is of, (N,).
+
+    Robust Newton steps of the base's turn and place, and of a place of each target on the tool.
+    """
+    at = placed(case).placement
+    Y, t, x = at.Y, at.t, np.tile(at.x, (int(of.max()) + 1, 1))
+    R, N = case.A[:, :3, :3], len(case)
+    for _ in range(_STEPS):
+        point = (R @ x[of][..., None])[..., 0] + case.A[:, :3, 3]
+        gaps = case.p - (point @ Y.T + t)
+        G = np.zeros((N, 3, 6 + x.size))
+        G[:, :, :3], G[:, :, 3:6] = -Y @ so3.hat(point), np.eye(3)
+        for k in range(len(x)):
+            G[of == k, :, 6 + 3 * k : 9 + 3 * k] = Y @ R[of == k]
+        square = np.sum(gaps**2, axis=1)
+        weight = 1.0 / (max(float(np.median(square)) / 2.366, case.scale.position**2) + square)  # Cauchy
+        H = np.einsum("n,nij,nik->jk", weight, G, G)
+        held = 1e-9 * np.diag(np.maximum(np.diag(H), 1e-300))
+        step = np.linalg.solve(H + held, np.einsum("n,nij,ni->j", weight, G, gaps))
+        step = step / max(float(np.linalg.norm(step[:3])), 1.0)
+        Y, t, x = Y @ so3.exp(step[:3]), t + step[3:6], x + step[6:].reshape(-1, 3)
+    return case.read(case.p - (R @ (x[of] - x[0])[..., None])[..., 0] @ Y.T)
+
+
+def astray(chain: Chain, q: Array, position: Array) -> list[tuple[int, int | None]]:
     """Rows of points (N, 3) [m] that fit no base and tool of the others, each with the row that it seems to be of."""
-    gaps = points_left(chain, q, position, group)
+    case = HandEye.of_arrays(chain, q, position)
+    fit = placed(case)
+    expected = fit.placement.expected(case.A)[1]
+    square = max(case.scale.position**2, float(np.median(fit.gap**2)) / 2.366)
+    inside = np.log1p(-_ASTRAY) - 0.5 * fit.gap**2 / square - 1.5 * np.log(2.0 * np.pi * square)
+    bad = np.log(_ASTRAY) - case.scale.volume - inside > _ODDS
     out: list[tuple[int, int | None]] = []
-    for i in np.flatnonzero(is_astray(chain, position, gaps)).tolist():
-        away = np.linalg.norm(position[i] - (position - gaps), axis=1)
+    for i in np.flatnonzero(bad).tolist():
+        away = np.linalg.norm(position[i] - expected, axis=1)
         k = int(np.argmin(away))
-        out.append((i, k if k != i and not is_astray(chain, position, gaps + position[i] - position)[k] else None))
+        out.append((i, k if k != i and away[k] < case.limits[1] else None))
     return out

@@ -317,7 +317,7 @@ class _Search:
         free = set(range(numbers.sheet.width)) - {*point.columns, *point.choice.joints.columns, *self._time}
         texts = {k: [numbers.sheet.column(k)[i] for i in rows] for k in free}
         q = point.choice.postures(self._chain, numbers.values[rows])
-        column = by_target(self._chain, q, position, texts, 3.0 * float(np.log(scale)))
+        column = by_target(self._chain, q, position, texts)
         if column is None:
             return None
         groups = [np.array(texts[column]) == name for name in dict.fromkeys(texts[column])]
