@@ -37,13 +37,13 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1420, 980),
     "modcal_core/planning": (3780, 2440),
-    "modcal_core/hypotheses": (3810, 2550),
+    "modcal_core/hypotheses": (3730, 2500),
     "modcal_core/regimes": (560, 400),
     "modcal_core/report": (4970, 2900),
     "modcal_core/robots": (4960, 3140),
-    "modcal_core/verdict": (3960, 2630),
+    "modcal_core/verdict": (3970, 2630),
     "modcal_msgs_py": (4710, 3230),
-    "modcal_msgs_py/tables": (3710, 2590),
+    "modcal_msgs_py/tables": (3740, 2620),
     "modcal_nodes": (80, 30),
     "modcal_nodes/calibrating": (1680, 1180),
     "modcal_nodes/cli": (4500, 2590),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2060, 1510),
     "modcal_nodes/watching": (280, 200),
-    "tests": (53570, 37260),
+    "tests": (53580, 37270),
 }
-SOURCE = (93650, 61300)
-TEXT = 183700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (93600, 61250)
+TEXT = 183600  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 104
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
