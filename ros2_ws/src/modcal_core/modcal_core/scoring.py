@@ -35,6 +35,7 @@ from modcal_core.outcome import (
     offsets_of,
     readmitted_note,
     residual_notes,
+    unproved_note,
 )
 from modcal_core.task import Fits, Task
 from modcal_core.verdict import (
@@ -79,16 +80,19 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
         grounds = replace(grounds, converged=False)
     case = fitted_case(final, samples, sets, wrong, left, cell.distances)
     judged = with_places(judge(case, grounds, cell.stated), case, described=task.chain)
+    found = (
+        *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case),
+        *load_findings(fits.loads, final.model, accepted),
+    )
+    unproved = tuple(finding for finding in found if not finding.shown)
     outcome = Outcome(
         samples=samples,
         sets=sets,
         scored=accepted,
         rejected=int(wrong.sum()),
         errors=left,
-        effects=(
-            *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case),
-            *load_findings(fits.loads, final.model, accepted),
-        ),
+        effects=tuple(finding for finding in found if finding.shown),
+        unproved=unproved,
         left=fits.diagnosis.left or (located(final, samples) if judged.status == "open" else None),
         identifiability=identifiability(final),
         parameters=shipped.parameters,
@@ -98,6 +102,7 @@ def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
             *description_note(left["nominal"], task.chain),
             *instrument_notes(final),
             *load_notes(fits.loads),
+            *unproved_note(unproved),
             *readmitted_note(taken_in),
             *residual_notes(case),
             *carried.notes,

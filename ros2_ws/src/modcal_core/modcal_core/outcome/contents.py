@@ -109,7 +109,8 @@ class Outcome:
 
     - scored: held-out samples without outliers. rejected: number of samples rejected as outliers.
     - errors: errors of the scored samples by stage (nominal, geometric, final).
-    - effects: what the diagnosis added. left: the best candidate that is significant but does not predict, or None.
+    - effects: what the diagnosis added and held-out stations prove. unproved: what they do not prove one by one.
+    - left: the best candidate that is significant but does not predict, or None.
     - parameters: (name, value, standard deviation, unit). left_out: parameters that are not independent of others.
     - steps: what remains after geometry and after each added effect, in the order found.
     - evidence: the first and the last scan for effects; empty where none was sought.
@@ -127,6 +128,7 @@ class Outcome:
     rejected: int
     errors: dict[str, Errors]
     effects: tuple[Finding, ...] = ()
+    unproved: tuple[Finding, ...] = ()
     left: EffectChoice | None = None
     identifiability: Identifiability | None = None
     parameters: tuple[tuple[str, float, float, str], ...] = ()

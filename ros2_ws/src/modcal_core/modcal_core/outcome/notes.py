@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modcal_core.calibration import Calibration, Errors, Fit, Readmitted
@@ -10,7 +12,7 @@ from modcal_core.effects import companionless
 from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import kinds
-from modcal_core.outcome.entries import MAX_SEEN, at_tool, rms
+from modcal_core.outcome.entries import MAX_SEEN, Finding, at_tool, rms
 from modcal_core.robots import Mechanism
 from modcal_core.verdict import Case, Verdict, left_without
 
@@ -42,6 +44,18 @@ def description_note(nominal: Errors, chain: Mechanism) -> tuple[str, ...]:
         f"The nominal model misses by {size.rms:.0f} mm RMS, though a robot of that description should by less than "
         f"{limit:.0f} mm. The fitted geometry makes up for it where stations are; see whether the description is that "
         "of this robot, and whether a joint's zero has changed, before it is used elsewhere.",
+    )
+
+
+def unproved_note(unproved: Sequence[Finding]) -> tuple[str, ...]:
+    """A sentence on effects that predict together and that held-out stations do not prove one by one."""
+    if not unproved:
+        return ()
+    are = "is" if len(unproved) == 1 else "are"
+    names = ", ".join(dict.fromkeys(f"{finding.family} of {finding.place}" for finding in unproved))
+    return (
+        f"{counted(len(unproved), 'further effect')} in the model {are} not proved by the held-out stations, and named "
+        f"as no cause: {names}.",
     )
 
 

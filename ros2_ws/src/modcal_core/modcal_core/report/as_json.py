@@ -52,6 +52,7 @@ def to_json_data(report: Outcome) -> dict[str, Any]:
         "trace": asdict(report.trace),
         "steps": [{"added": step.added, "rms_mm": step.rms_mm} for step in report.steps],
         "effects": [_effect(finding) for finding in report.effects],
+        "unproved": [_effect(finding) for finding in report.unproved],
         "unexplained": None if rest is None else unexplained(rest, report.left),
         "identifiability": None
         if seen is None

@@ -37,6 +37,7 @@ SCHEMA = _mapping(
         "recording": _mapping({"stations": {"type": "integer"}, "joints": {"type": "array", "items": _TEXT}}),
         "error_mm": _mapping({"final": _SIZE}),
         "effects": {"type": "array", "items": _EFFECT},
+        "unproved": {"type": "array", "items": _EFFECT},
         "parameters": {"type": "array", "items": _PARAMETER},
         "status": _TEXT,
         "open_because": {"type": "array", "items": _TEXT},
