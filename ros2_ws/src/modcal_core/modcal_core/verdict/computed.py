@@ -36,7 +36,7 @@ _FEWEST = 3  # degrees of freedom beyond base and tool, from which a misfit says
 _MAX = 300  # samples; more are thinned evenly
 
 _OWN = 0.05  # share of samples; the same posture and reading to the last digit may come again where digits are few
-_COPIED = 0.75  # share of samples that are the same when rounded
+_COPIED = 0.75  # share of copies that are the same when rounded, at least
 _AGAIN = 0.7  # the same of an arm and an instrument that repeat to 10 µm
 _CHANCE = 0.01  # that readings of an instrument look so by chance
 _FITTED_TO = (
@@ -127,15 +127,16 @@ def own_rows(samples: Samples, calibration: Calibration) -> TooSmall:
             )
         )
     share, of = share_of_known(calibration.marks, samples, rounded=True)
-    if share <= _COPIED:
+    from scipy.special import bdtr, bdtrc
+
+    same = round(share * of)
+    if share <= _OWN or float(bdtr(same, of, _COPIED)) < _CHANCE:  # surely fewer
         return TooSmall()
     said = (
         f"{share:.0%} of these samples agree with the calibration's own recording to a tenth of a millimetre, at the "
         f"same postures: they look like copies with fewer digits. {_FITTED_TO}"
     )
-    from scipy.special import bdtrc
-
-    sure = float(bdtrc(round(share * of) - 1, of, _AGAIN)) < _CHANCE
+    sure = float(bdtrc(same - 1, of, _AGAIN)) < _CHANCE
     return TooSmall((said,)) if sure else TooSmall(unproven=(said,))
 
 
