@@ -100,7 +100,7 @@ def _folded(text: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Arm:
+class MeasuredArm:
     """The robot that is measured. inertias: of the chain's bodies, by which the sign of efforts is told. bystanders:
     other joints of the robot description, each with whether it turns. urdf: its file, as a mapping states it.
     """
@@ -111,12 +111,12 @@ class Arm:
     urdf: str | None = None
 
 
-def find(paths: Sequence[Path], arm: Arm | Chain, watch: Watch = lambda stage: None) -> Proposal:
+def find(paths: Sequence[Path], arm: MeasuredArm | Chain, watch: Watch = lambda stage: None) -> Proposal:
     """A mapping for a file; of several, joined by a column that they share, or by their order where the arm then fits.
 
     Raises BadTable where no reading of the columns has to do with the arm at all.
     """
-    arm = arm if isinstance(arm, Arm) else Arm(arm)
+    arm = arm if isinstance(arm, MeasuredArm) else MeasuredArm(arm)
     watch(f"reading {paths[0].name}")
     ways = _together(paths)
     refusals, found = list[BadTable](), list[Proposal]()
@@ -133,7 +133,7 @@ def find(paths: Sequence[Path], arm: Arm | Chain, watch: Watch = lambda stage: N
     return min(found, key=lambda made: len(made.open))
 
 
-def _found(way: _Together, arm: Arm, watch: Watch) -> Proposal:
+def _found(way: _Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     numbers, chain = Numbers.of(way.sheet), arm.chain
     if len(numbers.values) < MIN_ROWS:
         said = f"has {len(numbers.values)} rows, {MIN_ROWS} are needed to tell what its columns are"
@@ -417,7 +417,7 @@ def _alike(one: Fitted, other: Fitted) -> bool:
 
 def _made(
     numbers: Numbers,
-    arm: Arm,
+    arm: MeasuredArm,
     time: RowTimes,
     read: Fitted | Sighted,
     beside: OtherColumns,
