@@ -168,7 +168,8 @@ def _found(way: _Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     stamps = stamps_of(Table.of(numbers.sheet), time.stated, 0.0)[0] if time.columns else None
     around = Surroundings(numbers, chain, read.choice, whole, used, stamps, arm.inertias, arm.bystanders)
     beside = find_beside(around, labelled)
-    return _made(numbers, arm, time, read, beside, way, tuple(dict.fromkeys((*questions, *beside.questions))), assumed)
+    asked_all = tuple(dict.fromkeys((*questions, *beside.questions)))
+    return _made(_Findings(numbers, time, read, beside, way, asked_all, assumed), arm)
 
 
 def _no_arm(fits: Sequence[Fitted]) -> tuple[str, str]:
@@ -415,21 +416,26 @@ def _alike(one: Fitted, other: Fitted) -> bool:
     return len(one.best.R) == len(other.best.R) and same_poses(A, other.best.R, other.best.position)
 
 
-def _made(
-    numbers: Numbers,
-    arm: MeasuredArm,
-    time: RowTimes,
-    read: Fitted | Sighted,
-    beside: OtherColumns,
-    way: _Together,
-    questions: tuple[str, ...],
-    assumed: Sequence[str],
-) -> Proposal:
+@dataclass(frozen=True)
+class _Findings:
+    """What was found out of a table."""
+
+    numbers: Numbers
+    time: RowTimes
+    read: Fitted | Sighted
+    beside: OtherColumns
+    way: _Together
+    questions: tuple[str, ...]
+    assumed: Sequence[str]
+
+
+def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
     """The mapping that was found, with its proof and what was assumed."""
+    numbers, read, beside, way = found.numbers, found.read, found.beside, found.way
     chain, choice, sheet = arm.chain, read.choice, numbers.sheet
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
     used = {*choice.joints.columns, *read.columns, *beside.used}
-    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
+    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", found.time.said]
     shown = ", ".join(f"{n} = {numbers.shown(k)}" for n, k in zip(chain.names, choice.joints.columns, strict=True))
     said += [f"the joints' columns by {choice.joints.how}: {shown}", *way.said]
     if not sheet.sure:
@@ -445,7 +451,7 @@ def _made(
         said.append("rows of zeros are rows in which nothing was read")
     if way.stated:
         entry["joined"] = list(way.stated)
-    entry["time"] = time.stated
+    entry["time"] = found.time.stated
     joints = choice.entry(numbers, chain)
     for key in ("columns", "units"):
         if key in beside.joints:
@@ -457,10 +463,10 @@ def _made(
     for key, stated in (("temperature", beside.temperature), ("signals", beside.signals)):
         if stated:
             entry[key] = stated
-    said += [*assumed, *beside.said, *_unused(numbers, {*used, *time.columns})]
-    mapping: dict[str, Any] = {"undecided": list(questions)} if questions else {}
+    said += [*found.assumed, *beside.said, *_unused(numbers, {*used, *found.time.columns})]
+    mapping: dict[str, Any] = {"undecided": list(found.questions)} if found.questions else {}
     mapping |= {**({"urdf": arm.urdf} if arm.urdf else {}), "tables": [entry]}
-    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), questions)
+    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), found.questions)
 
 
 def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
