@@ -32,18 +32,10 @@ _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 @click.option("--image-topic", metavar="TOPIC", help="Images. Default: the only ones there are.")
 @with_options(TOPICS)
 @speaking
-def info_command(
-    bag: Path,
-    target: Path | None,
-    image_topic: str | None,
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
-    output: Output,
-    **arm: Any,
-) -> None:
+def info_command(bag: Path, target: Path | None, image_topic: str | None, output: Output, **options: Any) -> None:
     """Show what is in BAG, what it can be used for, and what looks wrong."""
-    recording = read_recording(bag, topics=Topics.of(topic, ignore, tf))
+    arm = {name: options[name] for name in ("urdf", "delta", "base", "tip")}
+    recording = read_recording(bag, topics=Topics.of(options["topic"], options["ignore"], options["tf"]))
     findings: tuple[str, ...] = ()
     try:
         robot: Robot | None = described(recording, **arm)

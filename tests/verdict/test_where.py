@@ -1,0 +1,151 @@
+"""What the rest of an open verdict depends on is named: joint, tool, base or tracker, and with what it goes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from cells import Recorded, record, samples_of, ur10
+
+from modcal_core.calibration.cell import Cell, fit_cell
+from modcal_core.calibration.noise import NoiseModel
+from modcal_core.calibration.stated import Stated
+from modcal_core.diagnosis.hysteresis import play
+from modcal_core.evaluation import evaluate
+from modcal_core.geometry import se3, so3
+from modcal_core.geometry.so3 import Array
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.case import Case
+from modcal_core.verdict.drivers import PlaceDrivers
+from modcal_core.verdict.rest import Rest
+
+CHAIN = ur10()
+KNOWN = Cell(
+    stated=Stated(repeatability_mm=0.01, repeatability_deg=0.001, instrument_mm=0.09, instrument_deg=0.006)
+)  # what the readings scatter by, and a little
+
+
+@pytest.fixture(scope="module")
+def made() -> Recorded:
+    return record(21, 120)
+
+
+def said(samples: Samples) -> str:
+    report = calibrate(samples, CHAIN, np.random.default_rng(0), KNOWN, look_for_effects=False).report
+    return " ".join(report.judged.open_because)
+
+
+def with_error(made: Recorded, j: int, off: Array) -> Samples:
+    """Readings of an arm whose joint stands elsewhere than reported by so much (N,)."""
+    q = made.samples.q.copy()
+    q[:, j] += off
+    noise = made.samples.reading - made.exact.reading
+    moved = samples_of(CHAIN, made.samples.q, made.world.tool_in_tracker(q))
+    return replace(moved, reading=moved.reading + noise)
+
+
+def test_no_driver_holds_what_was_read(made: Recorded) -> None:
+    """Errors of readings stand in the residuals alone; an instrument they are to depend on is where the model has it."""
+    model = fit_cell(CHAIN, made.exact, Cell()).model
+    noise = NoiseModel(5e-5, 5e-5)
+    for error in (np.zeros(3), np.random.default_rng(3).normal(0.0, 0.05, (len(made.exact), 3))):
+        samples = replace(made.exact, reading=made.exact.reading + error)
+        none: Any = None
+        case = Case(samples, none, none, "station", model, none, noise, {}, none, fitted=True)
+        drivers = PlaceDrivers(Rest.of(case, np.arange(len(samples))))
+        J = np.ones((1, 6, len(samples)))
+        every = (*drivers.grouped(), *drivers.alone(constant=True), *drivers.changed(J))
+        columns = [part.columns for part in every if "a gear" not in part.driver]  # whose teeth the residuals choose
+        if error.ndim == 1:
+            exact = columns
+    for one, other in zip(exact, columns, strict=True):
+        np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9 * max(np.abs(one).max(), 1.0))
+
+
+def test_nothing_is_located_on_a_clean_arm(made: Recorded) -> None:
+    assert said(made.samples) == ""
+
+
+@pytest.mark.slow
+def test_a_tracker_whose_scale_changes_with_distance(made: Recorded) -> None:
+    far = np.linalg.norm(made.samples.reading, axis=1, keepdims=True)
+    bent = replace(made.samples, reading=made.samples.reading * (1.0 + 1e-3 * (far - far.mean()) ** 2))
+    assert "an error of the tracker's readings" in said(bent)
+
+
+@pytest.mark.slow
+def test_a_loose_tool_falls_to_its_lower_side(made: Recorded) -> None:
+    down = made.world.T_tracker_base[:3, :3] @ [0.0, 0.0, -1.0]
+    side = np.sign(made.samples.R[:, :, 0] @ down)[:, None]
+    loose = replace(made.samples, reading=made.samples.reading + 4e-4 * side * made.samples.R[:, :, 0])
+    text = said(loose)
+    assert "how it is turned against gravity, as an error of the tool" in text
+
+
+@pytest.mark.slow
+def test_a_joint_with_a_wide_hysteresis(made: Recorded) -> None:
+    ahead = play(made.samples, (0.8,))[2, 0]
+    text = said(with_error(made, 2, 8e-4 * ahead))
+    assert "how elbow_joint arrived" in text
+    assert "as an error of joint elbow_joint" in text
+
+
+@pytest.mark.slow
+def test_a_base_whose_bolts_hold_by_friction(made: Recorded) -> None:
+    """The base tilts with the weight's moment until it slips, and from there again: MuJoCo's poses say the moment."""
+    base = made.world.T_tracker_base
+    reach = (np.linalg.inv(base) @ made.world.tool_in_tracker(made.samples.q))[:, :2, 3]
+    held, turn = np.zeros(2), np.zeros((120, 3))
+    for k, moment in enumerate(reach):
+        held = np.clip(held, moment - 0.7 * reach.std(axis=0), moment + 0.7 * reach.std(axis=0))
+        turn[k] = [-1.5e-3 * (moment - held)[1], 1.5e-3 * (moment - held)[0], 0.0]
+    T = base @ se3.transform(so3.exp(turn), np.zeros((120, 3))) @ np.linalg.inv(base)
+    moved = samples_of(CHAIN, made.samples.q, T @ made.world.tool_in_tracker(made.samples.q))
+    noise = made.samples.reading - made.exact.reading
+    text = said(replace(moved, reading=moved.reading + noise))
+    assert "(slip), as an error of the base" in text
+
+
+def test_play_follows_only_beyond_its_width(made: Recorded) -> None:
+    there = np.array([0.0, 0.5, 2.0, 1.6, 0.0])
+    q = np.repeat(there[:, None], 6, axis=1)
+    ahead = play(replace(made.samples.select(np.arange(5)), q=q, approach=np.zeros_like(q)), (1.0,))[0, 0]
+    assert ahead == pytest.approx([0.0, 0.5, 1.0, 0.6, -1.0])
+
+
+@pytest.mark.slow
+def test_a_frozen_model_of_an_arm_with_a_new_zero_and_outside_its_range(made: Recorded) -> None:
+    inner = np.flatnonzero(made.samples.q[:, 1] < 1.0)
+    frozen = calibrate(made.samples.select(inner), CHAIN, np.random.default_rng(0), KNOWN, look_for_effects=False)
+    moved = with_error(made, 4, np.full(120, 2e-3))
+    report = evaluate(frozen.calibration, moved, np.random.default_rng(0), cell=KNOWN)
+    text = " ".join(report.judged.open_because)
+    assert "is a constant error of joint wrist_2_joint" in text
+    assert "lie outside the joint ranges that were calibrated: shoulder_lift_joint" in text
+    assert report.judged.status == "open"
+
+
+@pytest.mark.slow
+def test_a_joint_is_named_by_the_direction_of_its_error_alone(made: Recorded) -> None:
+    """Its error goes with nothing, but it moves the tool as no other joint does."""
+    off = 1e-3 * np.random.default_rng(8).normal(size=len(made.samples))
+    assert "correlates with nothing that was recorded, as an error of joint elbow_joint" in said(
+        with_error(made, 2, off)
+    )
+
+
+@pytest.mark.slow
+def test_readings_whose_scale_changes_half_way(made: Recorded) -> None:
+    scale = np.where(np.arange(len(made.samples)) < 60, 1.0, 1.0006)[:, None]
+    text = said(replace(made.samples, reading=made.samples.reading * scale))
+    assert "as an error of the tracker's readings" in text
+
+
+@pytest.mark.slow
+def test_positions_alone_that_miss_are_no_joint(made: Recorded) -> None:
+    off = 8e-4 * np.random.default_rng(9).normal(size=(len(made.samples), 3))
+    text = said(replace(made.samples, reading=made.samples.reading + off))
+    assert "Look at what moves points alone" in text
