@@ -27,7 +27,7 @@ from judging import columns_judged, judged
 
 from modcal_core.errors import ModcalError
 from modcal_core.robot import Robot
-from modcal_msgs_py.tables import Arm, find, import_tables
+from modcal_msgs_py.tables import MeasuredArm, find, import_tables
 
 TARGET, OUTCOMES, SEEDS = 0.95, ("right", "asked", "less", "wrong"), {"plain": 120, "columns": 60, "others": 90}
 
@@ -39,7 +39,7 @@ def one(task: harness.Task) -> harness.Result:
         written = {"plain": exports, "columns": columns, "others": others}[task["kind"]].draw(task["seed"], folder)
         robot = Robot.from_urdf((FOLDER / f"{written.recorded.robot}.urdf").read_text())
         try:
-            made = find(written.paths, Arm(robot.chain, None if plain else robot.inertias))
+            made = find(written.paths, MeasuredArm(robot.chain, None if plain else robot.inertias))
             if made.open:
                 return {**written.about, "outcome": "asked", "said": "; ".join(made.open)[:300]}
             if plain:

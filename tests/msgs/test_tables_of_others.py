@@ -15,7 +15,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.measurements import Recording
 from modcal_core.robots import forward
-from modcal_msgs_py.tables import Arm, Proposal, find, import_tables
+from modcal_msgs_py.tables import MeasuredArm, Proposal, find, import_tables
 
 CHAIN = ur10()
 TOOL = se3.transform(Rotation.from_euler("xyz", [0.3, 0.4, 0.5]).as_matrix(), [0.05, 0.02, 0.1])
@@ -237,7 +237,7 @@ def test_other_joints_of_the_robot_description_stay_joints(tmp_path: Path, rng: 
     q = postures(rng, 30)
     more = {"left_elbow": rng.uniform(-40.0, 40.0, 30), "rail [mm]": rng.uniform(0.0, 900.0, 30)}
     path = written(tmp_path, columns(q, seen(q)[:, :3, 3], **more))
-    made = find([path], Arm(CHAIN, bystanders={"left_elbow": True, "rail": False, "gripper": False}))
+    made = find([path], MeasuredArm(CHAIN, bystanders={"left_elbow": True, "rail": False, "gripper": False}))
     assert not made.open
     (track,) = import_tables(dict(made.mapping), tmp_path, "m").joints
     assert track.names == (*J, "left_elbow", "rail")

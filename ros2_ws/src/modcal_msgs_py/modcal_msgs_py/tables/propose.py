@@ -42,7 +42,7 @@ from modcal_msgs_py.tables.fits import (
     with_deviations,
     worse,
 )
-from modcal_msgs_py.tables.labels import MEASURED, words
+from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
 from modcal_msgs_py.tables.proof import (
     LENGTHS,
@@ -59,9 +59,9 @@ from modcal_msgs_py.tables.proof import (
     same_poses,
 )
 from modcal_msgs_py.tables.readings import rigid_poses
-from modcal_msgs_py.tables.sheet import Sheet, joined, sniff
 from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, sight_columns
 from modcal_msgs_py.tables.table import Table
+from modcal_msgs_py.tables.together import Together, together
 
 _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell
@@ -100,7 +100,7 @@ def _folded(text: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Arm:
+class MeasuredArm:
     """The robot that is measured. inertias: of the chain's bodies, by which the sign of efforts is told. bystanders:
     other joints of the robot description, each with whether it turns. urdf: its file, as a mapping states it.
     """
@@ -111,14 +111,14 @@ class Arm:
     urdf: str | None = None
 
 
-def find(paths: Sequence[Path], arm: Arm | Chain, watch: Watch = lambda stage: None) -> Proposal:
+def find(paths: Sequence[Path], arm: MeasuredArm | Chain, watch: Watch = lambda stage: None) -> Proposal:
     """A mapping for a file; of several, joined by a column that they share, or by their order where the arm then fits.
 
     Raises BadTable where no reading of the columns has to do with the arm at all.
     """
-    arm = arm if isinstance(arm, Arm) else Arm(arm)
+    arm = arm if isinstance(arm, MeasuredArm) else MeasuredArm(arm)
     watch(f"reading {paths[0].name}")
-    ways = _together(paths)
+    ways = together(paths)
     refusals, found = list[BadTable](), list[Proposal]()
     for way in ways:
         try:
@@ -133,7 +133,7 @@ def find(paths: Sequence[Path], arm: Arm | Chain, watch: Watch = lambda stage: N
     return min(found, key=lambda made: len(made.open))
 
 
-def _found(way: _Together, arm: Arm, watch: Watch) -> Proposal:
+def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     numbers, chain = Numbers.of(way.sheet), arm.chain
     if len(numbers.values) < MIN_ROWS:
         said = f"has {len(numbers.values)} rows, {MIN_ROWS} are needed to tell what its columns are"
@@ -168,7 +168,8 @@ def _found(way: _Together, arm: Arm, watch: Watch) -> Proposal:
     stamps = stamps_of(Table.of(numbers.sheet), time.stated, 0.0)[0] if time.columns else None
     around = Surroundings(numbers, chain, read.choice, whole, used, stamps, arm.inertias, arm.bystanders)
     beside = find_beside(around, labelled)
-    return _made(numbers, arm, time, read, beside, way, tuple(dict.fromkeys((*questions, *beside.questions))), assumed)
+    asked_all = tuple(dict.fromkeys((*questions, *beside.questions)))
+    return _made(_Findings(numbers, time, read, beside, way, asked_all, assumed), arm)
 
 
 def _no_arm(fits: Sequence[Fitted]) -> tuple[str, str]:
@@ -415,21 +416,26 @@ def _alike(one: Fitted, other: Fitted) -> bool:
     return len(one.best.R) == len(other.best.R) and same_poses(A, other.best.R, other.best.position)
 
 
-def _made(
-    numbers: Numbers,
-    arm: Arm,
-    time: RowTimes,
-    read: Fitted | Sighted,
-    beside: OtherColumns,
-    way: _Together,
-    questions: tuple[str, ...],
-    assumed: Sequence[str],
-) -> Proposal:
+@dataclass(frozen=True)
+class _Findings:
+    """What was found out of a table."""
+
+    numbers: Numbers
+    time: RowTimes
+    read: Fitted | Sighted
+    beside: OtherColumns
+    way: Together
+    questions: tuple[str, ...]
+    assumed: Sequence[str]
+
+
+def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
     """The mapping that was found, with its proof and what was assumed."""
+    numbers, read, beside, way = found.numbers, found.read, found.beside, found.way
     chain, choice, sheet = arm.chain, read.choice, numbers.sheet
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
     used = {*choice.joints.columns, *read.columns, *beside.used}
-    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
+    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", found.time.said]
     shown = ", ".join(f"{n} = {numbers.shown(k)}" for n, k in zip(chain.names, choice.joints.columns, strict=True))
     said += [f"the joints' columns by {choice.joints.how}: {shown}", *way.said]
     if not sheet.sure:
@@ -445,7 +451,7 @@ def _made(
         said.append("rows of zeros are rows in which nothing was read")
     if way.stated:
         entry["joined"] = list(way.stated)
-    entry["time"] = time.stated
+    entry["time"] = found.time.stated
     joints = choice.entry(numbers, chain)
     for key in ("columns", "units"):
         if key in beside.joints:
@@ -457,10 +463,10 @@ def _made(
     for key, stated in (("temperature", beside.temperature), ("signals", beside.signals)):
         if stated:
             entry[key] = stated
-    said += [*assumed, *beside.said, *_unused(numbers, {*used, *time.columns})]
-    mapping: dict[str, Any] = {"undecided": list(questions)} if questions else {}
+    said += [*found.assumed, *beside.said, *_unused(numbers, {*used, *found.time.columns})]
+    mapping: dict[str, Any] = {"undecided": list(found.questions)} if found.questions else {}
     mapping |= {**({"urdf": arm.urdf} if arm.urdf else {}), "tables": [entry]}
-    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), questions)
+    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), found.questions)
 
 
 def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
@@ -473,83 +479,3 @@ def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
     ):
         if some:
             yield f"not used: {numbers.shown(*some)}{why}"
-
-
-# --- Several files: rows belong together by a column that they share, or by their order
-
-_SHARED = 0.5  # of the rows must have a partner
-_KEYS = words("station id pose index nr no number point frame time timestamp stamp t sample")
-_STEP = 0.5  # of the usual step of the finer file, by which times may differ
-_MIN_SHARED, _MIN_COLUMNS = 3, 2
-
-
-@dataclass(frozen=True)
-class _Together:
-    """A file with the columns of others beside its own. stated: the entries under joined. said: how."""
-
-    sheet: Sheet
-    stated: tuple[dict[str, Any], ...] = ()
-    said: tuple[str, ...] = ()
-
-
-def _together(paths: Sequence[Path]) -> list[_Together]:
-    """The first file with the others joined to it, in every likely way. Raises BadTable where there is none."""
-    ways = [_Together(sniff(paths[0]))]
-    for path in paths[1:]:
-        other = sniff(path, _MIN_COLUMNS)
-        first = ways[0].sheet
-        ways = [way for known in ways for way in _joined(known, other, path)]
-        if not ways:
-            said = f"shares no column of station numbers or times with {first.path.name}, and has other rows"
-            raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/import.md")
-    return ways
-
-
-def _joined(known: _Together, other: Sheet, path: Path) -> Iterator[_Together]:
-    ours, theirs = Numbers.of(known.sheet), Numbers.of(other)
-    form = {**other.form.entry(), "decimal": other.form.decimal}
-    options: list[tuple[dict[str, Any], str]] = []
-    if (found := _shared(ours, theirs)) is not None:
-        a, b, within = found
-        how = f"{ours.shown(a)} of {known.sheet.path.name} is {theirs.shown(b)} of {path.name}"
-        near = {} if within is None else {"within": within}
-        how += "" if within is None else f", the nearest within {within:g}"
-        options.append(({"by": {ours.key(a): theirs.key(b)}, **near}, how))
-    if len(known.sheet.rows) == len(other.rows):
-        how = (
-            f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the arm's fit bears out"
-        )
-        options.append(({"by": "row"}, how))
-    for by, how in options:
-        stated = {"files": path.name, **form, **by}
-        sheet = joined(known.sheet, stated, path.parent, known.sheet.path.name, other)
-        yield _Together(sheet, (*known.stated, stated), (*known.said, how))
-
-
-def _shared(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
-    """Columns by which rows belong together: same numbers, else times that are near; and how near."""
-    best: tuple[float, int, int, float | None] | None = None
-    sides = [
-        [k for k in n.usable if isinstance(n.key(k), str) and _KEYS & set(n.labels[k].words)] for n in (ours, theirs)
-    ]
-    for a, b in ((a, b) for a in sides[0] for b in sides[1]):
-        share, within = _share(ours.values[:, a], theirs.values[:, b])
-        score = share + 0.2 * (ours.labels[a].words == theirs.labels[b].words) + 0.1 * (within is None)
-        if share >= _SHARED and (best is None or score > best[0]):
-            best = (score, a, b, within)
-    return None if best is None else best[1:]
-
-
-def _share(a: Array, b: Array) -> tuple[float, float | None]:
-    """Share of the rows with a partner, and how near partners are where their numbers are not the same."""
-    a, b = a[np.isfinite(a)], np.sort(b[np.isfinite(b)])
-    if len(a) < _MIN_SHARED or len(b) < _MIN_SHARED:
-        return 0.0, None
-    if len(np.unique(b)) == len(b) and (same := float(np.isin(a, b).mean())) >= _SHARED:
-        return same, None
-    if (np.diff(a) < 0.0).any():
-        return 0.0, None
-    within = float(f"{_STEP * min(float(np.median(np.diff(np.unique(x)))) for x in (a, b)):.2g}")
-    at = np.clip(np.searchsorted(b, a)[:, None] + np.array([-1, 0]), 0, len(b) - 1)
-    gap = np.abs(a[:, None] - b[at]).min(axis=1)
-    return (float((gap <= within).mean()), within) if within > 0.0 else (0.0, None)

@@ -17,7 +17,7 @@ from modcal_core.measurements import IMPORTED, Recording, remedies_of
 from modcal_core.robot import Robot
 from modcal_core.robots import chain_urdf, document, from_table
 from modcal_msgs_py import write_recording
-from modcal_msgs_py.tables import Arm, Proposal, find, json_schema, read_tables
+from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
 from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, described
@@ -52,7 +52,7 @@ def proposed(
     robot = Robot.from_urdf(urdf, options["base"], options["tip"])
     with output.working() as watch:
         where = os.path.relpath(urdf.resolve(), path.resolve().parent)
-        made = find(tables, Arm(robot.chain, robot.inertias, _bystanders(robot), where), watch)
+        made = find(tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), where), watch)
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
