@@ -11,9 +11,10 @@ from scipy.optimize import brentq
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.noise import NoiseModel
+from modcal_core.claim.beyond import growth
 from modcal_core.claim.claim import expected_claim
 from modcal_core.claim.evidence import _values, draw, widths_of_links
-from modcal_core.claim.neighbourhood import arms_near, shows_base
+from modcal_core.claim.neighbourhood import LENGTH, arms_near, shows_base
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.kinds.kind import KIND_NAMES
@@ -129,6 +130,25 @@ def test_contacts_do_not_shrink_the_arm_and_do_not_pass() -> None:
     assert held_out is not None
     assert held_out.result != "PASS"
     assert not shows_base(samples, 0)
+    about = arms_near(found.calibration.calibrated, nominal.chain, samples, Cell(), functions=False)
+    values = draw(about, 480, np.random.default_rng(5)).values[:, about.sort == LENGTH]
+    assert np.abs(values.mean(axis=0) / values.std(axis=0)).max() < 0.4  # it stands in the middle of what is likely
+
+
+def test_what_is_left_grows_outside_where_it_is_smooth_and_noise_does_not() -> None:
+    cell = record(5, 200, "point")
+    model = calibrated(cell.samples).calibration.calibrated
+    white = cell.samples
+    wave = 5e-4 * np.sin(white.q[:, :1] + white.q[:, 1:2])
+    smooth = replace(white, reading=model.predict_samples(white)[:, :3, 3] + wave)
+    inside, outside = postures(white, 100), white.q[:100] + [0.0, 6.0, 0.0, 0.0, 0.0, 0.0]
+    z = np.zeros(3)
+    near, far, of_noise = (
+        float(np.median(growth(model, *each, z))) for each in ((smooth, inside), (smooth, outside), (white, outside))
+    )
+    assert near < 1.2
+    assert far > 2.0
+    assert of_noise < 0.6 * far
 
 
 def test_arms_that_are_farther_off_are_found_to_be() -> None:

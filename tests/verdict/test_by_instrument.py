@@ -12,7 +12,7 @@ from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.verdict.status import MAX_PREDICTABLE
+from modcal_core.verdict.predictable import MAX_PREDICTABLE
 from modcal_nodes.simulation.world import World
 
 
@@ -50,6 +50,17 @@ def test_instruments_that_agree_are_not(seed: int) -> None:
     assert report.judged.predictable is not None
     assert report.judged.predictable.lower99 < MAX_PREDICTABLE
     assert "instrument reads" not in " ".join(report.open_because)
+
+
+def test_an_instrument_of_few_readings_is_not_asked() -> None:
+    samples = seen_by_both(2)
+    keep = (samples.frame == 0) | (np.cumsum(samples.frame) <= 8)
+    report = calibrate(
+        samples.select(np.flatnonzero(keep)), ur10(), np.random.default_rng(0), look_for_effects=False
+    ).report
+    assert report.judged is not None
+    asked = [n for n in report.judged.not_asked if "camera" in n.what]
+    assert [n.needs for n in asked] == ["12 readings of each"]
 
 
 def test_an_instrument_whose_readings_fit_nowhere_is_refused_by_name() -> None:

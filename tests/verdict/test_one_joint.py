@@ -79,9 +79,7 @@ def test_a_joint_is_named_beside_one_that_hardly_moves_the_target(made: Recorded
     read = made.world.tool_in_tracker(q + off)
     read[:, :3, 3] += 3e-5 * np.random.default_rng(6).normal(size=(140, 3))
     text = said(samples_of(ur10(), q, read, "point"))
-    assert re.search(
-        rf"Joint {names[2]} scatters by 0\.\d+ mrad RMS .* \(of {names[5]} these readings say too", text
-    ), text
+    assert re.search(rf"Joint {names[2]} scatters by 0\.\d+ mrad RMS", text), text
 
 
 @pytest.mark.slow

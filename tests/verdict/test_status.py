@@ -17,7 +17,7 @@ from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
 from modcal_core.verdict.case import Case, fitted_case
 from modcal_core.verdict.grounds import Grounds, NotApplied
-from modcal_core.verdict.status import judge
+from modcal_core.verdict.status import CHECKS, judge
 from modcal_core.verdict.verdict import Verdict
 
 
@@ -29,6 +29,14 @@ def verdict_of(samples: Samples, stated: Stated | None = None) -> Verdict:
 def case_of(result: Solution, samples: Samples) -> Case:
     report = result.report
     return fitted_case(result.scored, samples, report.sets, report.wrong, report.errors)
+
+
+def test_a_check_waits_only_for_checks_before_it() -> None:
+    before = []
+    for check in CHECKS:
+        assert set(check.unless) <= set(before)
+        before.append(check.look)
+    assert len(set(before)) == len(before)
 
 
 @pytest.mark.slow

@@ -61,6 +61,18 @@ def test_a_tracker_that_looks_with_either_face(made: Recorded) -> None:
 
 
 @pytest.mark.slow
+def test_two_groups_far_apart_keep_their_distance(made: Recorded) -> None:
+    """A frozen model, of which nearly half of the readings stand 5 mm beside the others."""
+    calibration = calibrate(made.samples, CHAIN, np.random.default_rng(0), look_for_effects=False).calibration
+    beside = np.where(np.arange(120) % 9 < 4, 5e-3, 0.0)[:, None] * [0.6, -0.8, 0.0]
+    samples = replace(made.samples, reading=made.samples.reading + beside)
+    judged = evaluate(calibration, samples, np.random.default_rng(0)).judged
+    apart = re.search(r"([0-9.]+) mm apart", " ".join(judged.open_because))
+    assert apart is not None
+    assert float(apart[1]) == pytest.approx(5.0, rel=0.1)
+
+
+@pytest.mark.slow
 def test_a_target_that_sits_in_one_of_two_places(made: Recorded) -> None:
     seat = np.random.default_rng(2).random(120) < 0.4
     step = np.where(seat[:, None], [4e-4, 0.0, 3e-4, 8e-4, 0.0, 0.0], 0.0)

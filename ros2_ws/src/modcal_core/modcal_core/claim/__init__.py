@@ -3,7 +3,7 @@
 from modcal_core.claim.claim import Claim, Statistic, claim_at_tool, expected_claim
 from modcal_core.claim.neighbourhood import Neighbourhood, arms_near
 from modcal_core.claim.remedy import OpenDirection
-from modcal_core.claim.width import fit_held
+from modcal_core.claim.width import fit_held, settled
 
 __all__ = ["Claim", "Neighbourhood", "OpenDirection", "Statistic", "claim_at_tool", "expected_claim", "fit_held"]
-__all__ += ["arms_near"]
+__all__ += ["arms_near", "settled"]

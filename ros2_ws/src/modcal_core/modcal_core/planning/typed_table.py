@@ -4,7 +4,7 @@ Angles are in degrees and lengths in millimetres, for people type them. What a s
 (semicolons, decimal commas, byte order marks, UTF-16) is undone; what a person may have typed wrongly is refused with
 its row, and nothing of that table is taken in.
 
-Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.consensus`), so that a few
+Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.hand_eye`), so that a few
 wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, columns that were swapped,
 another row's reading or a wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
 stands beside the arm can still correct it.
@@ -187,44 +187,44 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
     rows = session.rows()
     if not is_serial_arm(mechanism) or len(rows) < _MIN or not read:
         return
-    samples = session.samples(rows)
-    fit = placed(HandEye.holding(samples, mechanism))
-    if fit.agree().mean() < _MAX:
+    fit = placed(HandEye.holding(session.samples(rows), mechanism))
+    agree = fit.agree()
+    if agree.mean() < _MAX:
         _require_convention(fit, source)
         return
-    for k in np.flatnonzero(~fit.agree(_CLEARLY)).tolist():
-        if rows[k] in read:
-            what, remedy = _meant(k, fit, rows)
-            raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
+    expected, limit = fit.placement.expected(fit.case.A)[1], _CLEARLY * fit.case.limits[1]
+    elsewhere = f"from where the other {int(agree.sum())} readings have it"
+    for k in np.flatnonzero(~fit.agree(_CLEARLY) & np.isin(rows, read)).tolist():
+        what, remedy = _meant(fit.case.p[k], expected, k, rows, limit, elsewhere)
+        if not what:
+            what = f"is turned by {np.degrees(float(fit.turn[k])):.1f}° {elsewhere}"
+        raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
 
 
 def _require_convention(as_is: HandEyeFit, source: str) -> None:
-    case = as_is.case
-    meant = [(f"readings look like {unit}", case.read(scale * case.p), "write millimetres") for scale, unit in _UNITS]
-    mirrored = left_handed()  # by which axis nothing says: the tracker may stand in any way
+    case, mirrored = as_is.case, left_handed()  # by which axis nothing says: a tracker stands in any way
+    meant = [(f"readings {said}", case.read(other), remedy) for said, other, remedy in _of_units(case.p)]
     meant.append((mirrored.what, mirrored.undone(case), mirrored.remedy))
-    missed = as_is.usual[1]
     left, i = min((placed(other, thorough=False).usual[1], i) for i, (_, other, _) in enumerate(meant))
-    if left < min(LIMIT_OF_REACH * case.chain.reach(), missed / _BETTER):
-        said = f"{meant[i][0]}: the arm misses them by {1e3 * missed:.0f} mm, corrected by {1e3 * left:.0f} mm"
+    if left < min(LIMIT_OF_REACH * case.chain.reach(), as_is.usual[1] / _BETTER):
+        said = f"{meant[i][0]}: the arm misses them by {1e3 * as_is.usual[1]:.0f} mm, corrected by {1e3 * left:.0f} mm"
         raise BadTable(source, said, meant[i][2])
 
 
-def _meant(k: int, fit: HandEyeFit, rows: Sequence[int]) -> tuple[str, str]:
-    """What a reading may have been meant to be, and what to do."""
-    p, limit = fit.case.p[k], _CLEARLY * fit.case.limits[1]
-    elsewhere = f"from where the other {int(fit.agree().sum())} readings have it"
-    expected = fit.placement.expected(fit.case.A)[1]
+def _meant(p: Array, expected: Array, k: int, numbers: Sequence[int], limit: float, elsewhere: str) -> tuple[str, str]:
+    """What the reading p (3,) [m] of row k may have been meant to be, "" where it is at its place, and what to do.
+
+    expected: positions by the other readings (N, 3). numbers: of the stations (N,).
+    """
     gap, far = p - expected[k], np.linalg.norm(expected - p, axis=1)
     if far[k] < limit:
-        said = f"is turned by {np.degrees(fit.turn[k]):.1f}° {elsewhere}"
-        return said, "correct rx, ry and rz (degrees, about fixed axes)"
+        return "", "correct rx, ry and rz (degrees, about fixed axes)"
     for said, other, remedy in _corrected(p):
         if float(np.linalg.norm(other - expected[k])) < limit:
             return said, remedy
     nearest, axis = int(np.argmin(far)), int(np.argmax(np.abs(gap)))
     if far[nearest] < limit:
-        said = f"has what the arm should read at station {rows[nearest] + 1}"
+        said = f"has what the arm should read at station {numbers[nearest] + 1}"
         return said, "write each reading into its own row"
     if float(np.linalg.norm(np.delete(gap, axis))) < limit:
         said = f"{'xyz'[axis]} is {1e3 * gap[axis]:+.1f} mm {elsewhere}; the rest fits"
@@ -232,10 +232,15 @@ def _meant(k: int, fit: HandEyeFit, rows: Sequence[int]) -> tuple[str, str]:
     return f"lies {1e3 * far[k]:.0f} mm {elsewhere}", "correct it, or note: unseen"
 
 
+def _of_units(p: Array) -> Iterator[tuple[str, Array, str]]:
+    """What positions [m] would be in another unit: words for it, the positions, and what to do."""
+    for scale, unit in _UNITS:
+        yield f"look{'s' * (p.ndim == 1)} like {unit}", scale * p, "write millimetres"
+
+
 def _corrected(p: Array) -> Iterator[tuple[str, Array, str]]:
     """What a position (3,) [m] would be without a mistake of typing: words for it, the position, and what to do."""
-    for scale, unit in _UNITS:
-        yield f"looks like {unit}", scale * p, "write millimetres"
+    yield from _of_units(p)
     for order in permutations(range(3)):
         if order != (0, 1, 2):
             columns = ", ".join("xyz"[i] for i in order)

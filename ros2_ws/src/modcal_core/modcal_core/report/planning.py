@@ -11,19 +11,15 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.planning import Plan
 from modcal_core.report.as_json import claim_data
-from modcal_core.report.page import MAX_POINTS, MAX_POSTURES, Chart, RobotScene, arm_paths, joints_in_words, plain_page
-from modcal_core.report.plots import Panel, side_by_side
-from modcal_core.report.sentence import percent
+from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel, as_file
+from modcal_core.report.page import Figures, Listing, Page, Section, files_section
+from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
+from modcal_core.report.words import percent
 from modcal_core.robots import plain
 
-_FILES = [
-    ("plan.yaml", "the stations and what is expected of them, for programs"),
-    ("stations.csv", "joint positions, one station a row"),
-    ("trajectory.yaml", "the way through them as a JointTrajectory"),
-]
 _MEASURES = {"p95": "95th percentile", "rms": "RMS"}
 _VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)))
-_HIGH = 200.0  # points
+_HIGH = 200.0  # points; of a view
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 
@@ -134,27 +130,27 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
 
 def figure(plan: Plan) -> str:
     """The picture of the stations as a file of its own, SVG."""
-    return side_by_side(_charts(plan), _HIGH)
+    return as_file(_charts(plan))
 
 
 def planning_html(plan: Plan, title: str) -> str:
     """The plan as a page: sentences, pictures, files."""
     first, *others = plan_sentences(plan)
-    return plain_page(f"{title}: stations to measure", first, others, _charts(plan), _FILES, robot=_robot(plan))
+    views = Section("stations", "Stations", [Figures(_charts(plan))])
+    files = files_section(("plan.yaml", "stations.csv", "trajectory.yaml"))
+    return Page(f"{title}: stations to measure", first, [Listing(others), _robot(plan), views, files]).html()
 
 
-def _robot(plan: Plan) -> RobotScene:
+def _robot(plan: Plan) -> Section:
     """The arm at the stations in their order, among the places that could be chosen."""
-    pool, ground, tracker = plan.pool, plan.ground, plan.ground.site.tracker
-    chain = ground.model.chain
-    rows = spread_rows(len(plan.q), MAX_POSTURES)
-    paths = arm_paths(chain, plan.q, ground.model.T_tip_tool)
-    could = arm_paths(chain, pool.q[spread_rows(len(pool.q), MAX_POINTS)], ground.model.T_tip_tool)[:, -1]
-    said = [f"Station {row + 1} of {len(plan.q)}: {joints_in_words(chain, plan.q[row])}." for row in rows]
-    marks = () if tracker is None else (("tracker", tracker.position),)
+    pool, tracker = plan.pool, plan.ground.site.tracker
+    shown = ShownPostures(plan.ground.model.chain, plan.q, "Station", plan.ground.model.T_tip_tool)
+    some = pool.q[spread_rows(len(pool.q), MAX_POINTS)]
+    way, could = (arm_paths(shown.chain, q, shown.T_tip_tool)[:, -1] for q in (plan.q, some))
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
-    points = paths[:, -1]
-    return RobotScene(tuple(paths[rows]), tuple(said), points, rows, chain.base, alt, True, could, marks)
+    marks = () if tracker is None else (("tracker", tracker.position),)
+    others: dict[str, Any] = {"points": way, "shown": shown.rows, "route": True, "cloud": could, "marks": marks}
+    return Section("robot", "Robot", [shown.scene(alt, **others)])
 
 
 def _charts(plan: Plan) -> list[Chart]:
@@ -168,15 +164,14 @@ def _charts(plan: Plan) -> list[Chart]:
     every = np.concatenate([could, chosen, base, sight])
     out = []
     for seen, (i, j) in _VIEWS:
-        panel = Panel.to_scale(every[:, i], every[:, j], _HIGH)
-        panel.dashes(could[:, i], could[:, j], "before", 0.0, 1.2)
-        panel.line(chosen[:, i], chosen[:, j], "after", 0.5)
-        panel.dashes(chosen[:, i], chosen[:, j], "after", 0.0, 3.5)
-        panel.hollow(base[:, i], base[:, j], "ink", "square")
-        panel.hollow(sight[:, i], sight[:, j], "bad", "triangle")
+        panel = Panel.to_scale((f"{'xyz'[i]}, m", every[:, i]), (f"{'xyz'[j]}, m", every[:, j]), SMALL[0], _HIGH)
+        panel.marks(could[:, i], could[:, j], BEFORE, "dot", 1.2)
+        panel.line(chosen[:, i], chosen[:, j], AFTER, 0.5)
+        panel.marks(chosen[:, i], chosen[:, j], AFTER, "dot", 3.5)
+        panel.marks(base[:, i], base[:, j], INK, "square")
+        panel.marks(sight[:, i], sight[:, j], BAD, "triangle")
         alt = f"{len(plan.q)} stations among the postures that could be chosen, {seen}."
         words = f"Stations {seen}: small dots could be chosen, the line connects the stations in their order; the base "
         words += "is a square." if tracker is None else "is a square, the tracker a triangle."
-        name = f"stations-{'xyz'[j]}"
-        out.append(panel.chart(name, f"{'xyz'[i]}, m", f"{'xyz'[j]}, m", alt, words))
+        out.append(panel.chart(f"stations-{'xyz'[j]}", alt, words))
     return out

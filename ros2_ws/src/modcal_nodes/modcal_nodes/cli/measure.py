@@ -16,6 +16,7 @@ from modcal_core.calibration import errors
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements import POINT, POSE
+from modcal_core.outcome import counted, readmitted_note
 from modcal_core.planning import (
     BATCH,
     MAX_STATIONS,
@@ -33,7 +34,6 @@ from modcal_core.planning import (
     text_of,
     with_table,
 )
-from modcal_core.report import counted, readmitted_note
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET

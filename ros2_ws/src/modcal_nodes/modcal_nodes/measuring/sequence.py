@@ -19,6 +19,7 @@ from modcal_core.errors import BadCommand, BadRobot, BadTable, ModcalError
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE
+from modcal_core.outcome import counted
 from modcal_core.planning import (
     SKIPPED,
     UNSEEN,
@@ -41,7 +42,6 @@ from modcal_core.planning import (
     timed,
     with_limits,
 )
-from modcal_core.report import counted
 from modcal_core.robot import Robot
 from modcal_core.robots import forward, read_drives
 from modcal_nodes.measuring.collision import CollisionModel, has_shapes

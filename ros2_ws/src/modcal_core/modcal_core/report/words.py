@@ -4,18 +4,9 @@ from __future__ import annotations
 
 from math import sqrt
 
-from modcal_core.calibration import Calibration, Errors, Fit, Readmitted
-from modcal_core.hypotheses import LIMIT_OF_REACH
-from modcal_core.measurements import Samples, unexpected
-from modcal_core.measurements.kinds import kinds
-from modcal_core.report.contents import ReportContents
-from modcal_core.robots import Mechanism
+from modcal_core.measurements import unexpected
+from modcal_core.outcome import Outcome, counted
 from modcal_core.verdict import Status, Verdict
-
-
-def counted(count: int, thing: str) -> str:
-    """A number and what it counts, in the plural where it is one: ``1 station``, ``2 stations``."""
-    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
 
 
 def percent(share: float, digits: int = 0) -> str:
@@ -36,7 +27,7 @@ _SEEN = 0.44  # of the floor's square, which is a fifth more in RMS: as much as 
 MAX_REASONS = 2  # that the sentence gives; report.json has all of them
 
 
-def sentence(report: ReportContents) -> str:
+def sentence(report: Outcome) -> str:
     """What a person reads first, a few sentences."""
     if report.size_mm("final") is None and report.size_deg("final") is None:
         return _counts(report) + " No station was scored, so the error is unknown."
@@ -59,15 +50,7 @@ def short_status(verdict: Verdict | None) -> str:
     return "At the floor: " + _floor(verdict)
 
 
-def not_asked_note(verdict: Verdict) -> tuple[str, ...]:
-    """A sentence on what so few stations do not answer; none where everything could be asked."""
-    if not verdict.not_asked:
-        return ()
-    questions = ", or ".join(f"{question.what} (that needs {question.needs})" for question in verdict.not_asked)
-    return (f"These stations are too few to ask {questions}.",)
-
-
-def _counts(report: ReportContents) -> str:
+def _counts(report: Outcome) -> str:
     """How many stations there are and how many of them were rejected, and what never became one."""
     rejected = report.rejected_stations()
     said = f"{counted(report.samples.stations, 'station')}, "
@@ -79,7 +62,7 @@ def _counts(report: ReportContents) -> str:
     return said + "."
 
 
-def _error(report: ReportContents) -> str:
+def _error(report: Outcome) -> str:
     """The error of the scored stations, with and without those that were rejected."""
     where = f"On the {report.set_sizes()['held_out']} held out from fitting"
     if not len(report.sets.train):
@@ -96,7 +79,7 @@ def _error(report: ReportContents) -> str:
     return f"{where} the error is {('; ' if rejected else ' and ').join(sizes)}{compared}."
 
 
-def _size_mm(report: ReportContents) -> str:
+def _size_mm(report: Outcome) -> str:
     """The RMS of the final model, without and with the rejected stations."""
     after, out, count = report.size_mm("final"), report.rejection, report.held_out_rejected()
     assert after is not None
@@ -109,14 +92,14 @@ def _size_mm(report: ReportContents) -> str:
     return f"{out.with_mm:.3f} mm RMS with the {rejected}, which are too many to leave out{without}"
 
 
-def _stage(report: ReportContents, stage: str, name: str) -> str:
+def _stage(report: Outcome, stage: str, name: str) -> str:
     size, angle = report.size_mm(stage), report.size_deg(stage)
     if size is None:
         return "" if angle is None else f"{name} {angle.rms:.3g}°"
     return f"{name} {size.rms:.3f} mm" + ("" if angle is None else f" and {angle.rms:.3g}°")
 
 
-def _status(report: ReportContents) -> str:
+def _status(report: Outcome) -> str:
     said = short_status(report.judged)
     left = report.left
     if report.status != "at_floor" and left is not None:
@@ -157,86 +140,3 @@ def _unsettled(verdict: Verdict) -> str:
 
 
 _SOURCES = {"revisits": ", from postures visited again", "stated": ", as stated", None: ""}
-
-
-def instrument_notes(fit: Fit) -> tuple[str, ...]:
-    """For each kind of reading that is no position how it scatters about the model."""
-    out = []
-    for name, size in fit.noise.others.items():
-        kind = kinds()[name]
-        said = f"{1e3 * size:.3g} mm" if kind.unit == "m" else f"{1e6 * size:.3g} µrad"
-        out.append(f"Readings of kind {name} scatter about the model by {said}.")
-    return tuple(out)
-
-
-def description_note(nominal: Errors, chain: Mechanism) -> tuple[str, ...]:
-    """A sentence where the nominal model misses by more than a robot of that description should.
-
-    nominal: what it leaves with base and tool fitted.
-    """
-    size, limit = nominal.size_mm(), 1e3 * LIMIT_OF_REACH * chain.reach()
-    if size is None or size.rms <= limit:
-        return ()
-    return (
-        f"The nominal model misses by {size.rms:.0f} mm RMS, though a robot of that description should by less than "
-        f"{limit:.0f} mm. The fitted geometry makes up for it where stations are; see whether the description is that "
-        "of this robot, and whether a joint's zero has changed, before it is used elsewhere.",
-    )
-
-
-def readmitted_note(again: Readmitted) -> tuple[str, ...]:
-    """A sentence for stations that were rejected first and fitted after all, where they are, and what would tell."""
-    if not again.stations:
-        return ()
-    where = [f"{p.joint} between {p.low:.2f} and {p.high:.2f} ({p.stations} of {p.of} there)" for p in again.places]
-    shown = f" They show the curve of {' and of '.join(where)}." if where else ""
-    still = f" {again.unscored} of them are left out of the score still." if again.unscored else ""
-    return (
-        f"{counted(again.stations, 'station')} that the model first missed were taken in again, since no others "
-        f"contradict them.{shown}{still} If they are wrong readings, the curve is wrong there; stations there on "
-        "another day would tell.",
-    )
-
-
-def moved_note(residuals: Errors, calibration: Calibration, refit_base: bool, refit_tool: bool) -> tuple[str, ...]:
-    """A sentence for the person whose robot, tracker or tool stands elsewhere than when it was calibrated."""
-    size = residuals.size_mm()
-    limit = LIMIT_OF_REACH * calibration.nominal.chain.reach()
-    if size is None or size.rms < 1e3 * limit or (refit_base and refit_tool):
-        return ()
-    return (
-        "The error is larger than an arm's: base or tool have changed; --refit-base and --refit-tool fit them again.",
-    )
-
-
-def unseen_note(samples: Samples, calibration: Calibration, beyond: float = 0.0) -> tuple[str, ...]:
-    """A sentence for joints that go where the calibration has never seen them, and what is done there.
-
-    beyond: share of the samples that may do so without a word.
-    """
-    low, high = calibration.seen
-    margin = 0.02 * (high - low)
-    out = (samples.q < low - margin) | (samples.q > high + margin)
-    if out.any(axis=1).mean() <= beyond:
-        return ()
-    worst = [
-        f"{name} (seen {low[j]:.2f} … {high[j]:.2f}, here {samples.q[:, j].min():.2f} … {samples.q[:, j].max():.2f})"
-        for j, name in enumerate(samples.names)
-        if out[:, j].any()
-    ]
-    return (
-        f"{int(out.any(axis=1).sum())} of {len(samples)} samples lie outside the joint ranges that were calibrated: "
-        f"{', '.join(worst)}. {_spoken(samples, calibration)}",
-    )
-
-
-def _spoken(samples: Samples, calibration: Calibration) -> str:
-    """Note about what the model does outside the calibrated ranges."""
-    instead = calibration.fallback(calibration.calibrated, calibration.geometric)
-    count = 0 if instead is None else int((instead.share(samples) > 0.0).sum())
-    if not count:
-        return "Learned curves are not continued there."
-    return (
-        f"Learned curves are not continued there: at {count} samples, where the full model is not known to be better, "
-        "the geometry that is best alone counts instead."
-    )

@@ -6,9 +6,8 @@ everything else fitted again.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,6 @@ from modcal_core.effects import (
     ReportEntry,
     Sizes,
     claimed,
-    companionless,
     curve_sizes,
     family_named,
     is_large_move,
@@ -57,7 +55,7 @@ def at_tool(model: Model, effects: Sequence[int], samples: Samples) -> float:
     return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
 
 
-_MAX_SEEN = 500  # samples at which the size at the tool is taken
+MAX_SEEN = 500  # samples at which the size at the tool is taken
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding,
         # each move is an entry of its own
         key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
         groups.setdefault(key, []).append(i)
-    few = samples.select(spread_rows(len(samples), _MAX_SEEN))
+    few = samples.select(spread_rows(len(samples), MAX_SEEN))
     entries = []
     for numbers in groups.values():
         effects = tuple(shipped.effects[i] for i in numbers)
@@ -189,72 +187,16 @@ def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, .
     if not wrong.any():
         return ()
     count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
-    with_them, without_them = (_rms(errors(fit.model, s)) for s in (samples, samples.select(np.flatnonzero(~wrong))))
+    with_them, without_them = (rms(errors(fit.model, s)) for s in (samples, samples.select(np.flatnonzero(~wrong))))
     by_chance = min(1.0, len(samples) * beyond_normal(REJECT_Z))  # that noise makes any of them
     return (
         Finding(outliers.NAME, "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without_them),
     )
 
 
-def _rms(residuals: Errors) -> float:
+def rms(residuals: Errors) -> float:
+    """RMS of the position errors [m]; NaN where there are none."""
     return float(np.sqrt(np.mean(residuals.position_norm**2))) if len(residuals.position) else float("nan")
-
-
-def residual_notes(case: Case) -> tuple[str, ...]:
-    """A sentence on the effects of the scored model that no entry contains, largest joint first; none without them."""
-    model, scored = case.model, case.samples.select(case.held_out)
-    numbers = companionless(model.effects)
-    if not numbers or not len(scored):
-        return ()
-    few = scored.select(spread_rows(len(scored), _MAX_SEEN))
-    of_joint: dict[str, list[int]] = {}
-    for i in numbers:
-        of_joint.setdefault(model.effects[i].place, []).append(i)
-    size = {joint: 1e3 * at_tool(model, own, few) for joint, own in of_joint.items()}
-    shares = ", ".join(f"{joint} {size[joint]:.3f} mm" for joint in sorted(size, key=lambda j: -size[j]))
-    with_them, alone = (1e3 * _rms(each) for each in (case.errors["final"], left_without(case, numbers)))
-    return (
-        f"Beside what is named, small curves of joints, each held as small as these stations make likely, were learned "
-        f"together (RMS at the tool: {shares}); without them the error would be {alone:.3f} instead of {with_them:.3f} "
-        "mm. None of them is claimed as a cause.",
-    )
-
-
-_NORMAL = 1.96  # deviations of a 95 % interval
-
-
-def load_notes(loads: Loads | None) -> tuple[str, ...]:
-    """Sentences on gravity and payloads, with 95 % intervals."""
-    if loads is None:
-        return ()
-    out = []
-    if loads.unknown:
-        out.append(
-            "The stations cannot tell gravity: joints seem to deflect under a weight that pulls another way than the "
-            "robot description says, but not which way. State gravity: in the cell file."
-        )
-    if loads.down is not None:
-        way = ", ".join(f"{x:+.3f}" for x in loads.down)
-        out.append(
-            f"Weight pulls along [{way}] in the base link (± {np.degrees(_NORMAL * loads.down_std):.2g}°), "
-            f"{np.degrees(loads.turned):.1f}° from where the robot description says: state gravity: in the cell file, "
-            "or tilt the base in the URDF."
-        )
-    if loads.relative and loads.payloads:
-        said = ", ".join(f"{p.mass:.2f} ± {_NORMAL * p.mass_std:.2g}" for p in loads.payloads[:-1])
-        out.append(
-            f"The recordings were loaded differently: {said} of what the tip carries in the last one. No mass is "
-            "known, so compliances are per kg of that."
-        )
-    elif loads.payloads:
-        said = ", ".join(f"{p.mass:.2f} ± {_NORMAL * p.mass_std:.2g} kg" for p in loads.payloads)
-        where = "" if len(loads.payloads) == 1 else " in the recordings, one after the other"
-        out.append(f"The tip carries {said}{where} beyond what the robot description states.")
-    if loads.centre is not None and loads.centre_std is not None:
-        each = zip("xyz", 1e3 * loads.centre, 1e3 * _NORMAL * loads.centre_std, strict=True)
-        said = ", ".join(f"{axis} {at:+.0f} ± {wide:.2g} mm" for axis, at, wide in each)
-        out.append(f"The payload that the recording states has its centre at {said} in the tip link.")
-    return tuple(out)
 
 
 def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[Finding, ...]:
@@ -297,37 +239,3 @@ def _unloaded(loads: Loads) -> NominalArm:
     if loads.down is None or loads.before.inertias is None:
         return loads.before
     return replace(loads.before, inertias=loads.before.inertias.pulled(loads.down))
-
-
-def sizes_to_json(sizes: Mapping[str, Quantity]) -> dict[str, Any]:
-    """Named sizes for ``report.json``."""
-    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
-
-
-def loads_to_json(loads: Loads | None) -> dict[str, Any] | None:
-    """For ``report.json``."""
-    if loads is None:
-        return None
-    return {
-        "gravity": None
-        if loads.down is None
-        else {
-            "direction": [float(x) for x in loads.down],
-            "std_deg": float(np.degrees(loads.down_std)),
-            "turned_deg": float(np.degrees(loads.turned)),
-        },
-        "gravity_unknown": loads.unknown,
-        "relative": loads.relative,
-        "stated_payload_centre_m": None if loads.centre is None else [float(x) for x in loads.centre],
-        "stated_payload_centre_std_m": None if loads.centre_std is None else [float(x) for x in loads.centre_std],
-        "payloads": [
-            {
-                "since": p.since,
-                "mass": p.mass,
-                "mass_std": p.mass_std,
-                "centre_m": None if p.place is None else [float(x) for x in p.place],
-                "centre_std_m": None if p.place_std is None else [float(x) for x in p.place_std],
-            }
-            for p in loads.payloads
-        ],
-    }

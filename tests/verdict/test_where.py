@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from cells import Recorded, record, samples_of, ur10
 
 from modcal_core.calibration.cell import Cell, fit_cell
-from modcal_core.calibration.linearisation import RowView
+from modcal_core.calibration.noise import NoiseModel
 from modcal_core.calibration.stated import Stated
-from modcal_core.diagnosis.dependence_pairs import pairs
 from modcal_core.diagnosis.hysteresis import play
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.verdict.case import Case
+from modcal_core.verdict.drivers import PlaceDrivers
+from modcal_core.verdict.rest import Rest
 
 CHAIN = ur10()
 KNOWN = Cell(
@@ -47,12 +50,15 @@ def with_error(made: Recorded, j: int, off: Array) -> Samples:
 def test_no_driver_holds_what_was_read(made: Recorded) -> None:
     """Errors of readings stand in the residuals alone; an instrument they are to depend on is where the model has it."""
     model = fit_cell(CHAIN, made.exact, Cell()).model
-    rows = np.arange(len(made.exact))
-    for error in (np.zeros(3), np.random.default_rng(3).normal(0.0, 0.05, (len(rows), 3))):
+    noise = NoiseModel(5e-5, 5e-5)
+    for error in (np.zeros(3), np.random.default_rng(3).normal(0.0, 0.05, (len(made.exact), 3))):
         samples = replace(made.exact, reading=made.exact.reading + error)
-        view = RowView.of(model, samples, model.drivers(samples))
-        every = pairs(model, samples, view, rows, constant=False)
-        columns = [pair.columns for pair in every if "a gear" not in pair.driver]  # whose teeth the residuals choose
+        none: Any = None
+        case = Case(samples, none, none, "station", model, none, noise, {}, none, fitted=True)
+        drivers = PlaceDrivers(Rest.of(case, np.arange(len(samples))))
+        J = np.ones((1, 6, len(samples)))
+        every = (*drivers.grouped(), *drivers.alone(constant=True), *drivers.changed(J))
+        columns = [part.columns for part in every if "a gear" not in part.driver]  # whose teeth the residuals choose
         if error.ndim == 1:
             exact = columns
     for one, other in zip(exact, columns, strict=True):

@@ -1,4 +1,4 @@
-"""What a report holds: the recording, how far the robot misses before and after, and what the data could not tell."""
+"""The outcome of a calibration or an evaluation: errors before and after, effects, and what the data do not show."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from modcal_core.claim import Claim
 from modcal_core.diagnosis import EffectChoice, EvidenceMap, Loads
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.report.diagnosis_entries import Finding
-from modcal_core.report.joint_offsets import JointOffsets
+from modcal_core.outcome.entries import Finding
+from modcal_core.outcome.joint_offsets import JointOffsets
 from modcal_core.verdict import (
     Asked,
     AtTool,
@@ -104,8 +104,8 @@ class Step:
 
 
 @dataclass(frozen=True)
-class ReportContents:
-    """Contents of the report of a calibration or an evaluation.
+class Outcome:
+    """The outcome of a calibration or an evaluation.
 
     - scored: held-out samples without outliers. rejected: number of samples rejected as outliers.
     - errors: errors of the scored samples by stage (nominal, geometric, final).

@@ -10,22 +10,20 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, TOUCH
 from modcal_core.robots import Chain
-from modcal_msgs_py.tables.candidates import JointColumns, Numbers
-from modcal_msgs_py.tables.fitted import ColumnChoice, scales, units
-from modcal_msgs_py.tables.labels import Label
-from modcal_msgs_py.tables.readings import UNITS
+from modcal_msgs_py.tables.columns import JointColumns, Numbers
+from modcal_msgs_py.tables.fits import JointChoice, choices_of
+from modcal_msgs_py.tables.labels import grouped, words
+from modcal_msgs_py.tables.proof import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
+from modcal_msgs_py.tables.readings import UNITS, direction
 
-_DISTANCE = {"distance", "dist", "range", "rng", "length", "wire", "slope", "laenge", "abstand"}
-_HEIGHT = {"height", "plane", "dial", "indicator", "gap", "clearance", "gauge", "standoff"}
-_AZIMUTH = {"azimuth", "az", "hz", "horizontal", "ha", "azim", "hza"}
-_SECOND = {"elevation", "el", "elev", "altitude", "vertical", "vert", "zenith", "zen", "v", "za", "va"}
 _ANGLES = ("deg", "rad", "gon")
 _MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
 _VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
 _WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane"}
+_FRAMES = {RANGE: "anchor", BEARING: "station", TOUCH: "plane"}
+_EMPTY = words("angle to sensor reading above x ux dx nx direction dir u unit vector")  # of an instrument
 
 
 @dataclass(frozen=True)
@@ -48,31 +46,28 @@ class Way:
     zenith: bool = False
     clockwise: bool = False
 
-    def words(self, choices: Sequence[ColumnChoice]) -> str:
+    def words(self, choices: Sequence[JointChoice]) -> str:
         """Description in words."""
         said = f"in {self.unit}" if self.unit else "as unit vectors"
         if self.unit in _ANGLES:
-            said += f", {'zenith angles' if self.zenith else 'elevations'}, azimuths {self.turn}"
+            turn = "clockwise" if self.clockwise else "from x to y"
+            said += f", {'zenith angles' if self.zenith else 'elevations'}, azimuths {turn}"
         return f"{said}; joints in {choices[self.choice].angle}"
-
-    @property
-    def turn(self) -> str:
-        """Which way azimuths grow."""
-        return "clockwise" if self.clockwise else "from x to y"
 
 
 @dataclass(frozen=True)
 class Sighted:
     """Readings that are no positions, with what they mean: for each kind its ways, best first."""
 
-    choices: tuple[ColumnChoice, ...]
+    choices: tuple[JointChoice, ...]
     rows: np.ndarray
     found: dict[str, list[tuple[Way, SightMatch]]]
     instruments: tuple[SightColumns, ...]
     questions: tuple[str, ...] = field(default=())
+    zeros: tuple[int, ...] = ()
 
     @property
-    def choice(self) -> ColumnChoice:
+    def choice(self) -> JointChoice:
         """What the joints' columns are taken for."""
         return self.choices[next(iter(self.found.values()))[0][0].choice]
 
@@ -86,7 +81,7 @@ class Sighted:
         out: dict[str, Any] = {}
         for one in self.instruments:
             way = self.found[one.kind][0][0]
-            keys = [numbers.key(k) for k in one.columns]
+            keys = numbers.keys(one.columns)
             stated: dict[str, Any] = {"frame": one.frame}
             if one.kind != BEARING:
                 stated |= {"unit": way.unit, "column": keys[0]}
@@ -94,8 +89,7 @@ class Sighted:
                 stated |= {"vector": keys}
             else:
                 stated |= {"unit": way.unit, "azimuth": keys[0], "zenith" if way.zenith else "elevation": keys[1]}
-                if way.clockwise:
-                    stated["clockwise"] = True
+                stated |= {"clockwise": True} if way.clockwise else {}
             out.setdefault("plane" if one.kind == TOUCH else one.kind, []).append(stated)
         return {key: stated[0] if len(stated) == 1 else stated for key, stated in out.items()}
 
@@ -106,107 +100,58 @@ class Sighted:
             (way, match), *rest = ways
             said = f"{_WORDS[kind]} {way.words(self.choices)}: the nominal arm misses {len(self.rows)} rows by "
             out.append(f"{said}{1e3 * match.typical:.3g} mm (median)")
-            if rest:
-                other, worse = rest[0]
+            for other, worse in rest[:1]:
                 gap = match.score - worse.score
                 out.append(f"second best, worse by {gap:.0f} in log-likelihood: {other.words(self.choices)}")
         return out
 
 
-def is_sight(label: Label) -> bool:
-    """Whether a label is one of a distance, a direction or a height."""
-    return bool((_DISTANCE | _HEIGHT | _AZIMUTH | _SECOND) & set(label.words))
-
-
 def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
     """Columns that labels call distances, directions or heights; directions by three columns also by their numbers."""
-    free = [k for k in numbers.usable() if k not in taken]
-    out: list[SightColumns] = []
-    used: set[int] = set()
-    by_stem: dict[str, dict[str, int]] = {}
-    for k in free:
-        for name, said in (("azimuth", _AZIMUTH), ("second", _SECOND)):
-            words = numbers.labels[k].words
-            if said & set(words) and numbers.labels[k].role != "other":
-                by_stem.setdefault(_stem(words, said), {}).setdefault(name, k)
-    for stem, found in by_stem.items():
-        if len(found) == 2:
-            out.append(SightColumns(stem or "station", BEARING, (found["azimuth"], found["second"])))
-    used |= {k for one in out for k in one.columns}
-    for first in range(numbers.values.shape[1] - 2):
-        triple = (first, first + 1, first + 2)
-        if not set(triple) <= set(free) - used or set(_four(numbers, first)) & used:
-            continue
-        values = numbers.values[:, list(triple)]
-        length = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
-        if len(length) >= MIN_ROWS and (np.abs(length - 1.0) < _VECTOR).mean() > 0.9:
-            out.append(SightColumns(_vector_name(numbers, first), BEARING, triple))
-            used |= set(triple)
-    stations = {one.frame for one in out}
-    for k in free:
-        words = numbers.labels[k].words
-        if k in used or numbers.labels[k].role == "other" or numbers.labels[k].axis is not None:
-            continue
-        for kind, said, name in ((RANGE, _DISTANCE, "anchor"), (TOUCH, _HEIGHT, "plane")):
-            if said & set(words) or (kind == RANGE and words[:1] == ("d",) and len(words) <= 2):
-                stem = _stem(words, said | {"d"})
-                shared = stem or "station"
-                frame = shared if kind == RANGE and shared in stations else _frame(stem, name)
-                out.append(SightColumns(frame, kind, (k,)))
-                used.add(k)
-                break
-    return _apart(out)
+    free = {k: numbers.labels[k] for k in numbers.usable if k not in taken}
+    found = [(BEARING, columns) for columns in grouped(free, BEARING)]
+    used = {k for _, columns in found for k in columns}
+    for first in free:
+        triple, around = tuple(range(first, first + 3)), {first - 1, first + 3}  # a quaternion's would be among these
+        if set(triple) <= set(free) - used and not around & used:
+            length = np.linalg.norm(numbers.whole(triple), axis=1)
+            if len(length) >= MIN_ROWS and (np.abs(length - 1.0) < _VECTOR).mean() > 0.9:
+                found.append((BEARING, triple))
+                used |= set(triple)
+    for kind in (RANGE, TOUCH):
+        found += [(kind, columns) for columns in grouped({k: free[k] for k in free if k not in used}, kind)]
+    return list(_framed(numbers, found))
 
 
-def _four(numbers: Numbers, first: int) -> tuple[int, ...]:
-    """Neighbours of three columns; a quaternion's would be among them."""
-    return tuple(k for k in (first - 1, first + 3) if 0 <= k < numbers.values.shape[1])
-
-
-def _stem(words: Sequence[str], said: set[str]) -> str:
-    rest = [w for w in words if w not in said and w not in ("angle", "to", "sensor", "reading", "above")]
-    return "_".join(rest)
-
-
-def _frame(stem: str, name: str) -> str:
-    return f"{name}_{stem}" if not stem or stem[0].isdigit() or len(stem) == 1 else stem
-
-
-def _vector_name(numbers: Numbers, first: int) -> str:
-    words = numbers.labels[first].words
-    stem = "_".join(w for w in words if w not in ("x", "ux", "dx", "nx", "direction", "dir", "u", "unit", "vector"))
-    return stem or "station"
-
-
-def _apart(found: list[SightColumns]) -> list[SightColumns]:
-    """The same with names that no two instruments of a kind share, and none that ends in nothing."""
+def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> Iterator[SightColumns]:
+    """Instruments by what their labels say besides; no two of a kind share a name, a range and a bearing may."""
     seen: set[tuple[str, str]] = set()
-    out = []
-    for one in found:
-        name, count = one.frame.rstrip("_") or one.kind, 2
-        while (name, one.kind) in seen:
-            name, count = f"{one.frame}_{count}", count + 1
-        seen.add((name, one.kind))
-        out.append(SightColumns(name, one.kind, one.columns))
-    return out
+    for kind, columns in found:
+        axis = numbers.labels[columns[0]].axis(kind)
+        words = (axis[1] if axis is not None else numbers.labels[columns[0]].name).split()
+        stem = "_".join(w for w in words if w not in _EMPTY)
+        anonymous = not stem or (kind != BEARING and (stem[0].isdigit() or len(stem) == 1))
+        shared = kind == RANGE and ((stem or "station"), BEARING) in seen
+        first = f"{_FRAMES[kind]}_{stem}".rstrip("_") if anonymous and not shared else stem or "station"
+        name = first
+        count = 2
+        while (name, kind) in seen:
+            name, count = f"{first}_{count}", count + 1
+        seen.add((name, kind))
+        yield SightColumns(name, kind, columns)
 
 
 def find_sights(
-    numbers: Numbers, chain: Chain, joint_columns: Sequence[JointColumns], instruments: Sequence[SightColumns]
+    numbers: Numbers, chain: Chain, joints: Sequence[JointColumns], instruments: Sequence[SightColumns]
 ) -> Sighted | None:
     """What columns of distances, directions and heights mean; None where no reading of any of them fits the arm."""
-    used = [k for one in instruments for k in one.columns] + [k for j in joint_columns for k in j.columns]
-    whole = np.isfinite(numbers.values[:, used]).all(axis=1)
-    rows = np.flatnonzero(whole)
+    used = [k for columns in (*(i.columns for i in instruments), *(j.columns for j in joints)) for k in columns]
+    rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
     if len(rows) < MIN_ROWS:
         return None
     values = numbers.values[rows]
-    choices, postures = [], []
-    for one in joint_columns:
-        q = values[:, list(one.columns)]
-        for angle, length in units(chain, q):
-            choices.append(ColumnChoice(one, angle, length))
-            postures.append(scales(chain, angle, length) * q)
+    choices = [choice for one in joints for choice in choices_of(chain, one, values)]
+    postures = [choice.postures(chain, values) for choice in choices]
     found: dict[str, list[tuple[Way, SightMatch]]] = {}
     questions: list[str] = []
     for kind in dict.fromkeys(one.kind for one in instruments):
@@ -216,22 +161,24 @@ def find_sights(
             for c, q in enumerate(postures)
             for way in _ways(values, mine)
         ]
-        ways.sort(key=lambda pair: -pair[1].score)
-        names = ", ".join(numbers.shown(k) for one in mine for k in one.columns)
+        told = [pair for pair in ways if {pair[0].unit} == {numbers.labels[one.columns[0]].unit for one in mine}]
+        ways = told if any(match.explained(chain) for _, match in told) else ways
+        ways.sort(key=lambda pair: (not pair[1].explained(chain), -pair[1].score))
+        names = numbers.shown(*(k for one in mine for k in one.columns))
         if not ways[0][1].explained(chain):
             said = f"{names}: labels call them {_WORDS[kind]}, and no reading of them fits the arm; the best leaves "
             questions.append(f"{said}{1e3 * ways[0][1].typical:.3g} mm: they are left out")
             continue
         found[kind] = ways
-        rivals = [way for way, match in ways[1:] if not ways[0][1].beyond(match)]
+        alike = [way for way, match in ways[1:] if not ways[0][1].beyond(match)]
         questions += [
             f"cannot tell {names}: {ways[0][0].words(choices)} from {other.words(choices)} (less than "
             f"{BEYOND_DOUBT:.0f} in log-likelihood apart)"
-            for other in rivals[:3]
+            for other in alike[:3]
         ]
     if not found:
         return None
-    if len({choices[ways[0][0].choice] for ways in found.values()}) > 1:
+    if len({ways[0][0].choice for ways in found.values()}) > 1:
         questions.append("the readings contradict each other about the joints' columns or their unit")
     kept = tuple(one for one in instruments if one.kind in found)
     return Sighted(tuple(choices), rows, found, kept, tuple(questions))
@@ -258,16 +205,11 @@ def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[SightCo
     sightings, volume = [], 0.0
     for one in instruments:
         x = values[:, list(one.columns)]
-        if one.kind != BEARING:
-            x = UNITS[unit] * x
-            volume += float(np.log(UNITS[unit]))
-        elif len(one.columns) == 2:
-            azimuth, up = UNITS[unit] * x.T
-            volume += 2.0 * float(np.log(UNITS[unit]))
-            up = np.pi / 2.0 - up if zenith else up
-            azimuth = -azimuth if clockwise else azimuth
-            x = np.stack([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)], axis=1)
-        else:
+        if len(one.columns) == 3:
             x = x / np.linalg.norm(x, axis=1, keepdims=True)
+        else:
+            x = UNITS[unit] * x
+            volume += len(one.columns) * float(np.log(UNITS[unit]))
+            x = direction(x, zenith, clockwise) if one.kind == BEARING else x
         sightings.append(Sighting(one.frame, one.kind, x))
     return sights_match(chain, q, sightings, volume)
