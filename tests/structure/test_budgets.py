@@ -37,11 +37,11 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1420, 980),
     "modcal_core/planning": (2780, 1710),
-    "modcal_core/plausibility": (4320, 2910),
+    "modcal_core/hypotheses": (3720, 2500),
     "modcal_core/regimes": (560, 400),
     "modcal_core/report": (6090, 3460),
     "modcal_core/robots": (4960, 3140),
-    "modcal_core/verdict": (4260, 2830),
+    "modcal_core/verdict": (4230, 2820),
     "modcal_msgs_py": (4750, 3250),
     "modcal_msgs_py/tables": (3550, 2460),
     "modcal_nodes": (80, 30),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2060, 1510),
     "modcal_nodes/watching": (280, 200),
-    "tests": (53190, 36990),
+    "tests": (53200, 37000),
 }
-SOURCE = (95400, 62250)
-TEXT = 185300  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (94800, 61800)
+TEXT = 184700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 104
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

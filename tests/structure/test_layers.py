@@ -25,7 +25,7 @@ _LAYERS = (
     "measurements",
     "effects",
     "calibration",
-    "plausibility",
+    "hypotheses",
     "regimes",
     "modules",
     "diagnosis",

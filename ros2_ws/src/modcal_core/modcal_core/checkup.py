@@ -37,8 +37,8 @@ from modcal_core.checking import (
 from modcal_core.errors import BadRecording, NotEnoughData
 from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
-from modcal_core.plausibility import recognised
 from modcal_core.report import Report, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 

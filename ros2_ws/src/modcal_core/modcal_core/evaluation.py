@@ -22,8 +22,8 @@ from modcal_core.calibration import (
 )
 from modcal_core.claim import claim_at_tool
 from modcal_core.diagnosis import frozen, located
+from modcal_core.hypotheses import computed_in_part, proved
 from modcal_core.measurements import Samples
-from modcal_core.plausibility import computed_in_part, proved
 from modcal_core.report import Report, Step, moved_note, not_asked_note, offsets_of, unseen_note
 from modcal_core.verdict import (
     Grounds,

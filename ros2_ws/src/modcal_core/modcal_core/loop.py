@@ -52,8 +52,8 @@ from modcal_core.diagnosis import (
 )
 from modcal_core.effects import remembered
 from modcal_core.effects.families import payload
+from modcal_core.hypotheses import proved, require_plausible
 from modcal_core.measurements import Samples
-from modcal_core.plausibility import proved, require_plausible
 from modcal_core.regimes import find_regimes, moves_of
 from modcal_core.report import (
     Report,

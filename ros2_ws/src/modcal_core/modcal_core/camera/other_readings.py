@@ -26,9 +26,9 @@ from modcal_core.calibration import (
 from modcal_core.effects import Effect
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import proved
 from modcal_core.measurements import BEARING, Samples
 from modcal_core.measurements.kinds import dimensions, kinds
-from modcal_core.plausibility import proved
 from modcal_core.robots import Chain, Inertias
 
 MIN = 3  # readings, from which base and tool of an instrument can be placed about an arm that is known

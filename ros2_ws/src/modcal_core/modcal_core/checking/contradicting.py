@@ -19,9 +19,9 @@ from modcal_core.checking.outcome import OF_A_GEAR
 from modcal_core.checking.searching import FoundChanges
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array, so3
+from modcal_core.hypotheses import ANGLE, OF_REACH
 from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import is_direct
-from modcal_core.plausibility import ANGLE, OF_REACH
 from modcal_core.robots import is_serial_arm
 
 _MIN = 8  # stations, of which each part has at least

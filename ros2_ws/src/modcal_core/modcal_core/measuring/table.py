@@ -4,7 +4,7 @@ Angles are in degrees and lengths in millimetres, for people type them. What a s
 (semicolons, decimal commas, byte order marks, UTF-16) is undone; what a person may have typed wrongly is refused with
 its row, and nothing of that table is taken in.
 
-Base and tool are those on which most of the stations agree (:mod:`modcal_core.plausibility.consensus`), so that a few
+Base and tool are those on which most of the stations agree (:mod:`modcal_core.hypotheses.consensus`), so that a few
 wrong rows do not matter. A nominal arm is a centimetre off at most; metres for millimetres, columns that were swapped,
 another row's reading or a wrong digit are off by more. A fit would leave such a reading out, or be bent by it: whoever
 stands beside the arm can still correct it.
@@ -21,11 +21,11 @@ from itertools import permutations, product
 import numpy as np
 
 from modcal_core.errors import BadTable, refusing
-from modcal_core.geometry import Array, se3, so3
-from modcal_core.measurements import POSE, Samples
+from modcal_core.geometry import Array, so3
+from modcal_core.hypotheses import LIMIT_OF_REACH, HandEye, HandEyeFit, left_handed, placed
+from modcal_core.measurements import POSE
 from modcal_core.measuring.session import MEASURED, PLANNED, SKIPPED, UNSEEN, Session, Station
-from modcal_core.plausibility import CLEARLY, LIMIT_OF_REACH, Consensus, Placed, left_handed, points_match
-from modcal_core.robots import Chain, Mechanism, is_serial_arm
+from modcal_core.robots import Mechanism, is_serial_arm
 
 _POINT_COLUMNS, _POSE_COLUMNS = ("x_mm", "y_mm", "z_mm"), ("rx_deg", "ry_deg", "rz_deg")
 NOTE = "note"  # the column in which a technician says what became of a station
@@ -186,6 +186,7 @@ def _number(cell: str, where: str) -> float:
 _MIN = 10  # stations; of fewer, base and tool leave nothing to tell a wrong one by
 _MAX = 2.0 / 3.0  # of the stations that agree; where fewer do it is the arm that is off, or all readings are wrong
 _UNITS = ((1e3, "metres"), (10.0, "centimetres"), (25.4, "inches"), (1e-3, "micrometres"))  # with their size in mm
+_CLEARLY = 2.0  # times what a nominal arm misses by
 _BETTER = 4.0  # times smaller must be what is missed, before all readings are said to be mistaken
 
 
@@ -198,43 +199,36 @@ def require_likely(session: Session, mechanism: Mechanism, read: Sequence[int], 
     if not is_serial_arm(mechanism) or len(rows) < _MIN or not read:
         return
     samples = session.samples(rows)
-    consensus = Consensus(samples, mechanism)
-    placed, agree = consensus.largest(np.arange(len(samples)))
-    if placed is None or agree.mean() < _MAX:
-        _require_convention(samples, mechanism, source)
+    fit = placed(HandEye.holding(samples, mechanism))
+    if fit.agree().mean() < _MAX:
+        _require_convention(fit, source)
         return
-    near = consensus.within(placed, consensus.A, samples, CLEARLY)
-    expected = se3.apply(consensus.A, placed.x) @ placed.Y.T + placed.t
-    for k in np.flatnonzero(~near).tolist():
+    for k in np.flatnonzero(~fit.agree(_CLEARLY)).tolist():
         if rows[k] in read:
-            what, remedy = _meant(k, samples, expected, consensus, placed, rows, int(agree.sum()))
+            what, remedy = _meant(k, fit, rows)
             raise BadTable(f"{source}, station {rows[k] + 1}", what, f"{remedy}; if it is right, note: {CHECKED}")
 
 
-def _require_convention(samples: Samples, chain: Chain, source: str) -> None:
-    def missed(other: Array) -> float:
-        return points_match(chain, samples.q, other).typical
-
-    as_is = missed(samples.reading)
-    meant = [(f"readings look like {unit}", scale * samples.reading, "write millimetres") for scale, unit in _UNITS]
+def _require_convention(as_is: HandEyeFit, source: str) -> None:
+    case = as_is.case
+    meant = [(f"readings look like {unit}", case.read(scale * case.p), "write millimetres") for scale, unit in _UNITS]
     mirrored = left_handed()  # by which axis nothing says: the tracker may stand in any way
-    meant.append((mirrored.offender, mirrored.undone(samples).reading, mirrored.remedy))
-    left, i = min((missed(other), i) for i, (_, other, _) in enumerate(meant))
-    if left < min(LIMIT_OF_REACH * chain.reach(), as_is / _BETTER):
-        said = f"{meant[i][0]}: the arm misses them by {1e3 * as_is:.0f} mm, corrected by {1e3 * left:.0f} mm"
+    meant.append((mirrored.what, mirrored.undone(case), mirrored.remedy))
+    missed = as_is.usual[1]
+    left, i = min((placed(other, thorough=False).usual[1], i) for i, (_, other, _) in enumerate(meant))
+    if left < min(LIMIT_OF_REACH * case.chain.reach(), missed / _BETTER):
+        said = f"{meant[i][0]}: the arm misses them by {1e3 * missed:.0f} mm, corrected by {1e3 * left:.0f} mm"
         raise BadTable(source, said, meant[i][2])
 
 
-def _meant(
-    k: int, samples: Samples, expected: Array, consensus: Consensus, placed: Placed, rows: Sequence[int], others: int
-) -> tuple[str, str]:
+def _meant(k: int, fit: HandEyeFit, rows: Sequence[int]) -> tuple[str, str]:
     """What a reading may have been meant to be, and what to do."""
-    p, limit = samples.reading[k], CLEARLY * consensus.limit[1]
+    p, limit, others = fit.case.p[k], _CLEARLY * fit.case.limits[1], int(fit.agree().sum())
+    expected = fit.placement.expected(fit.case.A)[1]
     gap = p - expected[k]
     far = float(np.linalg.norm(gap))
     if far < limit:
-        turn = float(placed.residual(consensus.A, samples)[0][k])
-        said = f"is turned by {np.degrees(turn):.1f}° from where the other {others} readings have it"
+        said = f"is turned by {np.degrees(fit.turn[k]):.1f}° from where the other {others} readings have it"
         return said, "correct rx, ry and rz (degrees, about fixed axes)"
     for words, other, remedy in _corrected(p):
         if float(np.linalg.norm(other - expected[k])) < limit:

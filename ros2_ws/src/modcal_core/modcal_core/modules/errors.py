@@ -49,11 +49,11 @@ from modcal_core.calibration import (
 )
 from modcal_core.errors import BadRecording, BadTable, NotEnoughData, refusing
 from modcal_core.geometry import DIRECTIONS, Array, se3
+from modcal_core.hypotheses import require_plausible
 from modcal_core.measurements import Samples
 from modcal_core.modules.coding import assembly_from_data, assembly_to_data
 from modcal_core.modules.library import Assembly, Library, ModuleTolerance
 from modcal_core.modules.poe import TO_AXIS, Piece, chain_of, pieces
-from modcal_core.plausibility import require_plausible
 from modcal_core.robots import Chain
 
 # --- What one recording of an assembly says of the modules in it

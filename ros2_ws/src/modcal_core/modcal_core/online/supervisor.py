@@ -19,11 +19,11 @@ import numpy as np
 
 from modcal_core.calibration import Calibration, Model, NoiseModel, errors
 from modcal_core.errors import BadRecording
+from modcal_core.hypotheses import MIN, MISREAD, ArmMiss, inverse_pose, recognised
 from modcal_core.measurements import Samples
 from modcal_core.measurements.kinds import is_direct
 from modcal_core.online.change_detector import ChangeDetector, ChangeHypothesis, find_change
 from modcal_core.online.estimator import Estimator, RandomWalk
-from modcal_core.plausibility import MIN, MISREAD, ArmMiss, inverse_pose, recognised
 
 _UNTOLD = "readings in another unit or convention"
 
@@ -46,7 +46,7 @@ def or_misread(change: ChangeHypothesis, model: Model, rows: Sequence[Samples], 
     else:
         if undone is None:
             return change
-        said = f"{inverse_pose().offender}: {inverse_pose().remedy}"
+        said = f"{inverse_pose().what}: {inverse_pose().remedy}"
     size = float(np.sqrt(np.mean(off.position_norm**2)))
     return replace(change, place="tracker", direction="convention", size=size, same_as=(), mistake=said)
 

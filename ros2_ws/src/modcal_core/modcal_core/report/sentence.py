@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import sqrt
 
 from modcal_core.calibration import Calibration, Errors, Fit, Readmitted
+from modcal_core.hypotheses import LIMIT_OF_REACH
 from modcal_core.measurements import Samples, unexpected
 from modcal_core.measurements.kinds import kinds
-from modcal_core.plausibility import LIMIT_OF_REACH
 from modcal_core.report.contents import ReportContents
 from modcal_core.robots import Mechanism
 from modcal_core.verdict import Status, Verdict

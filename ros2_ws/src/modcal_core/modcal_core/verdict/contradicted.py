@@ -8,8 +8,8 @@ import numpy as np
 
 from modcal_core.calibration import Cell, Errors, Fit, KnownDistance, contradicted_places, contradicted_together
 from modcal_core.calibration import contradictions as contradictions_of_distances
+from modcal_core.hypotheses import computed_in_part
 from modcal_core.measurements import Samples
-from modcal_core.plausibility import computed_in_part
 from modcal_core.robots import Mechanism
 from modcal_core.verdict.readings import doubtful
 from modcal_core.verdict.sanity import long_tool

@@ -95,32 +95,24 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
 
     chain: the arm before it was fitted, for a fitted one has links that make up for what is wrong.
     """
-    from modcal_core import plausibility as look  # two dozen files, which other verdicts do not need
+    from modcal_core.hypotheses import disagreement, limits  # a dozen files, which other verdicts do not need
 
     def far(left: Errors) -> bool:
         """Whether errors of a model are larger than those of a nominal arm."""
         missed = left.position_norm
-        return len(missed) > 0 and is_serial_arm(chain) and float(np.median(missed)) > look.limits(chain)[1]
+        return len(missed) > 0 and is_serial_arm(chain) and float(np.median(missed)) > limits(chain)[1]
 
-    many, missed = too_many(case.wrong, case.samples), far(case.errors["final"])
-    rows_first = (look.disagreeing_channel, look.written_otherwise, look.wrong_joints)
-    joints_first = (look.wrong_joints, look.disagreeing_channel, look.written_otherwise)
-    parts = (look.mispaired, look.disagreement, look.part_apart, look.several_placements)
-    if many:  # a base found again hides how much
-        first = (*rows_first, look.other_link, look.mixed_joints)
-        looks = (*(first if case.wrong.mean() > 0.5 or not case.fitted else ()), *parts)
-    elif missed:  # all channels go along with the posture: joints come first
-        looks = (*joints_first, look.other_link, look.mixed_joints, *parts)
-    else:
-        looks = (look.wrong_joints,) if far(case.errors["nominal"]) else ()
-    other = next((found for one in looks if (found := one(case.samples, chain)) is not None), None)
-    if other is not None:
-        what = other.what[0].upper() + other.what[1:]
-        yield f"{what} ({other.stations} of {other.of} stations that were looked at): {other.remedy}."
+    many = too_many(case.wrong, case.samples)
+    unlike = many or far(case.errors["final"])
+    if unlike or far(case.errors["nominal"]):  # a fit can come to terms with wrong joints without a rejection
+        found = disagreement(case.samples, chain, joints_only=not unlike)
+        if found is not None:
+            what = found.what[0].upper() + found.what[1:]
+            yield f"{what} ({found.stations} of {found.of} stations that were looked at): {found.remedy}."
     if not many:
         return
     yield from alike(case)
     if case.fitted:
-        found = dependence(case, np.flatnonzero(case.wrong), _WORTH_NAMING, free=False)
-        if found is not None:
-            yield f"The residual of the rejected stations {found.sentence}."
+        along = dependence(case, np.flatnonzero(case.wrong), _WORTH_NAMING, free=False)
+        if along is not None:
+            yield f"The residual of the rejected stations {along.sentence}."

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.plausibility import turnings
+from modcal_core.hypotheses import turnings
 from modcal_msgs_py.tables import labels as words
 from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label
 from modcal_msgs_py.tables.sniff import Sniffed

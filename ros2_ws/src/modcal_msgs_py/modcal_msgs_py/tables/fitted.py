@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.plausibility import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, Judged
+from modcal_core.hypotheses import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, Judged
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers
 

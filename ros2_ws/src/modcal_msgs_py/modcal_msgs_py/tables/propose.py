@@ -2,7 +2,7 @@
 
 The text says how the file is written (``sniff``), labels and numbers which columns may be what (``candidates``,
 ``labels``), and the hand-eye problem of the nominal arm which reading of them is right
-(:mod:`modcal_core.plausibility.meanings`). Where two readings fit alike, nothing is chosen in silence.
+(:mod:`modcal_core.hypotheses.meanings`). Where two readings fit alike, nothing is chosen in silence.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3
-from modcal_core.plausibility import MATRIX, MIN_ROWS, Postures, Turning, judge, likely_orders, rivals, same_poses
+from modcal_core.hypotheses import MATRIX, MIN_ROWS, Postures, Turning, judge, likely_orders, rivals, same_poses
 from modcal_core.robots import Chain, Inertias
 from modcal_msgs_py.tables.beside import OtherColumns, find_beside
 from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.measurements import BEARING, RANGE, TOUCH
-from modcal_core.plausibility import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.candidates import JointColumns, Numbers
 from modcal_msgs_py.tables.fitted import ColumnChoice, scales, units

@@ -171,8 +171,8 @@ def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
 
     Raises BadRecording where another convention than the stated one fits the robot better beyond doubt.
     """
+    from modcal_core.hypotheses import proved  # brings SciPy along, which kinematic tables do without
     from modcal_core.measurements import cut_stations
-    from modcal_core.plausibility import proved  # brings SciPy along, which kinematic tables do without
 
     try:
         chain = described(recording, None, None, None, None).mechanism

@@ -1,0 +1,35 @@
+"""Which explanation fits readings that do not agree with the arm, and is it sure?
+
+hand_eye, hypothesis: readings beside tip poses and the evidence of a fit; what may be wrong, undone, with its price.
+conventions, channels, rows, joints, description: the catalogues. search: rank, refit, repeat; *nothing* and *none*.
+meant: conventions proved before a fit, and of a robot that is known. refusal: what no fit may come to terms with.
+meanings, turning, sights, joint_columns: what columns of a table mean. socket_places, stated_distances,
+computed_part: plain checks of statements.
+"""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_core.hypotheses.hand_eye import ANGLE, OF_REACH, HandEye, HandEyeFit, limits, placed
+    from modcal_core.hypotheses.computed_part import computed_in_part
+    from modcal_core.hypotheses.conventions import INVERSE, inverse_pose, left_handed
+    from modcal_core.hypotheses.hypothesis import Disagreement, Hypothesis
+    from modcal_core.hypotheses.joint_columns import likely_orders
+    from modcal_core.hypotheses.meanings import LENGTHS, MIN_ROWS, Judged, Postures, judge, rivals, same_poses
+    from modcal_core.hypotheses.meant import BEYOND_DOUBT, MIN, MISREAD, ArmMiss, proved, recognised
+    from modcal_core.hypotheses.refusal import LIMIT_OF_REACH, disagreement, require_plausible
+    from modcal_core.hypotheses.search import explain
+    from modcal_core.hypotheses.sights import SightMatch, Sighting, sights_match
+    from modcal_core.hypotheses.turning import EULER, MATRIX, QUATERNION, Turning, turnings
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["ANGLE", "BEYOND_DOUBT", "EULER", "INVERSE", "LENGTHS", "LIMIT_OF_REACH", "MATRIX", "MIN", "MIN_ROWS"]
+__all__ += ["MISREAD", "OF_REACH", "QUATERNION", "ArmMiss", "Disagreement", "HandEye", "HandEyeFit", "Hypothesis"]
+__all__ += ["Judged", "Postures", "SightMatch", "Sighting", "Turning", "computed_in_part", "disagreement", "explain"]
+__all__ += ["inverse_pose", "judge", "left_handed", "likely_orders", "limits", "placed", "proved", "recognised"]
+__all__ += ["require_plausible", "rivals", "same_poses", "sights_match", "turnings"]

@@ -1,0 +1,260 @@
+"""Joint positions that are not what the joints did: of one joint or two, at some stations or at all of them.
+
+With the other joints given, an orientation tells the angle of a joint in closed form; of points, the turn about the
+joint's axis does. Two joints are solved for by Gauss-Newton steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+
+from modcal_core.calibration import turns_left
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.hypotheses.hand_eye import SPREAD, HandEye, HandEyeFit, Placement, at, start
+from modcal_core.hypotheses.hypothesis import COMMON, RARE, VERY_RARE, Hypothesis, cost_of_rows, family, where
+from modcal_core.hypotheses.joint_columns import likely_orders
+from modcal_core.hypotheses.rows import astray
+from modcal_core.measurements import spread_rows
+from modcal_core.robots import Chain, forward, spatial_jacobian
+
+_STILL = 1e-9  # rad
+_SIGNS = 6  # joints, up to which all orders are asked with one of them reversed as well
+_CLOSEST = 0.9  # share of angles that a circular deviation is taken of
+_FREE = float(np.log(2.0 * np.pi / (SPREAD[0] * np.sqrt(2.0 * np.pi * np.e))))  # nats for an angle that may be anything
+_STARTS, _ROUNDS = 16, 25  # of a search for one joint's angles
+_TRIED, _HOPELESS = 4, 30.0  # rounds, after which what misses by so many limits of an arm leads nowhere
+_FEW = 12  # stations at which two joints are looked for; six times as many at which one is
+_BEGIN = (0.0, 2.1, -2.1)  # rad; thirds of a turn from what is reported, from which two joints are looked for
+_STEPS, _LONGEST = 10, 0.7  # iterations, and how far one goes [rad]
+
+
+def of_one(fit: HandEyeFit) -> Iterator[Hypothesis]:
+    """One joint that was not where it was reported, at the stations that do not agree."""
+    rest = astray(fit)
+    if len(rest) < 3:
+        return
+    part = fit.case.select(rest)
+    for j in _turning(fit.case.chain):
+        q = solved(j, fit.placement, part)
+        good = at(part.moved(q), fit.placement).agree(2.0)
+        if good.sum() >= 3:
+            yield from _of_joint(fit.case, j, rest[good], q[good, j], COMMON)
+
+
+def throughout(case: HandEye) -> Iterator[Hypothesis]:
+    """One joint that is off at all stations: its angles, base and tool are found in turn, from several starts."""
+    rng, few = np.random.default_rng(0), case.select(spread_rows(len(case), 6 * _FEW))
+    for j in _turning(case.chain):
+        for k in range(_STARTS if case.poses else _STARTS // 4):
+            q = few.q.copy()
+            if k:
+                q[:, j] = rng.uniform(-np.pi, np.pi, len(q)) * min(1.0, 0.15 * k)
+            placement, left = _in_turn(few, j, q)
+            if left < 1.0:
+                q = solved(j, placement, case)
+                yield from _of_joint(case, j, np.arange(len(case)), q[:, j], COMMON)
+                break
+
+
+def _in_turn(few: HandEye, j: int, q: Array) -> tuple[Placement, float]:
+    """Base and tool with which the readings agree on a joint's angles, and what is missed in limits of an arm."""
+    last, kept = np.inf, start(few)
+    for round in range(_ROUNDS):
+        placement = start(few.moved(q))
+        q = solved(j, placement, few)
+        left = max(a / b for a, b in zip(at(few.moved(q), placement).usual, few.limits, strict=True))
+        if left > 0.999 * last or (round == _TRIED and left > _HOPELESS):
+            break
+        last, kept = left, placement
+    return kept, last
+
+
+def of_two(fit: HandEyeFit) -> Iterator[Hypothesis]:
+    """Two joints that were not where they were reported, which four of the six numbers of a pose then prove."""
+    rest = astray(fit)
+    if len(rest) < 3 or not fit.case.poses:
+        return
+    few = fit.case.select(rest[spread_rows(len(rest), _FEW)])
+    found: list[tuple[float, tuple[int, int]]] = []
+    for pair in combinations(_turning(fit.case.chain), 2):
+        q = solved_two(pair, fit.placement, few)
+        found.append((float(at(few.moved(q), fit.placement).agree(2.0).mean()), pair))
+    share, pair = max(found, default=(0.0, (0, 0)))
+    if share < 0.5:
+        return
+    part = fit.case.select(rest)
+    q = solved_two(pair, fit.placement, part)
+    good = at(part.moved(q), fit.placement).agree(2.0)
+    rows, q = rest[good], q[good]
+    names, at_rows = " and ".join(fit.case.names[j] for j in pair), where(fit.case, rows)
+    stale = float(np.ptp(fit.case.q[rows][:, list(pair)], axis=0).max(initial=0.0)) < _STILL
+    what = f"joints {names} were not where they were reported{at_rows}"
+    if stale:
+        what = f"joints {names} keep their reported positions{at_rows} while they move: they look stale"
+    yield _replaced(fit.case, list(pair), rows, q[:, list(pair)], what, names, RARE - 2.0 * _FREE * len(rows))
+
+
+def _turning(chain: Chain) -> list[int]:
+    return [j for j in range(chain.n) if chain.revolute[j]]
+
+
+def _of_joint(case: HandEye, j: int, rows: np.ndarray, seen: Array, price: float) -> Iterator[Hypothesis]:
+    """What was wrong with a joint whose angles the readings tell at some rows, the plainest first."""
+    name, reported, N = case.names[j], case.q[rows, j], len(case)
+    at_rows, n = where(case, rows), case.chain.n
+    price -= float(np.log(n))
+    off = seen - reported
+    turn = float(np.angle(np.mean(np.exp(1j * off))))
+    least = 2.0 * case.limits[0]
+    if np.ptp(reported) < _STILL and _spread(seen) > least:
+        still = np.ptp(case.q[:, j]) < _STILL
+        swing = f"by some {np.degrees(2.0 * _spread(seen)):.0f}°"
+        what = f"joint {name} keeps its reported position{at_rows} while it moves {swing}: it looks stale"
+        if still:
+            what = f"joint {name} is reported as standing still and moves {swing}: its position is apparently never "
+            what += "reported"
+        yield _replaced(case, [j], rows, seen[:, None], what, name, price - _FREE * len(rows))
+        return
+    if _spread(off) < least and abs(turn) > least:
+        what = f"joint {name} reads {-np.degrees(turn):.1f}° too much{at_rows}: its zero is different"
+        yield _replaced(case, [j], rows, (reported + turn)[:, None], what, name, price, 1)
+    if _spread(seen) < least and _spread(reported) > least:
+        what = f"joint {name} moves{at_rows} and the readings do not show it: tracker or reference move along with it"
+        stands = np.full((len(rows), 1), float(np.angle(np.mean(np.exp(1j * seen)))))
+        yield _replaced(case, [j], rows, stands, what, name, price, 1)
+        return
+    what = f"joint {name} was not where it was reported{at_rows}"
+    if len(rows) < N or _spread(off) > least:
+        yield _replaced(case, [j], rows, seen[:, None], what, name, price + VERY_RARE - _FREE * len(rows))
+
+
+def _replaced(
+    case: HandEye, joints: list[int], rows: np.ndarray, seen: Array, what: str, name: str, price: float, values: int = 0
+) -> Hypothesis:
+    """Positions of joints at rows as the readings tell them."""
+    q = case.q.copy()
+    q[rows[:, None], joints] = seen
+    remedy = f"check how the position{'s' if len(joints) > 1 else ''} of {name} gets into joint_states"
+    if "do not show it" in what:
+        remedy = f"mount the tracker and its reference where {name} does not move them"
+    price -= cost_of_rows(rows, len(case)) if len(rows) < len(case) else 0.0
+    return Hypothesis(what, remedy, lambda c: c.moved(q), price, values, "joints", len(rows))
+
+
+def _spread(angle: Array) -> float:
+    """Circular deviation [rad] of the nine tenths of angles (N,) that are closest together."""
+    off = np.angle(np.exp(1j * (angle - np.angle(np.mean(np.exp(1j * angle))))))
+    off = np.sort(np.abs(off - np.median(off)))[: max(int(_CLOSEST * len(off)), 1)]
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def solved(j: int, placement: Placement, part: HandEye) -> Array:
+    """Postures with the angle of joint j as the orientations tell it, or points where there are none."""
+    q = part.q.copy()
+    q[:, j] = 0.0
+    T0 = forward(part.chain, q)
+    q[:, j] = 1.0
+    T1 = forward(part.chain, q)
+    R0 = T0[:, :3, :3]
+    turn = T1[:, :3, :3] @ np.swapaxes(R0, 1, 2)
+    axis = so3.log(turn)
+    if not part.poses:
+        # a place on the axis, for the joint turns all behind it by one radian about it
+        off = T1[:, :3, 3] - np.einsum("nij,nj->ni", turn, T0[:, :3, 3])
+        on = np.einsum("nij,nj->ni", np.linalg.pinv(np.eye(3) - turn, rcond=1e-6), off)
+        here, seen = se3.apply(T0, placement.x) - on, (part.p - placement.t) @ placement.Y - on
+        along = np.einsum("ni,ni->n", axis, here) * np.einsum("ni,ni->n", axis, seen)
+        cross = np.einsum("ni,ni->n", axis, np.cross(here, seen))
+        q[:, j] = np.arctan2(cross, np.einsum("ni,ni->n", here, seen) - along)
+        return q
+    B = R0 @ placement.X @ np.swapaxes(part.R, 1, 2) @ placement.Y
+    along = np.einsum("ni,nij,nj->n", axis, B, axis)
+    cross = np.einsum("nij,nji->n", so3.hat(axis), B)
+    q[:, j] = np.arctan2(cross, np.trace(B, axis1=1, axis2=2) - along)
+    return q
+
+
+def solved_two(pair: tuple[int, int], placement: Placement, part: HandEye) -> Array:
+    """Postures with the positions of two joints that come nearest to the readings, from several starts."""
+    columns, scale = list(pair), np.array(part.limits)
+    best, q_best = np.full(len(part), np.inf), part.q.copy()
+    for begin in product(_BEGIN, repeat=2):
+        q = part.q.copy()
+        q[:, columns] += begin
+        for _ in range(_STEPS):
+            A = forward(part.chain, q)
+            J = spatial_jacobian(part.chain, q)[:, :, columns]
+            point = se3.apply(A, placement.x)
+            gap = part.p - (point @ placement.Y.T + placement.t)
+            turn = turns_left(placement.Y, A[:, :3, :3], placement.X, part.R)
+            by_gap = placement.Y @ (J[:, :3] + np.cross(J[:, 3:], point[:, :, None], axis=1))
+            by_turn = np.swapaxes(A[:, :3, :3] @ placement.X, 1, 2) @ J[:, 3:]
+            G = np.concatenate([by_turn / scale[0], by_gap / scale[1]], axis=1)
+            r = np.concatenate([turn / scale[0], gap / scale[1]], axis=1)
+            H = np.swapaxes(G, 1, 2) @ G
+            H += 1e-6 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+            step = np.linalg.solve(H, np.swapaxes(G, 1, 2) @ r[..., None])[..., 0]
+            q[:, columns] += np.clip(step, -_LONGEST, _LONGEST)
+        fit = at(part.moved(q), placement)
+        left = np.maximum(fit.turn / scale[0], fit.gap / scale[1])
+        better = left < best
+        best[better], q_best[better] = left[better], q[better]
+    return q_best
+
+
+# --- columns under other names, other types --------------------------------------------------------------------------
+
+
+def orders(case: HandEye) -> list[Hypothesis]:
+    """The likeliest orders of the joints' columns, with one reversed beside it."""
+    n, out, explained = case.chain.n, list[Hypothesis](), False
+    for back in (None, *range(n if n <= _SIGNS else 0)):
+        if explained:
+            break
+        sign = np.where(np.arange(n) == (-1 if back is None else back), -1.0, 1.0)
+        table = np.c_[case.q * sign, case.p]
+        for order in likely_orders(case.chain, table, 1.0, range(n), [(n, n + 1, n + 2)], 3):
+            shuffled = [k for k in range(n) if order.columns[k] != k]
+            explained |= order.explains  # with fewer mistakes it is likelier
+            if not shuffled:
+                continue
+            by = next((s for s in range(1, n) if order.columns == tuple((k + s) % n for k in range(n))), 0)
+            by = min(by, n - by)
+            how = f", all by {by} place{'s' if by > 1 else ''} (a list counted from another number)" if by else ""
+            each = ", ".join(f"{case.names[k]} under the name {case.names[order.columns[k]]}" for k in shuffled)
+            beside = "" if back is None else f", and {case.names[back]} reversed"
+            out.append(
+                Hypothesis(
+                    f"joints stand in another order than they are named{how}: {each}{beside}",
+                    "correct the names in joint_states, or the order of the columns",
+                    lambda c, o=list(order.columns), s=sign: c.moved((c.q * s)[:, o]),  # type: ignore[misc]
+                    VERY_RARE,
+                    len(shuffled) - 1 + (back is not None),
+                    "joints",
+                )
+            )
+    return out
+
+
+def types(case: HandEye) -> list[Hypothesis]:
+    """Joints that slide where they turn, or the reverse."""
+    out = []
+    for j, name in enumerate(case.names):
+        revolute, lower, upper = (x.copy() for x in (case.chain.revolute, case.chain.lower, case.chain.upper))
+        revolute[j], lower[j], upper[j] = not revolute[j], -np.pi, np.pi
+        other = replace(case.chain, revolute=revolute, lower=lower, upper=upper)
+        written, real = ("revolute", "slide") if case.chain.revolute[j] else ("prismatic", "turn")
+        out.append(
+            Hypothesis(
+                f"joint {name} is {written} in the URDF, and the readings show it {real}",
+                f'check <joint type="..."> of {name}',
+                lambda c, other=other: replace(c, A=forward(other, c.q)),  # type: ignore[misc]
+                0.0,
+                touches="joints",
+            )
+        )
+    return family(RARE, out)

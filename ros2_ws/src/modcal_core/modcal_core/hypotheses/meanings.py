@@ -1,0 +1,195 @@
+"""What columns of a table mean, told by which reading of them makes the nominal arm fit.
+
+Every meaning of a set of columns (unit of the positions, form and order of the orientation, direction of the pose, unit
+of the joints) gives poses, and the hand-eye problem of the nominal arm has a likelihood for them, the same as
+:mod:`search` compares. What is best by :data:`~modcal_core.hypotheses.meant.BEYOND_DOUBT` is proved. Two
+meanings are one where their poses differ only by a fixed transform on either side: base and tool take it up, and the
+calibrated arm is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modcal_core.calibration import base_and_tool_turns, tool_and_place, turns_left
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.hypotheses.hand_eye import HandEye, placed
+from modcal_core.hypotheses.meant import BEYOND_DOUBT
+from modcal_core.hypotheses.search import rough
+from modcal_core.hypotheses.turning import Turning, turnings
+from modcal_core.measurements import spread_rows
+from modcal_core.robots import Chain, forward
+
+LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m; units that tables have positions in
+MIN_ROWS = 12  # six unknown turns, and as much again to tell
+ARM_SHARE = 0.01  # of the reach; a nominal arm that misses by more (median) is not explained
+ARM_ANGLE = 0.035  # rad; the same of orientations
+OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
+_FEW, _MAX = 60, 300  # rows, evenly along the table, to look for meanings and to judge them
+_ROTATIONS = 48  # ways to read orientations, the best by themselves, that are tried with positions
+_NEAR = (3.0, 0.02)  # times, and rad more than, what the best leaves of orientations, that still count as good
+_JUDGED = 6  # meanings, the likeliest on few rows, that are judged on many
+_SAME_TURN, _SAME_PLACE = 1e-3, 1e-5  # rad, m; what digits of an export leave of two forms of one pose
+
+
+@dataclass(frozen=True)
+class Postures:
+    """One choice of the joints' columns. q: (N, n) [rad, m], in the chain's order. name: for the caller."""
+
+    q: Array
+    name: str
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """One reading of all columns. unit: of the positions. turning: None where there are no orientations. inverse: the
+    table holds the tracker's pose in the tool. postures: index of the choice of joints.
+    """
+
+    postures: int
+    unit: str
+    turning: Turning | None
+    inverse: bool = False
+
+
+@dataclass(frozen=True)
+class Match:
+    """How well the nominal arm fits. score: log evidence [nats]. typical, typical_angle: medians left [m, rad]."""
+
+    score: float
+    typical: float
+    typical_angle: float
+
+    @classmethod
+    def of(cls, case: HandEye) -> Match:
+        """That of a case with base and tool fitted."""
+        fit = placed(case, thorough=False)
+        return cls(fit.evidence, fit.usual[1], fit.usual[0])
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A meaning with how well the nominal arm fits it."""
+
+    meaning: Meaning
+    match: Match
+    R: Array
+    position: Array
+
+    def explained(self, chain: Chain) -> bool:
+        """Whether what is left is what a nominal arm may be wrong by, and little of what moves.
+
+        A meaning by which hardly anything moves fits whatever the columns are.
+        """
+        place, turn = moved(self.R, self.position)
+        if self.match.typical > min(ARM_SHARE * chain.reach(), OF_MOTION * place):
+            return False
+        return self.meaning.turning is None or self.match.typical_angle <= min(ARM_ANGLE, OF_MOTION * turn)
+
+
+def moved(R: Array, position: Array) -> tuple[float, float]:
+    """By how much poses (N, 3, 3), (N, 3) differ from their middle, medians [m, rad]."""
+    place = float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))
+    return place, float(np.median(np.linalg.norm(so3.log(so3.mean(R).T @ R), axis=1)))
+
+
+def judge(chain: Chain, choices: Sequence[Postures], position: Array, turned: Array | None) -> list[Judged]:
+    """The likeliest meanings of columns, best first, of those that are physically one only the first.
+
+    position: (N, 3), in the table's unit; turned: columns of the orientation (N, 3, 4 or 9), None without. All rows
+    are whole.
+    """
+    ways = [] if turned is None else list(turnings(turned))
+    if len(position) < MIN_ROWS or (turned is not None and not ways):
+        return []
+    found: list[Judged] = []
+    for c, choice in enumerate(choices):
+        if turned is None:
+            found += [_judged_point(chain, choice, c, position, unit) for unit in LENGTHS]
+        else:
+            found += _judged_poses(chain, choice, c, position, turned, ways)
+    found.sort(key=lambda j: -j.match.score)
+    distinct: list[Judged] = []
+    for one in found:
+        if not any(_same(one, other, choices) for other in distinct):
+            distinct.append(one)
+    return distinct
+
+
+def rivals(found: Sequence[Judged]) -> list[Judged]:
+    """The meanings that the data cannot tell from the best."""
+    return [one for one in found[1:] if found[0].match.score - one.match.score <= BEYOND_DOUBT]
+
+
+def _judged_point(chain: Chain, choice: Postures, c: int, position: Array, unit: str) -> Judged:
+    rows = spread_rows(len(position), _MAX)
+    table = HandEye.of_arrays(chain, choice.q[rows], position[rows])
+    case = table.read(LENGTHS[unit] * table.p, volume=3.0 * float(np.log(LENGTHS[unit])))
+    return Judged(Meaning(c, unit, None), Match.of(case), case.R, case.p)
+
+
+def _judged_poses(
+    chain: Chain, choice: Postures, c: int, position: Array, turned: Array, ways: Sequence[Turning]
+) -> list[Judged]:
+    few, more = (spread_rows(len(position), most) for most in (_FEW, _MAX))
+    unread = np.tile(np.eye(3), (len(position), 1, 1))
+    likely = _likely_turnings(chain, choice.q[few], turned[few], ways)
+    meanings = [Meaning(c, unit, way, inverse) for way in likely for inverse in (False, True) for unit in LENGTHS]
+    table = HandEye.of_arrays(chain, choice.q[few], position[few], unread[few])
+    scores = np.array(rough([_read(m, turned[few], table) for m in meanings]))
+    table = HandEye.of_arrays(chain, choice.q[more], position[more], unread[more])
+    out = []
+    for i in np.argsort(-scores, kind="stable")[:_JUDGED]:
+        case = _read(meanings[i], turned[more], table)
+        out.append(Judged(meanings[i], Match.of(case), case.R, case.p))
+    return out
+
+
+def _likely_turnings(chain: Chain, q: Array, columns: Array, ways: Sequence[Turning]) -> list[Turning]:
+    """The ways whose orientations, or their inverses, fit the arm best by themselves."""
+    a = forward(chain, q)[:, :3, :3]
+    R = np.stack([way.rotations(columns) for way in ways])
+    R = np.concatenate([R, np.swapaxes(R, 2, 3)])
+    A = np.broadcast_to(a, R.shape)
+    Y, X = base_and_tool_turns(A, R)
+    left = np.median(np.linalg.norm(turns_left(Y, A, X, R), axis=2), axis=1).reshape(2, -1).min(axis=0)
+    order = np.argsort(left, kind="stable")
+    near = max(_NEAR[0] * left[order[0]], left[order[0]] + _NEAR[1])
+    return [ways[i] for i in order[:_ROTATIONS] if left[i] <= near]
+
+
+def _read(meaning: Meaning, columns: Array, table: HandEye) -> HandEye:
+    """The rows of a table as a meaning of its columns has them."""
+    assert meaning.turning is not None
+    R = meaning.turning.rotations(columns)
+    p = LENGTHS[meaning.unit] * table.p
+    if meaning.inverse:
+        R = np.swapaxes(R, 1, 2)
+        p = -(R @ p[..., None])[..., 0]
+    return table.read(p, R, 3.0 * float(np.log(LENGTHS[meaning.unit])))
+
+
+def _same(one: Judged, other: Judged, choices: Sequence[Postures]) -> bool:
+    """Whether two meanings give the same poses but for fixed transforms, and the same joints."""
+    if one.meaning.turning is None or other.meaning.turning is None:
+        return one.meaning == other.meaning
+    a, b = choices[one.meaning.postures].q, choices[other.meaning.postures].q
+    if a is not b and float(np.abs(a - b).max()) > 1e-6:
+        return False
+    A = se3.transform(one.R, one.position)
+    return bool(same_poses(A, other.R, other.position))
+
+
+def same_poses(A: Array, R: Array, position: Array) -> bool:
+    """Whether poses R (N, 3, 3), position (N, 3) [m] are ``Y A X`` of poses A (N, 4, 4) to the digits of an export."""
+    Y, X = base_and_tool_turns(A[:, :3, :3], R)
+    turns = turns_left(Y, A[:, :3, :3], X, R)
+    if float(np.median(np.linalg.norm(turns, axis=1))) > _SAME_TURN:
+        return False
+    gap = tool_and_place(Y, A, position)[0]
+    return float(np.median(np.linalg.norm(gap, axis=1))) < max(
+        _SAME_PLACE, 1e-5 * float(np.ptp(position, axis=0).max())
+    )

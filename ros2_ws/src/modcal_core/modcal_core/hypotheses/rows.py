@@ -1,0 +1,440 @@
+"""What may be so of some stations only, beside a base and a tool that others agree on; and rows in another order."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from modcal_core.geometry import Array, so3
+from modcal_core.hypotheses.hand_eye import (
+    ANYWHERE,
+    SPREAD,
+    HandEye,
+    HandEyeFit,
+    Placement,
+    at,
+    likelihood_at,
+    placed,
+    points,
+)
+from modcal_core.hypotheses.hypothesis import (
+    COMMON,
+    RARE,
+    ROWS_REMEDY,
+    Hypothesis,
+    cost_of_rows,
+    family,
+    where,
+)
+from modcal_core.measurements import spread_rows
+
+_FEW = 40  # stations at which hypotheses are screened
+_KEPT = 8  # of them that are then asked of all stations
+_LEAST = 3  # stations; fewer are single wrong readings
+_UNITS = {
+    "millimetres": 1e3,
+    "centimetres": 1e2,
+    "inches": 1.0 / 0.0254,
+    "feet": 1.0 / 0.3048,
+    "kilometres": 1e-3,
+}  # of a metre
+_BEFORE, _AFTER = 8, 3  # rows that a filter reaches
+
+
+def astray(fit: HandEyeFit) -> np.ndarray:
+    """The stations that do not agree with the placement, row numbers."""
+    return np.flatnonzero(~fit.agree(2.0))
+
+
+def likelihood(case: HandEye, placement: Placement) -> Array:
+    """Log likelihood of each station, (N,), by a placement, at twice a nominal arm's usual error."""
+    turns, gaps = placement.left(case)
+    total = case.volume + likelihood_at(gaps, 2.0 * case.scale.position, case.scale.volume)
+    return total + likelihood_at(turns, 2.0 * SPREAD[0], ANYWHERE) if case.poses else total
+
+
+def by_table(fit: HandEyeFit, table: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
+    """Those of a table that are likely of some rows, each with its rows."""
+    case, placement, rest = fit.case, fit.placement, astray(fit)
+    if len(rest) < _LEAST:
+        return
+    some = case.select(rest[spread_rows(len(rest), _FEW)])
+    before = likelihood(some, placement)
+    gains = [float(np.maximum(likelihood(h.undone(some), placement) - before, 0.0).sum()) + h.price for h in table]
+    as_they_are = likelihood(case, placement)
+    for k in np.argsort(gains)[::-1][:_KEPT]:
+        if gains[k] <= 0.0:
+            return
+        other = table[k].undone(case)
+        rows = stretch_or_scattered(likelihood(other, placement) - as_they_are)
+        if len(rows) >= _LEAST:
+            yield on_rows(table[k], case, rows)
+
+
+def on_rows(h: Hypothesis, case: HandEye, rows: np.ndarray) -> Hypothesis:
+    """A hypothesis of some rows alone."""
+    whole = len(rows) == len(case)
+    return replace(
+        h,
+        what=h.what if whole else f"{h.what}{where(case, rows)}, and not at the others",
+        undone=lambda c: c.of_rows(h.undone(c), rows),
+        price=h.price - (0.0 if whole else cost_of_rows(rows, len(case))),
+        stations=len(rows),
+    )
+
+
+def stretch_or_scattered(gain: Array) -> np.ndarray:
+    """The rows of which something is true, by the gain of each (N,) [nats]: a stretch, or scattered ones."""
+    N = len(gain)
+    total = np.r_[0.0, np.cumsum(gain)]
+    start = np.array([int(np.argmin(total[: k + 1])) for k in range(N + 1)])
+    end = int(np.argmax(total - np.minimum.accumulate(total)))
+    sets = [np.arange(start[end], end), np.arange(int(np.argmax(total))), np.arange(int(np.argmin(total)), N)]
+    sets += [np.flatnonzero(gain > 0.0), np.flatnonzero(gain > 10.0)]
+    return max(sets, key=lambda rows: float(gain[rows].sum()) - (cost_of_rows(rows, N) if 0 < len(rows) < N else 0.0))
+
+
+# --- the rest, whatever it is ----------------------------------------------------------------------------------------
+
+
+def of_the_rest(fit: HandEyeFit) -> Iterator[Hypothesis]:
+    """What the stations that do not agree may have in common: a scale, a turn, a base or a tool of their own."""
+    case, rest = fit.case, astray(fit)
+    if len(rest) < _LEAST or len(rest) > 0.9 * len(case):
+        return
+    yield from _scale(fit, rest)
+    if case.poses:
+        yield from _turn(fit, rest)
+    yield from moved(fit, rest)
+
+
+def _scale(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
+    """Positions of the rest that are one number times as long as they should be."""
+    expected, seen = fit.placement.expected(fit.case.A[rest])[1], fit.case.p[rest]
+    factor = float(np.median(np.sum(seen * expected, axis=1) / np.sum(expected**2, axis=1)))
+    if abs(factor) < 1e-9 or abs(abs(factor) - 1.0) < 1e-6:
+        return
+    unit = next((f" ({name})" for name, size in _UNITS.items() if abs(factor / size - 1.0) < 0.02), "")
+    volume = -3.0 * float(np.log(abs(factor)))
+    what = f"positions look {factor:.4g} times as long as the others, in another unit{unit},"
+    h = Hypothesis(what, "write all positions in metres", lambda c: c.read(c.p / factor, volume=volume), RARE, 1)
+    h = on_rows(h, fit.case, rest)
+    yield replace(h, what=h.what.removesuffix(", and not at the others"))
+
+
+def _turn(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
+    """Orientations of the rest that are turned by one angle about one axis."""
+    R, (expected, _) = fit.case.R[rest], fit.placement.expected(fit.case.A[rest])
+    for frame, off in (
+        ("the tracker", R @ np.swapaxes(expected, 1, 2)),
+        ("the tool", np.swapaxes(expected, 1, 2) @ R),
+    ):
+        alike = np.einsum("nij,kij->nk", off, off) > 1.0 + 2.0 * np.cos(2.0 * fit.case.limits[0])
+        S = so3.mean(off[alike[:, int(np.argmax(alike.mean(axis=0)))]])
+        turn = so3.log(S)
+        angle = float(np.linalg.norm(turn))
+        axis = ", ".join(f"{v:.2f}" for v in turn / max(angle, 1e-12) + 0.0)
+        what = f"orientations look turned by {np.degrees(angle):.4g}° about ({axis}) of {frame}"
+        remedy = (
+            "check how orientations are computed (an angle that is folded or of which the sign is lost), and whether "
+            "the target looks alike from several sides"
+        )
+
+        def undone(c: HandEye, S: Array = S, left: bool = frame == "the tracker") -> HandEye:
+            return c.read(R=S.T @ c.R if left else c.R @ S.T)
+
+        h = on_rows(Hypothesis(what, remedy, undone, RARE, 3, "orientations"), fit.case, rest)
+        yield replace(h, what=f"{h.what.removesuffix(', and not at the others')}, and positions agree")
+
+
+def moved(fit: HandEyeFit, rest: np.ndarray) -> Iterator[Hypothesis]:
+    """A base, a tool, or both of the rest's own."""
+    case = fit.case
+    if len(rest) < (4 if case.poses else 6):
+        return
+    own = placed(case.select(rest))
+    rows = rest[own.agree(2.0)]
+    if len(rows) < _LEAST:
+        return
+    here, there = fit.placement, own.placement
+    remedy = "check whether two trackers or targets publish under one name; give each part its own frame or recording"
+    for what, other, values in (
+        ("the base (or the tracker) is displaced", replace(here, Y=there.Y, t=there.t), 6),
+        ("the tool (or the target on it) is displaced", replace(here, X=there.X, x=there.x), 6 if case.poses else 3),
+        ("base and tool are both displaced", there, 12 if case.poses else 9),
+    ):
+        if values == 6 and not case.poses and "base" in what:
+            other = replace(other, x=here.x)
+        other = _centred(case.select(rows), other, here)
+
+        def undone(c: HandEye, other: Placement = other) -> HandEye:
+            return _as_seen(c, other, here)
+
+        h = Hypothesis(what, remedy, undone, COMMON, values, "rows")
+        h = on_rows(h, case, rows)
+        yield replace(h, what=h.what.removesuffix(", and not at the others"))
+
+
+def with_own_placement(h: Hypothesis, own: Placement, fit: HandEyeFit, rest: np.ndarray) -> Hypothesis:
+    """A hypothesis of the rest, whose readings have a base and a tool of their own."""
+    here = fit.placement
+    return on_rows(
+        replace(h, undone=lambda c: _as_seen(h.undone(c), own, here), values=h.values + (12 if fit.case.poses else 9)),
+        fit.case,
+        rest,
+    )
+
+
+def still(fit: HandEyeFit) -> Iterator[Hypothesis]:
+    """Joints, or readings, that stand to the last digit while the others move, at stations that do not agree."""
+    case = fit.case
+    stands = {
+        name: np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=1)] for name, x in (("joints", case.q), ("p", case.p))
+    }
+    for rows, what, remedy in (
+        (
+            stands["joints"] & ~stands["p"],
+            "all joint positions stand still while the readings move: they look stale",
+            "check how joint states get into the recording",
+        ),
+        (
+            stands["p"] & ~stands["joints"],
+            "readings stand still while the joints move: they look stale",
+            "see whether the tracker lost its target and repeats its last reading",
+        ),
+    ):
+        at_rows = np.flatnonzero(rows & ~fit.agree(2.0))
+        if len(at_rows) < _LEAST:
+            continue
+        R, p = fit.placement.expected(case.A)
+        lost = case.scale.volume + (ANYWHERE if case.poses else 0.0)  # they say nothing
+        other = case.read(p, R if case.poses else case.R)
+        other = replace(other, volume=other.volume - lost - likelihood(other, fit.placement) + other.volume)
+        h = Hypothesis(what, remedy, lambda c, other=other: other, RARE, touches="rows")  # type: ignore[misc]
+        yield on_rows(h, case, at_rows)
+
+
+def _centred(part: HandEye, other: Placement, here: Placement) -> Placement:
+    """The other placement with the place of the base, or of the tool, as medians of the part have it."""
+    if other.x is here.x:
+        return replace(other, t=other.t + np.median(at(part, other).placement.left(part)[1], axis=0))
+    if other.t is here.t:
+        gaps = other.left(part)[1]
+        back = np.swapaxes(other.Y @ part.A[:, :3, :3], 1, 2)
+        return replace(other, x=other.x + np.median((back @ gaps[..., None])[..., 0], axis=0))
+    return other
+
+
+def _as_seen(c: HandEye, other: Placement, here: Placement) -> HandEye:
+    """Readings as they would be by one placement, with what they miss another by."""
+    R_there, p_there = other.expected(c.A)
+    R_here, p_here = here.expected(c.A)
+    turn = np.swapaxes(R_there, 1, 2) @ c.R
+    return c.read(p_here + (c.p - p_there), R_here @ turn if c.poses else c.R)
+
+
+def stretches(fit: HandEyeFit) -> Iterator[Hypothesis]:
+    """Several stretches, each with a base or a tool of its own: of each, one after the other, what moved."""
+    case, first, N = fit.case, 0, len(fit.case)
+    parts: list[tuple[int, int, Placement]] = []
+    window = 6 if case.poses else 10
+    while first + window <= N and len(parts) <= 12:
+        own = placed(case.select(np.arange(first, first + window)), thorough=False)
+        if not own.explains:
+            first += 1
+            continue
+        end = first + window
+        while end < N:
+            ahead = at(case.select(np.arange(end, N)), own.placement).agree(2.0)
+            lost = np.flatnonzero(np.convolve(~ahead, np.ones(3), "valid") == 3)
+            stop = end + (int(lost[0]) if len(lost) else len(ahead))
+            if stop == end:
+                break
+            rows = np.arange(first, stop)
+            own, end = placed(case.select(rows), thorough=False), stop
+        parts.append((first, end, own.placement))
+        first = end
+    if len(parts) < 2 or len(parts) > 12 or sum(b - a for a, b, _ in parts) < 0.5 * N:
+        return
+    here = max(parts, key=lambda part: part[1] - part[0])[2]
+    ranges = ", ".join(f"{case.station[a]} to {case.station[b - 1]}" for a, b, _ in parts)
+    for who, do, kept, values in (
+        ("the base (or the tracker's zero)", "keep the tracker's zero", "tool", 6),
+        ("the tool (or the target on it)", "keep the target where it is", "base", 6 if case.poses else 3),
+        ("the base (or the tracker's zero), or the tool,", "keep tracker and target as they are", "", 12),
+    ):
+        mean = _mean([own for _, _, own in parts], here, kept)
+        each = [(np.arange(a, b), _sharing(case.select(np.arange(a, b)), own, mean, kept)) for a, b, own in parts]
+
+        def undone(c: HandEye, each: list[tuple[np.ndarray, Placement]] = each) -> HandEye:
+            for rows, own in each:
+                c = c.of_rows(_as_seen(c, own, here), rows)
+            return c
+
+        yield Hypothesis(
+            f"{who} changed {len(parts) - 1} times: stations {ranges} agree in themselves and not with each other",
+            f"{do} over the whole recording, or give each part its own frame or recording",
+            undone,
+            COMMON - 2.0 * len(parts) * float(np.log(N)),
+            values * (len(parts) - 1),
+            "rows",
+        )
+
+
+def _mean(parts: list[Placement], here: Placement, kept: str) -> Placement:
+    """What is kept, the tool or the base, as the mean of all parts."""
+    if kept == "tool":
+        return replace(
+            here, X=so3.mean(np.stack([own.X for own in parts])), x=np.mean([own.x for own in parts], axis=0)
+        )
+    if kept == "base":
+        return replace(
+            here, Y=so3.mean(np.stack([own.Y for own in parts])), t=np.mean([own.t for own in parts], axis=0)
+        )
+    return here
+
+
+def _sharing(part: HandEye, own: Placement, here: Placement, kept: str) -> Placement:
+    """The placement of a part with the tool, or the base, of another."""
+    if kept == "tool":
+        Y = own.Y
+        if part.poses:
+            Y = so3.nearest_rotation(np.sum(part.R @ np.swapaxes(part.A[:, :3, :3] @ here.X, 1, 2), axis=0))
+        return _centred(part, replace(here, Y=Y, t=own.t), here)
+    if kept == "base":
+        X = own.X
+        if part.poses:
+            X = so3.nearest_rotation(np.sum(np.swapaxes(here.Y @ part.A[:, :3, :3], 1, 2) @ part.R, axis=0))
+        return _centred(part, replace(here, X=X, x=own.x), here)
+    return own
+
+
+# --- rows that belong elsewhere --------------------------------------------------------------------------------------
+
+
+def orders(case: HandEye) -> Iterator[Hypothesis]:
+    """Whole recordings in another order than the joints': slipped, reversed, or by a shuffle that names sort into."""
+    N = len(case)
+    if N < 16:
+        return
+    numbers = np.array(sorted(range(N), key=lambda k: str(k + 1)))
+    said = [("readings stand in reverse order", np.arange(N)[::-1])]
+    said += [("readings stand in the order of file names (1, 10, 100, …)", numbers)]
+    said += [("readings were put in the order of file names (1, 10, 100, …)", np.argsort(numbers))]
+    said += [(_slipped(shift, N), (np.arange(N) + shift) % N) for shift in range(1, N)]
+    design = np.concatenate([case.A[:, :3, :3].reshape(N, 9), case.A[:, :3, 3]], axis=1)
+    U, size, _ = np.linalg.svd(design - design.mean(axis=0), full_matrices=False)
+    U = U[:, size > 1e-6 * size[0]]
+    p = case.p - case.p.mean(axis=0)
+    explained = [float(np.sum((U[order].T @ p) ** 2)) for _, order in said]
+    for k in np.argsort(explained)[::-1][:2]:
+        what, order = said[k]
+        yield Hypothesis(
+            what,
+            ROWS_REMEDY,
+            lambda c, o=order: replace(c, q=c.q[o], A=c.A[o]),  # type: ignore[misc]
+            RARE - float(np.log(len(said))),
+            0,
+            "rows",
+        )
+
+
+def _slipped(shift: int, of: int) -> str:
+    """Readings that belong to the posture ``shift`` rows later, or ``of - shift`` earlier."""
+    if min(shift, of - shift) > 0.2 * of:
+        return f"readings stand in two parts that are exchanged: the first row's belongs to row {shift + 1}"
+    if 2 * shift < of:
+        return f"readings look early by {_count(shift)}: each stands {shift} row{'s' * (shift > 1)} too high"
+    back = of - shift
+    return f"readings look late by {_count(back)}: each stands {back} row{'s' * (back > 1)} too low"
+
+
+def _count(stations: int) -> str:
+    return f"{stations} station{'s' if stations > 1 else ''}"
+
+
+def elsewhere(fit: HandEyeFit) -> Iterator[Hypothesis]:
+    """Readings of the rest that belong to other postures of the recording."""
+    case, rest = fit.case, astray(fit)
+    N = len(case)
+    if len(rest) < _LEAST or N < 8:
+        return
+    turns, places = fit.placement.expected(case.A)
+    gap = np.linalg.norm(case.p[rest, None] - places, axis=2) / case.limits[1]
+    if case.poses:
+        cosine = 0.5 * (np.einsum("nij,kij->nk", case.R[rest], turns) - 1.0)
+        gap = np.maximum(gap, np.arccos(np.clip(cosine, -1.0, 1.0)) / case.limits[0])
+    same = gap < 2.0
+    offsets = Counter(int(k - i) for i, row in zip(rest, same, strict=True) for k in np.flatnonzero(row))
+    if not offsets:
+        return
+    found = rest[same.any(axis=1)]
+    belongs = np.arange(N)
+    belongs[found] = np.argmin(gap[same.any(axis=1)], axis=1)
+    offset, count = offsets.most_common(1)[0]
+    which = where(case, found)
+    if count >= 0.9 * len(found):  # the whole stretch, its edges too
+        belongs[found] = np.clip(found + offset, 0, N - 1)
+        early = "early" if offset > 0 else "late"
+        what = f"readings{which} look {early} by {_count(abs(offset))}: each stands {abs(offset)} "
+        what += f"row{'s' * (abs(offset) > 1)} too {'high' if offset > 0 else 'low'}, or joint states the other way"
+        told = float(np.log(2 * N))
+    else:
+        first = f"that at station {case.station[found[0]]} to station {case.station[belongs[found[0]]]}"
+        mutual = float(np.mean(belongs[belongs[found]] == found))
+        mirrored = float(np.mean(belongs[found] + found == np.median(belongs[found] + found)))
+        swapped = "look swapped two and two" if mutual > 0.8 else "belong to other stations, in another order of rows"
+        swapped = "stand in reverse order of the rows" if mirrored > 0.8 else swapped
+        what = f"readings{which} {swapped} ({first})"
+        told = len(found) * float(np.log(N))
+    yield Hypothesis(
+        what,
+        ROWS_REMEDY,
+        lambda c: replace(c, q=c.q[belongs], A=c.A[belongs]),
+        RARE - told - cost_of_rows(found, N),
+        0,
+        "rows",
+        len(found),
+    )
+
+
+def filters(case: HandEye) -> list[Hypothesis]:
+    """Readings that a filter mixed with those of rows before or after: a mean of several, or a slow settling."""
+    rows = np.arange(-_BEFORE, _AFTER + 1)
+    if len(case) < 3 * len(rows):
+        return []
+    made: list[tuple[str, Array]] = []
+    for half in range(1, _AFTER + 1):
+        made.append((f"the mean of {2 * half + 1} rows about its own", (np.abs(rows) <= half).astype(float)))
+    for count in range(2, 6):
+        said = f"the mean of its own row and the {count - 1} before"
+        made.append((said, ((rows <= 0) & (rows > -count)).astype(float)))
+    for kept in (0.2, 0.35, 0.5, 0.65, 0.8):
+        said = f"if {100 * kept:.0f}% of the reading before were still in it"
+        made.append((said, np.where(rows <= 0, kept ** np.maximum(-rows, 0.0), 0.0)))
+
+    def undone(c: HandEye, weights: Array, turns: bool) -> HandEye:
+        around = np.concatenate([c.A[:1].repeat(_BEFORE, axis=0), c.A, c.A[-1:].repeat(_AFTER, axis=0)])
+        A = np.moveaxis(sliding_window_view(around, len(rows), axis=0), -1, 1)  # (N, rows, 4, 4)
+        return replace(points(c) if turns else c, mixed=np.einsum("k,nkij->nij", weights / weights.sum(), A))
+
+    remedy = (
+        "turn the instrument's filter or averaging off, or wait at each station until it has settled, and record again"
+    )
+    made_of = [
+        Hypothesis(
+            f"readings look filtered: each as {said}",
+            remedy,
+            lambda c, w=w, turns=turns: undone(c, w, turns),  # type: ignore[misc]
+            0.0,
+            1,
+            "rows",
+        )
+        for said, w in made
+        for turns in ((False, True) if case.poses else (False,))
+    ]
+    return family(RARE, made_of)

@@ -1,0 +1,214 @@
+"""What columns of distances, directions and heights mean, told by the reading by which the nominal arm meets them.
+
+As :mod:`meanings` does for poses and points. The instruments of one reading and the tool's point are fitted together;
+what is left has a likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration import Instrument, new_instruments, place_instruments
+from modcal_core.geometry import Array, se3, so3
+from modcal_core.hypotheses.meanings import ARM_SHARE, OF_MOTION
+from modcal_core.hypotheses.meant import BEYOND_DOUBT
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.measurements.kinds import scene_in
+from modcal_core.robots import Chain, forward
+
+_MAX = 120  # rows, evenly along the table; each trial of a tool places the instruments again
+_INDEPENDENT = 100  # rows that count, as of poses: errors of a nominal arm are alike in neighbouring postures
+_ASTRAY = 0.05  # share of readings that may say anything
+_NOMINAL = {"m": 1e-3, "rad": 1e-3}  # of the reach, and rad, per direction: finer says nothing of a nominal arm
+_STARTS, _GOOD = 0.15, 0.005  # of the reach: starts of the tool, and a median miss that needs no further one
+_HOPELESS = 0.1  # of the reach; no other start improves what misses by more after three
+_STEPS = 30  # iterations
+_SOFT = 1e-4  # m²; misses beyond a centimetre count less
+_SCALES = 24  # halvings of a scatter that are tried
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Readings of one instrument. kind: range, bearing or plane. values: (N, width), in m or as unit vectors."""
+
+    frame: str
+    kind: str
+    values: Array
+
+
+@dataclass(frozen=True)
+class SightMatch:
+    """How well the nominal arm meets readings. score: log-likelihood less what parameters cost. typical: median of what
+    is left, spread: of what the readings vary by, both [m] at the tool.
+    """
+
+    score: float
+    typical: float
+    spread: float
+
+    def explained(self, chain: Chain) -> bool:
+        """Whether what is left is what a nominal arm may be wrong by, and little of what moves."""
+        return self.typical <= min(ARM_SHARE * chain.reach(), OF_MOTION * self.spread)
+
+    def beyond(self, other: SightMatch) -> bool:
+        """Whether it is better than another beyond doubt."""
+        return self.score - other.score > BEYOND_DOUBT
+
+
+def sights_match(chain: Chain, q: Array, sightings: Sequence[Sighting], log_volume: float = 0.0) -> SightMatch:
+    """How well readings taken at postures q (N, n) fit, every instrument placed again and one tool for all of them.
+
+    log_volume: of one row, by how much the readings' volume was shrunk to have them in m and rad, in logarithm.
+    """
+    rows = spread_rows(len(q), _MAX)
+    samples = _samples(q[rows], [Sighting(s.frame, s.kind, s.values[rows]) for s in sightings])
+    tip = forward(chain, samples.q)
+    instruments = new_instruments(samples)
+    best: list[_PlacedResidual] = []
+    for tried, start in enumerate((np.zeros(3), *(_STARTS * chain.reach() * np.r_[np.eye(3), -np.eye(3)]))):
+        seen = _fitted(instruments, samples, tip, start)
+        if not best or _middle(seen) < _middle(best):
+            best = seen
+        if _middle(best) < _GOOD * chain.reach() or (tried == 2 and _middle(best) > _HOPELESS * chain.reach()):
+            break
+    total, spread = 0.0, []
+    for one in best:
+        floor = _NOMINAL[one.unit] * (chain.reach() if one.unit == "m" else 1.0)
+        total += _log_likelihood(np.linalg.norm(one.residual, axis=0), floor, one.dimensions)
+        change = np.linalg.norm(one.reading - np.median(one.reading, axis=0), axis=1)
+        spread.append(float(np.median(change * one.lever)))
+    cost = 0.5 * (3.0 + 6.0 * len(best)) * np.log(len(rows))  # BIC: tool, and six values an instrument at most
+    score = (total + len(rows) * log_volume) * min(1.0, _INDEPENDENT / len(rows)) - cost
+    return SightMatch(float(score), _middle(best), float(np.median(spread)))
+
+
+@dataclass(frozen=True)
+class _PlacedResidual:
+    """What one placed instrument leaves: residual (3, m) in its unit, lever (m,) [m per unit]; reading (m, 3)."""
+
+    residual: Array
+    lever: Array
+    reading: Array
+    unit: str
+    dimensions: int
+
+
+def _middle(seen: Sequence[_PlacedResidual]) -> float:
+    """Median of what instruments leave [m]."""
+    return float(np.median(np.concatenate([np.linalg.norm(s.residual * s.lever, axis=0) for s in seen])))
+
+
+def _fitted(
+    instruments: Sequence[Instrument], samples: Samples, T_base_tip: Array, start: Array
+) -> list[_PlacedResidual]:
+    """What instruments leave when they and the tool are fitted together, from a tool's place in the tip.
+
+    Damped Gauss-Newton. An instrument's frame that moves by a twist (v, ω) changes the prediction as its target would
+    by v + ω × p.
+    """
+    rows = [i.rows(samples) for i in instruments]
+    at = np.tile(np.eye(4), (len(samples.frames), 1, 1))
+    placed, poses = place_instruments(instruments, samples, T_base_tip @ se3.transform(p=start), at)
+    state = start, list(placed), poses
+
+    def see(x: Array, some: Sequence[Instrument], at: Array) -> tuple[list[_PlacedResidual], list[Array]]:
+        seen, derivatives = [], []
+        for k, (instrument, mine) in enumerate(zip(some, rows, strict=True)):
+            tool = T_base_tip[mine] @ se3.transform(p=x)
+            scene = scene_in(at[samples.frames.index(instrument.frame)], tool)
+            sight = instrument.of_kind.see(scene, instrument.values, samples.reading[mine])
+            kind = instrument.of_kind
+            seen.append(_PlacedResidual(sight.residual, sight.lever, samples.reading[mine], kind.unit, kind.dimensions))
+            through = np.moveaxis(sight.through, 2, 0)
+            constants = len(instrument.values)
+            J = np.zeros((len(mine), 3, 3 + sum(6 + len(i.values) for i in some)))
+            first = 3 + sum(6 + len(i.values) for i in some[:k])
+            J[:, :, :3] = through @ tool[:, :3, :3]
+            J[:, :, first : first + 3] = through
+            J[:, :, first + 3 : first + 6] = -through @ so3.hat(scene.target.T)
+            J[:, :, first + 6 : first + 6 + constants] = np.moveaxis(sight.constants, (0, 2), (2, 0))
+            derivatives.append(J * sight.lever[:, None, None])
+        return seen, derivatives
+
+    def cost(seen: Sequence[_PlacedResidual]) -> float:
+        return float(
+            np.sum(np.log1p(np.concatenate([np.sum((s.residual * s.lever) ** 2, axis=0) for s in seen]) / _SOFT))
+        )
+
+    seen, derivatives = see(*state)
+    now, damping = cost(seen), 1e-3
+    for _ in range(_STEPS):
+        r = np.concatenate([(s.residual * s.lever).T for s in seen])
+        J = np.concatenate(derivatives)
+        weight = 1.0 / (1.0 + np.sum(r**2, axis=1) / _SOFT)
+        A = np.einsum("n,nij,nik->jk", weight, J, J)
+        g = np.einsum("n,nij,ni->j", weight, J, r)
+        step = np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0]
+        moved = _moved(state, step, samples)
+        new, their = see(*moved)
+        after = cost(new)
+        if after < now:
+            done = now - after < 1e-6 * max(now, 1e-12)
+            state, seen, derivatives, now, damping = moved, new, their, after, damping / 5.0
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+    return seen
+
+
+_State = tuple[Array, list[Instrument], Array]
+
+
+def _moved(state: _State, step: Array, samples: Samples) -> _State:
+    x, instruments, poses = state
+    poses, out, first = poses.copy(), [], 3
+    for instrument in instruments:
+        f = samples.frames.index(instrument.frame)
+        poses[f] = poses[f] @ se3.exp(step[first : first + 6])
+        count = len(instrument.values)
+        out.append(
+            replace(instrument, values=instrument.of_kind.moved(instrument.values, step[first + 6 : first + 6 + count]))
+        )
+        first += 6 + count
+    return x + step[:3], out, poses
+
+
+def _log_likelihood(size: Array, floor: float, dimensions: int) -> float:
+    """Log-likelihood of residual lengths (N,) in some dimensions, maximised over the scatter, which is at least
+    ``floor``.
+    """
+    sigma = floor * 2.0 ** np.arange(_SCALES)
+    largest = max(float(size.max()), floor)
+    sigma = sigma[sigma <= 2.0 * largest][:, None]
+    inside = (1.0 - _ASTRAY) * np.exp(-0.5 * (size / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma) ** dimensions
+    return float(np.log(inside + _ASTRAY / (4.0 * largest) ** dimensions).sum(axis=1).max())
+
+
+def _samples(q: Array, sightings: Sequence[Sighting]) -> Samples:
+    frames = tuple(dict.fromkeys(s.frame for s in sightings))
+    count, each = len(q), len(sightings)
+    reading = np.zeros((each * count, 3))
+    for i, s in enumerate(sightings):
+        reading[i * count : (i + 1) * count, : s.values.shape[1]] = s.values
+    N = each * count
+    return Samples(
+        names=(),
+        frames=frames,
+        q=np.tile(q, (each, 1)),
+        stamps=np.arange(float(N)),
+        station=np.tile(np.arange(count), each),
+        frame=np.repeat([frames.index(s.frame) for s in sightings], count),
+        kind=np.repeat([s.kind for s in sightings], count),
+        reading=reading,
+        R=np.tile(np.eye(3), (N, 1, 1)),
+        sigma_position=np.full(N, np.nan),
+        sigma_rotation=np.full(N, np.nan),
+        velocity=np.zeros((N, q.shape[1])),
+        moving=np.zeros(N, bool),
+    )

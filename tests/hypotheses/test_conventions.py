@@ -1,0 +1,186 @@
+"""Conventions proved by likelihood: what is written otherwise than read is refused by name, and what is right passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cells import record, samples_of, ur10
+from scipy.spatial.transform import Rotation
+
+from modcal_core.calibration.cell import Cell
+from modcal_core.calibration.initial import Known
+from modcal_core.errors import BadRecording
+from modcal_core.evaluation import evaluate
+from modcal_core.files import read_yaml
+from modcal_core.geometry import se3, so3
+from modcal_core.hypotheses.meant import INVERTED, proved
+from modcal_core.loop import calibrate
+from modcal_core.measurements.samples import Samples, cut_stations
+from modcal_core.robots.chain import Chain
+from modcal_core.robots.urdf import read_chain
+from modcal_msgs_py.tables import import_tables
+
+ROOT = Path(__file__).resolve().parents[2]
+CHAIN = ur10()
+
+
+def composed(samples: Samples, meant: str, by: str) -> Samples:
+    """Orientations whose angles were written down as one sequence and put together as another."""
+    angles = Rotation.from_matrix(samples.R).as_euler(meant)
+    return replace(samples, R=Rotation.from_euler(by, angles).as_matrix())
+
+
+def quaternions(samples: Samples, columns: list[int]) -> Samples:
+    return replace(samples, R=Rotation.from_quat(Rotation.from_matrix(samples.R).as_quat()[:, columns]).as_matrix())
+
+
+def inverted(samples: Samples) -> Samples:
+    T = np.linalg.inv(se3.transform(samples.R, samples.reading))
+    return replace(samples, R=T[:, :3, :3], reading=T[:, :3, 3])
+
+
+MISTAKES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
+    "wxyz": (lambda s: quaternions(s, [3, 0, 1, 2]), "quaternions look like w x y z read as x y z w"),
+    "xyzw": (lambda s: quaternions(s, [1, 2, 3, 0]), "quaternions look like x y z w read as w x y z"),
+    "conjugate": (lambda s: replace(s, R=np.swapaxes(s.R, 1, 2)), "orientations look inverse"),
+    "XYZ by xyz": (lambda s: composed(s, "XYZ", "xyz"), "Euler angles composed as"),
+    "ZYX by ZXY": (lambda s: composed(s, "ZYX", "ZXY"), "Euler angles composed as"),
+    "ZYZ by ZYX": (lambda s: composed(s, "ZYZ", "ZYX"), "Euler angles composed as"),
+    "radians as degrees": (
+        lambda s: replace(
+            s, R=Rotation.from_euler("xyz", np.radians(Rotation.from_matrix(s.R).as_euler("xyz"))).as_matrix()
+        ),
+        "look like radians read as degrees",
+    ),
+    "metres as millimetres": (lambda s: replace(s, reading=1e-3 * s.reading), "positions look like metres taken"),
+    "joint sign": (lambda s: replace(s, q=s.q * [1, 1, 1, 1, 1, -1]), "joint wrist_3_joint looks reversed"),
+    "joints converted twice": (lambda s: replace(s, q=np.radians(s.q)), "converted to radians twice"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_refused_and_named(mistake: str) -> None:
+    spoil, said = MISTAKES[mistake]
+    with pytest.raises(BadRecording, match=said):
+        proved(spoil(record(1, 60).samples), CHAIN)
+
+
+@pytest.mark.slow
+def test_an_inverse_pose_is_undone() -> None:
+    samples = record(2, 60).samples
+    undone, convention = proved(inverted(samples), CHAIN)
+    assert convention == INVERTED
+    assert np.allclose(undone.reading, samples.reading, atol=1e-9)
+    assert np.allclose(undone.R, samples.R, atol=1e-9)
+
+
+def test_three_postures_prove_nothing_however_often_they_are_read() -> None:
+    """Three poses of a wrong arm may well fit an inverse better; sixty readings of them are no sixty witnesses."""
+    samples = record(2, 40).samples
+    few = samples.select(np.repeat(np.arange(3), 20))
+    few = replace(few, station=np.arange(60), stamps=1.7e9 + 2.0 * np.arange(60))
+    same, undone = proved(few, CHAIN)
+    assert undone is None
+    np.testing.assert_array_equal(same.R, few.R)
+    # thirty of them are
+    many = samples.select(np.repeat(np.arange(30), 3))
+    many = replace(many, station=np.arange(90), stamps=1.7e9 + 2.0 * np.arange(90))
+    assert proved(inverted(many), CHAIN)[1] == INVERTED
+
+
+@pytest.mark.slow
+def test_stated_places_that_are_wrong_are_named_and_no_joint() -> None:
+    """A tracker that is stated to stand a metre from where it stands once got a joint called coupled."""
+    made = record(4, 60)
+    T = made.world.T_tracker_base.copy()
+    known = Known("tracker", "base", T, (2e-3, 2e-3))
+    calibrate(made.samples, CHAIN, np.random.default_rng(0), Cell(known=(known,)), look_for_effects=False)
+    T[:3, 3] += [0.8, -0.5, 0.3]
+    wrong = Cell(known=(replace(known, T_frame_to=T),))
+    with pytest.raises(BadRecording, match="places of frames that are stated .* it does not without them"):
+        calibrate(made.samples, CHAIN, np.random.default_rng(0), wrong, look_for_effects=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1.0, 5.0, 20.0])
+def test_a_wrong_arm_is_not_a_wrong_convention(size: float) -> None:
+    """A robot as far off its drawing as none is built: 10 mm and 20 mrad at every link."""
+    samples = record(3, 60, length_std=5e-4 * size, angle_std=1e-3 * size).samples
+    assert proved(samples, CHAIN) == (samples, None)
+
+
+def retooled(samples: Samples, first: int, last: int, twist: np.ndarray) -> Samples:
+    T = se3.transform(samples.R, samples.reading)
+    T[first:last] = T[first:last] @ se3.exp(twist)
+    return replace(samples, R=T[:, :3, :3], reading=T[:, :3, 3])
+
+
+@pytest.mark.slow
+def test_another_tool_is_not_a_wrong_convention() -> None:
+    samples = record(4, 120).samples
+    for first, last, turn in ((60, 120, 0.1), (0, 15, 2.0), (50, 90, 2.0)):
+        changed = retooled(samples, first, last, np.array([0.03, 0.02, 0.0, 0.0, turn, 0.0]))
+        assert proved(changed, CHAIN)[1] is None
+    changed = retooled(composed(samples, "XYZ", "xyz"), 60, 120, np.array([0.03, 0.02, 0.0, 0.0, 0.1, 0.0]))
+    with pytest.raises(BadRecording, match="Euler angles"):
+        proved(changed, CHAIN)
+
+
+@pytest.mark.slow
+def test_readings_that_fit_nothing_are_given_no_name() -> None:
+    """Neither nonsense in the orientations, nor readings of other postures, look like a convention."""
+    rng = np.random.default_rng(0)
+    samples = record(5, 60).samples
+    assert proved(replace(samples, R=so3.exp(2.0 * rng.normal(size=(60, 3)))), CHAIN)[1] is None
+    assert proved(replace(samples, q=rng.permutation(samples.q)), CHAIN)[1] is None
+
+
+@pytest.mark.slow
+def test_calibrate_undoes_an_inverse_pose_and_evaluate_refuses_quaternions() -> None:
+    made = record(6, 80)
+    result = calibrate(inverted(made.samples), CHAIN, np.random.default_rng(0), look_for_effects=False)
+    size = result.report.size_mm("final")
+    assert size is not None
+    assert size.rms < 0.2
+    assert result.report.grounds.convention == INVERTED
+    q = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 6))
+    again = samples_of(CHAIN, q, made.world.tool_in_tracker(q))
+    with pytest.raises(BadRecording, match="w x y z"):
+        evaluate(result.calibration, quaternions(again, [3, 0, 1, 2]), np.random.default_rng(0))
+    assert evaluate(result.calibration, inverted(again), np.random.default_rng(0)).grounds.convention == INVERTED
+
+
+def real(shared_data: Path, series: str, **change: object) -> tuple[Samples, Chain]:
+    mapping = read_yaml(ROOT / "examples" / "import" / f"ipa_ur10_series_{series}.yaml")
+    for table in mapping["tables"]:
+        table["pose"]["inverse"] = change.get("inverse", False)
+        table["pose"]["euler"]["sequence"] = change.get("sequence", "XYZ")
+    recording = import_tables(mapping, shared_data, "mapping")
+    chain = read_chain((ROOT / "examples" / "robots" / "ur10.urdf").read_text(), None, None)
+    return cut_stations(recording, chain.names), chain
+
+
+@pytest.mark.slow
+def test_real_cubes(shared_data: Path) -> None:
+    """UR10 whose target hardly turns: orientations alone tell little, together with positions they do."""
+    samples, chain = real(shared_data, "d")
+    assert proved(samples, chain)[1] is None
+    for sequence in ("xyz", "XZY"):
+        with pytest.raises(BadRecording, match="XYZ"):
+            proved(real(shared_data, "d", sequence=sequence)[0], chain)
+    with pytest.raises(BadRecording, match="w x y z"):
+        proved(quaternions(samples, [3, 0, 1, 2]), chain)
+    assert proved(real(shared_data, "d", inverse=True)[0], chain)[1] == INVERTED
+
+
+@pytest.mark.slow
+def test_real_grid(shared_data: Path) -> None:
+    samples, chain = real(shared_data, "a")
+    assert proved(samples, chain)[1] is None
+    with pytest.raises(BadRecording, match="w x y z"):
+        proved(quaternions(samples, [3, 0, 1, 2]), chain)
