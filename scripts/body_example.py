@@ -11,9 +11,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from camera.bodies import SIZE, Faults, body_scene, icosahedron, measured  # noqa: E402
+from camera.bodies import SIZE, Faults, body_scene, bundle_to_data, icosahedron, measured  # noqa: E402
 
-from modcal_core.camera.target_file import bundle_to_data  # noqa: E402
 from modcal_core.files import to_yaml  # noqa: E402
 
 FOLDER = ROOT / "examples" / "body"

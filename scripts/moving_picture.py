@@ -21,7 +21,7 @@ import conftest  # noqa: E402, F401 (finds the install tree)
 import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from modcal_core.report.page import DARK, LIGHT  # noqa: E402
+from modcal_core.report.charts import DARK, LIGHT  # noqa: E402
 from modcal_core.report.report import Report  # noqa: E402
 from modcal_core.report.scene import scene  # noqa: E402
 from modcal_core.robots.mechanism import tool_frames  # noqa: E402

@@ -16,6 +16,7 @@ import cv2  # noqa: E402
 import matplotlib  # noqa: E402
 import numpy as np  # noqa: E402
 from camera.boards import BOARD, facing  # noqa: E402
+from camera.fits import problem  # noqa: E402
 from camera.render import render  # noqa: E402
 from camera.scenes import BOARD_IN_WORLD, BOARD_ON_TIP, CAMERA_IN_WORLD, CAMERA_ON_TIP, HOME, panda, scene  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
@@ -122,7 +123,7 @@ def solved() -> CameraSolution:
     """A calibration of an arm that is a centimetre off, from 25 images."""
     board_measured = scale_of_rulers((0.21, 0.15), (0.21, 0.15), "rulers", RULER_STD_M)
     s = scene(1, True, count=25, board=replace(BOARD, scale=board_measured), lens=VGA)
-    return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, np.random.default_rng(0))
+    return solve_camera(problem(s), np.random.default_rng(0))
 
 
 def result(solution: CameraSolution) -> Figure:

@@ -29,6 +29,7 @@ import numpy as np
 from camera.boards import BOARD, LENS
 from camera.bodies import BODY_ON_TIP, BodyScene
 from camera.by_tracker import missed_by_tracker
+from camera.fits import problem
 from camera.render import render
 from camera.scenes import CameraScene, scene
 from harness import median, over, share
@@ -39,7 +40,7 @@ from modcal_core.camera.causes import flange_in_tool
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import first_lens, fit_lens
-from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M
 from modcal_core.camera.tool_error import postures_anywhere, postures_in_view
 from modcal_core.camera.watching import CameraWatch
@@ -64,7 +65,7 @@ def one(task: harness.Task) -> harness.Result:
 
 
 def solved(s: CameraScene, rng: np.random.Generator, **told: Any) -> CameraSolution:
-    return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, rng, **told)
+    return solve_camera(problem(s, **told), rng)
 
 
 def apart(a: Array, b: Array, turned: bool = False) -> float:
@@ -184,10 +185,9 @@ def moved(task: harness.Task) -> harness.Result:
 
 def bodies(task: harness.Task) -> harness.Result:
     s, what = cells.body(task["seed"])
-    first, *others = s.images
     began = time.process_time()
     rng = np.random.default_rng(task["seed"])
-    r = solve_camera(s.chain, first.q, first.views, first.target, first.size, rng, further=others)
+    r = solve_camera(CameraProblem(s.chain, s.images), rng)
     spent, (q, _) = time.process_time() - began, postures_in_view(r.fit, np.random.default_rng(1))
     out = {**what, "seconds": spent, **said(r), "px": list(r.held_out_px)}
     for name, fit in (("", r.fit), ("nominal_", r.nominal)):

@@ -32,8 +32,8 @@ from modcal_core.measurements.recording import JointTrack, ReadingTrack, Recordi
 from modcal_core.modules.coding import assembly_from_data
 from modcal_core.modules.library import library_from_data, published, published_text
 from modcal_core.modules.synthesis_data import task_from_data
-from modcal_core.planning.route import stations_from_data
 from modcal_core.planning.site import site_from_data
+from modcal_core.planning.station_files import stations_from_data
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.loaded_arm import LoadedArm
 from modcal_core.robots.tables import from_table

@@ -2,10 +2,12 @@
 
     make bench NAME=imports ARGS="--first 2000 --seeds 120 --only plain"
 
-plain: joints and a pose, in the formats of eight instruments. columns: more than that. A proposal is right when the
-recording that its mapping makes has the joints that were written, and poses that differ from the true ones by fixed
-transforms only. It is asked when the mapping says that it cannot tell, or none is proposed. less: a written column is
-not used, which the mapping states.
+plain: joints and a pose, in the formats of eight instruments. columns: more than that. others: plain tables with a
+bad row, a zero up to 5° off, joints counted otherwise, a target for each row, or no common column.
+
+A proposal is right when the recording that its mapping makes has the joints that were written, and poses that differ
+from the true ones by fixed transforms only. It is asked when the mapping says that it cannot tell, or none is proposed.
+less: a written column is not used, which the mapping states.
 """
 
 from __future__ import annotations
@@ -19,29 +21,32 @@ import harness
 # isort: split
 import columns
 import exports
+import others
 from arms import FOLDER
 from judging import columns_judged, judged
 
 from modcal_core.errors import ModcalError
 from modcal_core.robot import Robot
-from modcal_msgs_py.tables.propose import find
-from modcal_msgs_py.tables.proposed import proposal
+from modcal_msgs_py.tables import Arm, find, import_tables
 
-TARGET, OUTCOMES, SEEDS = 0.95, ("right", "asked", "less", "wrong"), {"plain": 120, "columns": 60}
+TARGET, OUTCOMES, SEEDS = 0.95, ("right", "asked", "less", "wrong"), {"plain": 120, "columns": 60, "others": 90}
 
 
 def one(task: harness.Task) -> harness.Result:
     """What came of one export."""
     plain = task["kind"] == "plain"
     with harness.scratch(task["keep"] and Path(task["keep"])) as folder:
-        written = (exports if plain else columns).draw(task["seed"], folder)
+        written = {"plain": exports, "columns": columns, "others": others}[task["kind"]].draw(task["seed"], folder)
         robot = Robot.from_urdf((FOLDER / f"{written.recorded.robot}.urdf").read_text())
         try:
-            made = proposal(find(written.paths, robot.chain, inertias=None if plain else robot.inertias), None)
+            made = find(written.paths, Arm(robot.chain, None if plain else robot.inertias))
             if made.open:
                 return {**written.about, "outcome": "asked", "said": "; ".join(made.open)[:300]}
             if plain:
                 said = judged(written, dict(made.mapping), folder)
+                return {**written.about, "outcome": "right" if said == "right" else "wrong", "said": said}
+            if task["kind"] == "others":
+                said = others.judged(written, import_tables(dict(made.mapping), folder, "bench"))
                 return {**written.about, "outcome": "right" if said == "right" else "wrong", "said": said}
             outcome, said = columns_judged(written, dict(made.mapping), folder)
         except ModcalError as error:

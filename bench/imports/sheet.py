@@ -33,7 +33,7 @@ class Recorded:
     commanded: Array
 
 
-def _arm(robot: str, rng: Rng | None = None) -> Arm:
+def nominal(robot: str, rng: Rng | None = None) -> Arm:
     urdf = (FOLDER / f"{robot}.urdf").read_text(encoding="utf-8")
     return Arm(urdf, ARMS[robot], rng and displaced(rng, 6e-4, 6e-4), bare=True)
 
@@ -43,7 +43,7 @@ def record(robot: str, rng: Rng, rows: int, rate: float = 0.0) -> Recorded:
 
     rate: rows a second of one smooth motion; 0: postures apart.
     """
-    arm = _arm(robot, rng)
+    arm = nominal(robot, rng)
     low, high = np.maximum(arm.limits[0], -3.0), np.minimum(arm.limits[1], 3.0)
     tool, turned = rng.uniform(-0.12, 0.12, 3), Rotation.random(random_state=rng)
     middle, half, n = 0.5 * (low + high), 0.5 * (high - low), len(low)
@@ -67,7 +67,7 @@ def record(robot: str, rng: Rng, rows: int, rate: float = 0.0) -> Recorded:
 
 def holding(robot: str, q: Array) -> Array:
     """Torques (N, n) [N m] with which actuators hold the described bodies at joints q, positive along the axes."""
-    return _arm(robot).loads(q)[..., TURN]
+    return nominal(robot).loads(q)[..., TURN]
 
 
 @dataclass

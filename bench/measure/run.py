@@ -30,14 +30,16 @@ from scenarios import SCENARIOS
 from sites import BEGIN, REPEAT, Cell, Stations
 from workplace import TRACKER, Workplace, distance
 
+from modcal_core.calibration.cell import Cell as Known
 from modcal_core.calibration.noise import errors
 from modcal_core.calibration.store import Calibration
 from modcal_core.measurements.samples import Samples
-from modcal_core.measuring import Advice, Advisor, Goal
-from modcal_core.measuring.choose import deciding_stations, fit_stations, of_recording, of_robot, one_motion
-from modcal_core.measuring.outlook import outlook
-from modcal_core.measuring.refit import Refit, refit
-from modcal_core.measuring.session import FRAME, POINT, POSE, Session, Station
+from modcal_core.planning import Advice, Advisor, Goal, Method
+from modcal_core.planning.next_stations import Chooser, deciding_stations, first_stations, one_motion
+from modcal_core.planning.outlook import outlook
+from modcal_core.planning.pool import of_recording, of_robot
+from modcal_core.planning.refit import Refit, refit
+from modcal_core.planning.session import FRAME, POINT, POSE, Session, Station
 from modcal_core.planning.site import Noise, Site
 from modcal_core.robot import Robot
 from modcal_core.robots.urdf import read_chain
@@ -107,7 +109,7 @@ class Measured(Workplace):
 
     def run(self, goal: Goal, planned: bool) -> Advice:
         self.begin(0)
-        advisor = Advisor(self.chain, self.pool, goal, 0, None, self.inertias, planned)
+        advisor = Advisor(self.chain, self.pool, goal, Method(planned=planned), None, self.inertias)
         session = Session(self.chain.names, self.kind)
         while (advice := advisor.advise(session, self.now)).outcome is None:
             session = self.done(advice.session)
@@ -167,11 +169,13 @@ def impossible(task: harness.Task) -> harness.Result:
     out: harness.Result = {"ending": advice.outcome.ending, "stations": advice.status.measured, "floor_mm": floor}
     out["true_mm"] = place.error(advice.refitted.calibration)
     place.begin(1)
-    session = place.asked(place.pool.q[[int(j) for j in place.pool.first(FIRST)]])
+    rng = np.random.default_rng(0)
+    first = first_stations(place.pool, Session(place.chain.names, place.kind), FIRST, True, rng)
+    session = place.asked(np.array([station.asked for station in first]))
     model = place.refit(session)
-    view, rng = outlook(model, place.pool.where, model.spread, np.random.default_rng(0)), np.random.default_rng(0)
-    more = fit_stations(place.pool, session, view, model, PLANNED - FIRST, True, rng, 0)
-    best = place.error(place.refit(place.done(session.asking(more.stations))).calibration)
+    view = outlook(model, place.pool.where, Known(), rng)
+    more, _ = Chooser(place.pool, view, model).best(session, PLANNED - FIRST, rng, 0)
+    best = place.error(place.refit(place.done(session.asking(more))).calibration)
     return {**out, "best_mm": best, "ratio": out["true_mm"] / best, "said": advice.outcome.sentence}
 
 
@@ -242,7 +246,8 @@ def replay(task: harness.Task) -> harness.Result:
                 session = session.with_station(number, measurer.measure(session.stations[number]))
             # half as many again each time, of a large recording twice as many, for time: what is asked is how few do
             batch = max(12, len(session.rows()) // (1 if len(offered) > LARGE else 2))
-            plan = Advisor(robot.mechanism, pool, aim, seed, None, robot.inertias, name == "planned", batch)
+            method = Method(seed, name == "planned", batch)
+            plan = Advisor(robot.mechanism, pool, aim, method, None, robot.inertias)
             advice = plan.advise(session)
             session = advice.session
             if advice.refitted is not None:

@@ -16,7 +16,7 @@ from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.contents import independent_units
+from modcal_core.outcome.contents import independent_units
 from modcal_nodes.simulation.world import World
 
 rng_of = np.random.default_rng

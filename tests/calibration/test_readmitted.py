@@ -15,9 +15,10 @@ from modcal_core.effects.shapes import Shape
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.measuring.refit import refit
+from modcal_core.outcome.notes import readmitted_note
+from modcal_core.planning.refit import refit
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.sentence import readmitted_note
+from modcal_core.report.words import sentence
 
 ELBOW = 2
 
@@ -105,6 +106,6 @@ def test_a_curve_is_learned_where_few_stations_are() -> None:
     assert again.stations >= 3
     assert {p.joint for p in again.places} == {"elbow_joint"}
     assert all(p.low > 0.6 and p.high < 1.26 and p.stations <= p.of <= 15 for p in again.places)
-    assert f", {again.stations} taken in again after that" in done.report.verdict
+    assert f", {again.stations} taken in again after that" in sentence(done.report)
     assert any("taken in again" in note and "elbow_joint" in note for note in done.report.notes)
     assert to_json_data(done.report)["recording"]["readmitted"] == again.stations

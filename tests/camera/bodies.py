@@ -7,6 +7,7 @@ where its own face lets it be; a marker is seen where its face looks at the came
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from camera.boards import seen
@@ -230,3 +231,22 @@ def _view(
 def measured(drawing: MarkerBundle, size: float = 5e-4) -> MarkerBundle:
     """The same drawing, the body measured across with a calliper, to a tenth of a millimetre, its labels of paper."""
     return replace(drawing, scale=body_scale(size), normal_m=2e-4)
+
+
+def bundle_to_data(target: MarkerBundle) -> dict[str, Any]:
+    """The body as nested dictionaries, in our form."""
+    body, printed = (float(v) for v in np.sqrt(np.diag(target.scale.covariance)))
+    out: dict[str, Any] = {"modcal_target": 1, "type": "bundle"}
+    out |= {"name": target.name} if target.name else {}
+    out |= {"tolerance_m": target.place_m, "tolerance_rad": target.turn_rad, "corner_order": list(target.corners)}
+    out |= {} if target.normal_m is None else {"tolerance_normal_m": target.normal_m}
+    out |= {"size_tolerance": body} if target.scale.measured else {}
+    out["print_tolerance"] = printed
+    out |= {"dictionary": target.dictionary} if target.dictionary else {}
+    out["markers"] = [
+        {"id": m.id, "size_m": m.size, "xyz": list(m.xyz), "quaternion": list(m.quaternion)}
+        for m in target.markers
+        if m.size
+    ]
+    out["points"] = [{"id": m.id, "xyz": list(m.xyz)} for m in target.markers if not m.size]
+    return out

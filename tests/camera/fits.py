@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -14,7 +14,8 @@ from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import board_poses
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.solve import CameraSolution, solve_camera
+from modcal_core.camera.prepared import CameraImages
+from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -37,8 +38,16 @@ def start(s: CameraScene, velocity: float = 0.0) -> tuple[CornerTable, ArmPoses]
     return table, arm_poses(s.chain, s.q, moving, found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
 
 
-def solved(s: CameraScene, **options: object) -> CameraSolution:
-    return solve_camera(s.chain, s.q, s.views, s.board, s.lens.size, np.random.default_rng(3), **options)  # type: ignore[arg-type]
+def problem(s: CameraScene, *further: CameraImages, **options: object) -> CameraProblem:
+    """options: of the images, or of the problem."""
+    own = {one.name for one in fields(CameraImages)} & set(options)
+    images = {name: options.pop(name) for name in own}
+    first = CameraImages(s.q, s.views, s.board, s.lens.size, **images)  # type: ignore[arg-type]
+    return CameraProblem(s.chain, (first, *further), **options)  # type: ignore[arg-type]
+
+
+def solved(s: CameraScene, *further: CameraImages, **options: object) -> CameraSolution:
+    return solve_camera(problem(s, *further, **options), np.random.default_rng(3))
 
 
 def true_error(s: CameraScene, fit: CameraFit, q: Array) -> float:

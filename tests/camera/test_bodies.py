@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 import yaml
 from camera.boards import seen
-from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icosahedron, looking, measured
+from camera.bodies import (
+    BODY_ON_TIP,
+    SIZE,
+    BodyScene,
+    Faults,
+    body_scene,
+    bundle_to_data,
+    icosahedron,
+    looking,
+    measured,
+)
 from finite_differences import assert_jacobian
 
 from modcal_core.camera.body_start import body_poses, images_with_pose, require_order, resection
@@ -19,8 +29,8 @@ from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import IN_WORLD
 from modcal_core.camera.plan import plan_images
-from modcal_core.camera.solve import CameraSolution, only_seen, solve_camera
-from modcal_core.camera.target_file import any_target_from_data, bundle_to_data, read_target
+from modcal_core.camera.solve import CameraProblem, CameraSolution, only_seen, solve_camera
+from modcal_core.camera.target_file import any_target_from_data, read_target
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
@@ -64,9 +74,8 @@ def solved(corners: bool = False) -> CameraSolution:
 
 
 def solve(s: BodyScene, **options: object) -> CameraSolution:
-    first, *others = s.images
-    given = (s.chain, first.q, first.views, first.target, first.size, np.random.default_rng(3))
-    return solve_camera(*given, further=others, look_for_effects=False, **options)  # type: ignore[arg-type]
+    problem = CameraProblem(s.chain, s.images, look_for_effects=False, **options)  # type: ignore[arg-type]
+    return solve_camera(problem, np.random.default_rng(3))
 
 
 def arm_error(s: BodyScene, fit: CameraFit) -> float:
@@ -322,10 +331,7 @@ def test_too_little_of_a_body_is_refused() -> None:
 def test_the_next_images_of_a_body_show_some_markers_and_tell_the_arm() -> None:
     """Planned for the arm by itself; each shows markers whose faces look at the camera, as the scene has it."""
     s = body_scene(3, 30, 1, corners=True, drawing=measured(icosahedron()))
-    (first,) = s.images
-    solution = solve_camera(
-        *(s.chain, first.q, first.views, first.target, first.size, np.random.default_rng(1)), look_for_effects=False
-    )
+    solution = solve_camera(CameraProblem(s.chain, s.images, look_for_effects=False), np.random.default_rng(1))
     plan = plan_images(solution.fit, solution.target, 4, np.random.default_rng(2))
     assert (np.diff(plan.expected_m) < 0.0).all()
     assert solution.alone is not None

@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from camera.bodies import icosahedron
+from camera.bodies import bundle_to_data, icosahedron
 from camera.scenes import PANDA, scene
 from camera.test_tags_in_bags import GRID, bag_of_tags
 
 from modcal_core.camera.bundle import MarkerBundle
-from modcal_core.camera.target_file import any_target_from_data, bundle_to_data
+from modcal_core.camera.target_file import any_target_from_data
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.robot import Robot
 from modcal_msgs_py.mcap_read import read_recording

@@ -118,10 +118,10 @@ def test_likelihood_is_that_of_the_whole_normal_distribution() -> None:
     # base and tool are known to some centimetres here, so that the covariance written out has digits left
     eq = replace(eq, information=eq.information + 1e3 * np.diag(np.diag(eq.information) < 1.0))
     rows = corner_rows(table, LENS, FLAT, arm.seen(arm.tool_motions(state.values)[0]))
-    r = rows.residual.ravel()
-    A = np.concatenate([rows.by_pose @ eq.moved[table.view], rows.by_common], axis=2).reshape(len(r), -1)
-    B = (rows.by_pose @ eq.joints[table.view]).reshape(len(r), -1)
-    C = (rows.by_pose @ eq.shifts[table.view]).reshape(len(r), -1)
+    r, (seen,) = rows.residual.ravel(), eq.cameras
+    A = np.concatenate([rows.by_pose @ seen.moved[table.view], rows.by_common], axis=2).reshape(len(r), -1)
+    B = (rows.by_pose @ seen.joints[table.view]).reshape(len(r), -1)
+    C = (rows.by_pose @ seen.shifts[table.view]).reshape(len(r), -1)
     same = np.equal.outer(np.repeat(table.view, 2), np.repeat(table.view, 2))
     use = np.flatnonzero(eq.free)
 
@@ -213,7 +213,7 @@ def test_flange_poses_place_camera_and_target() -> None:
         flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip, (), True
     )
     assert not arm.of_arm.any()
-    fit = fit_camera(table, arm, s.lens, common_prior(s.lens, s.board.scale))
+    fit = fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
     assert fit.converged
 
 

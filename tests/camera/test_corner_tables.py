@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 import yaml
 from camera.boards import BOARD
-from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, icosahedron, measured
+from camera.bodies import BODY_ON_TIP, SIZE, BodyScene, Faults, body_scene, bundle_to_data, icosahedron, measured
 from camera.by_tracker import missed_by_tracker
 from camera.scenes import PANDA
 
 from modcal_core.camera.bundle import ARUCO_GRID, PrintedTarget
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.target_file import bundle_to_data
 from modcal_core.errors import BadTable, NotEnoughData
 from modcal_core.report.camera import camera_info
 from modcal_core.robots.mechanism import forward

@@ -171,7 +171,7 @@ def test_springs_that_images_do_not_show_are_said() -> None:
     spring = Effect("compliance", one.place, "axis", f"load:{one.place}", Shape("linear")).started(np.zeros(1))
     fit, poses = r.fit, r.fit.poses.with_effects((spring,))
     begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, 0.0))
-    there = fit_camera(fit.table, poses, fit.state.lens, fit.prior, fit.sizes, fixed_sizes=True, begin=begin)
+    there = fit_camera(fit.table, poses, fit.prior, begin, fit.sizes, fixed_sizes=True)
     std = np.sqrt(there.covariance[fit.poses.of_model, fit.poses.of_model])
     assert one.least == pytest.approx(4.0 * std, rel=0.05)
     bent = fit.poses.q.copy()
@@ -199,6 +199,6 @@ def test_two_hundred_images_are_quick() -> None:
     _, arm = start(s)
     table = CornerTable.of(s.views, grid)
     began = time.process_time()
-    fit = fit_camera(table, arm, LENS, common_prior(LENS, grid.scale), fixed_sizes=True)
+    fit = fit_camera(table, arm, common_prior(LENS, grid.scale), LENS, fixed_sizes=True)
     assert fit.converged
     assert time.process_time() - began < 10.0

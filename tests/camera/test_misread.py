@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from camera.bodies import Faults, body_scene, icosahedron, measured
 
-from modcal_core.camera.body_start import far_markers
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.corners import SHAPE, CornerTable, left_out_points
-from modcal_core.camera.fit import fit_camera
+from modcal_core.camera.corners import SHAPE, CornerTable
+from modcal_core.camera.outliers import far_markers, left_out_points
 from modcal_core.camera.prepared import prepare_images
 from modcal_core.camera.solve import only_seen
 from modcal_core.geometry import so3
@@ -71,7 +70,7 @@ def test_a_marker_far_from_where_the_others_have_it(corners: bool) -> None:
     s = body_scene(11, 40, 1, Faults(misread=0.0, late=0), corners, drawing=measured(icosahedron()))
     (images,) = only_seen((s.images[0],))
     ready = prepare_images(s.chain, images)
-    fit = fit_camera(ready.table, ready.poses, ready.lens_fit.lens, ready.prior, fixed_sizes=True)
+    fit = ready.fitted(fixed_sizes=True)
     assert not far_markers(fit).any()
     K, values = ready.table.markers, ready.table.places
     used = np.flatnonzero(np.bincount(ready.table.marker, minlength=K) > 5)

@@ -20,7 +20,7 @@ from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens
 from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import find_mounting
-from modcal_core.camera.prepared import corner_weights
+from modcal_core.camera.outliers import corner_weights
 from modcal_core.files import read_yaml
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
@@ -90,7 +90,7 @@ def placed(lens: Lens | None) -> CameraFit:
     assert found.rival > 3.0
     q = flange_joints(A)
     arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, False, (), True)
-    return fit_camera(table, arm, fit.lens, prior)
+    return fit_camera(table, arm, prior, fit.lens)
 
 
 def test_placed_without_a_guess_as_well_as_somebody_calibrated_it() -> None:

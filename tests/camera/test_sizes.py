@@ -10,8 +10,9 @@ from camera.fits import images, start
 from scipy.optimize import minimize
 
 from modcal_core.camera.corners import common_prior
+from modcal_core.camera.descent import downhill
 from modcal_core.camera.equations import Sizes
-from modcal_core.camera.fit import START, CameraFit, downhill, fit_camera, likeliest, usual
+from modcal_core.camera.fit import START, CameraFit, fit_camera, likeliest, usual
 from modcal_core.geometry.so3 import Array
 
 LOW, HIGH = np.full(4, -5.0), np.full(4, 5.0)
@@ -62,7 +63,7 @@ def test_no_step_is_begun_after_so_many_calls() -> None:
 def fitted(on_tip: bool) -> CameraFit:
     s = images(on_tip)
     table, arm = start(s)
-    return fit_camera(table, arm, s.lens, common_prior(s.lens, s.board.scale))
+    return fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
 
 
 @pytest.mark.slow

@@ -2,37 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from modcal_core.camera.equations import ALONE, Equations, OtherBlock, Sizes, numbered
+from modcal_core.camera.corners import POSE
+from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, numbered
 from modcal_core.geometry.so3 import Array
 
 SIZES = Sizes(noise=1.3, joint=0.2, shift=0.3, arm=0.1)
 JOINTS, ROWS = 4, 30
 
 
-def camera(rng: np.random.Generator, stop: list[int], K: int, Z: int) -> tuple[Array, Equations]:
-    """(rows of each image by its pose, what images share, and the residual, (N, 30, 22 + Z); the equations of these)."""
+def camera(rng: np.random.Generator, stop: list[int], K: int, columns: np.ndarray) -> tuple[Array, CameraRows]:
+    """(rows of each image by its pose, what images share, and the residual, (N, 30, 22 + Z); their equations)."""
     N = len(stop)
-    rows = rng.normal(size=(N, ROWS, 22 + Z))
-    size = K + 15 + Z
-    return rows, Equations(
-        *(np.swapaxes(rows, 1, 2) @ rows, rng.normal(size=(N, 6, K)), rng.normal(size=(N, 6, JOINTS))),
-        *(rng.normal(size=(N, 6, 3)), np.zeros(K, bool), rng.normal(size=size), np.diag(rng.uniform(1.0, 2.0, size))),
-        *(np.ones(size, bool), N * ROWS // 2),
-        stop=np.array(stop),
+    rows = rng.normal(size=(N, ROWS, POSE + len(columns) - K + 1))
+    own = [rng.normal(size=(N, 6, k)) for k in (K, JOINTS, 3)]
+    return rows, CameraRows(
+        np.swapaxes(rows, 1, 2) @ rows, *own, columns, N * ROWS // 2, np.array(stop), np.empty((0, 2))
     )
 
 
 def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leave() -> None:
     """Against normal equations in which what joints and tool are off by at every stop are parameters themselves."""
     rng = np.random.default_rng(4)
-    cameras = [camera(rng, [0, 1, 2, ALONE, ALONE, 3, ALONE, ALONE], 5, 4), camera(rng, [3, 2, 9, ALONE, 1, 0], 3, 2)]
-    (_, first), (_, second) = cameras
-    count = len(first.offset)
-    columns = [np.arange(count), np.r_[0, 1, -1, 5 + np.arange(17)]]
+    count = 5 + 15 + 4
+    cameras = [
+        camera(rng, [0, 1, 2, ALONE, ALONE, 3, ALONE, ALONE], 5, np.arange(count)),
+        camera(rng, [3, 2, 9, ALONE, 1, 0], 3, np.r_[0, 1, -1, 5 + np.arange(17)]),
+    ]
+    offset, information = rng.normal(size=count), np.diag(rng.uniform(1.0, 2.0, count))
     together: dict[tuple[int, int], int] = {}
     rows, right = [], []
     for k, (seen, eq) in enumerate(cameras):
@@ -40,7 +38,7 @@ def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leav
             at = together.setdefault((0, int(stop)) if stop != ALONE and stop != 9 else (1 + k, i), len(together))
             row = np.zeros((ROWS, count + 20 * (JOINTS + 3)))
             by = np.concatenate([own[:, :6] @ eq.moved[i], own[:, 6:-1]], axis=1)
-            row[:, columns[k][columns[k] >= 0]] = by[:, columns[k] >= 0]
+            row[:, eq.columns[eq.columns >= 0]] = by[:, eq.columns >= 0]
             of_stop = np.concatenate([SIZES.joint * eq.joints[i], SIZES.shift * eq.shifts[i]], axis=1)
             row[:, count + at * (JOINTS + 3) + np.arange(JOINTS + 3)] = own[:, :6] @ of_stop
             rows.append(row)
@@ -50,13 +48,13 @@ def test_one_error_of_the_arm_a_stop_is_what_a_fit_of_every_stops_own_would_leav
     H, b = A.T @ A, A.T @ y
     inner = H[count:, count:] + np.eye(len(H) - count)
     left = np.linalg.solve(inner, np.c_[H[count:, :count], b[count:]])
-    expected = H[:count, :count] - H[:count, count:] @ left[:, :-1] + first.information
-    found = replace(first, others=(OtherBlock(second, columns[1]),)).solve(SIZES)
+    expected = H[:count, :count] - H[:count, count:] @ left[:, :-1] + information
+    every = tuple(eq for _, eq in cameras)
+    found = Equations(every, offset, information, np.ones(count, bool), np.empty(0, int)).solve(SIZES)
     assert np.allclose(found.H, expected, rtol=1e-12)
-    assert np.allclose(found.b, b[:count] - H[:count, count:] @ left[:, -1] - first.information @ first.offset)
-    prior = first.offset @ first.information @ first.offset
-    assert np.isclose(found.cost, y @ y - b[count:] @ left[:, -1] + prior)
-    noise = 2.0 * (first.corners + second.corners) * np.log(SIZES.noise**2)
+    assert np.allclose(found.b, b[:count] - H[:count, count:] @ left[:, -1] - information @ offset)
+    assert np.isclose(found.cost, y @ y - b[count:] @ left[:, -1] + offset @ information @ offset)
+    noise = 2.0 * sum(eq.corners for eq in every) * np.log(SIZES.noise**2)
     assert np.isclose(found.spread, noise + np.linalg.slogdet(inner)[1])
 
 

@@ -38,7 +38,7 @@ def test_ten_stations_claim_what_the_calibration_knows_and_no_more() -> None:
         wider.append(p95(known) / true)
         assert p95(known) < p95(alone)
     assert covered >= 7
-    assert np.median(wider) < 8.0  # base and tool are known from ten points alone
+    assert np.median(wider) < 4.0  # base and tool are known from ten points alone
 
 
 def test_a_moved_tracker_counts_unless_it_is_fitted_again() -> None:

@@ -11,9 +11,10 @@ from scipy.optimize import brentq
 
 from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.noise import NoiseModel
+from modcal_core.claim.beyond import growth
 from modcal_core.claim.claim import expected_claim
 from modcal_core.claim.evidence import _values, draw, widths_of_links
-from modcal_core.claim.neighbourhood import neighbourhood, shows_base
+from modcal_core.claim.neighbourhood import LENGTH, arms_near, shows_base
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.kinds.kind import KIND_NAMES
@@ -129,13 +130,32 @@ def test_contacts_do_not_shrink_the_arm_and_do_not_pass() -> None:
     assert held_out is not None
     assert held_out.result != "PASS"
     assert not shows_base(samples, 0)
+    about = arms_near(found.calibration.calibrated, nominal.chain, samples, Cell(), functions=False)
+    values = draw(about, 480, np.random.default_rng(5)).values[:, about.sort == LENGTH]
+    assert np.abs(values.mean(axis=0) / values.std(axis=0)).max() < 0.4  # it stands in the middle of what is likely
+
+
+def test_what_is_left_grows_outside_where_it_is_smooth_and_noise_does_not() -> None:
+    cell = record(5, 200, "point")
+    model = calibrated(cell.samples).calibration.calibrated
+    white = cell.samples
+    wave = 5e-4 * np.sin(white.q[:, :1] + white.q[:, 1:2])
+    smooth = replace(white, reading=model.predict_samples(white)[:, :3, 3] + wave)
+    inside, outside = postures(white, 100), white.q[:100] + [0.0, 6.0, 0.0, 0.0, 0.0, 0.0]
+    z = np.zeros(3)
+    near, far, of_noise = (
+        float(np.median(growth(model, *each, z))) for each in ((smooth, inside), (smooth, outside), (white, outside))
+    )
+    assert near < 1.2
+    assert far > 2.0
+    assert of_noise < 0.6 * far
 
 
 def test_arms_that_are_farther_off_are_found_to_be() -> None:
     def width(length: float, angle: float) -> float:
         cell = record(5, 60, "point", length_std=length, angle_std=angle)
         fitted = calibrated(cell.samples).calibration.calibrated
-        about = neighbourhood(fitted, ur10(), cell.samples, Cell(), functions=False)
+        about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
         return float(np.median(list(widths_of_links(about).values())))
 
     usual, far = width(5e-4, 1e-3), width(2e-3, 4e-3)
@@ -146,7 +166,7 @@ def test_arms_that_are_farther_off_are_found_to_be() -> None:
 def test_draws_of_given_widths_are_those_of_the_posterior_written_out() -> None:
     cell = record(7, 40, "point")
     fitted = calibrated(cell.samples).calibration.calibrated
-    about = neighbourhood(fitted, ur10(), cell.samples, Cell(), functions=False)
+    about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
     D, noise = 1.3 * about.std, np.array([1.1])
     _, drawn = _values(about, D, noise, 20_000, np.random.default_rng(0))
     C = np.linalg.inv(about.H[0] / 1.1**2 + np.diag(D**-2.0))
@@ -162,7 +182,7 @@ def test_without_readings_widths_are_those_expected_and_with_them_the_noise_is_f
     """The sampler by itself, of a model that says nothing, and of one that says all."""
     cell = record(7, 40, "point")
     fitted = calibrated(cell.samples).calibration.calibrated
-    about = neighbourhood(fitted, ur10(), cell.samples, Cell(), functions=False)
+    about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
     silent = replace(about.unread(), H=0.0 * about.H, square=0.0 * about.square, rows=0.0 * about.rows)
     drawn = [draw(silent, 120, np.random.default_rng(seed)).widths[:, about.place >= 0] for seed in range(8)]
     logs = np.log(np.concatenate(drawn))
@@ -176,7 +196,7 @@ def test_without_readings_widths_are_those_expected_and_with_them_the_noise_is_f
 def test_noise_of_a_few_readings_that_a_fit_met_exactly_is_as_usual() -> None:
     cell = record(4, 30, "point")
     fitted = calibrated(cell.samples).calibration.calibrated
-    about = neighbourhood(fitted, ur10(), cell.samples, Cell(), functions=False)
+    about = arms_near(fitted, ur10(), cell.samples, Cell(), functions=False)
     few = replace(about, square=np.zeros(1), rows=np.array([6.0]), g=0.0 * about.g, H=0.0 * about.H)
     assert 0.2 < float(draw(few, 120, np.random.default_rng(1)).noise[0] / about.usual[0]) < 1.5
 

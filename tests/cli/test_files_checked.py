@@ -83,7 +83,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ("tables.0.joints.columns", {}, "is empty"),
     ("tables.0.joints.columns.j1", None, "is not a text or a whole number"),
     ("tables.0.joints.columns.j1", True, "is not a text or a whole number"),
-    ("tables.0.joints.torque", {"j1": "a"}, "joints: unknown key torque; known are columns, commanded, effort"),
+    ("tables.0.joints.torque", {"j1": "a"}, "joints: unknown key torque; known are columns, commanded, coupled"),
     ("tables.0.joints.effort", {"j1": "a"}, "joints: effort: 'columns' is not stated"),
     ("tables.0.joints.effort", {"columns": {"j9": "a"}}, "joints: effort: j9 has no position column"),
     ("tables.0.time", {"format": 5, "column": "t"}, "time: format: 5 is not a text"),

@@ -10,12 +10,13 @@ from report.judged import CANNOT, FLOOR, OPEN, WHY, everything
 from report.reports import points
 from rich.console import Console
 
-from modcal_core.report.report import Report
+from modcal_core.outcome.contents import Outcome
+from modcal_core.report.words import sentence
 from modcal_core.verdict.verdict import Row, Verdict
 from modcal_nodes.cli.show import show_report
 
 
-def shown(report: Report, colours: bool = False) -> str:
+def shown(report: Outcome, colours: bool = False) -> str:
     text = io.StringIO()
     show_report(report, Console(file=text, width=300, force_terminal=colours, color_system="standard", emoji=False))
     return text.getvalue()
@@ -24,7 +25,7 @@ def shown(report: Report, colours: bool = False) -> str:
 @pytest.mark.parametrize(("verdict", "colour"), [(FLOOR, "32"), (OPEN, "31"), (CANNOT, "33"), (None, "33")])
 def test_green_only_at_the_floor(verdict: Verdict | None, colour: str) -> None:
     report = replace(points(), judged=verdict)
-    words = report.verdict[:40]
+    words = sentence(report)[:40]
     assert f"\x1b[1;{colour}m{words}" in shown(report, colours=True)
 
 

@@ -22,10 +22,10 @@ from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
 from modcal_core.measurements.samples import Samples
+from modcal_core.outcome.contents import Outcome
+from modcal_core.outcome.entries import Finding
 from modcal_core.preprocess import prepare
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.diagnosis_entries import Finding
-from modcal_core.report.report import Report
 from modcal_core.robots.urdf_inertias import read_inertias
 from modcal_nodes.ros.parameters import SIMULATED_CELL
 from modcal_nodes.simulation.plant import Plant
@@ -53,7 +53,7 @@ def recorded(seed: int, error: Error, kind: str = "pose", tool: Array | None = N
     return replace(samples_of(ur10(), q, T, kind), approach=came)
 
 
-def report_of(samples: Samples, seed: int = 0) -> Report:
+def report_of(samples: Samples, seed: int = 0) -> Outcome:
     return calibrate(samples, ur10(), np.random.default_rng(seed), inertias=read_inertias(urdf("ur10"), ur10())).report
 
 
@@ -70,11 +70,11 @@ def nothing(q: Array) -> Array:
     return np.zeros_like(q)
 
 
-def named(report: Report) -> list[tuple[str, str, str]]:
+def named(report: Outcome) -> list[tuple[str, str, str]]:
     return [(f.family, f.place, f.driver) for f in report.effects]
 
 
-def only(report: Report) -> Finding:
+def only(report: Outcome) -> Finding:
     assert len(report.effects) == 1, named(report)
     return report.effects[0]
 
@@ -120,7 +120,7 @@ CAUSES: dict[str, tuple[Error, tuple[str, str, str]]] = {
 
 
 @functools.cache
-def clean_report() -> Report:
+def clean_report() -> Outcome:
     return report_of(recorded(3, nothing))
 
 

@@ -17,7 +17,7 @@ from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.report import Report
+from modcal_core.outcome.contents import Outcome
 
 
 @cache
@@ -25,7 +25,7 @@ def calibration() -> Calibration:
     return calibrate(visited(3, 100), ur10(), np.random.default_rng(0), look_for_effects=False).calibration
 
 
-def scored(samples: Samples) -> Report:
+def scored(samples: Samples) -> Outcome:
     return evaluate(calibration(), samples, np.random.default_rng(0))
 
 

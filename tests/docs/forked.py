@@ -21,7 +21,7 @@ def serve(path: str) -> None:
 
     for module, _, _ in VERBS.values():
         import_module(f"modcal_nodes.cli.{module}")
-    for late in ("modcal_core.report.html", "lets_plot", "matplotlib.figure", "jinja2", "mujoco"):
+    for late in ("modcal_core.report.html", "matplotlib.figure", "jinja2", "mujoco"):
         import_module(late)
     gc.freeze()
     with socket.socket(socket.AF_UNIX) as server:

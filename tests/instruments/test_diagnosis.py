@@ -14,8 +14,8 @@ from instruments.test_recovery import CELLS
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
+from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.report import Report
 
 REPEATABILITY = 2e-5  # rad
 COUNT = 120
@@ -29,7 +29,7 @@ def gear(q: Array) -> Array:
     return out
 
 
-def report_of(name: str, seed: int, planted: bool) -> Report:
+def report_of(name: str, seed: int, planted: bool) -> Outcome:
     devices, cell = CELLS[name]
     rng = np.random.default_rng(seed)
     w = worlds.world(seed)

@@ -12,7 +12,7 @@ from modcal_core.calibration.store import from_data, to_data
 from modcal_core.evaluation import evaluate
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples, marks_of, share_of_known
-from modcal_core.report.report import Report
+from modcal_core.outcome.contents import Outcome
 from modcal_core.verdict.tolerance import Asked
 
 
@@ -48,7 +48,7 @@ def test_a_recording_and_its_parts_are_known(count: int, clock: bool, rng: np.ra
     assert share_of_known(marks, other, rounded=True)[0] < 0.75
 
 
-def met(report: Report) -> str:
+def met(report: Outcome) -> str:
     tolerance = report.with_tolerance(Asked(5.0)).tolerance
     assert tolerance is not None
     return tolerance.result

@@ -13,18 +13,20 @@ import numpy as np
 import pytest
 from nodes.processes import ROOT
 
+from modcal_core.calibration.cell import Cell
 from modcal_core.calibration.noise import errors
 from modcal_core.effects.registry import candidates
 from modcal_core.errors import BadTable
 from modcal_core.files import parse_yaml, read_yaml, to_yaml
 from modcal_core.geometry import se3
-from modcal_core.measuring.advice import Advice, Advisor, _not_by_posture
-from modcal_core.measuring.choose import fit_stations, of_robot, one_motion, return_stations
-from modcal_core.measuring.outlook import chance_seen, outlook
-from modcal_core.measuring.proof import Goal
-from modcal_core.measuring.session import MEASURED, PROOF, UNSEEN, Session, Station, from_data, to_data
-from modcal_core.measuring.table import to_table, with_table
+from modcal_core.planning.advice import Advice, Advisor, Method, _not_by_posture
+from modcal_core.planning.next_stations import Chooser, one_motion, return_stations
+from modcal_core.planning.outlook import chance_seen, outlook
+from modcal_core.planning.pool import of_robot
+from modcal_core.planning.proof import Goal
+from modcal_core.planning.session import MEASURED, PROOF, UNSEEN, Session, Station, from_data, to_data
 from modcal_core.planning.site import Site, site_from_data
+from modcal_core.planning.typed_table import to_table, with_table
 from modcal_core.robots.mechanism import forward
 from modcal_core.robots.urdf import read_chain
 from modcal_core.robots.urdf_inertias import read_inertias
@@ -45,7 +47,7 @@ def cell(**chosen: Any) -> CellInProcess:
 
 def advisor(goal: Goal, **options: Any) -> Advisor:
     pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
-    return Advisor(CHAIN, pool, goal, 0, None, read_inertias(URDF.read_text(), CHAIN), **options)
+    return Advisor(CHAIN, pool, goal, Method(**options), None, read_inertias(URDF.read_text(), CHAIN))
 
 
 def measured(advising: Advisor, by: CellInProcess, session: Session | None = None, until: int = 1000) -> Advice:
@@ -96,7 +98,7 @@ def test_what_is_proven_is_what_is_used() -> None:
     """A gear's wave is learned from twelve stations; those of the proof go beyond them, and so will those who use it."""
     by = cell(seed=7, gear_joint="elbow_joint", gear_amplitude_rad=2e-4, measurement="pose")
     pool = of_robot(CHAIN, Site(), "pose", np.random.default_rng(0))
-    advising = Advisor(CHAIN, pool, Goal(1e-4), 0, None, read_inertias(URDF.read_text(), CHAIN))
+    advising = Advisor(CHAIN, pool, Goal(1e-4), Method(), None, read_inertias(URDF.read_text(), CHAIN))
     advice = measured(advising, by, Session(CHAIN.names, "pose"))
     assert advice.outcome is not None
     assert advice.outcome.ending == "proven"
@@ -108,7 +110,7 @@ def test_what_is_proven_is_what_is_used() -> None:
     left = np.linalg.norm(T[:, :3, 3] - proof.reading, axis=1)
     assert float(np.sqrt(np.mean(left**2))) == pytest.approx(advice.status.seen, rel=1e-6)
     # and where nothing was drawn the geometry that is best alone counts, as of any calibration
-    assert (advice.refitted.calibration.seen[1] <= pool.upper + 1e-9).all()
+    assert (advice.refitted.calibration.seen[1] <= CHAIN.upper + 1e-9).all()
 
 
 def test_a_goal_below_what_the_arm_repeats_is_refused_with_the_reason(rng: np.random.Generator) -> None:
@@ -180,12 +182,10 @@ def test_stations_are_chosen_where_the_tracker_sees(whole: Whole) -> None:
     session = replace(advice.session, stations=stations)
     assert advice.refitted is not None
     pool = of_robot(CHAIN, Site(limits=LIMITS), "point", np.random.default_rng(0))
-    view = outlook(advice.refitted, pool.where, 1e-4, np.random.default_rng(0))
-    batches = [
-        fit_stations(pool, seen, view, advice.refitted, 12, True, np.random.default_rng(1))
-        for seen in (session, advice.session)
-    ]
-    unseen, usual = (np.mean([left(s) for s in batch.stations]) for batch in batches)
+    view = outlook(advice.refitted, pool.where, Cell(), np.random.default_rng(0))
+    chooser = Chooser(pool, view, advice.refitted)
+    batches = [chooser.best(seen, 12, np.random.default_rng(1)) for seen in (session, advice.session)]
+    unseen, usual = (np.mean([left(s) for s in stations]) for stations, _ in batches)
     assert unseen < usual
 
 

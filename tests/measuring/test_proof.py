@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from modcal_core.claim.claim import Statistic
 from modcal_core.errors import BadTable
-from modcal_core.measuring.proof import Goal, proven, spent
-
-
-def claimed(upper_mm: float) -> SimpleNamespace:
-    return SimpleNamespace(mm=dict.fromkeys(("rms", "p95"), Statistic(0.5 * upper_mm, (0.1 * upper_mm, upper_mm))))
+from modcal_core.planning.proof import Goal, proven, spent
 
 
 def test_the_instruments_own_error_is_no_error_of_the_tool() -> None:
@@ -23,12 +16,12 @@ def test_the_instruments_own_error_is_no_error_of_the_tool() -> None:
 
 
 def test_an_end_says_the_upper_end_of_the_claim() -> None:
-    said = proven(Goal(1e-4), claimed(0.083), 26, 6).sentence  # type: ignore[arg-type]
+    said = proven(Goal(1e-4), 0.083, 26, 6).sentence
     assert said.startswith(
         "0.1 mm is proven: over all postures that are allowed and seen the tool's RMS error is at most"
     )
     assert "at most 0.083 mm with 95 % confidence, from 26 stations, 6 of them at random and in no fit." in said
-    gone = spent(Goal(1e-4, "p95"), 15, claimed(0.3)).sentence  # type: ignore[arg-type]
+    gone = spent(Goal(1e-4, "p95"), 15, 0.3).sentence
     assert "95th percentile is at most 0.300 mm" in gone
     assert "too few for a fit" in spent(Goal(1e-4), 3, None).sentence
 

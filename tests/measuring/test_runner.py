@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modcal_core.geometry.so3 import Array
-from modcal_core.measuring.motion import TimedMotion, free_way, from_side, is_free, timed
-from modcal_core.measuring.session import MEASURED, UNSEEN, Station
+from modcal_core.planning.motion import TimedMotion, free_way, from_side, is_free, timed
+from modcal_core.planning.session import MEASURED, UNSEEN, Station
 from modcal_nodes.measuring.runner import HELD, IDLE, Done, Hold, JointReport, Rules, Runner
 
 GOAL = np.array([0.4, -0.2])

@@ -12,10 +12,10 @@ from cells import NOISE_M, World, ur10
 from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array
-from modcal_core.measuring.advice import Advance, Advice
-from modcal_core.measuring.refit import refit
-from modcal_core.measuring.session import MEASURED, UNSEEN, Session, Station
-from modcal_core.measuring.table import FilledTable, require_likely, text_of, to_table, with_table
+from modcal_core.planning.advice import Advance, Advice
+from modcal_core.planning.refit import refit
+from modcal_core.planning.session import MEASURED, UNSEEN, Session, Station
+from modcal_core.planning.typed_table import FilledTable, require_likely, text_of, to_table, with_table
 from modcal_nodes.cli.measure import left_out
 
 TURNS = np.ones(2, bool)

@@ -19,8 +19,7 @@ from modcal_core.measurements.recording import Recording
 from modcal_core.robots.mechanism import forward
 from modcal_msgs_py.tables import import_tables, read_tables
 from modcal_msgs_py.tables.labels import Label
-from modcal_msgs_py.tables.propose import find
-from modcal_msgs_py.tables.proposed import Proposal, proposal
+from modcal_msgs_py.tables.propose import Proposal, find
 
 CHAIN = ur10()
 TOOL = se3.transform(Rotation.from_euler("xyz", [0.3, 0.4, 0.5]).as_matrix(), [0.05, 0.02, 0.1])
@@ -57,7 +56,7 @@ def postures(rng: np.random.Generator, rows: int = 40) -> np.ndarray:
 
 
 def proposed(folder: Path, columns: dict[str, Any]) -> tuple[Proposal, dict[str, Any]]:
-    made = proposal(find([table(folder, columns)], CHAIN), None)
+    made = find([table(folder, columns)], CHAIN)
     (entry,) = made.mapping["tables"]
     return made, entry
 

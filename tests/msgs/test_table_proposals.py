@@ -17,10 +17,9 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import se3
 from modcal_core.robots.mechanism import forward
 from modcal_msgs_py.tables import import_tables
-from modcal_msgs_py.tables.labels import Label, angle_triples, homogeneous, matrices, quaternions
-from modcal_msgs_py.tables.propose import find
-from modcal_msgs_py.tables.proposed import Proposal, proposal
-from modcal_msgs_py.tables.sniff import sniff
+from modcal_msgs_py.tables.labels import Label, grouped
+from modcal_msgs_py.tables.propose import Proposal, find
+from modcal_msgs_py.tables.sheet import sniff
 
 CHAIN = ur10()
 TOOL = se3.transform(Rotation.from_euler("xyz", [0.3, 0.4, 0.5]).as_matrix(), [0.05, 0.02, 0.1])
@@ -69,7 +68,7 @@ def test_names_units_and_an_inverse_pose(tmp_path: Path, rng: np.random.Generato
         **named("A B C", Rotation.from_matrix(back[:, :3, :3]).as_euler("ZYX", degrees=True)),
     }
     path = write(tmp_path, columns, "Measured by us\nToday\n", ";", ",")
-    made = proposal(find([path], CHAIN), None)
+    made = find([path], CHAIN)
     same(made, tmp_path, q, T)
     (entry,) = made.mapping["tables"]
     assert (entry["delimiter"], entry["decimal"], entry["preamble_rows"]) == (";", ",", 2)
@@ -88,7 +87,7 @@ def test_joints_without_names_in_another_order(tmp_path: Path, rng: np.random.Ge
         **named("oak elm ash fir yew box", shuffled), "pressure": 1013.0 + rng.standard_normal(len(q)),
         **named("x y z", T[:, :3, 3]), **named("q0 q1 q2 q3", quaternion),
     }  # fmt: skip
-    same(proposal(find([write(tmp_path, columns)], CHAIN), None), tmp_path, q, T)
+    same(find([write(tmp_path, columns)], CHAIN), tmp_path, q, T)
 
 
 @pytest.mark.slow
@@ -97,7 +96,7 @@ def test_a_homogeneous_matrix_without_labels(tmp_path: Path, rng: np.random.Gene
     cells = T[:, :3].reshape(-1, 12) * np.array([1.0, 1.0, 1.0, 1e3] * 3)
     path = tmp_path / "cell.csv"
     path.write_text("\n".join(";".join(f"{v:.7f}" for v in row) for row in np.c_[q, cells]))
-    same(proposal(find([path], CHAIN), None), tmp_path, q, T)
+    same(find([path], CHAIN), tmp_path, q, T)
 
 
 @pytest.mark.slow
@@ -113,7 +112,7 @@ def test_two_files_joined_by_a_station(tmp_path: Path, rng: np.random.Generator)
     write(tmp_path, tracker).rename(tmp_path / "tracker.csv")
     robot = {"pose": station[order], **named("J1 J2 J3 J4 J5 J6", q[order])}
     write(tmp_path, robot, separator=";", decimal=",").rename(tmp_path / "robot.csv")
-    same(proposal(find([tmp_path / "tracker.csv", tmp_path / "robot.csv"], CHAIN), None), tmp_path, q, T)
+    same(find([tmp_path / "tracker.csv", tmp_path / "robot.csv"], CHAIN), tmp_path, q, T)
 
 
 def test_orientations_that_hardly_vary_are_asked(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -123,7 +122,7 @@ def test_orientations_that_hardly_vary_are_asked(tmp_path: Path, rng: np.random.
         **{name: q[:, k] for k, name in enumerate(CHAIN.names)},
         **named("x y z", T[:, :3, 3]), **named("a b c", Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz")),
     }  # fmt: skip
-    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    made = find([write(tmp_path, columns)], CHAIN)
     assert any("cannot tell" in question for question in made.open)
     with pytest.raises(BadTable, match="undecided"):
         import_tables(dict(made.mapping), tmp_path, "m")
@@ -136,7 +135,7 @@ def test_a_pose_that_was_computed_from_the_joints_is_asked(tmp_path: Path, rng: 
         **{name: q[:, k] for k, name in enumerate(CHAIN.names)},
         **named("x y z", T[:, :3, 3]), **named("qx qy qz qw", Rotation.from_matrix(T[:, :3, :3]).as_quat()),
     }  # fmt: skip
-    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    made = find([write(tmp_path, columns)], CHAIN)
     assert any("computed from the joints" in question for question in made.open)
 
 
@@ -156,7 +155,7 @@ def test_a_goal_and_a_deviation_are_a_reading_whose_sign_is_asked(
     q, reached, goal, joints = goals(rng)
     sign = 1.0 if key == "plus" else -1.0
     columns = {**named("x_t y_t z_t", goal), **named(names, sign * (reached - goal)), **joints}
-    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    made = find([write(tmp_path, columns)], CHAIN)
     (asked,) = made.open
     assert f"what was reached is x_t, y_t, z_t minus {', '.join(names.split())}, or plus it" in asked
     mapping = {name: value for name, value in made.mapping.items() if name != "undecided"}
@@ -170,7 +169,7 @@ def test_a_goal_and_a_deviation_are_a_reading_whose_sign_is_asked(
 def test_a_deviation_beside_what_was_reached_changes_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
     _, reached, goal, joints = goals(rng)
     columns = {**named("X Y Z", reached), **named("err_x err_y err_z", reached - goal), **joints}
-    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    made = find([write(tmp_path, columns)], CHAIN)
     assert not made.open
     (entry,) = made.mapping["tables"]
     assert entry["point"]["position"] == ["X", "Y", "Z"]
@@ -184,7 +183,7 @@ def test_labels_that_contradict_the_arm_are_asked(tmp_path: Path, rng: np.random
         **named("J1 J2 J3 J5 J4 J6", q),
         **named("x y z", T[:, :3, 3]), **named("qx qy qz qw", Rotation.from_matrix(T[:, :3, :3]).as_quat()),
     }  # fmt: skip
-    made = proposal(find([write(tmp_path, columns)], CHAIN), None)
+    made = find([write(tmp_path, columns)], CHAIN)
     assert any("labels say that the joints are" in question for question in made.open)
 
 
@@ -208,7 +207,7 @@ def test_how_a_file_is_written(encoding: str, separator: str, decimal: str, tmp_
     found = sniff(tmp_path / "t.csv")
     assert (found.form.delimiter, found.form.decimal) == (separator, decimal)
     assert (found.form.preamble_rows, found.form.units_rows, found.form.header) == (2, 1, True)
-    assert found.labels == ("t", "größe", "b", "c")
+    assert found.header == ("t", "größe", "b", "c")
     assert found.units == ("s", "mm", "mm", "deg")
     assert len(found.rows) == 5
 
@@ -217,7 +216,7 @@ def test_labels_in_several_rows(tmp_path: Path) -> None:
     text = "Format,1.2\n\n,,Rigid Body,Rigid Body,Rigid Body\n,,tool,tool,tool\n,,Position,Position,Position\n"
     (tmp_path / "m.csv").write_text(text + "Frame,Time (Seconds),X,Y,Z\n0,0.0,1.0,2.0,3.0\n1,0.1,1.0,2.0,3.5\n")
     found = sniff(tmp_path / "m.csv")
-    assert found.labels == ("Frame", "Time (Seconds)", "X", "Y", "Z")
+    assert found.header == ("Frame", "Time (Seconds)", "X", "Y", "Z")
     assert found.full[2] == "Rigid Body tool Position X"
 
 
@@ -234,18 +233,18 @@ def labelled(*texts: str) -> dict[int, Label]:
 )  # fmt: skip
 def test_labels_of_positions(text: str, axis: tuple[str, str] | None, unit: str | None) -> None:
     label = Label.of(text)
-    assert (label.axis, label.unit) == (axis, unit)
+    assert (label.axis("position"), label.unit) == (axis, unit)
 
 
 def test_labels_of_orientations() -> None:
-    assert quaternions(labelled("Q0", "Qx", "Qy", "Qz")) == [(1, 2, 3, 0)]
-    assert quaternions(labelled("tool.qw", "tool.qx", "tool.qy", "tool.qz")) == [(1, 2, 3, 0)]
-    assert quaternions(labelled("q1", "q2", "q3", "q4")) == [(0, 1, 2, 3)]
-    assert angle_triples(labelled("Yaw", "Pitch", "Roll")) == [(2, 1, 0)]
-    assert matrices(labelled(*(f"r{i}{j}" for i in "123" for j in "123"))) == [tuple(range(9))]
-    assert matrices(labelled(*(f"Rot[{k}]" for k in range(9)))) == [tuple(range(9))]
+    assert grouped(labelled("Q0", "Qx", "Qy", "Qz"), "quaternion") == [(1, 2, 3, 0)]
+    assert grouped(labelled("tool.qw", "tool.qx", "tool.qy", "tool.qz"), "quaternion") == [(1, 2, 3, 0)]
+    assert grouped(labelled("q1", "q2", "q3", "q4"), "quaternion") == [(0, 1, 2, 3)]
+    assert grouped(labelled("Yaw", "Pitch", "Roll"), "angles") == [(2, 1, 0)]
+    assert grouped(labelled(*(f"r{i}{j}" for i in "123" for j in "123")), "matrix") == [tuple(range(9))]
+    assert grouped(labelled(*(f"Rot[{k}]" for k in range(9))), "matrix") == [tuple(range(9))]
     whole = labelled(*(f"T{i}{j}" for i in "123" for j in "1234"))
-    assert homogeneous(whole) == [((3, 7, 11), (0, 1, 2, 4, 5, 6, 8, 9, 10))]
+    assert grouped(whole, "homogeneous") == [(3, 7, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10)]
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 
 from modcal_core.errors import BadRecording
 from modcal_msgs_py.layout import message_class, serialise
+from modcal_msgs_py.mcap_read import read_recording
 from modcal_msgs_py.mcap_repair import repair_bag
 from modcal_msgs_py.mcap_write import BagWriter
 from modcal_msgs_py.messages import RecordingBuilder
@@ -125,3 +126,21 @@ def test_tables_that_have_lost_their_clock_follow_one_another(tmp_path: Path) ->
     (joints,) = recording.joints
     assert len(joints.stamps) == 6
     assert (np.diff(joints.stamps) > 0.0).all()
+
+
+def test_logs_stamps_and_counters_are_no_signals(tmp_path: Path) -> None:
+    time = message_class("builtin_interfaces/msg/Time")(sec=5, nanosec=7)
+    header = message_class("std_msgs/msg/Header")(stamp=time, frame_id="")
+    told = {
+        "sensor_msgs/msg/TimeReference": {"header": header, "time_ref": time, "source": "gps"},
+        "rcl_interfaces/msg/Log": {
+            "stamp": time, "level": 20, "name": "n", "msg": "m", "file": "f", "function": "g", "line": 12
+        },
+        "std_msgs/msg/Float64": {"data": 1.5},
+    }  # fmt: skip
+    with BagWriter(tmp_path / "bag") as bag:
+        for k, (type_name, values) in enumerate(told.items()):
+            bag.write(f"/topic_{k}", type_name, message_class(type_name)(**values), 10**18 + k)
+    for layouts in (True, False):
+        recording = read_recording(tmp_path / "bag", layouts)
+        assert [signal.name for signal in recording.signals] == ["signal:/topic_2"]

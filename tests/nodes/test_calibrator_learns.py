@@ -212,7 +212,7 @@ def test_the_running_estimate_is_published(tmp_path: Path) -> None:
         wait(cell.taken, 60.0)
         assert call(node, wait, "calibrator/solve").success
         # where there is no folder for it, no page of a report is drawn
-        assert not any("lets_plot" in Path(f"/proc/{p}/maps").read_text() for p in _children(calibrator.popen.pid))
+        assert not any("markupsafe" in Path(f"/proc/{p}/maps").read_text() for p in _children(calibrator.popen.pid))
         wait(lambda: estimates and names, 10.0)
         std = np.array(estimates[-1].data).reshape(2, -1)[1]
         cell.play(stations(200, begin=START + 500.0, seed=1))

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-DRAWING = {"lets_plot", "matplotlib", "jinja2"}
+DRAWING = {"matplotlib", "jinja2"}
 COMPUTING = {"scipy.linalg", "scipy.special", "scipy.optimize"}
 
 

@@ -11,6 +11,7 @@ from report.reports import points
 
 from modcal_core.online.supervisor import Policy, Supervisor
 from modcal_core.report.as_json import to_json_data
+from modcal_core.report.words import sentence
 from modcal_core.verdict.verdict import Verdict
 from modcal_nodes.calibrating.diagnostics import Standing, model_status, standing_of, standing_of_json
 from modcal_nodes.ros.subscriptions import ERROR, OK, WARN, Status
@@ -32,7 +33,7 @@ def told(standing: Standing | None, verdict: str = "A result.", trouble: str = "
 )
 def test_only_the_floor_is_ok(verdict: Verdict | None, level: bytes, words: str) -> None:
     report = replace(points(), judged=verdict)
-    for said in ("continuing with the saved model", report.verdict):
+    for said in ("continuing with the saved model", sentence(report)):
         status = told(standing_of(report), said)
         assert status.level == level
         assert said.rstrip(".") in status.message

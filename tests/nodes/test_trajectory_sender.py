@@ -11,7 +11,7 @@ import yaml
 from nodes.processes import ROOT, Process, fresh_domain, running
 
 from modcal_core.errors import BadCommand, BadTable
-from modcal_core.planning.route import trajectory_from_data
+from modcal_core.planning.station_files import trajectory_from_data
 from modcal_core.robots.urdf import read_chain
 
 URDF = ROOT / "examples" / "robots" / "ur10.urdf"

@@ -10,7 +10,8 @@ import numpy as np
 import yaml
 from cells import ur10
 
-from modcal_core.planning.posture_pool import PosturePool, survey
+from modcal_core.planning.planner import Planner, PlanRequest
+from modcal_core.planning.pool import survey
 from modcal_core.planning.site import Site, site_from_data
 
 HALL: dict[str, Any] = yaml.safe_load((Path(__file__).resolve().parents[2] / "examples/planning/hall.yaml").read_text())
@@ -21,5 +22,6 @@ def hall() -> Site:
 
 
 @cache
-def ground(reading: str = "point", candidates: int = 300) -> PosturePool:
-    return survey(ur10(), hall(), np.random.default_rng(8), reading, (), candidates)
+def ground(reading: str = "point", candidates: int = 300) -> Planner:
+    pool = survey(ur10(), hall(), np.random.default_rng(8), reading, candidates)
+    return Planner(pool, PlanRequest(reading=reading), np.random.default_rng(1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -12,39 +13,53 @@ from planning.sites import ground, hall
 
 from modcal_core.calibration.equations import normal_equations
 from modcal_core.errors import BadTable
+from modcal_core.geometry.so3 import Array
 from modcal_core.planning.criteria import CRITERIA, criterion, observability
-from modcal_core.planning.fedorov import exchange
-from modcal_core.planning.worth import StationRows, Worth
+from modcal_core.planning.exchange import Search, exchange, grown, information
 
 
-def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> StationRows:
-    J = 4.0 * rng.standard_normal((N, c, P))
-    return StationRows(J, np.tile(np.eye(c), (N, 1, 1)), np.ones(P), np.zeros(N), np.zeros(c))
+def small(rng: np.random.Generator, N: int = 12, c: int = 3, P: int = 5) -> Array:
+    return np.asarray(4.0 * rng.standard_normal((N, c, P)))
+
+
+def of(rows: Array, chosen: Sequence[int] | np.ndarray) -> Array:
+    """JᵀJ of these stations, summed one by one."""
+    return np.asarray(sum(rows[k].T @ rows[k] for k in chosen))
 
 
 @pytest.mark.parametrize("reading", ["point", "pose"])
 def test_information_is_that_of_the_normal_equations(reading: str) -> None:
     """With the weights that a fit has: a reading's own variance, and one spread for all."""
-    there, noise = ground(reading), hall().noise
-    q = there.q[:25]
-    model, parameters = there.model, there.parameters
+    there, noise = ground(reading).outlook, hall().noise
+    q = ground(reading).pool.q[:25]
+    model, parameters = there.about.model, there.about.parameters
     samples = samples_of(ur10(), q, model.predict(q), reading)
     distance = np.linalg.norm(samples.reading, axis=1)
-    position = 1.0 / ((noise.position + noise.per_metre * distance) ** 2 + there.rows.joint_variance[0])
+    position = 1.0 / ((noise.position + noise.per_metre * distance) ** 2 + there.scatter[0] ** 2)
     weight = np.tile(position, 3)
     if reading == "pose":
-        weight = np.r_[weight, np.full(75, 1.0 / (noise.rotation**2 + there.rows.joint_variance[3]))]
+        weight = np.r_[weight, np.full(75, 1.0 / (noise.rotation**2 + there.scatter[3] ** 2))]
     H, _ = normal_equations(model, parameters, np.zeros(len(parameters)), samples, weight)
-    ours = there.rows.information(np.arange(25)) / np.outer(there.rows.scale, there.rows.scale)
+    P = len(parameters)
+    ours = information(there.rows(q))[:P, :P] / np.outer(there.about.std[:P], there.about.std[:P])
     assert np.allclose(ours, H, rtol=1e-9, atol=1e-9 * np.abs(H).max())
+
+
+def test_what_accuracy_counts_is_what_the_claim_draws() -> None:
+    """The RMS of the tool's errors that the claim draws, its noise known, is that of the information."""
+    planner = ground()
+    q = planner.pool.q[:60]
+    expected = 1e3 * planner.outlook.beside(planner.outlook.rows(q)).error()
+    claimed = planner.claim(q).mm["rms"]
+    assert claimed.ci95[0] < expected < claimed.ci95[1]
 
 
 @pytest.mark.parametrize("name", CRITERIA)
 def test_slopes_of_the_criteria(name: str) -> None:
     rng = np.random.default_rng(2)
     rows = small(rng)
-    H = np.eye(5) + rows.information(np.arange(6))
-    good = criterion(name, rows.information([7, 8]) / 2.0)
+    H = np.eye(5) + of(rows, np.arange(6))
+    good = criterion(name, of(rows, [7, 8]) / 2.0)
     D = rng.standard_normal((3, 5, 5))
     D = D + D.transpose(0, 2, 1)
     slope = np.array([[np.sum(good.gradient(H) * d) for d in D]])
@@ -59,26 +74,26 @@ def test_slopes_of_the_criteria(name: str) -> None:
 
 def test_indices_are_those_of_the_singular_values() -> None:
     rows = small(np.random.default_rng(3))
-    s = np.linalg.svd(rows.J[:7].reshape(21, 5), compute_uv=False)
-    found = observability(rows.information(np.arange(7)), 7)
+    s = np.linalg.svd(rows[:7].reshape(21, 5), compute_uv=False)
+    found = observability(of(rows, np.arange(7)), 7)
     assert found.o1 == pytest.approx(np.prod(s) ** (1 / 5) / np.sqrt(7))
     assert found.o2 == pytest.approx(s[-1] / s[0])
     assert found.o3 == pytest.approx(s[-1])
     assert found.o4 == pytest.approx(s[-1] ** 2 / s[0])
     assert found.o5 == pytest.approx(1.0 / np.sum(1.0 / s))
     assert found.rank == 5
-    short = observability(rows.information([0]), 1)
+    short = observability(of(rows, [0]), 1)
     assert (short.o1, short.rank) == (0.0, 3)
 
 
 def test_each_criterion_ranks_sets_as_its_index() -> None:
     rows = small(np.random.default_rng(4))
     sets = list(combinations(range(12), 6))[::40]
-    information = [rows.information(np.array(s)) for s in sets]
+    told = [of(rows, s) for s in sets]
     for name in ("o1", "o2", "o3", "o4", "o5"):
         good = criterion(name, np.eye(5))
-        index = [getattr(observability(H, 6), name) for H in information]
-        assert np.array_equal(np.argsort(index), np.argsort([float(good.value(H)) for H in information]))
+        index = [getattr(observability(H, 6), name) for H in told]
+        assert np.array_equal(np.argsort(index), np.argsort([float(good.value(H)) for H in told]))
 
 
 @pytest.mark.slow
@@ -87,11 +102,11 @@ def test_of_few_candidates_the_best_set_of_all_is_found(name: str) -> None:
     rng = np.random.default_rng(5)
     for _ in range(4):
         rows = small(rng, N=11)
-        good = criterion(name, rows.information(np.arange(11)) / 11.0)
-        best = max(float(good.value(np.eye(5) + rows.information(np.array(s)))) for s in combinations(range(11), 5))
-        found = exchange(rows, 5, good, rng, starts=40)
+        good = criterion(name, of(rows, range(11)) / 11.0)
+        best = max(float(good.value(np.eye(5) + of(rows, np.array(s)))) for s in combinations(range(11), 5))
+        found = exchange(Search.of(rows, good, np.eye(5)), 5, rng, starts=40)
         assert found.value == pytest.approx(best, rel=1e-9)
-        assert found.value == pytest.approx(float(good.value(np.eye(5) + rows.information(found.chosen))), rel=1e-9)
+        assert found.value == pytest.approx(float(good.value(np.eye(5) + of(rows, found.chosen))), rel=1e-9)
         assert len(set(found.chosen.tolist())) == 5
 
 
@@ -100,27 +115,29 @@ def test_of_few_candidates_the_best_set_of_all_is_found(name: str) -> None:
 def test_no_single_exchange_makes_it_better(name: str) -> None:
     """For the criteria with exact updates; the others, ranked by slope, must at least beat what is drawn at random."""
     rng, there = np.random.default_rng(6), ground()
-    good = criterion(name, there.workspace.gamma)
-    found = exchange(there.rows, 24, good, rng, starts=1, passes=20)
-    H = np.eye(27) + there.rows.information(found.chosen)
+    base = there.outlook.search(there.outlook.rows(there.pool.q), name)
+    found = exchange(base, 24, rng, starts=1, passes=20)
+    good, J, H = base.criterion, base.J, base.H + of(base.J, found.chosen)
     if name in ("accuracy", "d", "o1"):
         for out in found.chosen[::5]:
-            without = H - there.rows.information([out])
-            others = np.setdiff1d(np.arange(len(there.rows)), found.chosen)
-            J = there.rows.J[others]
-            assert good.value(without + J.transpose(0, 2, 1) @ J).max() <= found.value + 1e-5 * abs(found.value)
-    drawn = [there.rows.information(rng.choice(len(there.rows), 24, replace=False)) for _ in range(200)]
-    assert found.value > max(float(good.value(np.eye(27) + H)) for H in drawn)
+            others = J[np.setdiff1d(np.arange(len(J)), found.chosen)]
+            without = H - of(J, [out])
+            assert good.value(without + others.transpose(0, 2, 1) @ others).max() <= found.value + 1e-5 * abs(
+                found.value
+            )
+    drawn = [of(J, rng.choice(len(J), 24, replace=False)) for _ in range(200)]
+    assert found.value > max(float(good.value(base.H + told)) for told in drawn)
 
 
 def test_what_is_known_already_is_not_measured_again() -> None:
     rows = small(np.random.default_rng(7))
     known = np.zeros((5, 5))
     known[:3, :3] = 1e6 * np.eye(3)
-    found = exchange(rows, 3, criterion("d", np.eye(5)), np.random.default_rng(0), starts=8, given=known)
+    base = Search.of(rows, criterion("d", np.eye(5)), np.eye(5) + known)
+    found = exchange(base, 3, np.random.default_rng(0), starts=8)
     best = max(
         combinations(range(12), 3),
-        key=lambda s: np.linalg.slogdet(np.eye(5) + known + rows.information(np.array(s)))[1],
+        key=lambda s: np.linalg.slogdet(np.eye(5) + known + of(rows, np.array(s)))[1],
     )
     assert tuple(found.chosen) == best
 
@@ -136,14 +153,24 @@ def test_what_candidates_are_worth_is_kept_up_as_stations_come_and_go(name: str,
     """Against the criterion itself, of every candidate, after many changes."""
     rng = np.random.default_rng(6)
     rows = small(rng, N=30, c=c, P=9)
-    good = criterion(name, rows.information([0, 1, 2]) / 3.0)
+    good = criterion(name, of(rows, [0, 1, 2]) / 3.0)
     chosen = list(range(10))
     base = np.eye(9)
-    worth = Worth.of(rows, good, base + rows.information(chosen))
+    search = Search.of(rows, good, base + of(rows, chosen))
     for _ in range(60):
         gone, come = chosen.pop(0), int(rng.integers(30))
         chosen.append(come)
-        worth = worth.changed(gone, -1.0).changed(come, 1.0)
-    H = base + rows.information(chosen)
-    each = good.value(H + rows.J.transpose(0, 2, 1) @ rows.J)
-    assert np.allclose(worth.values(), each, rtol=1e-10, atol=0.0)
+        search = search.changed(gone, -1.0).changed(come, 1.0)
+    H = base + of(rows, chosen)
+    each = good.value(H + rows.transpose(0, 2, 1) @ rows)
+    assert np.allclose(search.gains(np.ones(30, bool)), each - good.value(H), rtol=1e-9, atol=1e-12)
+
+
+def test_what_is_not_likely_to_be_read_counts_by_its_chance() -> None:
+    """Of two stations that tell the same the likelier one is taken, and none that cannot be read."""
+    rows = small(np.random.default_rng(8), N=6)
+    rows[1] = rows[0]
+    base = Search.of(rows, criterion("d", np.eye(5)), np.eye(5))
+    chance = np.array([0.5, 0.9, 0.0, 1e-9, 1e-9, 1e-9])
+    assert grown(base, 6, chance)[0] == 1
+    assert sorted(grown(base, 6, chance)) == [0, 1, 3, 4, 5]

@@ -83,7 +83,7 @@ def test_what_cannot_be(arguments: list[str], words: str, tmp_path: Path, capfd:
     [
         ("stations.csv", "joint_1,joint_2\n0,1\n", "joint joint_3: is not named once"),
         ("stations.csv", "joint_1,joint_2,joint_3,joint_4,joint_5,joint_6\n0,1,2,3,4,x\n", "row 2: needs 6 finite numbers"),
-        ("plan.yaml", "stations: []\n", "is not a plan"),
+        ("plan.yaml", "stations: []\n", "'modcal_plan' is not stated: give the plan.yaml that modcal plan wrote"),
         ("plan.yaml", "modcal_plan: 1\njoints: [joint_1]\nstations: []\n", "is not named once|holds no station"),
     ],
 )  # fmt: skip

@@ -10,8 +10,7 @@ from report.reports import warm_cell
 
 from modcal_core.diagnosis.loads import FoundPayload, Loads
 from modcal_core.effects.drivers import NominalArm
-from modcal_core.report.contents import Trace, iso_date
-from modcal_core.report.report import Report
+from modcal_core.outcome.contents import Outcome, Trace, iso_date
 from modcal_core.verdict.grounds import Grounds, NotApplied, Regime
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import NotAsked, Reason, Repeatability, Row, Share, Verdict
@@ -33,7 +32,7 @@ CANNOT = Verdict("cannot_tell", remedy="Visit six of these postures twice.")
 ROWS = (Row("geometry", 7.5, (7.0, 8.0)), Row("effect:gear_harmonic elbow_joint", 0.25), Row("unaccounted", -0.05))
 
 
-def everything() -> Report:
+def everything() -> Outcome:
     """A report with every field of a verdict."""
     full = replace(
         OPEN,

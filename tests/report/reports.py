@@ -13,14 +13,14 @@ from instruments import worlds
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import SignalTrack
-from modcal_core.report.report import Report
+from modcal_core.outcome.contents import Outcome
 
 COUNT = 120
 WRONG = (7, 50, 91)
 
 
 @cache
-def warm_cell() -> Report:
+def warm_cell() -> Outcome:
     """Poses of an arm in MuJoCo with a gear error; its base creeps with a temperature; three readings are wrong."""
     made = record(5, COUNT)
     samples, rng = made.samples, np.random.default_rng(1)
@@ -39,21 +39,21 @@ def warm_cell() -> Report:
 
 
 @cache
-def delta() -> Report:
+def delta() -> Outcome:
     """Points of a Delta with a gear error."""
     made = record_delta(3, 80, gear=(1, 23.0, 6e-4))
     return replace(calibrate(made.samples, made.nominal, np.random.default_rng(0)).report, title="delta")
 
 
 @cache
-def points() -> Report:
+def points() -> Outcome:
     """Points alone, geometry alone: the plainest page."""
     made = record(4, 60, "point")
     return calibrate(made.samples, ur10(), np.random.default_rng(0), look_for_effects=False).report
 
 
 @cache
-def bearings() -> Report:
+def bearings() -> Outcome:
     """Directions from two theodolites, each of which sees across its line of sight only."""
     w, rng = worlds.world(2), np.random.default_rng(3)
     q = worlds.postures(ur10(), 60, rng)

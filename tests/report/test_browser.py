@@ -112,12 +112,20 @@ def test_commands_can_be_copied(opened: Page) -> None:
     assert words in ("Copied", "Selected")
 
 
-def test_paper_shows_everything_in_light_and_a_still_robot(opened: Page, tmp_path: Path) -> None:
+def test_paper_shows_everything_in_light_and_the_robot_too(opened: Page, tmp_path: Path) -> None:
+    corner = "[...document.getElementById('scene').getContext('2d').getImageData(2, 2, 1, 1).data]"
+    told = "new Promise((done) => setTimeout(done, 200))"  # until the page has heard of it
+    drawn = "document.getElementById('scene').toDataURL()"
+    light = opened.run(drawn)
     opened.dark(True)
+    opened.run(told)
+    assert opened.run(drawn) != light
     opened.send("Emulation.setEmulatedMedia", media="print")
+    opened.run(told)
     assert opened.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-    assert opened.run(HIDDEN.format("#scene")) or opened.run("document.getElementById('scene').clientWidth") == 0
-    assert not opened.run(HIDDEN.format("#still"))
+    assert opened.run("document.getElementById('scene').clientHeight") > 200
+    assert opened.run(corner) == [255, 255, 255, 255]
+    assert opened.run(HIDDEN.format(".controls"))
     opened.print(tmp_path / "report.pdf")
     opened.send("Emulation.setEmulatedMedia", media="")
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

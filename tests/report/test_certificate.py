@@ -16,6 +16,7 @@ from modcal_core.calibration.stated import Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import so3
 from modcal_core.loop import calibrate
+from modcal_core.outcome.contents import Outcome
 from modcal_core.report.certificates import (
     OWN_RECORDING,
     Certificate,
@@ -25,7 +26,6 @@ from modcal_core.report.certificates import (
     certificate_html,
     is_made_from,
 )
-from modcal_core.report.report import Report
 from modcal_core.verdict.iso9283 import CYCLES, POSES, pose_test
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Reason, Verdict
@@ -34,7 +34,7 @@ INSTRUMENT = Stated(instrument_mm=0.03)
 PREDICTABLE = Verdict("open", (Reason("predictable", "About 20 % can be predicted."),))
 
 
-def report(judged: Verdict, mm: float = 1.0) -> Report:
+def report(judged: Verdict, mm: float = 1.0) -> Outcome:
     return replace(points(), judged=judged, searched=None).with_tolerance(Asked(mm))
 
 

@@ -15,8 +15,9 @@ from modcal_core.errors import BadRobot, NotEnoughData
 from modcal_core.files import to_json
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
+from modcal_core.outcome.contents import Outcome
+from modcal_core.report.as_json import to_json_data
 from modcal_core.report.comparison import Side, compare, comparison_data, comparison_summary
-from modcal_core.report.report import Report
 from modcal_core.report.terminal import text
 from modcal_nodes.simulation.world import World
 
@@ -30,7 +31,7 @@ def world(seed: int) -> World:
 
 
 @cache
-def session(of: int, seed: int, remounted: bool = False) -> tuple[Calibration, Report]:
+def session(of: int, seed: int, remounted: bool = False) -> tuple[Calibration, Outcome]:
     """A calibration of an arm; a tracker and a target that stand elsewhere, where remounted."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(-np.pi, np.pi, (60, 6))
@@ -48,8 +49,8 @@ def side(name: str, of: int, seed: int, remounted: bool = False) -> Side:
     return Side(name, calibration, to_json_data_of(report))
 
 
-def to_json_data_of(report: Report) -> dict[str, object]:
-    return report.to_data()
+def to_json_data_of(report: Outcome) -> dict[str, object]:
+    return to_json_data(report)
 
 
 @pytest.mark.slow

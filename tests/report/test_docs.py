@@ -14,8 +14,8 @@ from report.reports import delta, warm_cell
 
 from modcal_core.calibration.known_distances import KnownDistance
 from modcal_core.diagnosis.choice import EffectChoice
+from modcal_core.outcome.contents import STAGES
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.contents import STAGES
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "report.md").read_text()
 

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import ur10
+from cli.recordings import stations
+from cli.test_check import BUMP, later
 from report.browser import CONTRASTS, MIN, Page, browser
 from report.judged import FLOOR
 from report.reports import points
@@ -21,6 +23,7 @@ from modcal_core.calibration.model import place_model
 from modcal_core.report import camera_page
 from modcal_core.report.certificates import certificate, certificate_html
 from modcal_core.report.html import to_html
+from modcal_msgs_py.recording_write import write_recording
 from modcal_nodes.cli.main import run
 
 pytestmark = pytest.mark.slow
@@ -67,6 +70,7 @@ VERBS: dict[str, list[str]] = {
     "sensitivity": ["sensitivity", ROBOT, "--postures", "8"],
     "limits": ["limits", ROBOT, "--payload", "2", "--workspace", "20"],
     "articulate": ["articulate", DOOR],
+    "check": [],  # of a bag and a calibration
 }
 MADE: dict[str, Callable[[], str]] = {
     "calibrate": lambda: page("warm"),
@@ -103,6 +107,12 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
         if name in MADE:
             return MADE[name]()
         folder = tmp_path_factory.mktemp(name)
+        if name == "check":
+            write_recording(stations(60), folder / "bag")
+            assert run(["calibrate", str(folder / "bag"), "--geometry-only", "--out", str(folder / "a")]) == 0
+            bag = later(folder / "later", BUMP)
+            assert run(["check", str(folder / "a"), str(bag), "--tolerance-mm", "1", "--out", str(folder / "out")]) == 0
+            return (folder / "out" / "check.html").read_text()
         assert run([*VERBS[name], "--out", str(folder)]) == 0
         return (folder / "report.html").read_text()
 

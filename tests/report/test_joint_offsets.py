@@ -14,7 +14,7 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import se3, so3
 from modcal_core.loop import calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.report.joint_offsets import joint_offsets
+from modcal_core.outcome.joint_offsets import joint_offsets
 from modcal_nodes.simulation.world import World
 
 OFFSETS = np.radians([0.3, -0.2, 0.15, 0.1, -0.05, 0.4])
@@ -72,7 +72,7 @@ def test_intervals_hold_what_they_say(kind: str, monkeypatch: pytest.MonkeyPatch
         made = calibrate(recording(count), chain, np.random.default_rng(0), look_for_effects=False)
         assert made.report.offsets is not None
         drawn.append(made.report.offsets.found)
-    monkeypatch.setattr("modcal_core.report.joint_offsets._MAX", 4000)
+    monkeypatch.setattr("modcal_core.outcome.joint_offsets._MAX", 4000)
     whole = joint_offsets(true, rng.uniform(-2.5, 2.5, (4000, 6)), kind == "pose")
     assert whole is not None
     z = [(o.value - t.value) / (o.std or np.nan) for run in drawn for o, t in zip(run, whole.found, strict=True)]

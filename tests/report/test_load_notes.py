@@ -11,7 +11,9 @@ from modcal_core.calibration.model import Model
 from modcal_core.diagnosis.loads import FoundPayload, Loads
 from modcal_core.effects.drivers import NominalArm
 from modcal_core.geometry import se3
-from modcal_core.report.diagnosis_entries import load_findings, load_notes, loads_to_json
+from modcal_core.outcome.entries import load_findings
+from modcal_core.outcome.notes import load_notes
+from modcal_core.report.as_json import loads_to_json
 
 ARM = NominalArm(ur10())
 

@@ -12,13 +12,8 @@ from report.browser import Page, browser
 
 from modcal_core.articulation.choice import choose
 from modcal_core.articulation.track import Track
-from modcal_core.report.articulation import (
-    Articulation,
-    ObjectScene,
-    articulation_data,
-    articulation_html,
-    object_scene,
-)
+from modcal_core.report.articulation import Articulation, articulation_data, articulation_html, object_scene
+from modcal_core.report.scene import Scene3D
 
 
 def found(kind: str) -> tuple[Seen, Articulation]:
@@ -30,35 +25,34 @@ def found(kind: str) -> tuple[Seen, Articulation]:
     return seen, Articulation("door.txt", "cell", track, choose(track, np.random.default_rng(0)))
 
 
-def drawn(about: Articulation) -> ObjectScene:
+def drawn(about: Articulation) -> Scene3D:
     fit = about.choice.fit
     joint = articulation_data(about)["joint"]
-    return object_scene(fit.model, fit.configurations, about.track.positions, joint, 1.0, "cell")
+    return object_scene(fit, (fit.configurations, about.track.positions), joint, 1.0, "cell")
 
 
 def test_the_axis_and_the_lever_of_a_door() -> None:
     seen, about = found("revolute")
     scene = drawn(about)
-    assert scene.axis is not None
-    assert scene.feet is not None
-    along = np.diff(scene.axis, axis=0)[0]
+    ((_, axis),) = scene.lines
+    along = np.diff(axis, axis=0)[0]
     assert np.linalg.norm(np.cross(along, seen.axis)) < 0.01 * np.linalg.norm(along)
-    lever = scene.path - scene.feet
-    assert np.linalg.norm(lever, axis=1) == pytest.approx(0.4, abs=5e-3)
-    off = scene.feet - seen.point
+    feet = np.array([strokes[0][0] for strokes in scene.arms])
+    assert np.linalg.norm(scene.points - feet, axis=1) == pytest.approx(0.4, abs=5e-3)
+    off = feet - seen.point
     assert np.linalg.norm(off - np.outer(off @ seen.axis, seen.axis), axis=1).max() < 5e-3
-    nearest = np.linalg.norm(scene.path[:, None] - scene.seen[None], axis=2).min(axis=0)
+    assert scene.cloud is not None
+    nearest = np.linalg.norm(scene.points[:, None] - scene.cloud[None], axis=2).min(axis=0)
     assert nearest.max() < 0.01  # the path goes where the handle was seen
-    assert len(scene.said) == len(scene.path)
+    assert len(scene.said) == len(scene.points)
     assert "cell" in scene.to_data()["base"]
 
 
 def test_a_drawer_has_no_axis_to_turn_about() -> None:
     seen, about = found("prismatic")
     scene = drawn(about)
-    assert scene.axis is None
     assert scene.to_data()["lines"] == []
-    along = scene.path[-1] - scene.path[0]
+    along = scene.points[-1] - scene.points[0]
     assert np.linalg.norm(np.cross(along, seen.axis)) < 0.01 * np.linalg.norm(along)
 
 

@@ -15,10 +15,11 @@ from modcal_core.calibration.data_split import Split
 from modcal_core.calibration.noise import Errors
 from modcal_core.measurements.dwells import SAME
 from modcal_core.measurements.kinds.rows import indirect_rows
+from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.html import FILES, MAX_BYTES, _page, to_html
-from modcal_core.report.page import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, TINT, WARN, as_script_data
-from modcal_core.report.report import Report
+from modcal_core.report.charts import AFTER, BAD, GOOD, INK, PANEL, PAPER, SOFT, WARN
+from modcal_core.report.html import to_html
+from modcal_core.report.page import FILES, TINT, as_script_data
 from modcal_core.report.scene import scene
 
 Element = tuple[str, dict[str, str]]
@@ -96,7 +97,7 @@ def test_it_is_well_formed_and_ids_are_unique(name: str) -> None:
 def test_every_picture_has_words(name: str) -> None:
     found = elements(name)
     pictures = [a for a in (*found.of("svg"), *found.of("canvas"))]
-    assert len(pictures) >= 9
+    assert len(pictures) >= 9 - (name == "delta") * 3
     assert all(a["role"] == "img" and len(a["aria-label"]) > 20 for a in pictures)
     assert len(found.of("figcaption")) == len(found.of("figure")) == len(pictures)
     assert all("scope" in a for a in found.of("th"))
@@ -114,13 +115,16 @@ def test_sections_that_a_report_has(name: str) -> None:
     assert ("evidence" in ids) == (name in ("warm", "delta"))
 
 
-def test_residuals_are_shown_against_joints_time_and_temperature_for_every_step() -> None:
+def test_residuals_are_shown_against_joints_time_and_temperature_and_every_step_is_listed() -> None:
     report = warm_cell()
     assert len(report.steps) >= 2
     names = [a["aria-label"] for a in elements("warm").of("svg")]
     for against in (*report.samples.names, "time", "temperature:cell"):
-        shown = [n for n in names if f"against {against}" in n]
-        assert len(shown) == len(report.steps) + 1, against
+        assert sum(f"against {against}" in n for n in names) == 1, against
+    steps = page("warm")[page("warm").index('id="steps"') :]
+    assert [float(size) for size in re.findall(r'<td class="n">([\d.]+)</td>', steps)[: len(report.steps)]] == [
+        pytest.approx(step.rms_mm, abs=1e-3) for step in report.steps
+    ]
 
 
 def test_stations_that_were_left_out_are_named_with_their_errors() -> None:
@@ -169,7 +173,7 @@ def test_arrows_of_a_theodolite_stand_across_its_line_of_sight() -> None:
     drawn, model = scene(report), report.model
     assert drawn is not None
     assert model is not None
-    assert drawn.partly
+    assert "measure along one line only" in page("bearings")
     assert indirect_rows(report.scored).all()
     for frame in range(2):
         rows = report.scored.frame == frame
@@ -183,12 +187,12 @@ def test_arrows_of_a_theodolite_stand_across_its_line_of_sight() -> None:
 def test_a_delta_has_three_arms_that_meet() -> None:
     drawn = scene(delta())
     assert drawn is not None
-    for arm in drawn.paths:
+    for arm in drawn.arms:
         ends = np.array([path[-1] for path in arm[:3]])
         assert len(arm) == 4
         assert np.ptp(ends, axis=0).max() == 0.0
     # rods are as long as the drawing says, but for the calibration's millimetres
-    rods = [np.linalg.norm(path[3] - path[2]) for arm in drawn.paths for path in arm[:3]]
+    rods = [np.linalg.norm(path[3] - path[2]) for arm in drawn.arms for path in arm[:3]]
     assert np.ptp(rods) < 5e-3
 
 
@@ -208,21 +212,7 @@ def contrast(a: tuple[float, ...], b: tuple[float, ...]) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-@pytest.mark.slow
-def test_a_page_with_many_effects_stays_small_and_says_so() -> None:
-    """Thinned charts, and the same numbers."""
-    report = warm_cell()
-    again = repeated(report, 20)
-    heavy = replace(again, effects=report.effects * 90, steps=again.steps * 5)
-    assert len(_page(heavy, (), "", 1.0).encode()) > MAX_BYTES
-    thinner = to_html(heavy)
-    assert len(thinner.encode()) < MAX_BYTES
-    assert "Charts are thinned" in thinner
-    assert "Charts are thinned" not in page("points")
-    assert f"{to_json_data(heavy)['error_mm']['final']['rms']:.3f}" in thinner
-
-
-def repeated(report: Report, times: int) -> Report:
+def repeated(report: Outcome, times: int) -> Outcome:
     """The same recording over and over, each time later and at stations of its own, a little beside the last ones."""
     n = len(report.samples)
     long = report.samples.select(np.tile(np.arange(n), times))
@@ -262,7 +252,7 @@ def test_a_long_recording_makes_no_larger_page() -> None:
     long = repeated(warm_cell(), -(-20_000 // COUNT))
     assert long.samples.stations >= 20_000
     text = to_html(long, [file.name for file in FILES])
-    assert len(text.encode()) < MAX_BYTES
+    assert len(text.encode()) < 900_000
     assert len(text.encode()) < 2.0 * len(page("warm").encode())
     assert str(long.samples.stations) in text
     assert f"And {long.rejected - 30} more; all are in report.json." in text

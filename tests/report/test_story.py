@@ -13,7 +13,7 @@ from modcal_core.effects.registry import family_named
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import rhythm
 from modcal_core.loop import calibrate
-from modcal_core.report.diagnosis_entries import Finding, parameters
+from modcal_core.outcome.entries import Finding, parameters
 
 CHAIN, SLIDER = ur10(), slider_arm()
 X = np.linspace(-2.0, 2.0, 4096)

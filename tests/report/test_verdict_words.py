@@ -12,25 +12,25 @@ from report.judged import CANNOT, FLOOR, OPEN, ROWS, WHY, everything
 from report.reports import points, warm_cell
 
 from modcal_core.measurements.samples import cut_stations
+from modcal_core.outcome.contents import Outcome
 from modcal_core.report.as_json import to_json_data
 from modcal_core.report.html import to_html
-from modcal_core.report.report import Report
-from modcal_core.report.sentence import NOT_SOUGHT, REMEDY
+from modcal_core.report.words import NOT_SOUGHT, REMEDY, sentence
 from modcal_core.verdict.floor import reading_scatter_mm
 from modcal_core.verdict.tolerance import Asked
 from modcal_core.verdict.verdict import Verdict
 
 
-def judged(report: Report, verdict: Verdict) -> Report:
+def judged(report: Outcome, verdict: Verdict) -> Outcome:
     return replace(report, judged=verdict)
 
 
 def test_no_verdict_is_calm_about_what_is_not_known() -> None:
     for verdict in (None, FLOOR, OPEN, CANNOT):
-        said = replace(points(), judged=verdict).verdict
+        said = sentence(replace(points(), judged=verdict))
         assert "noise" not in said
         assert "stands out from" not in said
-    assert REMEDY in replace(points(), judged=None).verdict
+    assert REMEDY in sentence(replace(points(), judged=None))
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_no_verdict_is_calm_about_what_is_not_known() -> None:
     ],
 )
 def test_the_sentence_by_status(verdict: Verdict, words: str) -> None:
-    assert words in judged(warm_cell(), verdict).verdict
+    assert words in sentence(judged(warm_cell(), verdict))
 
 
 def test_what_the_parameters_leave_is_not_said_to_be_the_arm() -> None:
@@ -52,15 +52,15 @@ def test_what_the_parameters_leave_is_not_said_to_be_the_arm() -> None:
         (*ROWS, replace(ROWS[-1], what="estimation", value=share * FLOOR.floor_mm**2)) for share in (0.3, 1.0)
     )
     more = "more different postures would make it smaller"
-    assert more not in judged(warm_cell(), replace(FLOOR, account_mm2=small)).verdict
-    said = judged(warm_cell(), replace(FLOOR, account_mm2=large)).verdict
+    assert more not in sentence(judged(warm_cell(), replace(FLOOR, account_mm2=small)))
+    said = sentence(judged(warm_cell(), replace(FLOOR, account_mm2=large)))
     assert f"tell the parameters, which leaves {FLOOR.floor_mm:.3f} mm by itself: {more}." in said
 
 
 def test_the_source_of_a_floor_is_said_once_where_it_is_one() -> None:
-    assert "(0.055 mm, from postures visited again and 0.004°, as stated)" in judged(warm_cell(), FLOOR).verdict
+    assert "(0.055 mm, from postures visited again and 0.004°, as stated)" in sentence(judged(warm_cell(), FLOOR))
     both = replace(FLOOR, repeatability_deg=FLOOR.repeatability_mm)
-    assert "(0.055 mm and 0.004°, from postures visited again)" in judged(warm_cell(), both).verdict
+    assert "(0.055 mm and 0.004°, from postures visited again)" in sentence(judged(warm_cell(), both))
 
 
 def test_the_sentence_counts_what_was_scored_and_what_was_not() -> None:
@@ -73,19 +73,19 @@ def test_the_sentence_counts_what_was_scored_and_what_was_not() -> None:
     rms = [1e3 * float(np.sqrt(np.mean(m**2))) for m in (both, kept)]
     angle = report.size_deg("final")
     assert angle is not None
-    said = report.verdict
+    said = sentence(report)
     assert said.startswith("120 stations, 3 of them rejected. On the 36 held out from fitting the error is ")
     assert (
         f"{rms[1]:.3f} mm RMS without the rejected one among these, {rms[0]:.3f} mm with it; orientation {angle.rms:.3g}°"
         in said
     )
     assert rms[0] > 20.0 * rms[1]
-    assert points().verdict.startswith("60 stations, none rejected. On the 18 held out from fitting the error is ")
+    assert sentence(points()).startswith("60 stations, none rejected. On the 18 held out from fitting the error is ")
 
 
 def test_geometry_only_says_what_was_not_looked_for() -> None:
-    assert NOT_SOUGHT in points().verdict
-    assert NOT_SOUGHT not in warm_cell().verdict
+    assert NOT_SOUGHT in sentence(points())
+    assert NOT_SOUGHT not in sentence(warm_cell())
 
 
 def test_report_json_has_the_fields_of_the_verdict() -> None:
@@ -166,7 +166,7 @@ def test_the_page_shows_the_account_and_the_reasons() -> None:
     page = to_html(report.with_tolerance(Asked(0.2)))
     for reason in WHY:
         assert f"<li>{reason.sentence}</li>" in page
-    assert page.count('<figure id="account-') == 2  # one in mm², one in deg²
+    assert page.count('aria-label="Account in ') == 2  # one in mm², one in deg²
     assert '<th scope="row">gear_harmonic elbow_joint</th>' in page
     assert '<b class="warn">CANNOT TELL</b>' in page
     rms = report.rejection

@@ -18,37 +18,37 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Package: lines and statements at most.
 CEILINGS: dict[str, tuple[int, int]] = {
-    "bench": (14760, 10670),
+    "bench": (14840, 10730),
     "launch": (90, 50),
     "modcal": (50, 30),
-    "modcal_core": (1990, 1050),
+    "modcal_core": (2130, 1140),
     "modcal_core/articulation": (5140, 3530),
     "modcal_core/calibration": (6920, 4300),
-    "modcal_core/camera": (6100, 4000),
+    "modcal_core/camera": (5880, 3860),
     "modcal_core/checking": (2690, 1840),
-    "modcal_core/claim": (1010, 620),
+    "modcal_core/claim": (1140, 700),
     "modcal_core/correction": (990, 640),
-    "modcal_core/diagnosis": (4220, 2950),
+    "modcal_core/diagnosis": (3780, 2600),
     "modcal_core/effects": (2780, 1810),
     "modcal_core/geometry": (530, 370),
     "modcal_core/impedance": (3140, 2180),
-    "modcal_core/measurements": (3970, 2640),
-    "modcal_core/measuring": (1660, 1070),
+    "modcal_core/measurements": (3980, 2650),
+    "modcal_core/outcome": (1000, 610),
     "modcal_core/modules": (3400, 2270),
     "modcal_core/online": (1420, 980),
-    "modcal_core/planning": (2780, 1710),
-    "modcal_core/hypotheses": (3720, 2500),
+    "modcal_core/planning": (3780, 2440),
+    "modcal_core/hypotheses": (3730, 2500),
     "modcal_core/regimes": (560, 400),
-    "modcal_core/report": (6090, 3460),
+    "modcal_core/report": (4970, 2900),
     "modcal_core/robots": (4960, 3140),
-    "modcal_core/verdict": (4230, 2820),
-    "modcal_msgs_py": (4750, 3250),
-    "modcal_msgs_py/tables": (3550, 2460),
+    "modcal_core/verdict": (3970, 2630),
+    "modcal_msgs_py": (4710, 3230),
+    "modcal_msgs_py/tables": (3740, 2620),
     "modcal_nodes": (80, 30),
     "modcal_nodes/calibrating": (1680, 1180),
-    "modcal_nodes/cli": (4410, 2470),
+    "modcal_nodes/cli": (4500, 2590),
     "modcal_nodes/fleet": (200, 130),
-    "modcal_nodes/io": (600, 350),
+    "modcal_nodes/io": (610, 350),
     "modcal_nodes/measuring": (1230, 880),
     "modcal_nodes/nodes": (2970, 2300),
     "modcal_nodes/ros": (2160, 1180),
@@ -57,10 +57,10 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "modcal_nodes/viewing": (200, 140),
     "modcal_nodes/vision": (2060, 1510),
     "modcal_nodes/watching": (280, 200),
-    "tests": (53200, 37000),
+    "tests": (53580, 37270),
 }
-SOURCE = (94800, 61800)
-TEXT = 184700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+SOURCE = (93600, 61250)
+TEXT = 183600  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 104
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is

@@ -86,3 +86,22 @@ def test_a_face_shows_what_it_names(package: str) -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         importlib.import_module("modcal_core.calibration").nothing  # noqa: B018
+
+
+def hidden_by_a_file(face: str, shown: str) -> bool:
+    """Whether a name that a face shows (with where it is) is that of a file beside it, which would stand in its place
+    once that is imported.
+    """
+    module = f"{face}.{shown.rpartition('.')[2]}"
+    return module in MODULES and shown != module
+
+
+def test_no_face_shows_a_name_that_a_file_inside_has() -> None:
+    assert not [
+        found.module
+        for face in FACES
+        for found in imports_of(face.split(".")[0], MODULES[face])
+        if hidden_by_a_file(face, found.module)
+    ]
+    assert hidden_by_a_file("modcal_core.report", "modcal_core.report.words.page")
+    assert not hidden_by_a_file("modcal_core.geometry", "modcal_core.geometry.so3")

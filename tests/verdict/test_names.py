@@ -14,6 +14,7 @@ from modcal_core.calibration.fit import identify
 from modcal_core.calibration.structure import choose_parameters, views_of
 from modcal_core.loop import calibrate
 from modcal_core.measurements.recording import PART, SignalTrack
+from modcal_core.report.as_json import to_json_data
 
 
 def test_no_direction_is_printed_blank() -> None:
@@ -47,7 +48,9 @@ def test_the_column_of_a_lagging_joint_names_the_joint() -> None:
         for k, name in enumerate(samples.names)
     )
     report = calibrate(replace(samples, q=q, signals=columns), ur10(), np.random.default_rng(0)).report
-    found = [effect for effect in report.to_data()["effects"] if effect["driver"].startswith("signal:/joint_errors")]
+    found = [
+        effect for effect in to_json_data(report)["effects"] if effect["driver"].startswith("signal:/joint_errors")
+    ]
     assert [(effect["place"], effect["direction"]) for effect in found] == [("elbow_joint", "axis")]
     size = found[0]["parameters"]["axis"]
     assert abs(size["value"] - 1.0) < 3.0 * size["std"] + 0.005

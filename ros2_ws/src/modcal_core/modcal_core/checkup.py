@@ -39,7 +39,7 @@ from modcal_core.evaluation import evaluate
 from modcal_core.geometry import Array
 from modcal_core.hypotheses import recognised
 from modcal_core.measurements import Samples
-from modcal_core.report import Report, unseen_note
+from modcal_core.outcome import Outcome, unseen_note
 from modcal_core.verdict import Applied, applicable, own_rows
 
 MIN = 5  # stations; of fewer, six sizes of a base leave nothing to tell it from others by
@@ -76,7 +76,7 @@ class Checked:
     noticed: tuple[Noticed, ...]
     advice: Recommendation
     repaired: Calibration | None
-    report: Report
+    report: Outcome
     joints: tuple[str, ...]
     convention: str | None = None
     notes: tuple[str, ...] = ()
@@ -266,7 +266,7 @@ def _expected(found: FoundChanges) -> tuple[float | None, float | None]:
     return position, float(np.degrees(np.sqrt(3.0 * variance[turned].mean()))) if turned.any() else None
 
 
-def _each_by_the_others(report: Report, found: FoundChanges, begin: FrozenCalibration) -> Report:
+def _each_by_the_others(report: Outcome, found: FoundChanges, begin: FrozenCalibration) -> Outcome:
     """The report with each station predicted by a repair that has not seen it: its sizes are those of the others."""
     state = found.state
     sized = [c.hypothesis for c in (*found.given, *found.changes) if c.hypothesis.sizes]

@@ -24,7 +24,7 @@ from modcal_core.claim import claim_at_tool
 from modcal_core.diagnosis import frozen, located
 from modcal_core.hypotheses import computed_in_part, proved
 from modcal_core.measurements import Samples
-from modcal_core.report import Report, Step, moved_note, not_asked_note, offsets_of, unseen_note
+from modcal_core.outcome import Outcome, Step, moved_note, not_asked_note, offsets_of, unseen_note
 from modcal_core.verdict import (
     Grounds,
     applicable,
@@ -50,7 +50,7 @@ def evaluate(
     refit_tool: bool = False,
     cell: Cell | None = None,
     block: int | None = None,
-) -> Report:
+) -> Outcome:
     """How far a frozen calibration misses on another recording.
 
     Where base or tool have changed since, they are found again, for the nominal arm too: on a part of the recording,
@@ -109,7 +109,7 @@ def evaluate(
     claim = claim_at_tool(stood, accepted, cell, frozen=True)
     case = frozen_case(calibration, models["final"], samples, sets.unit, rows, wrong, residuals, refit_base, refit_tool)
     judged = with_places(judge(case, grounds, cell.stated), case, grounds.outside)
-    return Report(
+    return Outcome(
         samples=samples,
         sets=sets,
         scored=scored,

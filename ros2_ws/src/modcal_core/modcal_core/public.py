@@ -17,7 +17,8 @@ from modcal_core.calibration import Calibration, Cell, Stated, fingerprint
 from modcal_core.errors import BadRecording, BadRobot, BadTable, ModcalError, NotEnoughData
 from modcal_core.geometry import sealed
 from modcal_core.measurements import BETWEEN, Samples, as_recording, remedies_of, require_usable
-from modcal_core.report import Report, Trace, iso_date
+from modcal_core.outcome import Outcome, Trace, iso_date
+from modcal_core.report import Report
 from modcal_core.result import Result
 from modcal_core.robot import Robot
 from modcal_core.robots import Mechanism, is_serial_arm
@@ -207,13 +208,13 @@ def _stated(cell: Cell, samples: Samples) -> Cell:
     return replace(cell, stated=cell.stated.over(own))
 
 
-def _traced(report: Report, samples: Samples, robot: str | None) -> Report:
+def _traced(report: Outcome, samples: Samples, robot: str | None) -> Report:
     """The report with what there is to know of where its samples come from."""
     origin = samples.origin
     date = None if origin.began is None else iso_date(origin.began)
     trace = Trace(date=date, bag_sha256=origin.sha256, robot=robot, instrument=origin.instrument)
     notes = (*report.notes, *origin.notes)
-    return replace(report, title=origin.title, notes=notes, dropped=origin.dropped, trace=trace)
+    return Report.of(replace(report, title=origin.title, notes=notes, dropped=origin.dropped, trace=trace))
 
 
 def _too_little(error: NotEnoughData, samples: Samples) -> NotEnoughData:
@@ -223,7 +224,7 @@ def _too_little(error: NotEnoughData, samples: Samples) -> NotEnoughData:
     return NotEnoughData(error.offender, limit, error.remedy)
 
 
-def _require_measured(report: Report, samples: Samples) -> None:
+def _require_measured(report: Outcome, samples: Samples) -> None:
     """Raises BadRecording where a topic that nobody named turns out to hold what was computed from the joints."""
     computed = [reason for reason in report.open_because if COMPUTED in reason]
     by_type = samples.origin.by_type

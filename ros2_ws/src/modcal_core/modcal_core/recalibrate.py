@@ -14,8 +14,8 @@ from modcal_core.calibration import Calibration, Cell, errors, with_frames
 from modcal_core.geometry import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements import Dropped, Recording, Samples, Stretch, spread_rows, together
+from modcal_core.outcome import Outcome, Trace, iso_date
 from modcal_core.preprocess import prepare_pieces
-from modcal_core.report import Report, Trace, iso_date
 from modcal_core.robots import Inertias, Mechanism
 
 _MIN_COMPARED = 4  # stations; a standard error of fewer says nothing
@@ -82,7 +82,7 @@ class Recalibration:
     """A calibration, its report, and how it compares with the one before."""
 
     result: Solution
-    report: Report
+    report: Outcome
     comparison: ModelComparison
 
 

@@ -204,13 +204,21 @@ def _aligned(at: int, size: int) -> int:
     return at + -(at - _HEAD) % size
 
 
+_NO_SIGNAL = frozenset(("header", "stamp", "sec", "nanosec", "seq", "id", "goal_id", "line", "level"))
+
+
+def is_signal(path: str) -> bool:
+    """Whether a number at this path may be a signal: no stamp, counter or name of something."""
+    return not _NO_SIGNAL & set(path.split("/"))
+
+
 def numeric_paths(layout: MessageLayout) -> Iterator[tuple[str, int | None]]:
     """Every number that a signal is made of: (path, place in its array or None), the header left out.
 
     As for messages taken one by one: arrays of up to 32 numbers, and nothing out of arrays of messages.
     """
     for path, column in layout.columns.items():
-        if "header" in path.split("/") or "]" in path:
+        if not is_signal(path) or "]" in path:
             continue
         if not column.many:
             yield path, None

@@ -6,6 +6,7 @@ not, or whose type is not plain numbers and texts, are decoded one by one. Both 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -24,7 +25,11 @@ from modcal_msgs_py.mcap_walk import Block, McapFile
 from modcal_msgs_py.messages import RecordingBuilder, gathered, why_left_out
 from modcal_msgs_py.topics import ADDED, TRANSFORMS, Topics, resolve
 
-_LEFT_OUT = ("sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "rosgraph_msgs/msg/Clock")
+# Of these nothing is a signal: images, what programs log and ask of one another, and what is drawn
+_LEFT_OUT = re.compile(
+    r"sensor_msgs/msg/(Image|PointCloud2)|(rosgraph|rcl_interfaces|action|actionlib|moveit|visualization|octomap|diagnostic"
+    r"|lifecycle|bond)(_msgs)?/|.*(Action(Goal|Result|Feedback)|_(Goal|FeedbackMessage|Request|Response))$"
+)
 _NO_TOPICS = Topics()
 PIECE = 400_000  # joint states; seven minutes at 1 kHz
 OVERLAP = 30.0  # s, longer than any station
@@ -176,7 +181,8 @@ class _Reader:
             topics.setdefault(self._file.known[channel], []).append(channel)
         for (topic, type_name), ids in topics.items():
             which = np.flatnonzero(channels == ids[0] if len(ids) == 1 else np.isin(channels, ids))
-            if not type_name.startswith(_LEFT_OUT) and self._builder.reads(topic, type_name):
+            told = self._builder.role(topic, type_name) is not None or not _LEFT_OUT.match(type_name)
+            if told and self._builder.reads(topic, type_name):
                 self._topic(topic, type_name, block, which)
         self._file.count += len(channels)
 

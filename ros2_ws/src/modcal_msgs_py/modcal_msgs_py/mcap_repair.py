@@ -36,7 +36,7 @@ from modcal_msgs_py.bag_files import (
     to_yaml,
 )
 from modcal_msgs_py.bag_open import PACKED
-from modcal_msgs_py.mcap_walk import McapFile, RawMessage, read_index
+from modcal_msgs_py.mcap_walk import McapFile, read_index
 from modcal_msgs_py.mcap_write import CHUNK_BYTES, LIBRARY
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
@@ -176,112 +176,73 @@ def _index_fault(path: Path, count: int) -> str | None:
 def _rewritten(
     files: list[Path], stated: dict[str, Any], out: Path, count: int, heard: Callable[[float], None]
 ) -> dict[str, int]:
-    """Number of messages by topic in the repaired bag ``out``."""
-    done = 0
+    """Number of messages by topic in the repaired bag ``out``, which is one file."""
+    topics: dict[str, BagTopic] = {}
+    schemas: dict[Any, int] = {}
+    seen = BagFile(f"{out.name}_0.mcap")
     with appearing(out) as stage:
         stage.mkdir()
-        topics: dict[str, BagTopic] = {}
-        written: list[BagFile] = []
-        for name in files:
-            source = McapFile(name, cdr_only=False)
-            copy = _Copy(stage / f"{out.name}_{len(written)}.mcap", source, topics)
-            # a file that is no MCAP at all is among the reasons already
-            with contextlib.suppress(BadRecording):
-                for message in source.messages():
-                    copy.add(message)
-                    done += 1
-                    if done % _MANY == 1:
-                        heard(done / count)
-            if copy.finish():
-                written.append(copy.seen)
+        with (stage / seen.name).open("wb") as stream:
+            writer: Any = None
+            for source in (McapFile(name, cdr_only=False) for name in files):
+                channels: dict[int, int] = {}
+                with contextlib.suppress(BadRecording):  # a file that is no MCAP at all is among the reasons already
+                    for m in source.messages():
+                        if writer is None:
+                            compression = _COMPRESSION.get(source.compression or "", CompressionType.NONE)
+                            writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=compression)
+                            writer.start(profile="ros2", library=LIBRARY)
+                        if m.channel not in channels:
+                            channels[m.channel] = _channel(writer, source, m.channel, topics, schemas)
+                        topics[m.topic].count += 1
+                        seen.add(m.received_ns)
+                        writer.add_message(channels[m.channel], m.received_ns, bytes(m.cdr), m.published_ns, m.sequence)
+                        if seen.count % _MANY == 1:
+                            heard(seen.count / count)
+                if writer is not None:
+                    for channel in source.channels.keys() - channels.keys():  # topics without a message belong to it
+                        _channel(writer, source, channel, topics, schemas)
+                    for opcode, record in source.extras:
+                        _add_extra(writer, _extra(opcode, record))
+            writer.finish()
+            stream.flush()
+            os.fsync(stream.fileno())
         distro = _text(stated, "ros_distro") or _distro(files)
         custom = stated.get("custom_data")
-        whole = information(topics.values(), written, distro, custom if isinstance(custom, dict) else None)
+        whole = information(topics.values(), [seen], distro, custom if isinstance(custom, dict) else None)
         for key in ("compression_format", "compression_mode"):  # of single messages, which are copied as they are
             whole[key] = _text(stated, key)
         _write_synced(stage / "metadata.yaml", to_yaml({"rosbag2_bagfile_information": whole}))
     return {topic.name: topic.count for topic in topics.values()}
 
 
+def _channel(writer: Any, source: McapFile, number: int, topics: dict[str, BagTopic], schemas: dict[Any, int]) -> int:
+    """A channel of a source in the new file, with its schema, and its topic among those of the bag."""
+    channel = source.channels[number]
+    schema = source.schema_records.get(channel.schema_id)
+    key = None if schema is None else (schema.name, schema.encoding, schema.data)
+    if key is not None and key not in schemas:
+        schemas[key] = writer.register_schema(*key)
+    registered = 0 if key is None else schemas[key]
+    type_hash = channel.metadata.get("topic_type_hash", "")
+    made = BagTopic(channel.topic, "" if schema is None else schema.name, type_hash, encoding=channel.message_encoding)
+    topic = topics.setdefault(channel.topic, made)
+    offered = named_qos(channel.metadata.get("offered_qos_profiles", ""))
+    topic.qos += [profile for profile in offered if profile not in topic.qos]
+    return int(writer.register_channel(channel.topic, channel.message_encoding, registered, dict(channel.metadata)))
+
+
+def _add_extra(writer: Any, extra: Attachment | Metadata | None) -> None:
+    if isinstance(extra, Attachment):
+        writer.add_attachment(extra.create_time, extra.log_time, extra.name, extra.media_type, extra.data)
+    elif extra is not None and extra.name != "rosbag2":  # which repeats metadata.yaml, of the bag as it was
+        writer.add_metadata(extra.name, extra.metadata)
+
+
 def _text(stated: dict[str, Any], key: str) -> str:
     """What metadata.yaml states under a key, where it is a text."""
     value = stated.get(key)
     return value if isinstance(value, str) else ""
-
-
-class _Copy:
-    """One file of the new bag, begun with its first message."""
-
-    def __init__(self, path: Path, source: McapFile, topics: dict[str, BagTopic]) -> None:
-        self.seen = BagFile(path.name)
-        self._path, self._source, self._topics = path, source, topics
-        self._stream: Any = None
-        self._writer: Any = None
-        self._channels: dict[int, int] = {}
-        self._schemas: dict[int, int] = {}
-
-    def add(self, message: RawMessage) -> None:
-        if self._writer is None:
-            self._begin()
-        if message.channel not in self._channels:
-            self._add_channel(message.channel)
-        self._topics[message.topic].count += 1
-        self.seen.add(message.received_ns)
-        self._writer.add_message(
-            self._channels[message.channel],
-            message.received_ns,
-            bytes(message.cdr),
-            message.published_ns,
-            message.sequence,
-        )
-
-    def _begin(self) -> None:
-        compression = _COMPRESSION.get(self._source.compression or "", CompressionType.NONE)
-        self._stream = self._path.open("wb")
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=compression)
-        self._writer.start(profile="ros2", library=LIBRARY)
-
-    def _add_channel(self, channel_id: int) -> None:
-        channel = self._source.channels[channel_id]
-        schema = self._source.schema_records.get(channel.schema_id)
-        if schema is not None and schema.id not in self._schemas:
-            self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-        self._channels[channel_id] = self._writer.register_channel(
-            channel.topic, channel.message_encoding, self._schemas.get(channel.schema_id, 0), dict(channel.metadata)
-        )
-        topic = self._topics.setdefault(
-            channel.topic,
-            BagTopic(
-                channel.topic,
-                "" if schema is None else schema.name,
-                channel.metadata.get("topic_type_hash", ""),
-                encoding=channel.message_encoding,
-            ),
-        )
-        offered = named_qos(channel.metadata.get("offered_qos_profiles", ""))
-        topic.qos += [profile for profile in offered if profile not in topic.qos]
-
-    def finish(self) -> bool:
-        """Write the index; whether there was anything to write."""
-        if self._writer is None:
-            return False
-        for channel in self._source.channels:
-            # topics without a message belong to the bag too
-            if channel not in self._channels:
-                self._add_channel(channel)
-        for opcode, record in self._source.extras:
-            self._add_extra(_extra(opcode, record))
-        with self._stream:
-            self._writer.finish()
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
-        return True
-
-    def _add_extra(self, extra: Attachment | Metadata | None) -> None:
-        if isinstance(extra, Attachment):
-            self._writer.add_attachment(extra.create_time, extra.log_time, extra.name, extra.media_type, extra.data)
-        elif extra is not None and extra.name != "rosbag2":  # which repeats metadata.yaml, of the bag as it was
-            self._writer.add_metadata(extra.name, extra.metadata)
 
 
 def _extra(opcode: int, record: bytes) -> Attachment | Metadata | None:

@@ -16,6 +16,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -26,7 +27,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema, Statistics
+from mcap.records import Channel, ChunkIndex, Footer, McapRecord, Schema, Statistics
+from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
 from modcal_core.errors import BadRecording
@@ -373,8 +375,7 @@ def _other_format(path: Path, start: bytes) -> str:
 
 # --- The index at the end of an MCAP file: which topics there are, and what the file says of its own size
 
-_FOOTER = struct.Struct("<BQQQI")
-_MAX_RECORDS = 1_000_000
+_FOOTER_SIZE = 29  # bytes of the record
 
 
 @dataclass
@@ -392,52 +393,37 @@ class Index:
 
 def read_index(path: Path) -> Index | None:
     """The index of a file; None where it has none. Raises ValueError for one that is damaged."""
-    with path.open("rb") as stream:
-        try:
-            data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except ValueError:  # of an empty file
-            return None
-        with data:
-            try:
-                return _index(data)
-            except (McapError, struct.error, KeyError, MemoryError) as error:
-                raise ValueError(type(error).__name__) from error
-
-
-def _index(data: mmap.mmap) -> Index | None:
-    end = len(data) - len(MAGIC) - _FOOTER.size
-    if end < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
-        raise ValueError("the file does not end correctly")
-    opcode, length, at, _, _ = _FOOTER.unpack_from(data, end)
-    if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size:
-        raise ValueError("the file does not end correctly")
-    if at == 0:
+    size = path.stat().st_size
+    if size == 0:
         return None
-    if not len(MAGIC) <= at <= end:
-        raise ValueError("it begins outside of the file")
-    out, schemas, channels = Index(), {0: ""}, {}
-    counts: dict[int, int] = {}
-    for _ in range(_MAX_RECORDS):
-        if at + _RECORD.size > end:
-            break
-        opcode, length = _RECORD.unpack_from(data, at)
-        body, at = at + _RECORD.size, at + _RECORD.size + length
-        if at > end:
-            raise ValueError("a record goes beyond its end")
-        if opcode == Opcode.CHUNK_INDEX:
+    with path.open("rb") as stream:
+        records = partial(StreamReader, stream, skip_magic=True, emit_chunks=True, record_size_limit=size)
+        try:
+            stream.seek(max(size - _FOOTER_SIZE - len(MAGIC), len(MAGIC)))
+            footer = next(records().records)
+            if not isinstance(footer, Footer) or stream.read(len(MAGIC)) != MAGIC:
+                raise ValueError("the file does not end correctly")
+            if footer.summary_start == 0:
+                return None
+            stream.seek(footer.summary_start)
+            return _index(records().records)
+        except (McapError, struct.error, KeyError, MemoryError, UnicodeDecodeError, OSError, StopIteration) as error:
+            raise ValueError(type(error).__name__) from error
+
+
+def _index(records: Iterator[McapRecord]) -> Index:
+    out, schemas, counts = Index(), {0: ""}, dict[int, int]()
+    channels = dict[int, Channel]()
+    for record in records:
+        if isinstance(record, ChunkIndex):
             out.listed += 1
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-            record = ReadDataStream(BytesIO(data[body:at]))
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(record)
-                schemas[schema.id] = schema.name
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(record)
-                channels[channel.id] = channel
-            else:
-                stated = Statistics.read(record)
-                out.messages, out.chunks = stated.message_count, stated.chunk_count
-                counts = stated.channel_message_counts
+        elif isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Statistics):
+            out.messages, out.chunks = record.message_count, record.chunk_count
+            counts = record.channel_message_counts
     for channel in channels.values():
         key = (channel.topic, schemas.get(channel.schema_id, ""))
         out.topics[key] = out.topics.get(key, 0) + counts.get(channel.id, 0)

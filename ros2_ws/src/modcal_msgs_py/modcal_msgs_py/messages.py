@@ -18,7 +18,7 @@ from modcal_core.geometry import Array
 from modcal_core.measurements import PART, Listed, Recording
 from modcal_core.measurements.kinds import kinds
 from modcal_msgs_py.descriptions import Descriptions, is_link
-from modcal_msgs_py.layout import Bytes, MessageLayout, numeric_paths
+from modcal_msgs_py.layout import Bytes, MessageLayout, is_signal, numeric_paths
 from modcal_msgs_py.mcap_walk import Block
 from modcal_msgs_py.readings import READING, columns_of, seconds, stated_by, stated_in
 from modcal_msgs_py.topics import (
@@ -360,7 +360,7 @@ def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, float]]:
     fields = getattr(message, "__dataclass_fields__", None)
     names = fields if fields is not None else getattr(message, "get_fields_and_field_types", dict)()
     for name in names:
-        if name == "header" or (fields is not None and hasattr(type(message), name)):  # or a constant of the type
+        if not is_signal(name) or (fields is not None and hasattr(type(message), name)):  # or a constant of the type
             continue
         value = getattr(message, name)
         if isinstance(value, bool | int | float | np.number):

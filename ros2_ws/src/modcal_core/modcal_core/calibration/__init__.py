@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from modcal_core.calibration.starts import fit_geometry
     from modcal_core.calibration.stated import Stated, StatedTool, contradicted_places, stated_std
     from modcal_core.calibration.store import Calibration, fingerprint, from_data, to_data
-    from modcal_core.calibration.structure import choose_parameters, exact_samples, general_samples, joint_ranges
-    from modcal_core.calibration.structure import parameter_count, views_of
+    from modcal_core.calibration.structure import ParameterChoice, choose_parameters, exact_samples, general_samples
+    from modcal_core.calibration.structure import joint_ranges, parameter_count, views_of
 else:
     from modcal_core.lazy import lazy_face
 
@@ -62,6 +62,7 @@ __all__ = ["BLEND", "EQUATIONS_PER_PARAMETER", "FINEST", "FITTED", "HUBER_Z", "I
 __all__ += ["PRIOR_LENGTH_M", "REJECT_Z", "SHARES", "WHATS", "AnyDistance", "Calibration", "Cell", "Curvature"]
 __all__ += ["Deviations", "Distance", "ErrorSize", "Errors", "Fit", "GroupSizes", "Groups", "Identifiability"]
 __all__ += ["Instrument", "Known", "KnownDistance", "Model", "ModelParameter", "Move", "NoiseModel", "Pairs"]
+__all__ += ["ParameterChoice"]
 __all__ += ["Readmitted", "RejectedPlace", "RowView", "Schedule", "Split", "Stated", "StatedPayload", "StatedTool"]
 __all__ += ["StationDistance", "Uncertainty", "View", "What", "anneal_distances", "apply_deviations", "as_normal"]
 __all__ += ["averaged", "base_and_tool_turns", "base_by_positions", "between", "beyond_chi2", "beyond_gumbel"]

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from modcal_core.camera.mounting import MIN_VIEWS
     from modcal_core.camera.other_readings import ReadingsBeside, beside
     from modcal_core.camera.plan import plan_images
-    from modcal_core.camera.prepared import MIN_CORNERS, CameraImages, distances_of_views, enough_corners
+    from modcal_core.camera.outliers import MIN_CORNERS, distances_of_views, enough_corners
+    from modcal_core.camera.prepared import CameraImages
     from modcal_core.camera.problems import APPLY, CANNOT_TELL
-    from modcal_core.camera.solve import CameraSolution, FurtherSeen, solve_camera
+    from modcal_core.camera.solve import CameraProblem, CameraSolution, FurtherSeen, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
     from modcal_core.camera.tool_error import ALL_BUT_IMAGES, ToolError, covered, tilt_and_distance
     from modcal_core.camera.watching import CameraWatch, Moved
@@ -30,7 +31,16 @@ else:
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
 __all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE"]
 __all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
-__all__ += ["CameraImages", "CameraSolution", "CameraWatch", "CornerTable", "FurtherSeen", "ImageMoments", "Lens"]
+__all__ += [
+    "CameraImages",
+    "CameraProblem",
+    "CameraSolution",
+    "CameraWatch",
+    "CornerTable",
+    "FurtherSeen",
+    "ImageMoments",
+    "Lens",
+]
 __all__ += ["MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside", "ToolError", "at_flange", "beside"]
 __all__ += ["board_poses", "corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens"]
 __all__ += ["flange_in_tool", "grams", "homography", "plan_images", "read_any_target", "read_target", "solve_camera"]

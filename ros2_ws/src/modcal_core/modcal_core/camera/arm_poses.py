@@ -12,7 +12,7 @@ would have such lengths known to seven tenths of what they are.
 A further camera that watches the same arm shares the arm and its effects, and, where it is the same target file, the
 size of the print: two sheets of one printer, or one sheet, are wrong by the same. Seen from the same side it is one
 sheet, whose bow is shared as well. Lens, clock and places of its own stand behind the values of the first camera's fit,
-and its images come into the equations as theirs do (equations.OtherBlock).
+and its images come into the equations as theirs do (equations.CameraRows).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from modcal_core.calibration import (
     Model,
@@ -33,7 +34,7 @@ from modcal_core.calibration import (
     model_at,
     ordered_candidates,
 )
-from modcal_core.camera.corners import CLOCK_S, SHAPE_NAMES, CameraState, CommonPrior, CornerTable
+from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable, common_names
 from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
 from modcal_core.effects import Drivers, Effect, NominalArm, prior_stds
 from modcal_core.geometry import Array, se3, so3
@@ -44,10 +45,13 @@ from modcal_core.robots import Chain, Inertias, body_jacobian
 
 @dataclass(frozen=True)
 class ArmFaults:
-    """Covariance of an arm's A parameters by faults of lengths, and by faults of angles, of size 1, (A, A) each."""
+    """Covariance of an arm's A parameters by faults of lengths, and by faults of angles, of size 1, (A, A) each.
+    stated: their size, where somebody states it.
+    """
 
     lengths: Array
     angles: Array
+    stated: float | None = None
 
     def covariance(self, ratio: float = 1.0) -> Array:
         """Prior covariance of the arm's faults, (A, A). ratio: scale of the length faults over that of the angle
@@ -124,6 +128,7 @@ class ImageMoments:
 NOTHING_KNOWN = ImageMoments()
 
 FREE_M, FREE_RAD = 10.0, 10.0  # standard deviations of what nothing is known of
+_MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 @dataclass(frozen=True)
@@ -198,13 +203,17 @@ class ArmPoses:
         return np.concatenate([*out, np.zeros(self._of_beside), *(c.expected for c in self.further)])
 
     @property
-    def prior_std(self) -> Array:
-        """Prior standard deviations (P,) [m, rad]. Base and tool are free; ``faults`` refines those of the arm."""
+    def information(self) -> Array:
+        """Information of the prior, (P, P). Base and tool are free; ``faults`` refines that of the arm."""
         own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
         effects = [prior_stds(e, self.drivers()) for e in self.model.effects]
-        others = self.beside.prior_std if self.beside else np.empty(0)
-        further = [np.diag(c.information) ** -0.5 for c in self.further]  # what goes together is in fit.equations_at
-        return np.concatenate([np.array(own, dtype=float), *effects, others, *further])
+        std = np.concatenate([np.array(own, dtype=float), *effects, self.beside.prior_std if self.beside else []])
+        return np.asarray(block_diag(np.diag(std**-2), *(one.information for one in self.further)))
+
+    @property
+    def moves(self) -> bool:
+        """Whether the arm moved while images were taken, so that they show a clock."""
+        return bool(np.abs(self.velocity).max(initial=0.0) > _MOVING)
 
     @property
     def of_arm(self) -> np.ndarray:
@@ -219,11 +228,16 @@ class ArmPoses:
         samples = self.moments.samples(q, self.velocity, self.model.chain.names, self.model.frames)
         return Drivers(samples, self.model.arm or NominalArm(self.model.chain))
 
-    def further_at(self, state: CameraState) -> list[tuple[FurtherCamera, int, CameraState]]:
-        """(further camera, where its own values begin, its state) of each, at a state of all."""
-        counts = [len(one.own) for one in self.further]
-        first = [self.count - sum(counts[i:]) for i in range(len(counts))]
-        return [(one, i, one.state(self, state, i)) for one, i in zip(self.further, first, strict=True)]
+    def further_at(self, state: CameraState) -> list[tuple[FurtherCamera, np.ndarray, CameraState]]:
+        """(further camera, where each of its parameters stands among all, −1 for one that is not fitted, its state) of
+        each, at a state of all.
+        """
+        out, first = [], self.of_model + self._of_beside
+        for one in self.further:
+            own = replace(one, poses=one.poses.with_effects(self.model.effects))
+            out.append((own, *one.at(self, state, first)))
+            first += len(one.own)
+        return out
 
     def model_at(self, values: Array) -> Model:
         """The model with these values put in."""
@@ -284,6 +298,12 @@ class ArmPoses:
         R = T[:, :3, :3]
         return np.concatenate([R @ at_tool[:, :3], R @ at_tool[:, 3:]], axis=1)
 
+    def shifts(self, values: Array) -> Array:
+        """Motions of the tool along the axes of the arm's root, which all cameras share, (N, 6, 3)."""
+        out = np.zeros((len(self.q), 6, 3))
+        out[:, :3] = self.R_frame_root(self.model_at(values))
+        return out
+
     def seen(self, T: Array) -> Array:
         """T_camera_target of T_frame_tool, (N, 4, 4)."""
         return se3.inverse(T) if self.camera_on_tip else T
@@ -329,29 +349,27 @@ def arm_poses(
     )
 
 
-def arm_size(poses: ArmPoses, error_m: float, q: Array) -> float:
-    """The factor of the prior at which the nominal arm is off by this RMS [m] at the tool, over postures q (M, n).
-
-    What base and tool can take of it is left out: camera and target are placed by the same images.
+def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:
+    """The poses of an arm whose faults have the size at which the nominal arm is off by this RMS [m] at the tool, over
+    the images; None: nobody states it. What base and tool can take of it is left out: the same images place both.
     """
-    _, motions = poses.at_postures(q).tool_motions(poses.start)
+    arm, faults = poses.of_arm, poses.faults
+    if error_m is None or faults is None:
+        return poses
+    _, motions = poses.at_postures(poses.q).tool_motions(poses.start)
     J = motions[:, :3].reshape(-1, motions.shape[2])
-    arm = poses.of_arm
-    if poses.faults is None:
-        return 1.0
     basis, singular, _ = np.linalg.svd(J[:, ~arm], full_matrices=False)
     basis = basis[:, singular > 1e-9 * singular[0]]
-    faults = J[:, arm] @ np.linalg.cholesky(poses.faults.covariance())
-    rest = faults - basis @ (basis.T @ faults)
-    rms = float(np.sqrt((rest**2).sum() / len(q)))
-    return error_m / max(rms, 1e-12)
+    off = J[:, arm] @ np.linalg.cholesky(faults.covariance())
+    rest = off - basis @ (basis.T @ off)
+    rms = float(np.sqrt((rest**2).sum() / len(poses.q)))
+    return replace(poses, faults=replace(faults, stated=error_m / max(rms, 1e-12)))
 
 
 @dataclass(frozen=True)
 class FurtherCamera:
     """name: of its topic. table, poses, prior: as of a fit of its own. begin: where that fit ended. shared: which of
-    lens, shape, readout and places of markers are those of the first camera, (15 + Z,). moving: whether its images have
-    a clock to find.
+    lens, shape, readout and places of markers are those of the first camera, (15 + Z,).
     """
 
     name: str
@@ -360,7 +378,6 @@ class FurtherCamera:
     prior: CommonPrior
     begin: CameraState
     shared: np.ndarray
-    moving: bool
 
     @property
     def own(self) -> np.ndarray:
@@ -368,16 +385,12 @@ class FurtherCamera:
         P = len(self.poses.parameters)
         placed = np.flatnonzero([not p.of_arm for p in self.poses.parameters])
         common = np.flatnonzero(self.prior.free & ~self.shared)
-        return np.r_[placed, np.full(int(self.moving), P), P + 1 + common].astype(int)
+        return np.r_[placed, np.full(int(self.poses.moves), P), P + 1 + common].astype(int)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of what it has of its own."""
-        every = (
-            *(p.name for p in self.poses.parameters),
-            *("clock", *self.begin.lens.names, *SHAPE_NAMES, "readout"),
-            *(f"places/{i}" for i in range(self.table.places * self.table.markers)),
-        )
+        every = (*(p.name for p in self.poses.parameters), *common_names(self.begin.lens, self.table))
         return tuple(f"{self.name} {every[i]}" for i in self.own)
 
     @property
@@ -395,45 +408,25 @@ class FurtherCamera:
     def information(self) -> Array:
         """Information of the prior of its own values."""
         P = len(self.poses.parameters)
-        size = P + 1 + len(self.prior.mean)
-        whole = np.zeros((size, size))
-        whole[:P, :P] = np.diag(self.poses.prior_std[:P] ** -2)
-        whole[P, P] = CLOCK_S**-2
-        whole[P + 1 :, P + 1 :] = self.prior.information
+        whole = block_diag(self.poses.information[:P, :P], np.array([[CLOCK_S**-2]]), self.prior.information)
         return np.asarray(whole[np.ix_(self.own, self.own)])
 
-    def state(self, first: ArmPoses, state: CameraState, place: int) -> CameraState:
-        """The state of its own fit at one of all. first: the first camera's poses. place: of its first own value."""
-        P = len(self.poses.parameters)
-        x = _vector(self.begin)
-        at = {p.name: i for i, p in enumerate(first.parameters)}
-        for i, p in enumerate(self.poses.parameters):
-            if p.of_arm:
-                x[i] = state.values[at[p.name]]
-        shared = np.flatnonzero(self.shared)  # no more than the first camera has, whose target may be another
-        x[P + 1 + shared] = state.common[shared]
-        own = self.own
-        x[own] = state.values[place : place + len(own)]
-        effects = state.values[len(first.parameters) : first.of_model]
-        there = replace(self.begin, values=np.r_[x[:P], effects], offset_s=float(x[P]))
-        return there.with_common(x[P + 1 :])
-
-    def columns(self, first: ArmPoses, place: int) -> np.ndarray:
-        """Where each of its parameters, the effects, clock, lens, shape, readout and places stand among those of all,
-        −1 for what is not fitted. place: of the first of its own values.
+    def at(self, first: ArmPoses, state: CameraState, place: int) -> tuple[np.ndarray, CameraState]:
+        """(where each of its parameters, the effects, clock, lens, shape, readout and places stand among those of all,
+        −1 for what is not fitted; its state) at a state of all. first: the first camera's poses. place: of the first of
+        its own values.
         """
-        P, effects = len(self.poses.parameters), first.of_model - len(first.parameters)
-        out = np.full(P + effects + 1 + len(self.prior.mean), -1)
+        P = len(self.poses.parameters)
+        columns = np.full(P + 1 + len(self.prior.mean), -1)
         at = {p.name: i for i, p in enumerate(first.parameters)}
-        for i, p in enumerate(self.poses.parameters):
-            if p.of_arm:
-                out[i] = at[p.name]
-        out[P : P + effects] = len(first.parameters) + np.arange(effects)
-        common = P + effects + 1
-        out[common:][self.shared] = first.count + 1 + np.flatnonzero(self.shared)
-        own = self.own
-        out[np.where(own < P, own, own + effects)] = place + np.arange(len(own))
-        return out
+        columns[:P] = [at[p.name] if p.of_arm else -1 for p in self.poses.parameters]
+        # no more than the first camera has, whose target may be another
+        columns[P + 1 :][self.shared] = first.count + 1 + np.flatnonzero(self.shared)
+        columns[self.own] = place + np.arange(len(self.own))
+        x = np.where(columns >= 0, np.r_[state.values, state.offset_s, state.common][columns], _vector(self.begin))
+        effects = np.arange(len(first.parameters), first.of_model)
+        there = replace(self.begin, values=np.r_[x[:P], state.values[effects]], offset_s=float(x[P]))
+        return np.insert(columns, P, effects), there.with_common(x[P + 1 :])
 
 
 def _vector(state: CameraState) -> Array:

@@ -9,9 +9,6 @@ Points in depth begin with the affine camera that meets their rays (scaled ortho
 1995), points of one face with the homography of their plane; both are tried with the twin that is tilted the other way
 about the line of sight, for shallow points have one as sheets do, and refined.
 
-An image of a body may show three points, which fit any pose, so it is the arm that points are held against: those that
-are off by far more than the others, each image's own error counted, are out, and where most of an image is, the image.
-
 Where single images have too few points for a pose, the points are seen from many postures. One that stands at y on the
 tip is seen, up to a factor, at P A ỹ, with A the flange pose and P the camera's matrix in the base. That is linear in
 the products of P's and y's elements, 39 of them, which the sightings of one point show to a factor; their 9 × 4 part
@@ -25,11 +22,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import exceeded_chi2, median_chi2, procrustes
+from modcal_core.calibration import procrustes
 from modcal_core.camera.bundle import MARKER_CORNERS, MarkerBundle
-from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, residuals
-from modcal_core.camera.fit import CameraFit
-from modcal_core.camera.intrinsics import BoardPose, both_poses, homography, pose_of_plane, twin_pose
+from modcal_core.camera.corners import CornerTable, corner_rows
+from modcal_core.camera.intrinsics import BoardPose, both_poses, homography, pose_of_plane, projection, twin_pose
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.camera.mounting import MIN_VIEWS, Mounting, find_mounting, mounting_misfit, relative_turns
 from modcal_core.errors import BadTable, ModcalError, NotEnoughData
@@ -90,11 +86,8 @@ def _lifted(A: Array, rays: Array) -> Array:
     """The camera's matrix (3, 4) by sightings of one point."""
     M = len(A)
     phi = np.concatenate([A[:, :3, :3].reshape(M, 9), A[:, :3, 3], np.ones((M, 1))], axis=1)
-    zero = np.zeros_like(phi)
-    rows = np.concatenate([np.c_[phi, zero, -rays[:, :1] * phi], np.c_[zero, phi, -rays[:, 1:] * phi]])
-    scale = 1.0 / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    w = scale * np.linalg.svd(rows * scale, full_matrices=False)[2][-1]
-    w = w.reshape(3, 13)
+    scale = 1.0 / np.maximum(np.linalg.norm(phi, axis=0), 1e-300)
+    w = scale * projection(phi * scale, rays)
     products = np.concatenate([w[:, :9].reshape(9, 3), w[:, 9:12].reshape(9, 1)], axis=1)
     U, s, Vt = np.linalg.svd(products, full_matrices=False)
     left = (U[:, 0] * s[0] * Vt[0, 3]).reshape(3, 3)
@@ -139,9 +132,7 @@ def _matrix(at: Array, rays: Array) -> Array:
     to_unit = np.diag([1.0 / size] * 3 + [1.0])
     to_unit[:3, 3] = -centre / size
     unit = at @ to_unit.T
-    zero = np.zeros_like(unit)
-    rows = np.concatenate([np.c_[unit, zero, -rays[:, :1] * unit], np.c_[zero, unit, -rays[:, 1:] * unit]])
-    return np.asarray(np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 4) @ to_unit)
+    return np.asarray(projection(unit, rays) @ to_unit)
 
 
 def _miss(P: Array, A: Array, point: np.ndarray, rays: Array, y: Array) -> Array:
@@ -238,24 +229,22 @@ class BodyStart:
 
     def miss_px(self, table: CornerTable) -> float:
         """Median distance of corners from where they should be [px]."""
-        off = residuals(table, self.lens, table.unshaped, self.mounting.T_camera_target)
+        off = corner_rows(table, self.lens, table.unshaped, self.mounting.T_camera_target).pixels
         return float(np.median(np.linalg.norm(off, axis=1)))
 
 
-def start_of_body(
-    table: CornerTable, A: Array, lens: Lens | None, size: tuple[int, int], model: str, on_tip: bool | None
-) -> BodyStart:
+def start_of_body(table: CornerTable, A: Array, lens: Lens | None, usual: Lens, on_tip: bool | None) -> BodyStart:
     """The start of images (N) of a body.
 
-    A: flange poses, (N, 4, 4) [m]. lens: as stated, None where it is to be found. size: of the images [px]. model: of
-    the lens. on_tip: the mounting where it is stated. Raises ModcalError for images that do not show it.
+    A: flange poses, (N, 4, 4) [m]. lens: as stated, None where it is to be found. usual: of its model and image size.
+    on_tip: the mounting where it is stated. Raises ModcalError for images that do not show it.
     """
     whole = images_with_pose(table)
-    starts = _by_points(table, A, lens, size, on_tip)
+    starts = _by_points(table, A, lens, usual.size, on_tip)
     if whole.sum() >= _ENOUGH:
         posed, at = table.select(whole), A[whole]
         if lens is None:
-            lens = starts[0].lens if starts else _lens_by_arm(posed, at, size, model, on_tip)
+            lens = starts[0].lens if starts else _lens_by_arm(posed, at, usual, on_tip)
         try:
             starts.append(BodyStart(lens, _by_arm(find_mounting(at, body_poses(posed, lens), on_tip), A)))
         except ModcalError:
@@ -293,11 +282,11 @@ def _by_arm(mounting: Mounting, A: Array) -> Mounting:
     return replace(mounting, T_camera_target=se3.inverse(T) if mounting.camera_on_tip else T)
 
 
-def _lens_by_arm(table: CornerTable, A: Array, size: tuple[int, int], model: str, on_tip: bool | None) -> Lens:
+def _lens_by_arm(table: CornerTable, A: Array, usual: Lens, on_tip: bool | None) -> Lens:
     """The lens without distortion whose poses of the body meet the flange's best."""
     rows = np.zeros(table.views, bool)
     rows[np.unique(np.linspace(0, table.views - 1, _LOOKED_AT).astype(int))] = True
-    table, A = table.select(rows), A[rows]
+    table, A, size, model = table.select(rows), A[rows], usual.size, usual.model
 
     def miss(focal: float) -> float:
         return mounting_misfit(A, body_poses(table, Lens.plain(focal, size, model)), on_tip)
@@ -338,92 +327,3 @@ def _by_points(
     away = float(np.median(np.linalg.norm((best.T_camera_base @ (se3.inverse(A) if carried else A))[:, :3, 3], axis=1)))
     mounting = Mounting(carried, base, tool, A, best.miss * away, float(rival), relative_turns(A), np.empty(0))
     return [BodyStart(lens, _by_arm(mounting, A))]
-
-
-TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
-_POINT = 6.0  # robust standard deviations, as of corners of a sheet: one good point in a billion
-_MOSTLY = 0.5  # of the points of an image, beyond which it is the image that is elsewhere
-VIEW_CHANCE = 1e-7  # of an image as far off as this, were it like the others
-# Tolerances, and times the median marker, that a marker's place may differ from where the others have it: farther is
-# another marker's sighting under its number, or a slip of the pen, which would make all places look as open as its own.
-_FAR = 6.0
-_MIN_MARKERS = 6  # of a body, for their median to be that of markers that are where they should be
-_SEEN = 1e-9  # of an image's information; directions below it are none that it shows
-
-
-def point_weights(fit: CameraFit) -> Array:
-    """1 for points where the fit has them, each image's own error taken out, else 0, (M,)."""
-    table = fit.table
-    T, _ = fit.poses.tool_motions(fit.state.values, fit.state.offset_s)
-    rows = corner_rows(table, fit.state.lens, fit.state.shape, fit.poses.seen(T), fit.state.readout_s)
-    G = fit.equations.grams / fit.sizes.noise**2
-    own = (fit.equations.solve(fit.sizes).S @ G[:, :POSE, -1:])[:, :, 0]  # its twist, as likely as it is
-    size = np.abs(rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0])
-    sigma = TO_SIGMA * np.median(size[table.weight > 0.0])
-    return np.asarray((size <= _POINT * max(float(sigma), 1e-9)).all(axis=1), dtype=float)
-
-
-def far_markers(fit: CameraFit) -> np.ndarray:
-    """Markers (K,) whose place is not where any hand would have glued them, in which points in use have a part.
-
-    The body's frame is that of all its markers together, so each is held against the motion that the others show.
-    """
-    table, prior = fit.table, fit.prior.places
-    assert prior is not None
-    K, values = table.markers, table.places
-    used = np.flatnonzero(np.bincount(table.marker, table.weight, K) > 0.0)
-    out = np.zeros(K, bool)
-    if len(used) < _MIN_MARKERS:
-        return out
-    middles = np.zeros((K, 3))
-    middles[table.marker] = table.points - table.lever
-    motion = np.zeros((K, values, 6))
-    motion[:, :3, :3] = np.eye(3)
-    motion[:, :3, 3:] = -so3.hat(middles)
-    motion[:, 3:, 3:] = np.eye(3)[: values - 3]
-    apart = prior.apart.reshape(K, values, K, values)[np.arange(K), :, np.arange(K)]
-    white = np.swapaxes(np.linalg.cholesky(apart), 1, 2)
-    off = (white @ fit.state.shape[SHAPE:].reshape(K, values, 1))[:, :, 0]
-    moved = white @ motion
-    for k in used:
-        others = used[used != k]
-        by = np.linalg.lstsq(moved[others].reshape(-1, 6), off[others].reshape(-1), rcond=None)[0]
-        size = np.sqrt(((off - moved @ by) ** 2).mean(axis=1))
-        out[k] = size[k] > _FAR * max(1.0, float(np.median(size[others])))
-    return out
-
-
-def mostly_out(table: CornerTable, out: np.ndarray) -> np.ndarray:
-    """Images (N,) most of whose points (mask (M,)) are out."""
-    count = np.bincount(table.view, minlength=table.views)
-    return np.asarray(np.bincount(table.view, out.astype(float), table.views) > _MOSTLY * count)
-
-
-def elsewhere(fit: CameraFit) -> np.ndarray:
-    """Images (N,) that are nowhere near where the arm has them, the others' scatter being the scale.
-
-    Of an image with few points it is those directions that it shows which count.
-    """
-    G = fit.equations.grams / fit.sizes.noise**2
-    Q = fit.equations.covariance_of_views(fit.sizes)
-    square, rank = np.zeros(len(G)), np.zeros(len(G), int)
-    for i, (one, own) in enumerate(zip(G, Q, strict=True)):
-        inner, score = one[:POSE, :POSE], one[:POSE, -1]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        values, vectors = np.linalg.eigh(inner * np.outer(scale, scale))
-        keep = values > _SEEN * max(values[-1], 1e-300)
-        if not inner.any() or not keep.any():
-            continue
-        basis = (scale[:, None] * vectors[:, keep]) / np.sqrt(values[keep])
-        # the score in directions of unit information: its covariance is 1 + that of the image's own twist
-        z = basis.T @ score
-        along = basis.T @ inner
-        square[i] = z @ np.linalg.solve(np.eye(len(z)) + along @ own @ along.T, z)
-        rank[i] = len(z)
-    seen = rank > 0
-    if not seen.any():
-        return np.zeros(len(G), bool)
-    usual = np.array([median_chi2(int(r)) if r else 1.0 for r in rank])
-    most = np.array([exceeded_chi2(VIEW_CHANCE, int(r)) if r else np.inf for r in rank])
-    scale_of_all = max(float(np.median((square / usual)[seen])), 0.1)
-    return np.asarray(seen & (square > scale_of_all * most))

@@ -88,23 +88,20 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
         values = np.concatenate([parameters, *(e.values for e in asked.model.effects), own])
         state = fit.state.with_values(values)
         fit = replace(fit, poses=poses, state=state, equations=equations_at(fit.table, poses, fit.prior, state))
-    eq, solved = fit.equations, fit.equations.solve(fit.sizes)
-    E = solved.E
-    N, K = len(E), eq.moved.shape[2]
-    size = np.einsum("nii->n", E[:, :POSE, :POSE])
-    L = np.linalg.cholesky(E[:, :POSE, :POSE] + (_ONLY_ROUNDING * size)[:, None, None] * np.eye(POSE))
+    solved = fit.equations.solve(fit.sizes)
+    moved = fit.equations.cameras[0].moved
+    E = solved.of_views
+    N = len(E)
+    size = np.einsum("nii->n", E[:, :, :POSE])
+    L = np.linalg.cholesky(E[:, :, :POSE] + (_ONLY_ROUNDING * size)[:, None, None] * np.eye(POSE))
     white = np.swapaxes(L, 1, 2)
-    beside = np.linalg.solve(L, E[:, :POSE, POSE:])  # by lens and sheet, and the residual
-    J = np.concatenate([white @ eq.moved, beside[:, :, :-1]], axis=2)[:, :, solved.use]
-    held = solved.P.copy()
-    common = (E[:, POSE:-1, POSE:-1] - np.swapaxes(beside, 1, 2)[:, :-1] @ beside[:, :, :-1]).sum(axis=0)
-    place = np.searchsorted(solved.use, K)
-    which = solved.use[place:] - K
-    held[place:, place:] += common[np.ix_(which, which)]
-    if eq.beside is not None or eq.others:  # what others say stands beside the prior too
-        held += eq.of_others(fit.sizes)[np.ix_(solved.use, solved.use)]
-    rows = J.transpose(1, 0, 2).reshape(POSE * N, -1)
-    Q = _orthonormal(rows, held).reshape(POSE, N, -1)
+    beside = np.linalg.solve(L, E[:, :, POSE:])  # by lens and sheet, and the residual
+    rows = np.concatenate([white @ moved, beside[:, :, :-1]], axis=2)[:, :, solved.use].transpose(1, 0, 2)
+    # a root of all that stands beside these rows is left out below them: lens and sheet, other instruments, the prior
+    scale = 1.0 / np.sqrt(np.diag(solved.H))
+    root = np.linalg.cholesky(solved.H * np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
+    by = (rows.reshape(POSE * N, -1) * scale).T
+    Q = solve_triangular(root, by, lower=True, check_finite=False).T.reshape(POSE, N, -1)
     residual = np.asarray(beside[:, :, -1].T)
     residual = residual - Q @ np.einsum("cNp,cN->p", Q, residual)
     now = fit.poses.model_at(fit.state.values)
@@ -112,14 +109,6 @@ def _space(asked: WithModel, drivers: Drivers) -> CameraSpace:
     view = RowView.of(now, drivers.samples, drivers)
     freedom = round(POSE * N - float(np.sum(Q**2)))
     return CameraSpace(view, np.ones((POSE, N)), residual, Q, freedom, fit=fit, now=now, T=T, white=white)
-
-
-def _orthonormal(J: Array, held: Array) -> Array:
-    """Orthonormal columns of J (m, P) with a root of the information ``held`` (P, P) below it, left out again."""
-    H = J.T @ J + held
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    L = np.linalg.cholesky(H * np.outer(scale, scale) + 1e-12 * np.eye(len(H)))
-    return np.asarray(solve_triangular(L, (J * scale).T, lower=True, check_finite=False).T)
 
 
 _MAX = 6  # effects, for time
@@ -144,12 +133,9 @@ class CameraCause:
 
 
 def find_causes(
-    fit: CameraFit, rng: np.random.Generator, arm: float | None = None, progress: Callable[[str], None] = lambda _: None
+    fit: CameraFit, rng: np.random.Generator, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[CameraFit, tuple[CameraCause, ...], EffectChoice | None]:
-    """(the fit with the effects that the images show, these, what is significant but could not be turned into one).
-
-    arm: as in the fit.
-    """
+    """(the fit with the effects that the images show, these, what is significant but could not be turned into one)."""
     drivers = fit.poses.drivers(fit.state.offset_s)
     looked_for = [e for e in candidates(drivers) if e.place not in _NOT_HERE and "time" not in e.driver]
     causes: list[CameraCause] = []
@@ -170,9 +156,9 @@ def find_causes(
             break
         progress(choice.effect.label)
         started = choice.effect.started(scanner.amplitudes(asked, choice.effect))  # type: ignore[arg-type]
-        better = _with(fit, started, arm)
+        better = _with(fit, started)
         gain = fit.misfit - better.misfit
-        if better.converged and gain > _GAIN and predicted(better, arm) < predicted(fit, arm):
+        if better.converged and gain > _GAIN and predicted(better) < predicted(fit):
             causes.append(
                 CameraCause(started, choice.p_value, choice.same_as, fit.sizes.joint, better.sizes.joint, gain)
             )
@@ -195,14 +181,14 @@ def _valued(fit: CameraFit) -> tuple[Effect, ...]:
     return tuple(out)
 
 
-def _with(fit: CameraFit, effect: Effect, arm: float | None) -> CameraFit:
+def _with(fit: CameraFit, effect: Effect) -> CameraFit:
     """Everything fitted again, with one more effect."""
     poses = fit.poses.with_effects((*_valued(fit), effect))
     begin = fit.state.with_values(np.insert(fit.state.values, fit.poses.of_model, effect.values))
-    return fit_camera(fit.table, poses, begin.lens, fit.prior, fit.sizes, arm, begin=begin)
+    return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
 
 
-def predicted(fit: CameraFit, arm: float | None = None) -> float:
+def predicted(fit: CameraFit) -> float:
     """Mean square of the residuals [px²] of every fourth image, and so on, predicted from fits of the others.
 
     Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
@@ -213,12 +199,8 @@ def predicted(fit: CameraFit, arm: float | None = None) -> float:
     square = np.empty(N)
     for part in range(_PARTS):
         held = np.arange(N) % _PARTS == part
-        table, poses = fit.table.select(~held), fit.poses.select(~held)
-        there = fit_camera(
-            *(table, poses, fit.state.lens, fit.prior, fit.sizes, arm), fixed_sizes=True, begin=fit.state
-        )
         table = fit.table.select(held)
-        gap = missed_pixels(table, fit.poses.select(held), there.state)
+        gap = missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
         total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
         square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
     return float(np.minimum(square, 25.0 * np.median(square)).mean())

@@ -8,10 +8,6 @@ whitened by the corners' covariance. What a fit needs of an image is the product
 however many corners there are, which is why many images stay quick. On a body each marker's place moves its own points
 as well, and the product is larger by the places of all markers.
 
-Misreadings of a body are spread over markers and images, and what is left of its points says as much as if they had not
-been read. A marker most of whose points are out has another number, or another place, than the target's file states, or
-came loose. Either is said; it speaks against the fit only where it is more than the others outvote.
-
 The sheet's size, its flatness and the lens's higher terms are fitted with expectations and not left out, so that what
 they may do to the arm is in its uncertainty: the sheet is suspected before the arm.
 """
@@ -23,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle, PlacePrior, PrintScale, whitening
+from modcal_core.camera.bundle import BoardView, CalibrationTarget, PlacePrior, PrintScale, whitening
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.lens import FISHEYE, Lens
 from modcal_core.geometry import Array, so3
@@ -102,6 +98,11 @@ class CornerTable:
         """RMS of residuals (M, 2) of the corners in use."""
         return float(np.sqrt((self.weight @ (gap**2).sum(1)) / max(self.weight.sum(), 1.0)))
 
+    @property
+    def left_out(self) -> float:
+        """Share of corners left out."""
+        return 1.0 - float(self.weight.mean())
+
     def with_weight(self, weight: Array) -> CornerTable:
         """The same corners, those with weight 0 left out."""
         return replace(self, weight=weight)
@@ -168,12 +169,21 @@ def corner_rows(
     shape: with the places of markers behind it, (5 + Z,). readout_s: of a rolling shutter. sweep: twist of the target a
     second, seen from the camera, (N, 6); None: it stands.
     """
-    R, still, X, rate, turned = _in_camera(table, lens, shape, T_camera_target, readout_s, sweep)
+    T = T_camera_target[table.view]
+    R = T[:, :3, :3]
+    still = (R @ table.on_target(shape)[:, :, None])[:, :, 0] + T[:, :3, 3]
+    still[:, 2] = np.maximum(still[:, 2], BEHIND)
+    X, rate = still, np.zeros_like(still)
+    if sweep is not None:
+        along = (table.pixels[:, 1] / lens.size[1] - 0.5)[:, None] * sweep[table.view]
+        rate = along[:, :3] + np.cross(along[:, 3:], still)
+        X = still + readout_s * rate
+        X[:, 2] = np.maximum(X[:, 2], BEHIND)
     seen, by_point, by_lens = lens.linearise(X)
     by_point = table.white @ by_point
     by_readout = by_point @ rate[:, :, None]
-    if turned is not None:
-        by_point = by_point @ turned
+    if sweep is not None:
+        by_point = by_point @ (np.eye(3) + readout_s * so3.hat(along[:, 3:]))
     on = by_point @ R
     by_pose = np.concatenate([by_point, -by_point @ so3.hat(still)], axis=2)
     gap = table.pixels - seen
@@ -183,39 +193,6 @@ def corner_rows(
         np.concatenate([table.white @ by_lens, on @ table.modes, by_readout, table.by_places(on)], axis=2),
         gap,
     )
-
-
-def residuals(
-    table: CornerTable,
-    lens: Lens,
-    shape: Array,
-    T_camera_target: Array,
-    readout_s: float = 0.0,
-    sweep: Array | None = None,
-) -> Array:
-    """Residuals in pixels alone, (M, 2), as of :func:`corner_rows`."""
-    X = _in_camera(table, lens, shape, T_camera_target, readout_s, sweep)[2]
-    return table.pixels - lens.project(X)
-
-
-def _in_camera(
-    table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array, readout_s: float, sweep: Array | None
-) -> tuple[Array, Array, Array, Array, Array | None]:
-    """(rotation of the target (M, 3, 3), corners in the camera's frame (M, 3) when the middle row was read and when
-    their own was, their motion per readout (M, 3), derivative of the second by the first (M, 3, 3), None for 1).
-    """
-    T = T_camera_target[table.view]
-    R = T[:, :3, :3]
-    X = (R @ table.on_target(shape)[:, :, None])[:, :, 0] + T[:, :3, 3]
-    X[:, 2] = np.maximum(X[:, 2], BEHIND)
-    if sweep is None:
-        return R, X, X, np.zeros_like(X), None
-    down = table.pixels[:, 1] / lens.size[1] - 0.5
-    along = down[:, None] * sweep[table.view]
-    rate = along[:, :3] + np.cross(along[:, 3:], X)
-    moved = X + readout_s * rate
-    moved[:, 2] = np.maximum(moved[:, 2], BEHIND)
-    return R, X, moved, rate, np.eye(3) + readout_s * so3.hat(along[:, 3:])
 
 
 def grams(table: CornerTable, rows: CornerRows) -> Array:
@@ -229,52 +206,10 @@ def grams(table: CornerTable, rows: CornerRows) -> Array:
     return out
 
 
-_SIGHTINGS = 8  # images of a marker, for most of them to say something of the marker
-_MOSTLY = 0.5  # of these, beyond which it is the marker that is not as stated
-_PASSED = 0.05  # share of points left out that a verdict passes over (verdict.md)
-# Share beyond which what is left is no majority to rely on: where a fifth of markers is misread, every second image
-# that shows three has a misread one among them.
-_TOO_MANY = 0.2
-_NAMED = 3  # markers in a sentence
-
-
-@dataclass(frozen=True)
-class LeftOutPoints:
-    """problems: what speaks against the fit. open: what a verdict may not pass over, though the fit stands."""
-
-    problems: tuple[str, ...] = ()
-    open: tuple[str, ...] = ()
-
-
-def left_out_points(cameras: Sequence[tuple[str, CornerTable]], target: MarkerBundle) -> LeftOutPoints:
-    """What is to be said of the points that were left out of the images of a body.
-
-    cameras: (what a sentence calls it, corners, weight 0 where they are left out), of each that sees this body.
-    """
-    problems, open_ = [], []
-    for name, table in cameras:
-        out = table.weight == 0.0
-        strange = []  # markers most of whose points are out, in images enough to say so
-        for k in range(table.markers):
-            own = table.marker == k
-            if len(np.unique(table.view[own])) >= _SIGHTINGS and float(out[own].mean()) > _MOSTLY:
-                strange.append(k)
-        if strange:
-            named = ", ".join(target.markers[k].label for k in strange[:_NAMED])
-            more = f" and {len(strange) - _NAMED} more" if len(strange) > _NAMED else ""
-            open_.append(
-                f"Most points of {named}{more}{name} are nowhere near their place, and are left out: check number, "
-                "place and corner_order in the target file, and whether it came loose."
-            )
-        rest = ~np.isin(table.marker, strange)
-        share = float(out[rest].mean()) if rest.any() else 0.0
-        if max(share, len(strange) / max(table.markers, 1)) > _TOO_MANY:
-            problems.append(f"{100.0 * float(out.mean()):.0f} % of all points{name} fit no body of the stated form.")
-        elif share > _PASSED:
-            open_.append(
-                f"{100.0 * share:.0f} % of the points{name} are misread, spread over markers and images, and left out."
-            )
-    return LeftOutPoints(tuple(problems), tuple(open_))
+def common_names(lens: Lens, table: CornerTable) -> tuple[str, ...]:
+    """Names of clock and of what all images share, (16 + Z,)."""
+    places = (f"places/{i}" for i in range(table.places * table.markers))
+    return ("clock", *(f"lens/{n}" for n in lens.names), *(f"sheet/{n}" for n in SHAPE_NAMES), "readout", *places)
 
 
 @dataclass(frozen=True)
@@ -340,6 +275,12 @@ class CommonPrior:
     def shape(self) -> Array:
         """Prior mean of shape and marker places, (5 + Z,)."""
         return shape_of(self.mean)
+
+    def with_block(self, rows: slice, information: Array) -> CommonPrior:
+        """The same with other information about these values, which are fitted."""
+        every, free = self.information.copy(), self.free.copy()
+        every[rows, rows], free[rows] = information, True
+        return replace(self, information=every, free=free)
 
     def with_places(self, places: PlacePrior) -> CommonPrior:
         """The same with markers whose places are expected so, of a body, which has no bow."""

@@ -3,25 +3,24 @@
 An image's target is not quite where the model has it: joints come back with an error of their own, and the arm has
 faults that its geometry lacks. That is one unknown twist ξ per image, with the covariance Q that joints of standard
 deviation ``joint`` and a shift ``shift`` make. It is integrated out image by image. With G the products of an image's
-columns, corners' noise counted,
+columns, the noise of corners counted,
 
     G_eff = G − G_p S G_pᵀ,   S = Q (1 + G_pp Q)⁻¹
 
 so images never tie parameters together, and the equations are a sum of small ones (Woodbury). Images that several
-cameras took at one stop are no two repeats of the arm. Each has noise of its own, but their twists ξ come from one set
-of joints: with z what joints and tool are off by at a stop, in standard deviations, camera k sees ξ_k = B_k z. So z is
-integrated out stop by stop, over all cameras,
+cameras took at one stop share what joints and tool are off by: with z in standard deviations, camera k sees ξ_k = B_k
+z. So z is integrated out stop by stop,
 
     H = Σ_k H_k − Uᵀ M⁻¹ U,   U = Σ_k B_kᵀ G_p,k,   M = 1 + Σ_k B_kᵀ G_pp,k B_k
 
-which for a stop that one camera saw is what integrating out ξ gives. The sizes of noise, ξ and the arm's expected
-faults are those that make the data likeliest, the parameters integrated out (evidence, type II).
+which for a stop of one image is the same as integrating out ξ. The sizes of noise, ξ and the arm's expected faults are
+those that make the data likeliest, the parameters integrated out (evidence, type II).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -39,49 +38,111 @@ _NEAR_S = 2.0  # s, between two images of one stop: each camera's is taken from 
 
 
 @dataclass(frozen=True)
-class TiedStops:
-    """S stops that several cameras saw. inner: Σ Bᵀ G_pp B, (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual,
-    (S, m, size + 1). Both per unit of what is off, at noise 1.
+class Sizes:
+    """noise: of corners, in units of what detection states. joint: what joints repeat to [rad, m]. shift: of the tool
+    besides [m]. arm: faults of the arm, in units of its prior. other: what readings of other instruments scatter beyond
+    what they state [m]. lengths: faults of its lengths against those of its angles, in units of what is usual.
+    places: offsets of a body's markers, in units of their tolerances.
     """
 
+    noise: float
+    joint: float
+    shift: float
+    arm: float
+    other: float = 1e-4
+    lengths: float = 1.0
+    places: float = 1.0
+
+    @property
+    def logs(self) -> Array:
+        """Their logarithms, (7,)."""
+        values = (self.noise, self.joint, self.shift, self.arm, self.other, self.lengths, self.places)
+        return np.log(np.array(values))
+
+    @classmethod
+    def of_logs(cls, logs: Array) -> Sizes:
+        """The sizes with these logarithms (7,)."""
+        return cls(*(float(x) for x in np.exp(logs)))
+
+
+@dataclass(frozen=True)
+class CameraRows:
+    """The images of one camera at one state, the factors of a fit.
+
+    grams (N, 22 + Z, 22 + Z): products of each image's columns, at noise 1. moved (N, 6, K): twists by the K parameters
+    of arm and clock. joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. columns (K + 15 + Z,):
+    where its parameters stand among those of all cameras, −1 for one that is not fitted. corners: number in use. stop
+    (N,): number of each image's stop, which images of other cameras may share; ALONE where unknown. pixels (M, 2): by
+    how much corners are elsewhere than the model has them [px].
+    """
+
+    grams: Array
+    moved: Array
+    joints: Array
+    shifts: Array
+    columns: np.ndarray
+    corners: int
+    stop: np.ndarray
+    pixels: Array
+
+    def covariance_of_views(self, sizes: Sizes) -> Array:
+        """Q of each image's own twist, (N, 6, 6)."""
+        joints, shifts = sizes.joint * self.joints, sizes.shift * self.shifts
+        return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
+
+    def own_twists(self, sizes: Sizes) -> Array:
+        """S of each image, (N, 6, 6)."""
+        Q = self.covariance_of_views(sizes)
+        return np.asarray(Q @ np.linalg.inv(np.eye(POSE) + self.grams[:, :POSE, :POSE] / sizes.noise**2 @ Q))
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over all images at noise 1. H, b, cost: of images whose target is where the model has it. inner: Σ Bᵀ G_pp
+    B, (S, m, m). rows: Σ Bᵀ G_p by all columns and the residual, (S, m, size + 1). S stops, per unit of what is off.
+    """
+
+    H: Array
+    b: Array
+    cost: float
     inner: Array
     rows: Array
 
     @classmethod
-    def of(cls, cameras: Sequence[tuple[Equations, np.ndarray, np.ndarray]], size: int) -> TiedStops | None:
-        """The stops of these cameras, None where there are none: equations, its columns among all, −1 for one that is
-        not fitted, which of its images others share. size: number of all columns.
-        """
-        cameras = [one for one in cameras if one[2].any()]
-        if not cameras:
-            return None
-        stops = np.unique(np.concatenate([eq.stop[shared] for eq, _, shared in cameras]))
-        m = cameras[0][0].joints.shape[2] + 3
-        inner, rows = np.zeros((len(stops), m, m)), np.zeros((len(stops), m, size + 1))
-        for eq, columns, shared in cameras:
-            at = np.searchsorted(stops, eq.stop[shared])
-            own = np.concatenate([eq.joints[shared], eq.shifts[shared]], axis=2)  # twists per unit of what is off
-            to_pose = np.swapaxes(own, 1, 2) @ eq.grams[shared, :POSE]
-            by_pose = to_pose[:, :, :POSE]
-            inner[at] += by_pose @ own
-            own_rows = np.concatenate([by_pose @ eq.moved[shared], to_pose[:, :, POSE:]], axis=2)
-            keep = np.flatnonzero(columns >= 0)
-            rows[at[:, None], :, np.r_[columns[keep], size]] += own_rows[:, :, np.r_[keep, -1]].transpose(0, 2, 1)
-        return cls(inner, rows)
+    def of(cls, cameras: Sequence[CameraRows], size: int) -> _Sums:
+        """Of all cameras. size: number of all columns."""
+        stops = _stops([one.stop for one in cameras])
+        count, m = 1 + max(int(stop.max()) for stop in stops), cameras[0].joints.shape[2] + 3
+        inner, rows = np.zeros((count, m, m)), np.zeros((count, m, size + 1))
+        whole = np.zeros((size + 1, size + 1))
+        for one, stop in zip(cameras, stops, strict=True):
+            K = one.moved.shape[2]
+            own = np.concatenate([one.joints, one.shifts], axis=2)  # twists per unit of what is off
+            G = one.grams[:, :POSE]
+            to_pose = np.swapaxes(own, 1, 2) @ G
+            inner[stop] += to_pose[:, :, :POSE] @ own  # no two images of one camera are of one stop
+            by = np.concatenate([to_pose[:, :, :POSE] @ one.moved, to_pose[:, :, POSE:]], axis=2)
+            A = one.moved.reshape(-1, K)
+            cross = A.T @ G[:, :, POSE:].reshape(len(A), -1)
+            part = np.block(
+                [
+                    [A.T @ (G[:, :, :POSE] @ one.moved).reshape(-1, K), cross],
+                    [cross.T, one.grams[:, POSE:, POSE:].sum(0)],
+                ]
+            )
+            keep = np.flatnonzero(np.r_[one.columns, size] >= 0)
+            at = np.r_[one.columns, size][keep]
+            whole[np.ix_(at, at)] += part[np.ix_(keep, keep)]
+            rows[stop[:, None], :, at] += by[:, :, keep].transpose(0, 2, 1)
+        return cls(whole[:-1, :-1], whole[:-1, -1], float(whole[-1, -1]), inner, rows)
 
-    def taken(self, off: Array, noise: float) -> tuple[Array, Array, float, float]:
-        """(Uᵀ M⁻¹ U (size, size), Uᵀ M⁻¹ r (size,), rᵀ M⁻¹ r, log det M), summed over all stops.
 
-        off: standard deviation of what is off, (m,). noise: of corners.
-        """
-        scale = off / noise
-        M = np.eye(len(off)) + scale[:, None] * self.inner * scale
-        L = np.linalg.cholesky(M)
-        to_white = np.linalg.inv(L) * (off / noise**2)
-        V = (to_white @ self.rows).reshape(-1, self.rows.shape[2])
-        square = V.T @ V
-        log_det = 2.0 * float(np.log(np.einsum("sii->si", L)).sum())
-        return square[:-1, :-1], square[:-1, -1], float(square[-1, -1]), log_det
+def _stops(given: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The stop of every image (N,) of each camera, from 0 on, one of its own where it is not known."""
+    known = np.concatenate(given)
+    alone = known == ALONE
+    known[alone] = known.max(initial=ALONE) + 1 + np.arange(alone.sum())
+    return np.split(np.unique(known, return_inverse=True)[1], np.cumsum([len(stop) for stop in given])[:-1])
 
 
 def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequence[Array]) -> list[np.ndarray]:
@@ -117,223 +178,109 @@ def numbered(q: Sequence[Array], names: Sequence[Sequence[str]], stamps: Sequenc
 
 
 @dataclass(frozen=True)
-class Sizes:
-    """noise: of corners, in units of what detection states. joint: what joints repeat to [rad, m]. shift: of the tool
-    besides [m]. arm: faults of the arm, in units of its prior. other: what readings of other instruments scatter beyond
-    what they state [m]. lengths: faults of its lengths against those of its angles, in units of what is usual.
-    places: offsets of a body's markers, in units of their tolerances.
-    """
-
-    noise: float
-    joint: float
-    shift: float
-    arm: float
-    other: float = 1e-4
-    lengths: float = 1.0
-    places: float = 1.0
-
-    @property
-    def logs(self) -> Array:
-        """Their logarithms, (7,)."""
-        values = (self.noise, self.joint, self.shift, self.arm, self.other, self.lengths, self.places)
-        return np.log(np.array(values))
-
-    @classmethod
-    def of_logs(cls, logs: Array) -> Sizes:
-        """The sizes with these logarithms (7,)."""
-        return cls(*(float(x) for x in np.exp(logs)))
-
-
-@dataclass(frozen=True)
-class OtherBlock:
-    """Images of a further camera. equations: theirs, in an order of their own, whose priors do not count. columns:
-    where each of their parameters stands among those of all, −1 for one that is not fitted.
-    """
-
-    equations: Equations
-    columns: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Reduced:
-    """H, b: of images alone, their own twists integrated out, without a prior. cost, spread, S: as elsewhere."""
-
-    H: Array
-    b: Array
-    cost: float
-    spread: float
-    S: Array
-
-
-@dataclass(frozen=True)
 class Equations:
-    """At one state: grams (N, 22 + Z, 22 + Z) at noise 1; moved (N, 6, K): twists by the K parameters of arm and clock;
-    joints (N, 6, n), shifts (N, 6, 3): twists by what an image has of its own. arm: which of the K are faults of the
-    arm. offset (K + 15 + Z,): the state less the prior's mean. information: of the prior but for the arm's faults and
-    the places of markers, (K + 15 + Z, K + 15 + Z). free: (K + 15 + Z,) bool. corners: number of corners in use.
-    beside: rows of other instruments. others: images of further cameras. faults: of those of the K that are the arm's.
-    places: of the last Z, None of a flat sheet. stop: of each image, which images of others may share, (N,), empty
-    where none does.
+    """All factors at one state.
+
+    cameras: of each, those of the first standing where they are among all. offset (K + 15 + Z,): the state less the
+    prior's mean. information: of the prior but for the arm's faults and the places of markers, (K + 15 + Z, K + 15 +
+    Z). free: (K + 15 + Z,) bool. arm: indices of the faults of the arm. beside: rows of other instruments. faults:
+    expected of the arm. places: expected of the last Z, None of a flat sheet.
     """
 
-    grams: Array
-    moved: Array
-    joints: Array
-    shifts: Array
-    arm: np.ndarray
+    cameras: tuple[CameraRows, ...]
     offset: Array
     information: Array
     free: np.ndarray
-    corners: int
+    arm: np.ndarray
     beside: BesideRows | None = None
-    others: tuple[OtherBlock, ...] = ()
     faults: ArmFaults | None = None
     places: PlacePrior | None = None
-    stop: np.ndarray = field(default_factory=lambda: np.empty(0, int))
 
     @cached_property
-    def _shared(self) -> tuple[tuple[Equations, np.ndarray, np.ndarray], ...]:
-        """(equations of a camera, its columns among those of all, which of its images others share), of each camera."""
-        every = [(self, np.arange(len(self.offset))), *((o.equations, o.columns) for o in self.others)]
-        stops = np.concatenate([eq.stop for eq, _ in every])
-        number, seen = np.unique(stops, return_counts=True)
-        often = number[(seen > 1) & (number != ALONE)]
-        shares = [np.isin(eq.stop, often) if len(eq.stop) else np.zeros(len(eq.grams), bool) for eq, _ in every]
-        return tuple((eq, columns, share) for (eq, columns), share in zip(every, shares, strict=True))
-
-    @cached_property
-    def _tied(self) -> TiedStops | None:
-        """The stops that several cameras saw, None where there are none."""
-        return TiedStops.of(self._shared, len(self.offset))
-
-    @cached_property
-    def _total(self) -> Array:
-        """Sum over all images of what no image has of its own, at noise 1: (16 + Z, 16 + Z)."""
-        return np.asarray(self.grams[:, POSE:, POSE:].sum(0))
-
-    def covariance_of_views(self, sizes: Sizes) -> Array:
-        """Q of each image's own twist, (N, 6, 6)."""
-        joints, shifts = sizes.joint * self.joints, sizes.shift * self.shifts
-        return joints @ np.swapaxes(joints, 1, 2) + shifts @ np.swapaxes(shifts, 1, 2)
+    def _sums(self) -> _Sums:
+        return _Sums.of(self.cameras, len(self.offset))
 
     def prior(self, sizes: Sizes) -> Array:
         """Information of the prior, (K + 15 + Z, K + 15 + Z)."""
         out = self.information.copy()
         if self.faults is not None:
-            arm = np.flatnonzero(self.arm)
-            out[np.ix_(arm, arm)] = self.faults.information(sizes.arm, sizes.lengths)
+            out[np.ix_(self.arm, self.arm)] = self.faults.information(sizes.arm, sizes.lengths)
         if self.places is not None:
             first = len(out) - len(self.places.apart)
             out[first:, first:] = self.places.information(sizes.places)
         return out
 
-    def _reduced(self, sizes: Sizes, shared: np.ndarray | None = None) -> _Reduced:
-        """What the images say with these sizes. shared: images whose own twists are not integrated out, (N,) bool."""
-        K = self.moved.shape[2]
-        own = self.grams[:, :POSE] / sizes.noise**2  # an image's pose against everything
-        Q = self.covariance_of_views(sizes)
-        inner = np.eye(POSE) + own[:, :, :POSE] @ Q
-        S = Q @ np.linalg.inv(inner)
-        log_det = np.linalg.slogdet(inner)[1]
-        alone = slice(None) if shared is None or not shared.any() else ~shared
-        taken = S[alone] @ own[alone]
-        rows = own.copy()
-        rows[alone] -= own[alone][:, :, :POSE] @ taken
-        width = own.shape[2] - POSE
-        size = width - 1
-        # one product over all images rather than a sum of many
-        E = self._total / sizes.noise**2
-        E = E - own[alone][:, :, POSE:].reshape(-1, width).T @ taken[:, :, POSE:].reshape(-1, width)
-        H = np.empty((K + size, K + size))
-        b = np.empty(K + size)
-        A = self.moved.reshape(-1, K)
-        H[:K, :K] = A.T @ (rows[:, :, :POSE] @ self.moved).reshape(-1, K)
-        H[:K, K:] = A.T @ rows[:, :, POSE:-1].reshape(-1, size)
-        H[K:, :K] = H[:K, K:].T
-        H[K:, K:] = E[:-1, :-1]
-        b[:K] = A.T @ rows[:, :, -1].reshape(-1)
-        b[K:] = E[:-1, -1]
-        spread = 2.0 * self.corners * np.log(sizes.noise**2) + float(log_det[alone].sum())
-        return _Reduced(H, b, float(E[-1, -1]), spread, S)
-
-    def of_others(self, sizes: Sizes) -> Array:
-        """What further cameras and other instruments say beside this camera's images, (K + 15 + Z, K + 15 + Z)."""
-        return np.asarray(self._of_all(sizes).H - self._reduced(sizes).H)
-
-    def _of_all(self, sizes: Sizes) -> _Reduced:
-        """What all images and instruments say. S: of the first camera's, each by itself."""
-        out = self._reduced(sizes, self._shared[0][2] if self.others else None)
-        if not self.others and self.beside is None:
-            return out
-        K = self.moved.shape[2]
-        H, b, cost, spread = out.H, out.b, out.cost, out.spread
-        for eq, columns, share in self._shared[1:]:
-            there = eq._reduced(sizes, share)
-            keep = np.flatnonzero(columns >= 0)
-            at = columns[keep]
-            H[np.ix_(at, at)] += there.H[np.ix_(keep, keep)]
-            b[at] += there.b[keep]
-            cost, spread = cost + there.cost, spread + there.spread
-        if self._tied is not None:
-            off = np.r_[np.full(self.joints.shape[2], sizes.joint), np.full(3, sizes.shift)]
-            taken = self._tied.taken(off, sizes.noise)
-            H, b, cost, spread = H - taken[0], b - taken[1], cost - taken[2], spread + taken[3]
-        if self.beside is not None:
-            variance = self.beside.variance(sizes.other)
-            weighted = self.beside.J / variance[:, None]
-            H[:K, :K] += self.beside.J.T @ weighted
-            b[:K] += weighted.T @ self.beside.residual
-            cost += float((self.beside.residual**2 / variance).sum())
-            spread += float(self.beside.share @ np.log(variance))
-        return _Reduced(H, b, cost, spread, out.S)
-
     def solve(self, sizes: Sizes) -> SolvedEquations:
         """The normal equations with these sizes."""
-        data = self._of_all(sizes)
-        H, b, cost = data.H, data.b, data.cost
+        sums, unit = self._sums, sizes.noise**-2
+        off = np.r_[np.full(len(sums.inner[0]) - 3, sizes.joint), np.full(3, sizes.shift)]
+        scale = off / sizes.noise
+        L = np.linalg.cholesky(np.eye(len(off)) + scale[:, None] * sums.inner * scale)
+        V = (np.linalg.inv(L) * (off * unit) @ sums.rows).reshape(-1, len(sums.b) + 1)
+        taken = V.T @ V
+        H, b, cost = unit * sums.H - taken[:-1, :-1], unit * sums.b - taken[:-1, -1], unit * sums.cost - taken[-1, -1]
+        spread = 2.0 * sum(one.corners for one in self.cameras) * np.log(sizes.noise**2)
+        spread += 2.0 * np.log(np.einsum("sii->si", L)).sum()
+        if self.beside is not None:
+            variance, J, r = self.beside.variance(sizes.other), self.beside.J, self.beside.residual
+            K = J.shape[1]
+            H[:K, :K] += J.T @ (J / variance[:, None])
+            b[:K] += (J / variance[:, None]).T @ r
+            cost += (r**2 / variance).sum()
+            spread += self.beside.share @ np.log(variance)
         prior = self.prior(sizes)
         use = np.flatnonzero(self.free)
         chosen = np.ix_(use, use)
-        P = prior[chosen]
         pull = prior @ self.offset
-        cost += float(self.offset @ pull)
-        return SolvedEquations(
-            *(H[chosen] + P, b[use] - pull[use], P, use, len(self.offset), cost, data.spread, data.S),
-            self.grams,
-            sizes.noise,
-        )
+        cost += self.offset @ pull
+        P = prior[chosen]
+        return SolvedEquations(self, sizes, H[chosen] + P, b[use] - pull[use], P, float(cost), float(spread))
 
 
 @dataclass(frozen=True)
 class SolvedEquations:
-    """Normal equations H x = b of the free parameters, prior included; P: of the prior alone. use: indices of the free
-    among all. cost: of the state. spread: log determinant of the noise. S: of each image, as above. grams, noise: what
-    they come from.
+    """Normal equations H x = b of the free parameters, prior included; P: of the prior alone. cost: of the state.
+    spread: log determinant of the noise.
     """
 
+    equations: Equations
+    sizes: Sizes
     H: Array
     b: Array
     P: Array
-    use: np.ndarray
-    count: int
     cost: float
     spread: float
-    S: Array
-    grams: Array
-    noise: float
 
     @property
-    def E(self) -> Array:
-        """The products of each image's columns, its own twist integrated out, (N, 22 + Z, 22 + Z)."""
-        G = self.grams / self.noise**2
-        left = G[:, :, :POSE]
-        return np.asarray(G - left @ self.S @ np.swapaxes(left, 1, 2))
+    def use(self) -> np.ndarray:
+        """Indices of the free parameters among all."""
+        return np.flatnonzero(self.equations.free)
+
+    @cached_property
+    def S(self) -> Array:
+        """S of each image of the first camera, (N, 6, 6)."""
+        return self.equations.cameras[0].own_twists(self.sizes)
+
+    @property
+    def of_views(self) -> Array:
+        """Products of each image's twist with all of its columns, its own twist integrated out, (N, 6, 22 + Z)."""
+        own = self.equations.cameras[0].grams[:, :POSE] / self.sizes.noise**2
+        return np.asarray(own - own[:, :, :POSE] @ self.S @ own)
+
+    def by_change(self, columns: Array) -> Array:
+        """The same of any change of an image in place of its twist, (N, k, 22 + Z).
+
+        columns: by how much it changes twist, lens, shape, readout and places of the first camera, (N, 21 + Z, k).
+        """
+        G = self.equations.cameras[0].grams / self.sizes.noise**2
+        by = np.swapaxes(columns, 1, 2) @ G[:, :-1]
+        return np.asarray(by - by[:, :, :POSE] @ self.S @ G[:, :POSE])
 
     def step(self, damping: float = 0.0) -> Array:
         """The step of all parameters (K + 15 + Z,), zero for those held fixed."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         H = self.H * np.outer(scale, scale) + damping * np.eye(len(self.b))
-        out = np.zeros(self.count)
+        out = np.zeros(len(self.equations.offset))
         out[self.use] = scale * scipy.linalg.cho_solve(scipy.linalg.cho_factor(H), scale * self.b)
         return out
 
@@ -341,7 +288,7 @@ class SolvedEquations:
         """Covariance of all parameters, (K + 15 + Z, K + 15 + Z); zero for fixed ones."""
         scale = 1.0 / np.sqrt(np.diag(self.H))
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(self.H * np.outer(scale, scale)), np.eye(len(self.b)))
-        out = np.zeros((self.count, self.count))
+        out = np.zeros(self.equations.information.shape)
         out[np.ix_(self.use, self.use)] = inverse * np.outer(scale, scale)
         return 0.5 * (out + out.T)
 

@@ -1,10 +1,5 @@
 """The fit: arm, base, tool, clock, lens and the sheet's shape from all corners of all images, in one.
 
-The sizes of its errors are those that make the data likeliest, looked for with few calls: each costs a solution of all
-equations, and far more than what is decided between. The curvature along each axis is measured once, so that the first
-step is about as long as it has to be; what the axes have to do with each other comes from the steps (Nocedal & Wright
-2006, §6.1). Next to the minimum, as from one fit to the next, that is 2 n + 1 calls.
-
 The fit has its covariance about where its values ended, from the drawing on, with the lens, the target and the sheet's
 size beside them; a calibration is written with the least change to its drawing. Both are the same small motions of the
 tool, so the one is brought to the other by the derivatives of readings at general postures.
@@ -17,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import minimize
 
 from modcal_core.calibration import Model, Uncertainty, View, general_samples, linearise
@@ -24,77 +20,18 @@ from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.corners import (
     CLOCK_S,
     READOUT,
-    SHAPE_NAMES,
     CameraState,
     CommonPrior,
     CornerTable,
+    common_names,
     corner_rows,
     grams,
-    residuals,
 )
-from modcal_core.camera.equations import Equations, OtherBlock, Sizes, SolvedEquations
+from modcal_core.camera.descent import damped, downhill
+from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
 from modcal_core.camera.lens import Lens
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE
-
-_APART = 0.02  # of calls that measure the curvature: far above rounding, far below one
-_NEXT = 1e-4  # of calls that measure a slope where the curvature is known
-_FARTHEST = 1.0  # step of a value: nothing is known of what lies beyond
-_ENOUGH = 1e-4  # share of the decrease that the slope promises (Armijo); the usual number
-_SHORTEST = 1e-3  # share of a step below which there is no lower place along it
-
-
-def downhill(
-    of: Callable[[Array], float], start: Array, low: Array, high: Array, least_curvature: Array, met: float, most: int
-) -> Array:
-    """Where ``of`` is least, (n,), within low and high (n,).
-
-    least_curvature: second derivative that is taken for each value where less was measured, (n,). met: how much lower
-    it may get with the next step. most: calls after which no step is begun.
-    """
-    x = np.clip(start, low, high)
-    n, value = len(x), of(x)
-    up, down = (np.array([of(x + way * axis) for axis in np.eye(n)]) for way in (_APART, -_APART))
-    slope = (up - down) / (2.0 * _APART)
-    inverse = np.diag(1.0 / np.maximum((up - 2.0 * value + down) / _APART**2, least_curvature))
-    calls = 2 * n + 1
-    while calls < most:
-        free = ~(((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0)))
-        curvature = np.linalg.inv(inverse)
-        step = np.zeros(n)
-        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], slope[free])
-        if -0.5 * float(slope @ step) < met:
-            break
-        step *= min(1.0, _FARTHEST / float(np.abs(step).max()))
-        share = 1.0
-        while share >= _SHORTEST:
-            there = np.clip(x + share * step, low, high)
-            value_there = of(there)
-            calls += 1
-            if value_there <= value + _ENOUGH * float(slope @ (there - x)):
-                break
-            promised = share * float(slope @ step)  # where a parabola through both is least
-            share *= float(np.clip(-0.5 * promised / (value_there - value - promised), 0.1, 0.5))
-        else:
-            break
-        moved = there - x
-        x, value = there, value_there
-        ahead = np.array([of(x + _NEXT * axis) for axis in np.eye(n)])
-        calls += n
-        new = (ahead - value) / _NEXT - 0.5 * _NEXT * np.diag(curvature)
-        inverse = _learnt(inverse, moved, new - slope)
-        slope = new
-    return x
-
-
-def _learnt(inverse: Array, moved: Array, by: Array) -> Array:
-    """The inverse curvature (n, n) after a step (n,) along which the slope changed by so much (n,)."""
-    along = float(moved @ by)
-    if along <= 0.0:
-        return inverse
-    across = np.eye(len(moved)) - np.outer(moved, by) / along
-    return np.asarray(across @ inverse @ across.T + np.outer(moved, moved) / along)
-
 
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
 # What is known of the sizes before: middle, and by what factor they usually differ from it. Wide, and there to keep a
@@ -121,19 +58,18 @@ def usual(sizes: Sizes) -> float:
 def likeliest(
     equations: Equations,
     start: Sizes,
-    arm: float | None = None,
     misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
     afar: bool = False,
 ) -> Sizes:
     """The sizes that make the data likeliest.
 
-    arm: size of the arm's faults where it is stated. misfit_of: −2 log likelihood of the equations with their sizes.
-    afar: start where nothing is known of them. A size that is far too small is nowhere seen to matter, so slopes alone
-    may leave it there.
+    misfit_of: −2 log likelihood of the equations with their sizes. afar: start where nothing is known of them. A size
+    that is far too small is nowhere seen to matter, so slopes alone may leave it there.
     """
-    begin = start if arm is None else replace(start, arm=arm)
+    faults = equations.faults
+    begin = start if faults is None or faults.stated is None else replace(start, arm=faults.stated)
     unknown = [0, 1, 2]
-    if arm is None and equations.arm.any():
+    if faults is not None and faults.stated is None:
         unknown += [_ARM, _LENGTHS]
     if equations.beside is not None:
         unknown.append(_OTHER)
@@ -169,16 +105,13 @@ _STEPS = 30  # at the same sizes
 _FIT_MET = 1e-4  # gain of −2 log likelihood
 _ROUNDS = 4  # of fitting and finding the sizes; they settle in two or three
 _SETTLED = 0.05  # change of a size's logarithm
-_DAMPED = 1e6  # at which no step helps
-_MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 @dataclass(frozen=True)
 class CameraFit:
     """table, poses, prior: what was fitted. state: where it ended. sizes: of the errors. covariance: of parameters,
     clock, lens, shape, readout and the places of Z values of markers, (P + 16 + Z, P + 16 + Z). equations: at the
-    state. pixels: residuals (M, 2), the images' own twists not put in. converged: whether it met. arm_stated: whether
-    the size of the arm's faults was.
+    state. converged: whether it met.
     """
 
     table: CornerTable
@@ -188,9 +121,12 @@ class CameraFit:
     sizes: Sizes
     covariance: Array
     equations: Equations
-    pixels: Array
     converged: bool
-    arm_stated: bool = False
+
+    @property
+    def pixels(self) -> Array:
+        """By how much corners (M, 2) are elsewhere than the model has them, the images' own twists not put in [px]."""
+        return self.equations.cameras[0].pixels
 
     @property
     def rms_px(self) -> float:
@@ -203,110 +139,116 @@ class CameraFit:
         return self.equations.solve(self.sizes).misfit() + usual(self.sizes)
 
     @property
+    def tool(self) -> Array:
+        """T_frame_tool at every image, (N, 4, 4)."""
+        return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
+
+    @property
+    def arm_stated(self) -> bool:
+        """Whether the size of the arm's faults is stated."""
+        return self.poses.faults is not None and self.poses.faults.stated is not None
+
+    def of_part(self, rows: np.ndarray) -> CameraFit:
+        """A fit of these images only (mask (N,)), with the same sizes of errors."""
+        some = self.table.select(rows), self.poses.select(rows)
+        return fit_camera(*some, self.prior, self.state, self.sizes, fixed_sizes=True)
+
+    def weighed(
+        self,
+        equations: Equations | None = None,
+        misfit_of: Callable[[SolvedEquations], float] = SolvedEquations.misfit,
+    ) -> tuple[SolvedEquations, float]:
+        """(equations, −2 log likelihood) with the sizes of all errors found again. equations: None: as they are."""
+        equations = equations or self.equations
+        sizes = likeliest(equations, self.sizes, misfit_of)
+        solved = equations.solve(sizes)
+        return solved, misfit_of(solved) + usual(sizes)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the rows of the covariance."""
-        return (
-            *self.poses.names,
-            "clock",
-            *(f"lens/{n}" for n in self.state.lens.names),
-            *(f"sheet/{n}" for n in SHAPE_NAMES),
-            "readout",
-            *(f"places/{i}" for i in range(self.table.places * self.table.markers)),
-        )
+        return (*self.poses.names, *common_names(self.state.lens, self.table))
 
 
 def fit_camera(
     table: CornerTable,
     poses: ArmPoses,
-    lens: Lens,
     prior: CommonPrior,
+    begin: Lens | CameraState,
     sizes: Sizes = START,
-    arm: float | None = None,
     fixed_sizes: bool = False,
-    begin: CameraState | None = None,
 ) -> CameraFit:
-    """The fit from this lens and from base and tool of the poses' model, nominal arm.
+    """The fit from a state, or from a lens and from base and tool of the poses' model, nominal arm.
 
-    sizes: to begin with. arm: size of the arm's faults in units of its prior, where it is stated. fixed_sizes: take the
-    sizes as they are. begin: a state to begin with instead.
+    sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    state = begin or CameraState(poses.start, 0.0, lens, prior.shape)
+    state = CameraState(poses.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
     afar = sizes == START
-    if arm is not None:
-        sizes = replace(sizes, arm=arm)
-    converged = False
-    equations = equations_at(table, poses, prior, state)
-    for _ in range(_ROUNDS):
-        state, equations, converged = _descend(table, poses, prior, state, sizes)
-        if fixed_sizes:
+    if poses.faults is not None and poses.faults.stated is not None:
+        sizes = replace(sizes, arm=poses.faults.stated)
+
+    def stepped(here: _At, damping: float) -> _At | None:
+        there = here.state.moved(here.solved.step(damping))
+        if not _possible(poses, there):
+            return None
+        return _At(there, equations_at(table, poses, prior, there).solve(sizes))
+
+    equations, converged, settled = equations_at(table, poses, prior, state), False, fixed_sizes
+    for k in range(_ROUNDS + 1):
+        met, converged = damped(_At(state, equations.solve(sizes)), stepped, _FIT_MET, 1e-6 * _FIT_MET, _STEPS)
+        state, equations = met.state, met.solved.equations
+        if settled or k == _ROUNDS:
             break
-        new = likeliest(equations, sizes, arm, afar=afar)
+        new = likeliest(equations, sizes, afar=afar)
         afar = False
         settled = bool(np.abs(new.logs - sizes.logs).max() < _SETTLED)
         sizes = new
-        if settled:
-            break
-    if not fixed_sizes:
-        state, equations, converged = _descend(table, poses, prior, state, sizes)
-    pixels = missed_pixels(table, poses, state)
     covariance = equations.solve(sizes).covariance()
-    return CameraFit(table, poses, prior, state, sizes, covariance, equations, pixels, converged, arm is not None)
+    return CameraFit(table, poses, prior, state, sizes, covariance, equations, converged)
 
 
 def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState) -> Equations:
-    """The equations at a state."""
+    """The equations at a state, of all cameras and other instruments."""
+    P = poses.count
+    free = np.r_[np.ones(P, bool), poses.moves, prior.free]
+    free[P + 1 + READOUT] &= poses.moves
+    cameras = [camera_rows(table, poses, state, np.arange(len(free)))]
+    cameras += [camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
+    return Equations(
+        tuple(cameras),
+        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
+        block_diag(poses.information, np.array([[CLOCK_S**-2]]), prior.information),
+        free,
+        np.flatnonzero(poses.of_arm),
+        poses.rows_beside(state.values, P + 1),
+        poses.faults,
+        prior.places,
+    )
+
+
+def camera_rows(table: CornerTable, poses: ArmPoses, state: CameraState, columns: np.ndarray) -> CameraRows:
+    """The factors of one camera. columns: where its parameters stand among those of all."""
     T, motions = poses.tool_motions(state.values, state.offset_s)
     joints = poses.joint_motions(state.values, T)
-    N, P = len(T), motions.shape[2]
     by_clock = np.einsum("nij,nj->ni", joints, poses.velocity)[:, :, None]
-    clocked = bool(np.abs(poses.velocity).max(initial=0.0) > _MOVING)
     moved = poses.as_twists(T, np.concatenate([motions, by_clock], axis=2))
-    shifts = np.zeros((N, 6, 3))
-    shifts[:, :3] = poses.R_frame_root(poses.model_at(state.values))  # along axes that other cameras share
-    sweep = moved[:, :, P] if clocked else None
+    sweep = moved[:, :, -1] if poses.moves else None
     rows = corner_rows(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
-    information = np.zeros((P + 1 + len(prior.mean), P + 1 + len(prior.mean)))
-    information[:P, :P] = np.diag(poses.prior_std**-2)
-    further = poses.further_at(state)
-    for camera, first, _ in further:
-        own = slice(first, first + len(camera.own))
-        information[own, own] = camera.information
-    information[P, P] = CLOCK_S**-2
-    information[P + 1 :, P + 1 :] = prior.information
-    common_free = prior.free.copy()
-    common_free[READOUT] &= clocked
-    return Equations(
+    return CameraRows(
         grams(table, rows),
         moved,
         poses.as_twists(T, joints),
-        poses.as_twists(T, shifts),
-        np.r_[poses.of_arm, False],
-        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
-        information,
-        np.r_[np.ones(P, bool), clocked, common_free],
+        poses.as_twists(T, poses.shifts(state.values)),
+        columns,
         int((table.weight > 0.0).sum()),
-        poses.rows_beside(state.values, P + 1),
-        tuple(
-            OtherBlock(
-                equations_at(one.table, one.poses.with_effects(poses.model.effects), one.prior, there),
-                one.columns(poses, first),
-            )
-            for one, first, there in further
-        ),
-        poses.faults,
-        prior.places,
-        poses.moments.stop,
+        poses.moments.stop if len(poses.moments.stop) else np.full(len(T), ALONE),
+        rows.pixels,
     )
 
 
 def missed_pixels(table: CornerTable, poses: ArmPoses, state: CameraState) -> Array:
     """By how much corners (M, 2) are elsewhere than the model has them [px]."""
-    T, _ = poses.tool_motions(state.values, state.offset_s)
-    sweep = None
-    if np.abs(poses.velocity).max(initial=0.0) > _MOVING:
-        by_clock = np.einsum("nij,nj->ni", poses.joint_motions(state.values, T), poses.velocity)
-        sweep = poses.as_twists(T, by_clock[:, :, None])[:, :, 0]
-    return residuals(table, state.lens, state.shape, poses.seen(T), state.readout_s, sweep)
+    return camera_rows(table, poses, state, np.empty(0, int)).pixels
 
 
 def _possible(poses: ArmPoses, state: CameraState) -> bool:
@@ -315,30 +257,16 @@ def _possible(poses: ArmPoses, state: CameraState) -> bool:
     return all(bool((s.lens.values[:2] > 0.0).all() and np.isfinite(s.common).all()) for s in every)
 
 
-def _descend(
-    table: CornerTable, poses: ArmPoses, prior: CommonPrior, state: CameraState, sizes: Sizes
-) -> tuple[CameraState, Equations, bool]:
-    """(state, equations there, whether it met): damped Gauss-Newton steps at these sizes."""
-    equations = equations_at(table, poses, prior, state)
-    solved = equations.solve(sizes)
-    damping = 1e-6
-    for _ in range(_STEPS):
-        new_state = state.moved(solved.step(damping))
-        new: SolvedEquations | None = None
-        if _possible(poses, new_state):
-            there = equations_at(table, poses, prior, new_state)
-            new = there.solve(sizes)
-        if new is not None and new.cost <= solved.cost + _FIT_MET:
-            gain = solved.cost - new.cost
-            state, equations, solved = new_state, there, new
-            damping = max(0.1 * damping, 1e-9)
-            if gain < _FIT_MET * (1.0 + 1e-6 * solved.cost):
-                return state, equations, True
-        else:
-            damping = max(10.0 * damping, 1e-6)
-            if damping > _DAMPED:
-                return state, equations, True
-    return state, equations, False
+@dataclass(frozen=True)
+class _At:
+    """A state, and its equations with the sizes of a fit."""
+
+    state: CameraState
+    solved: SolvedEquations
+
+    @property
+    def cost(self) -> float:
+        return self.solved.cost
 
 
 def uncertainty_about(model: Model, fit: CameraFit) -> Uncertainty:

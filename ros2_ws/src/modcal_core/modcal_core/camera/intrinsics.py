@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows, grams
+from modcal_core.camera.descent import damped
 from modcal_core.camera.lens import COUNT, FISHEYE, PINHOLE, Lens
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3, so3
@@ -23,15 +24,21 @@ from modcal_core.geometry import Array, se3, so3
 _MIN_TILT = 1e-3  # of the equations; below, all images show the sheet square on
 
 
+def projection(at: Array, pixels: Array) -> Array:
+    """The matrix (3, k), to a factor, that takes places (m, k), homogeneous, to pixels (m, 2) (direct linear
+    transform).
+    """
+    zero = np.zeros_like(at)
+    rows = np.r_[np.c_[at, zero, -pixels[:, :1] * at], np.c_[zero, at, -pixels[:, 1:] * at]]
+    few = len(rows) < rows.shape[1]  # four corners leave one direction that no row is along
+    return np.asarray(np.linalg.svd(rows, full_matrices=few)[2][-1].reshape(3, -1))
+
+
 def homography(points: Array, pixels: Array) -> Array:
     """H (3, 3) that takes points (m, 2) of a plane to pixels (m, 2), m ≥ 4; its last element is positive."""
     A, a = _scaled(points)
     B, b = _scaled(pixels)
-    one = np.ones(len(a))
-    zero = np.zeros((len(a), 3))
-    p = np.c_[a, one]
-    rows = np.r_[np.c_[p, zero, -b[:, :1] * p], np.c_[zero, p, -b[:, 1:] * p]]
-    H = np.linalg.inv(B) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ A
+    H = np.linalg.inv(B) @ projection(np.c_[a, np.ones(len(a))], b) @ A
     centre = np.r_[points.mean(0), 1.0]
     return np.asarray(H * np.sign(H[2] @ centre) / np.linalg.norm(H))
 
@@ -189,6 +196,16 @@ class LensFit:
     converged: bool
 
 
+@dataclass(frozen=True)
+class _LensAt:
+    """A lens, poses, the products of the columns of their images, and the cost."""
+
+    lens: Lens
+    T: Array
+    G: Array
+    cost: float
+
+
 def first_lens(table: CornerTable, size: tuple[int, int], model: str = PINHOLE) -> Lens:
     """A lens to begin with: of a pinhole from the homographies of all images, of a fisheye the one of some angles of
     view that meets the images best. Raises NotEnoughData.
@@ -212,43 +229,34 @@ def fit_lens(table: CornerTable, start: Lens, free: np.ndarray | None = None, pr
     """
     use = np.flatnonzero(start.used if free is None else free & start.used)
     P0 = np.zeros((len(use), len(use))) if prior is None else prior[np.ix_(use, use)]
-    lens, T = start, board_poses(table, start, _FLAT).T[:, 0]
-    damping, converged = 1e-4, False
-    G = grams(table, corner_rows(table, lens, _FLAT, T))
-    off = np.zeros(len(use))
-    cost = float(G[:, -1, -1].sum())
     p, c = slice(0, POSE), POSE + use
-    for _ in range(_INTRINSICS_STEPS):
+
+    def at(lens: Lens, T: Array) -> _LensAt:
+        G = grams(table, corner_rows(table, lens, _FLAT, T))
+        off = (lens.values - start.values)[use]
+        return _LensAt(lens, T, G, float(G[:, -1, -1].sum() + off @ P0 @ off))
+
+    def stepped(here: _LensAt, damping: float) -> _LensAt | None:
+        G = here.G
         Hpp = G[:, p, p] * (1.0 + damping * np.eye(POSE))
         Hpp = Hpp + (np.einsum("nii->n", Hpp) == 0.0)[:, None, None] * np.eye(POSE)  # all corners left out: any pose
         Hcp = G[:, c, p]
         back = np.linalg.solve(Hpp, np.concatenate([np.swapaxes(Hcp, 1, 2), G[:, p, -1:]], axis=2))
         H = (G[:, c[:, None], c]).sum(0) - (Hcp @ back[:, :, :-1]).sum(0) + P0
-        g = (G[:, c, -1] - (Hcp @ back[:, :, -1:])[:, :, 0]).sum(0) - P0 @ off
+        g = (G[:, c, -1] - (Hcp @ back[:, :, -1:])[:, :, 0]).sum(0) - P0 @ (here.lens.values - start.values)[use]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        step = scale * np.linalg.solve(H * np.outer(scale, scale) + damping * np.eye(len(use)), scale * g)
-        moves = back[:, :, -1] - back[:, :, :-1] @ step
-        values = lens.values.copy()
-        values[use] += step
-        new_lens, new_T = lens.moved(values - lens.values), se3.exp(moves) @ T
-        new_G = grams(table, corner_rows(table, new_lens, _FLAT, new_T))
-        new_cost = float(new_G[:, -1, -1].sum() + (off + step) @ P0 @ (off + step))
-        if new_cost <= cost and values[:2].min() > 0.0:
-            gain = cost - new_cost
-            lens, T, G, off, cost = new_lens, new_T, new_G, off + step, new_cost
-            damping = max(0.1 * damping, 1e-12)
-            if gain <= _INTRINSICS_MET * max(cost, 1e-30):
-                converged = True
-                break
-        else:
-            damping = max(10.0 * damping, 1e-9)
-            if damping > 1e8:
-                converged = True  # no step of any size is better
-                break
+        change = np.zeros(COUNT)
+        change[use] = scale * np.linalg.solve(H * np.outer(scale, scale) + damping * np.eye(len(use)), scale * g)
+        lens, moves = here.lens.moved(change), back[:, :, -1] - back[:, :, :-1] @ change[use]
+        return at(lens, se3.exp(moves) @ here.T) if lens.values[:2].min() > 0.0 else None
+
+    begin = at(start, board_poses(table, start, _FLAT).T[:, 0])
+    found, converged = damped(begin, stepped, 0.0, _INTRINSICS_MET, _INTRINSICS_STEPS)
+    lens, T, G = found.lens, found.T, found.G
     cov = np.zeros((COUNT, COUNT))
     across = G[:, c, :POSE]  # undamped, the poses taken out
     taken = across @ np.linalg.pinv(G[:, :POSE, :POSE], hermitian=True) @ np.swapaxes(across, 1, 2)
     information = (G[:, c[:, None], c] - taken).sum(0)
     cov[np.ix_(use, use)] = np.linalg.pinv(information + P0, hermitian=True)
     rms = table.rms(corner_rows(table, lens, _FLAT, T).pixels)
-    return LensFit(lens, T, cost, rms, cov, converged)
+    return LensFit(lens, T, found.cost, rms, cov, converged)

@@ -16,8 +16,8 @@ import numpy as np
 
 from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import flange_in_tool, flange_motions, frame_basis
-from modcal_core.camera.corners import POSE, CornerTable, corner_rows, grams
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.corners import POSE, CornerTable
+from modcal_core.camera.fit import CameraFit, camera_rows
 from modcal_core.camera.tool_error import in_view, mean_square, tilt_and_distance
 from modcal_core.errors import NotEnoughData
 from modcal_core.geometry import Array, se3
@@ -132,31 +132,24 @@ def _pool(fit: CameraFit, target: CalibrationTarget, rng: np.random.Generator) -
 def _rows(fit: CameraFit, target: CalibrationTarget, q: Array) -> tuple[list[Array], Array]:
     """(for each image at these postures whitened rows (r, P) of what it says of all parameters, T_frame_tool)."""
     at = fit.poses.at_postures(q)
-    T, motions = at.tool_motions(fit.state.values)
+    T = at.tool_at(fit.state.values)
     views = []
     for k, shown in enumerate(_shown(fit, target, at.seen(T))):
         ids = np.flatnonzero(shown)
         cov = np.tile(_NOISE_PX**2 * np.eye(2), (len(ids), 1, 1))
         views.append(BoardView(f"{k}", ids, np.zeros((len(ids), 2)), cov))
     table = CornerTable.of(views, target)
-    rows = corner_rows(table, fit.state.lens, fit.state.shape, at.seen(T))
-    G = grams(table, replace(rows, residual=np.zeros_like(rows.residual)))[:, :-1, :-1]
-    joints = at.as_twists(T, at.joint_motions(fit.state.values, T))
-    along = np.zeros((len(q), POSE, 3))
-    along[:, :3] = np.eye(3)
-    shifts = at.as_twists(T, along)
-    own = fit.sizes.joint**2 * joints @ np.swapaxes(joints, 1, 2)
-    own = own + fit.sizes.shift**2 * shifts @ np.swapaxes(shifts, 1, 2)
-    by_arm, P = at.as_twists(T, motions), motions.shape[2]
+    rows = camera_rows(table, at, fit.state, np.arange(len(fit.covariance)))
+    G = rows.grams[:, :-1, :-1]
+    E = G - G[:, :, :POSE] @ rows.own_twists(replace(fit.sizes, noise=1.0)) @ G[:, :POSE]
+    P = fit.poses.count
     out = []
-    for k in range(len(q)):
-        S = own[k] @ np.linalg.inv(np.eye(POSE) + G[k, :POSE, :POSE] @ own[k])
-        E = G[k] - G[k][:, :POSE] @ S @ G[k][:, :POSE].T
-        A = np.zeros((len(E), len(fit.covariance)))
-        A[:POSE, :P] = by_arm[k]
-        A[POSE:, P + 1 :] = np.eye(len(E) - POSE)
-        scale = np.sqrt(np.maximum(np.diag(E), 1e-300))
-        values, vectors = np.linalg.eigh(E / np.outer(scale, scale))
+    for one, moved in zip(E, rows.moved, strict=True):
+        A = np.zeros((len(one), len(fit.covariance)))
+        A[:POSE, :P] = moved[:, :P]
+        A[POSE:, P + 1 :] = np.eye(len(one) - POSE)
+        scale = np.sqrt(np.maximum(np.diag(one), 1e-300))
+        values, vectors = np.linalg.eigh(one / np.outer(scale, scale))
         keep = values > 1e-9 * values[-1]
         out.append((np.sqrt(values[keep])[:, None] * vectors[:, keep].T * scale) @ A)
     return out, T

@@ -1,7 +1,8 @@
-"""The main path from corners and joints to a calibrated arm, and what it is worth in millimetres.
+"""From corners and joints to a calibrated arm, and what it is worth in millimetres: problem in, solution out.
 
-Lens by homographies, the target's pose in each image, mounting and places in closed form, then one fit of everything;
-the same with the nominal arm, to compare with; what was moved, what fits nothing, what the images leave open.
+Each camera's images are prepared (lens, poses of the target, mounting), everything is fitted at once, and once more
+with the nominal arm, to compare with. Effects of the arm are looked for; what was moved, what fits nothing and what the
+images leave open decide about the advice.
 """
 
 from __future__ import annotations
@@ -12,39 +13,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Model, least_change
-from modcal_core.camera.arm_poses import NOTHING_KNOWN, ArmPoses, FurtherCamera, ImageMoments, arm_size
-from modcal_core.camera.bundle import BoardView, CalibrationTarget, MarkerBundle
+from modcal_core.camera.arm_poses import FurtherCamera, with_stated
+from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
-from modcal_core.camera.contradicted import SIZE, CameraFinding, contradictions, doubts, findings, in_doubt
-from modcal_core.camera.corners import (
-    BOW,
-    COMMON,
-    FREE,
-    READOUT,
-    SCALE,
-    CameraState,
-    CommonPrior,
-    LeftOutPoints,
-    left_out_points,
+from modcal_core.camera.changes import FoundChange, find_change
+from modcal_core.camera.contradicted import (
+    SIZE,
+    CameraFinding,
+    StatedCamera,
+    contradictions,
+    doubts,
+    findings,
+    in_doubt,
 )
+from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE, CameraState
 from modcal_core.camera.equations import numbered
-from modcal_core.camera.fit import CameraFit, fit_camera, missed_pixels
+from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit
-from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting, held_out
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
-from modcal_core.camera.prepared import CameraImages, PreparedImages, first_fit, prepare_images
+from modcal_core.camera.outliers import LeftOutPoints, PreparedImages, first_fit, left_out_points
+from modcal_core.camera.prepared import CameraImages, prepare_images
 from modcal_core.camera.problems import (
     CANNOT_TELL,
-    MANY_OUT,
     Decision,
-    MovedHalf,
     decide,
+    left_out_images,
     metric_of,
-    moved_sentence,
     problems,
     size_open,
-    what_changed,
 )
 from modcal_core.camera.tool_error import (
     RestsOn,
@@ -61,6 +58,24 @@ from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias
+
+_CLEANED = 3  # times that other instruments' readings are looked through for those far off
+
+
+@dataclass(frozen=True)
+class CameraProblem:
+    """chain: nominal. cameras: what each saw of the arm; the error at the tool is over what the first one sees. arm_m:
+    RMS error of the nominal arm, as stated [m]. fixed: parameters that stay as they are. inertias: for effects. beside:
+    readings of other instruments.
+    """
+
+    chain: Chain
+    cameras: tuple[CameraImages, ...]
+    arm_m: float | None = None
+    fixed: Sequence[str] = ()
+    inertias: Inertias | None = None
+    beside: ReadingsBeside | None = None
+    look_for_effects: bool = True
 
 
 def only_seen(cameras: Sequence[CameraImages]) -> list[CameraImages]:
@@ -82,11 +97,8 @@ def with_stops(cameras: Sequence[CameraImages]) -> list[CameraImages]:
     """The same images, those of several cameras that were taken at one stop of the arm numbered as such."""
     if len(cameras) == 1:
         return list(cameras)
-    stops = numbered(
-        [one.q for one in cameras],
-        [[v.name for v in one.views] for one in cameras],
-        [one.moments.stamps for one in cameras],
-    )
+    names = [[v.name for v in one.views] for one in cameras]
+    stops = numbered([one.q for one in cameras], names, [one.moments.stamps for one in cameras])
     return [replace(one, moments=replace(one.moments, stop=stop)) for one, stop in zip(cameras, stops, strict=True)]
 
 
@@ -96,20 +108,33 @@ class FurtherSeen:
     its fit, (15 + Z,). given: images in which the target was found. rms_px: of its corners.
     """
 
+    ready: PreparedImages
     name: str
-    mounting: Mounting
     target: CalibrationTarget
     state: CameraState
     std: Array
     given: int
-    used: int
-    left_out: dict[str, str]
     rms_px: float
+
+    @property
+    def mounting(self) -> Mounting:
+        """As found from its images."""
+        return self.ready.mounting
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Images that are left out, by reason."""
+        return self.ready.left_out
+
+    @property
+    def used(self) -> int:
+        """Number of images in the fit."""
+        return self.ready.table.views
 
 
 @dataclass(frozen=True)
 class _Further:
-    """camera: for the fit of all. problems: what its own images contradict, in sentences."""
+    """A further camera. camera: for the fit of all. problems: what its own images contradict, in sentences."""
 
     camera: FurtherCamera
     images: CameraImages
@@ -118,57 +143,38 @@ class _Further:
 
     def seen_by(self, fit: CameraFit) -> FurtherSeen:
         """What the fit of all makes of it."""
-        camera, first, state = next(one for one in fit.poses.further_at(fit.state) if one[0].name == self.camera.name)
-        columns = camera.columns(fit.poses, first)[len(state.values) + 1 :]
+        every = zip(fit.poses.further_at(fit.state), fit.equations.cameras[1:], strict=True)
+        (camera, columns, state), rows = next(one for one in every if one[0][0].name == self.camera.name)
+        columns = columns[len(state.values) + 1 :]
         std = np.where(columns >= 0, np.sqrt(np.diag(fit.covariance))[columns], 0.0)
-        gap = missed_pixels(camera.table, camera.poses.with_effects(fit.poses.model.effects), state)
-        images, ready = self.images, self.ready
-        return FurtherSeen(
-            *(images.name, ready.mounting, images.target, state, std, len(images.views)),
-            *(camera.table.views, ready.left_out, camera.table.rms(gap)),
-        )
+        rms = camera.table.rms(rows.pixels)
+        one = self.images
+        return FurtherSeen(self.ready, one.name, one.target, state, std, len(one.views), rms)
 
 
-def further_of(
-    chain: Chain,
-    images: CameraImages,
-    first: CameraImages,
-    of_first: PreparedImages,
-    fixed: Sequence[str],
-    inertias: Inertias | None,
-    arm: float | None,
-) -> _Further:
-    """A further camera, from a fit of its own. first, of_first: the first camera. arm: as of a fit.
+def further_of(problem: CameraProblem, images: CameraImages, of_first: PreparedImages) -> _Further:
+    """A further camera, from a fit of its own. of_first: the first camera's images.
 
     Raises ModcalError for images that cannot carry a fit by themselves.
     """
+    first = problem.cameras[0]
     if images.name == first.name:
         raise BadRecording(images.name, "is given twice", "give each camera once")
-    ready = prepare_images(chain, images, fixed, inertias)
-    fit, ready = first_fit(ready, arm)
+    ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias)
+    fit, ready = first_fit(replace(ready, poses=with_stated(ready.poses, problem.arm_m)))
+    out = [] if fit.converged else [f"The fit of {images.name} by itself did not reach its minimum."]
+    if (change := find_change(fit)) is not None:
+        out.append(change.sentence(fit, f" of {images.name}"))
+    out += left_out_images(ready.left_out, len(images.views), f" of {images.name}")
+    same_target = images.target == of_first.target
     same_side = ready.mounting.camera_on_tip == of_first.mounting.camera_on_tip
-    out = []
-    if not fit.converged:
-        out.append(f"The fit of {images.name} by itself did not reach its minimum.")
-    moved, focus = what_changed(fit, arm)
-    if moved is not None:
-        out.append(moved_sentence(fit, moved, f" of {images.name}"))
-    if focus is not None:
-        out.append(f"{images.name}: {focus.sentence}")
-    if len(ready.left_out) > MANY_OUT * len(images.views):
-        out.append(f"{len(ready.left_out)} of {len(images.views)} images of {images.name} were left out.")
-    same_target = images.target == first.target
     shared = np.zeros(len(fit.prior.mean), bool)
     shared[SCALE] = same_target
     shared[BOW] = same_target and same_side
     shared[COMMON:] = same_target and same_side  # two bodies of one drawing have markers glued each by itself
-    moving = bool(fit.equations.free[fit.poses.count])
-    prior = replace(fit.prior, free=fit.prior.free & (moving | (np.arange(len(shared)) != READOUT)))
-    camera = FurtherCamera(images.name, fit.table, fit.poses, prior, fit.state, shared, moving)
+    prior = replace(fit.prior, free=fit.prior.free & (fit.poses.moves | (np.arange(len(shared)) != READOUT)))
+    camera = FurtherCamera(images.name, fit.table, fit.poses, prior, fit.state, shared)
     return _Further(camera, images, ready, tuple(out))
-
-
-_CLEANED = 3  # times that other instruments' readings are looked through for those far off
 
 
 @dataclass(frozen=True)
@@ -196,7 +202,7 @@ class CameraSolution:
     in_view: ToolError
     anywhere: ToolError
     decision: Decision
-    moved: MovedHalf | None
+    moved: FoundChange | None
     weak: tuple[str, ...]
     shares: dict[str, tuple[float, float]]
     held_out_px: tuple[float, float]
@@ -235,103 +241,75 @@ class CameraSolution:
 
 
 def solve_camera(
-    chain: Chain,
-    q: Array,
-    views: Sequence[BoardView],
-    target: CalibrationTarget,
-    size: tuple[int, int],
-    rng: np.random.Generator,
-    velocity: Array | None = None,
-    lens: Lens | None = None,
-    stated: str = FREE,
-    arm_m: float | None = None,
-    camera_on_tip: bool | None = None,
-    flat: bool = False,
-    fixed: Sequence[str] = (),
-    progress: Callable[[str], None] = lambda _: None,
-    moments: ImageMoments = NOTHING_KNOWN,
-    inertias: Inertias | None = None,
-    beside: ReadingsBeside | None = None,
-    look_for_effects: bool = True,
-    fisheye: bool = False,
-    further: Sequence[CameraImages] = (),
+    problem: CameraProblem, rng: np.random.Generator, progress: Callable[[str], None] = lambda _: None
 ) -> CameraSolution:
-    """The calibration of an arm from views of a target at joint positions q (N, n).
-
-    size: of the images [px]. velocity: of the joints at the images, (N, n); None: it stood. lens: as stated, with what
-    becomes of it: free (a start), tolerance, fixed; None: found from the images. arm_m: RMS error of the nominal arm
-    [m], as stated. camera_on_tip: the mounting where it is stated. flat: the sheet is known to be flat. fixed:
-    parameters that stay as they are. moments, inertias: for effects. beside: readings of other instruments.
-    fisheye: whether the lens is one, where nothing is stated of it. further: what other cameras saw of the same arm;
-    the error at the tool is over what the first one sees. Raises ModcalError for images that cannot carry a fit.
-    """
-    images = CameraImages(*(q, views, target, size, velocity, lens, stated, camera_on_tip, flat, moments, fisheye))
-    images, *further = with_stops(only_seen((images, *further)))
+    """The calibration of an arm from what cameras saw. Raises ModcalError for images that cannot carry a fit."""
+    images, *further = with_stops(only_seen(problem.cameras))
+    problem = replace(problem, cameras=(images, *further))
     target = images.target
-    ready = prepare_images(chain, images, fixed, inertias, progress)
+    ready = prepare_images(problem.chain, images, problem.fixed, problem.inertias, progress)
 
     progress("fit")
-    size_of_arm = None if arm_m is None else arm_size(ready.poses, arm_m, ready.poses.q)
-    others = [further_of(chain, one, images, ready, fixed, inertias, size_of_arm) for one in further]
-    poses = replace(ready.poses, beside=beside, further=tuple(one.camera for one in others))
-    fit, ready = first_fit(replace(ready, poses=poses), size_of_arm)
-    table, lens_fit, mounting, left_out = ready.table, ready.lens_fit, ready.mounting, ready.left_out
-    fit, arm = _without_far(fit, ready.poses, lens_fit.lens, ready.prior, size_of_arm)
-    still = replace(arm, parameters=ready.placed, further=(), faults=None)
-    nominal = fit_camera(table, still, lens_fit.lens, ready.prior)
+    others = [further_of(problem, one, ready) for one in further]
+    poses = replace(ready.poses, beside=problem.beside, further=tuple(one.camera for one in others))
+    fit, ready = first_fit(replace(ready, poses=with_stated(poses, problem.arm_m)))
+    fit = _without_far(fit, ready)
+    still = replace(fit.poses, parameters=ready.placed, further=(), faults=None)
+    nominal = fit_camera(ready.table, still, ready.prior, ready.lens_fit.lens)
 
     geometric = fit
     causes: tuple[CameraCause, ...] = ()
     left: EffectChoice | None = None
-    if look_for_effects:
+    if problem.look_for_effects:
         progress("effects")
-        fit, causes, left = find_causes(fit, rng, size_of_arm, progress)
+        fit, causes, left = find_causes(fit, rng, progress)
 
     progress("verdict")
-    moved, focus = what_changed(fit, size_of_arm)
     near, _ = postures_in_view(fit, rng)
-    used_lens = lens or lens_fit.lens
-    doubted = doubts(fit, used_lens, stated if lens is not None and stated != FREE else None, target.scale, size_of_arm)
+    lens = ready.lens_fit.lens if images.lens is None else images.lens
+    became = images.stated if images.lens is not None and images.stated != FREE else None
+    stated = StatedCamera(lens, became, target.scale)
+    doubted = doubts(fit, stated)
     draws = parameter_draws(fit, rng, doubted)
     in_view = tool_error(fit, nominal, near, draws)
-    anywhere = tool_error(fit, nominal, postures_anywhere(chain, rng), draws, both_ends=True)
+    anywhere = tool_error(fit, nominal, postures_anywhere(problem.chain, rng), draws, both_ends=True)
     alone = tool_error(fit, nominal, near, draws, arm_alone=True)
-    corners_out = 1.0 - float(table.weight.mean())
-    metric = metric_of(target, arm_m, beside)
-    other_length = arm_m is not None or (beside is not None and beside.metric)
-    wrong = contradictions(fit, doubted, used_lens, target.scale, size_of_arm)
-    against = problems(fit, nominal, moved, wrong, left_out, len(views), corners_out, target, focus)
+    change = find_change(fit)
+    wrong = contradictions(fit, doubted, stated)
+    against = problems(fit, nominal, change, wrong, left_out_images(ready.left_out, len(images.views)), target)
     against += tuple(said for one in others for said in one.problems)
     points_out = LeftOutPoints()
     if isinstance(target, MarkerBundle):
         same = [(f" of {one.images.name}", one.camera.table) for one in others if one.images.target == target]
-        points_out = left_out_points([(" of the first camera" if same else "", table), *same], target)
+        points_out = left_out_points([(" of the first camera" if same else "", fit.table), *same], target)
         against += points_out.problems
+    metric = metric_of(target, problem.arm_m, problem.beside)
     shared = shares(fit, near)
     rests = rests_on(fit, doubted, near, in_view)
+    body = fit.table.places > 0  # fixed cameras and a body are there for the arm, wherever they stand
     doubtful = in_doubt(fit, doubted, target.scale)
-    doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0], table.places > 0),)
-    body = table.places > 0  # fixed cameras and a body are there for the arm, wherever they stand
+    doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0], body),)
     judged = alone if body else in_view
-    open_size = size_open(target, doubted, judged, shared, arm_m)
-    decision = decide(judged, bool(metric), against, arm_m, doubtful, open_size, body)
+    open_size = size_open(target, doubted, judged, shared, problem.arm_m)
+    decision = decide(judged, bool(metric), against, problem.arm_m, doubtful, open_size, body)
     # the size decides: what is said holds either way
     if metric and decision.word == CANNOT_TELL and target.scale.measured:
         in_view, anywhere, alone = (error.either_way(SIZE) for error in (in_view, anywhere, alone))
-        decision = decide(alone if body else in_view, True, against, arm_m, doubtful, open_size, body)
+        decision = decide(alone if body else in_view, True, against, problem.arm_m, doubtful, open_size, body)
+    other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     return CameraSolution(
-        *(fit, geometric, nominal, mounting, lens_fit, target, left_out, corners_out),
-        *(in_view, anywhere, decision, moved),
-        weak_directions(fit, mounting),
+        *(fit, geometric, nominal, ready.mounting, ready.lens_fit, target, ready.left_out, fit.table.left_out),
+        *(in_view, anywhere, decision, None if change is None or change.each else change),
+        weak_directions(fit, ready.mounting),
         shared,
-        held_out(fit, nominal, size_of_arm),
+        held_out(fit, nominal),
         metric,
-        findings(fit, target.scale, other_length, near, size_of_arm),
+        findings(fit, target.scale, other_length, near),
         causes,
         left,
         rests_on=rests,
         further=tuple(one.seen_by(fit) for one in others),
-        hidden=hidden_springs(fit) if look_for_effects else (),
+        hidden=hidden_springs(fit) if problem.look_for_effects else (),
         alone=alone,
         open_points=points_out.open,
     )
@@ -342,18 +320,15 @@ def _nearest(fit: CameraFit) -> Model:
     return least_change(fit.poses.model_at(fit.state.values), fit.poses.model.chain)
 
 
-def _without_far(
-    fit: CameraFit, arm: ArmPoses, lens: Lens, prior: CommonPrior, size: float | None
-) -> tuple[CameraFit, ArmPoses]:
-    """The fit, and what it was made from, without readings of other instruments that are nowhere near the arm."""
+def _without_far(fit: CameraFit, ready: PreparedImages) -> CameraFit:
+    """The fit without readings of other instruments that are nowhere near the arm."""
     for _ in range(_CLEANED):
-        rows = fit.equations.beside
-        if arm.beside is None or rows is None:
+        beside, rows = fit.poses.beside, fit.equations.beside
+        if beside is None or rows is None:
             break
-        far = arm.beside.far(rows, fit.sizes.other)
+        far = beside.far(rows, fit.sizes.other)
         if not far.any() or (~far).sum() < MIN:
             break
-        kept = replace(arm.beside, samples=arm.beside.samples.select(~far))
-        arm = replace(arm, beside=kept)
-        fit = fit_camera(fit.table, arm, lens, prior, fit.sizes, arm=size)
-    return fit, arm
+        poses = replace(fit.poses, beside=replace(beside, samples=beside.samples.select(~far)))
+        fit = fit_camera(fit.table, poses, ready.prior, ready.lens_fit.lens, fit.sizes)
+    return fit

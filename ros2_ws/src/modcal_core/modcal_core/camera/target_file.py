@@ -75,25 +75,6 @@ def bundle_of_tags(data: Mapping[str, Any], source: str) -> MarkerBundle:
     return MarkerBundle(tuple(markers), body_scale(None), corners=APRILTAG_ORDER, dictionary=_FAMILY, name=name)
 
 
-def bundle_to_data(target: MarkerBundle) -> dict[str, Any]:
-    """The body as nested dictionaries, in our form."""
-    body, printed = (float(v) for v in np.sqrt(np.diag(target.scale.covariance)))
-    out: dict[str, Any] = {"modcal_target": 1, "type": BUNDLE}
-    out |= {"name": target.name} if target.name else {}
-    out |= {"tolerance_m": target.place_m, "tolerance_rad": target.turn_rad, "corner_order": list(target.corners)}
-    out |= {} if target.normal_m is None else {"tolerance_normal_m": target.normal_m}
-    out |= {"size_tolerance": body} if target.scale.measured else {}
-    out["print_tolerance"] = printed
-    out |= {"dictionary": target.dictionary} if target.dictionary else {}
-    out["markers"] = [
-        {"id": m.id, "size_m": m.size, "xyz": list(m.xyz), "quaternion": list(m.quaternion)}
-        for m in target.markers
-        if m.size
-    ]
-    out["points"] = [{"id": m.id, "xyz": list(m.xyz)} for m in target.markers if not m.size]
-    return out
-
-
 def _marker(one: Mapping[str, Any], source: str) -> BundleMarker:
     name = f"{source}: marker {int(one['id'])}"
     if "quaternion" in one and "rpy" in one:

@@ -19,8 +19,8 @@ import numpy as np
 
 from modcal_core.camera.arm_poses import ArmPoses
 from modcal_core.camera.bundle import BoardView, PrintedTarget
-from modcal_core.camera.corners import POSE, CameraState, CornerTable, corner_rows, grams
-from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.corners import POSE, CameraState, CornerTable
+from modcal_core.camera.fit import CameraFit, camera_rows
 from modcal_core.geometry import Array
 
 WORLD, TIP = "world", "tip"
@@ -103,9 +103,8 @@ class CameraWatch:
         """fit: the calibration, of one camera or several. target: as it was calibrated with, by all of them."""
         self._fit, self._target = fit, target
         self._cameras = {"": _Watched(fit.poses, fit.state, np.arange(len(fit.covariance)))}
-        for one, first, state in fit.poses.further_at(fit.state):
-            poses = one.poses.with_effects(fit.poses.model.effects)
-            self._cameras[one.name] = _Watched(poses, state, one.columns(fit.poses, first))
+        for one, columns, state in fit.poses.further_at(fit.state):
+            self._cameras[one.name] = _Watched(one.poses, state, columns)
         self._seen: deque[_ImageResidual] = deque(maxlen=_WINDOW * len(self._cameras))
         self._count = 0
 
@@ -125,17 +124,11 @@ class CameraWatch:
             return None
         table = CornerTable.of([view], self._target)
         state, at = watched.state, watched.poses.at_postures(q[None])
-        T, motions = at.tool_motions(state.values)
-        rows = corner_rows(table, state.lens, state.shape, at.seen(T))
-        G = grams(table, rows)[0] / fit.sizes.noise**2
+        T = at.tool_at(state.values)
+        rows = camera_rows(table, at, state, watched.columns)
+        G = rows.grams[0] / fit.sizes.noise**2
         own = np.linalg.pinv(G[:POSE, :POSE], hermitian=True)
-        by_joints = at.as_twists(T, at.joint_motions(state.values, T))[0]
-        along = np.zeros((1, POSE, 3))
-        along[0, :3] = at.R_frame_root(at.model_at(state.values))  # along axes that other cameras share
-        P, K = motions.shape[2], len(watched.columns)
-        by_own = np.zeros((POSE, K))
-        by_own[:, :P] = at.as_twists(T, motions)[0]
-        by_own[:, P + 1 :] = own @ G[:POSE, POSE:-1]
+        by_own = np.concatenate([rows.moved[0], own @ G[:POSE, POSE:-1]], axis=1)
         by_model = np.zeros((POSE, len(fit.covariance)))
         fitted = watched.columns >= 0
         by_model[:, watched.columns[fitted]] = by_own[:, fitted]
@@ -145,11 +138,11 @@ class CameraWatch:
             T[0, :3, 3],
             own @ G[:POSE, -1],
             own,
-            np.concatenate([fit.sizes.joint * by_joints, fit.sizes.shift * at.as_twists(T, along)[0]], axis=1),
+            np.concatenate([fit.sizes.joint * rows.joints[0], fit.sizes.shift * rows.shifts[0]], axis=1),
             q,
             by_model,
             {half: twists[0] for half, twists in zip(halves, at.half_motions(T), strict=True)},
-            by_joints,
+            rows.joints[0],
         )
 
     def _judge(self) -> Moved | None:

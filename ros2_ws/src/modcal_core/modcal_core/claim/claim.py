@@ -23,12 +23,13 @@ from modcal_core.calibration import (
     linearise,
     procrustes,
 )
+from modcal_core.claim.beyond import growth
 from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
-from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, joint_motion, neighbourhood, shows_base
+from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, arms_near, joint_motion, shows_base
 from modcal_core.claim.remedy import OpenDirection, open_direction
-from modcal_core.effects import STEPS
-from modcal_core.geometry import Array, se3, so3
+from modcal_core.effects import STEPS, NominalArm
+from modcal_core.geometry import Array, so3
 from modcal_core.measurements import POSE, Samples
 from modcal_core.measurements.kinds import KIND_NAMES
 from modcal_core.robots import Mechanism, takes
@@ -40,7 +41,6 @@ _DRAWS, _POSTURES = 400, 200
 _TRIES = 50  # for each posture of a robot that cannot take all of them
 _SURE = 0.95
 _MOSTLY = 0.5  # of the claim, from which what no reading shows is told
-_MARGIN = 1.0  # of what a linear model leaves out
 _UNKNOWN_M = 5e-3  # of a tool that is known no better, nothing is claimed along that direction
 
 
@@ -119,7 +119,7 @@ def claim_at_tool(
     how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
     that is less.
     """
-    about = neighbourhood(calibration.calibrated, calibration.nominal.chain, samples, cell)
+    about = arms_near(calibration.calibrated, calibration.nominal.chain, samples, cell)
     about = with_carried(about, calibration) if frozen else about
     claim, drawn = _claim(about, calibration, samples, cell, _Asked(postures, carried))
     placed = shows_base(samples, _frame(samples))
@@ -133,7 +133,7 @@ def expected_claim(
 
     planned: stations with readings of any value. postures: asked for, (M, n) [rad, m]; None: in the planned ranges.
     """
-    about = neighbourhood(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
+    about = arms_near(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
     return _claim(about.unread(), calibration, planned, cell, _Asked(postures))[0]
 
 
@@ -147,15 +147,15 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Errors:
-    """Errors of the calibrated arm at M postures, by draws (D, 3 M) [m]. open: what no reading holds of them. other:
-    what the nominal arm is off besides (3 M,). samples: these postures. J: of all values, (K, 6 M).
+    """Errors of the calibrated arm at M postures, by draws (D, 3 M) [m]. turned: of its orientations [rad]. open: what
+    no reading holds of the positions. other: what the nominal arm is off besides (3 M,). samples: these postures.
     """
 
     calibrated: Array
+    turned: Array
     open: Array
     other: Array
     samples: Samples
-    J: Array
 
     def norms(self, errors: Array) -> Array:
         """Lengths (D, M) of errors (D, 3 M)."""
@@ -179,10 +179,12 @@ def _claim(
     at = _errors(about, calibration, drawn, there, asked.carried)
     M = len(at.samples)
     joints = _joints(about, at.samples, drawn, cell, rng)
-    at = replace(at, calibrated=at.calibrated + joints)
+    if about.g.any():  # there are readings
+        joints = joints * np.tile(growth(about.model, samples, at.samples.q, rng.standard_normal(len(joints))), 6)
+    at = replace(at, calibrated=at.calibrated + joints[:, : 3 * M], turned=at.turned + joints[:, 3 * M :])
     shown, deg = at.norms(at.calibrated - at.open), None
     if samples.is_pose.any():
-        angles = at.norms(drawn.values @ at.J[:, 3 * M :])
+        angles = at.norms(at.turned)
         deg = {name: _statistic(np.degrees(angles), name) for name in NAMES}
     whole = _random(about.model.chain, *_limits(about.model.chain, low, high), rng)
     anywhere = len(whole) and _errors(about, calibration, drawn, _at(about, samples, whole, rng), asked.carried).better
@@ -207,14 +209,20 @@ def _errors(
 ) -> _Errors:
     samples, placed = asked
     J = _without_scale(about, linearise(about.model, about.parameters, about.values, samples).J)
-    position = J[:, : 3 * len(samples)]
-    apart = _apart(about.model, calibration.nominal.with_effects(()), samples, placed)
-    lost = np.zeros(position.shape[1])
-    if carried is not None:
-        lost = _apart(calibration.calibrated, carried, samples, placed)
+    position, rotation = np.split(J, 2, axis=1)
+    apart, _ = _apart(about.model, calibration.nominal.with_effects(()), samples, placed)
+    lost, turned = _apart(about.model, _applied(calibration, carried), samples, placed)
     P = _unknown(about, drawn, position, samples, placed)
     move, other, lost = (_clear(rows, P) for rows in (position, apart[None], lost[None]))
-    return _Errors(drawn.values @ move + lost, drawn.open @ move, other[0] - lost[0], samples, J)
+    calibrated, turned = drawn.values @ move + lost, drawn.values @ rotation + turned
+    return _Errors(calibrated, turned, drawn.open @ move, other[0] - lost[0], samples)
+
+
+def _applied(calibration: Calibration, carried: Model | None) -> Model:
+    """The model as it predicts, outside of the joint ranges that were seen as well."""
+    model = carried or calibration.calibrated
+    arm = replace(model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
+    return replace(model, arm=arm, fallback=model.fallback or calibration.fallback(model, calibration.geometric))
 
 
 def _limits(chain: Mechanism, low: Array, high: Array) -> tuple[Array, Array]:
@@ -266,16 +274,17 @@ def _without_scale(about: Neighbourhood, J: Array) -> Array:
     return out
 
 
-def _apart(model: Model, other: Model, asked: Samples, placed: bool) -> Array:
-    """From another model's tool to the calibrated one's, as seen from the latter's root, (3 M,) [m].
+def _apart(model: Model, other: Model, asked: Samples, placed: bool) -> tuple[Array, Array]:
+    """From another model's tool to the calibrated one's, as seen from the latter's root, (3 M,) [m] and [rad].
 
     placed: whether the readings show where the base is; else it is put where it suits best.
     """
-    p = model.predict_samples(asked)[:, :3, 3]
-    drawn = other.predict_samples(asked)[:, :3, 3]
-    drawn = drawn if placed else se3.apply(procrustes(drawn, p), drawn)
+    T, drawn = model.predict_samples(asked), other.predict_samples(asked)
+    if not placed:
+        drawn = procrustes(drawn[:, :3, 3], T[:, :3, 3]) @ drawn
     R = (model.T_frame_base[asked.frame[0]] @ model.chain.T_base_root)[:3, :3]
-    return np.asarray(((p - drawn) @ R).T.ravel())
+    turned = so3.log(T[:, :3, :3] @ np.swapaxes(drawn[:, :3, :3], -1, -2))
+    return ((T - drawn)[:, :3, 3] @ R).T.ravel(), (turned @ R).T.ravel()
 
 
 def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, placed: bool) -> Array | None:
@@ -301,23 +310,23 @@ def _clear(rows: Array, basis: Array | None) -> Array:
 
 
 def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, cell: Cell, rng: np.random.Generator) -> Array:
-    """What joints do not repeat, at every posture of every draw, (D, 3 M) [m]."""
+    """What joints do not repeat, at every posture of every draw, (D, 6 M) [m, then rad]."""
     M, D = len(asked), len(drawn.scale)
     view = _view(about, asked)
     n = about.model.chain.n
-    motions = np.stack([joint_motion(view, about.model.chain, j)[: 3 * M] for j in range(n)])
+    motions = np.stack([joint_motion(view, about.model.chain, j) for j in range(n)])
     likely = about.shares
     instrument = cell.stated.instrument_mm
-    if instrument is not None and about.noise.position > 0.0:
-        most = 1.0 - (1e-3 * instrument) ** 2 / 3.0 / about.noise.position**2
+    if instrument is not None:
+        most = 1.0 - (1e-3 * instrument) ** 2 / 3.0 / about.read**2
         likely = np.where(max(most, SHARES[0]) >= SHARES, likely, 0.0)
         likely = likely / likely.sum() if likely.sum() > 0.0 else np.eye(len(SHARES))[0]
     share = rng.choice(SHARES, D, p=likely)
     rho = drawn.scale * np.sqrt(share / max(about.joints, 1e-300))
-    out = np.zeros((D, 3, M))
+    out = np.zeros((D, 6, M))
     for j in range(n):
-        out += (rho[:, None] * rng.standard_normal((D, M)))[:, None, :] * motions[j].reshape(3, M)
-    return out.reshape(D, 3 * M)
+        out += (rho[:, None] * rng.standard_normal((D, M)))[:, None, :] * motions[j].reshape(6, M)
+    return out.reshape(D, 6 * M)
 
 
 def _view(about: Neighbourhood, asked: Samples) -> RowView:
@@ -335,4 +344,4 @@ def _of(norms: Array, name: StatisticName) -> Array:
 def _statistic(norms: Array, name: StatisticName) -> Statistic:
     every = _of(norms, name)
     low, middle, high = np.quantile(every, [1.0 - _SURE, 0.5, _SURE])
-    return Statistic(float(middle), (float(low) / _MARGIN, _MARGIN * float(high)))
+    return Statistic(float(middle), (float(low), float(high)))

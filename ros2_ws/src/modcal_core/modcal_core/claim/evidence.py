@@ -23,7 +23,7 @@ from modcal_core.geometry import Array
 
 # Common widths of lengths, angles, waves, loads, signs and warps, in usual sizes: log-normal, with a steep end. Most
 # joints have none of what functions stand for, and one may have much of it: their law has the wider tails.
-USUAL, SPREAD, MOST = np.log([1.4, 1.4, 0.2, 0.5, 0.2, 0.2]), np.log(2.5), np.log(5.6)
+USUAL, SPREAD, MOST = np.log([1.4, 1.4, 0.1, 0.3, 0.1, 0.05]), np.log(2.5), np.log(5.6)
 _ROUNDING = 1e-9  # of a diagonal, by which a matrix of sums of squares may miss being positive
 _STEEP = 50.0  # how they fall off beyond that
 FREEDOM = np.array([4.0, 4.0, 2.0, 2.0, 2.0, 2.0])  # of Student's law

@@ -14,12 +14,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from modcal_core.calibration import Calibration, Uncertainty, View, choose_parameters, general_samples, linearise
+from modcal_core.calibration import (
+    FINEST,
+    Calibration,
+    Uncertainty,
+    View,
+    choose_parameters,
+    exact_samples,
+    general_samples,
+    linearise,
+)
 from modcal_core.claim.evidence import Drawn
 from modcal_core.claim.neighbourhood import FREE, Neighbourhood
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE
+from modcal_core.measurements.kinds import KIND_NAMES
 
+_SAME = 1e-7  # of the largest; directions that move readings less are said by others
 _EXACT = 1e-10  # m or rad, and share of a variance; nothing is known better
 
 
@@ -62,7 +73,27 @@ def with_carried(about: Neighbourhood, calibration: Calibration) -> Neighbourhoo
     unit = np.where(np.isfinite(widths), widths, std)
     size, V = np.linalg.eigh(told * np.outer(unit, unit))
     told = (V * np.maximum(size, 0.0)) @ V.T / np.outer(unit, unit)
-    return replace(about, stated=(about.stated[0] + as_kept.T @ told @ as_kept, about.stated[1]))
+    H = about.stated[0] + as_kept.T @ told @ as_kept
+    return replace(about, stated=(H + _of_functions(about, calibration), about.stated[1]))
+
+
+def _of_functions(about: Neighbourhood, calibration: Calibration) -> Array:
+    """H (K, K) of what the calibration's own recording says of effects that nobody named: they left no more than noise
+    at its postures, beside whatever geometry says as well.
+    """
+    out, q = np.zeros_like(about.stated[0]), calibration.postures
+    names, more = len(about.parameters), about.model.effects[len(calibration.calibrated.effects) :]
+    if calibration.kind not in (POINT, POSE) or not len(q) or not more:
+        return out
+    model = about.model.with_effects(more)
+    samples = exact_samples(model, q, np.zeros(len(q), int), np.full(len(q), POINT, dtype=KIND_NAMES))
+    noise = max(float(np.hypot(calibration.noise.position, calibration.scatter[0])), FINEST)
+    values = np.concatenate([np.zeros(names), *(e.values for e in more)])
+    J = linearise(model, about.parameters, values, samples).J / noise
+    rows = J[names:] - np.linalg.lstsq(J[:names].T, J[names:].T, rcond=_SAME)[0].T @ J[:names]
+    own = np.arange(len(out) - len(rows), len(out))
+    out[np.ix_(own, own)] = rows @ rows.T
+    return out
 
 
 def _as_kept(about: Neighbourhood, calibration: Calibration) -> Array:

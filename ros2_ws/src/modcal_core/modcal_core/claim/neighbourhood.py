@@ -67,7 +67,8 @@ class Neighbourhood:
     (S,). std: usual size of each value (K,). sort: of each, LENGTH … FREE (K,). group: a number of what it belongs to,
     a link or one joint's functions of a sort (K,). place: of values of the arm, else -1 (K,). joints: mean squared
     weighed reading of the main kind per rad² of all joints, each alone. shares: how likely each of SHARES is. main: the
-    kind with the most equations. pull: what g is short of (K,). noise: of the readings.
+    kind with the most equations. pull: what g is short of (K,). read: what the
+    main kind scatters by.
     """
 
     model: Model
@@ -87,7 +88,7 @@ class Neighbourhood:
     shares: Array
     main: int
     pull: Array
-    noise: NoiseModel
+    read: float
 
     def equations(self, noise: Array) -> tuple[Array, Array]:
         """H (K, K) and g (K,) of all that is known, given the noise of each kind (S,)."""
@@ -107,7 +108,7 @@ class Neighbourhood:
         return np.concatenate([np.zeros(len(self.parameters)), *(e.values for e in self.model.effects)])
 
 
-def neighbourhood(
+def arms_near(
     calibrated: Model,
     nominal: Mechanism,
     samples: Samples,
@@ -153,7 +154,7 @@ def neighbourhood(
     others = [False] * (len(values) - len(parameters))
     of_arm = np.array([p.of_arm for p in parameters] + others)
     moves = of_arm | np.array([p.name.startswith("tool/") for p in parameters] + others)
-    sizes = {**noise.others, _ROTATION: noise.rotation}
+    read = [_read(noise, name, known_p[samples.kind == name], known_r) for name in names]
     return Neighbourhood(
         model=model,
         parameters=parameters,
@@ -163,7 +164,7 @@ def neighbourhood(
         square=square,
         rows=rows,
         stated=stated,
-        usual=np.array([_USUAL / sizes.get(name, noise.position) for name in names]),
+        usual=_USUAL / np.array(read),
         std=std,
         sort=sort,
         group=group,
@@ -172,8 +173,15 @@ def neighbourhood(
         shares=joints.shares,
         main=main,
         pull=np.where(moves, joints.pull, 0.0) * float(joints.shares @ SHARES) / max(joints.square, 1e-300),
-        noise=noise,
+        read=read[main],
     )
+
+
+def _read(noise: NoiseModel, name: str, known_p: Array, known_r: Array) -> float:
+    """What readings of a kind scatter by, usually, with what they know of it themselves [its unit]."""
+    size = noise.rotation if name == _ROTATION else noise.others.get(name, noise.position)
+    own = known_r if name == _ROTATION else known_p
+    return float(np.hypot(size, np.median(own) if len(own) else 0.0))
 
 
 def _by_kind(

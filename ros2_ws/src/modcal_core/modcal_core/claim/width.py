@@ -10,12 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from modcal_core.calibration import Cell, Fit, Model, ModelParameter, fit_geometry
-from modcal_core.claim.evidence import widths_of_links
-from modcal_core.claim.neighbourhood import ANGLE_RAD, LENGTH_M, neighbourhood, shows_base
+import numpy as np
+
+from modcal_core.calibration import Calibration, Cell, Fit, Model, ModelParameter, fit_geometry, model_at
+from modcal_core.claim.evidence import draw, widths_of_links
+from modcal_core.claim.neighbourhood import ANGLE_RAD, LENGTH_M, arms_near, shows_base
 from modcal_core.measurements import RANGE, RAY, Samples
+from modcal_core.robots import Mechanism
 
 USUAL_WIDTH = 1.0  # what fits begin with, and the narrowest
+_STEPS, _DRAWS = 3, 480
 _WIDER = 1.2  # from which arms are fitted again with priors as wide
 
 
@@ -37,11 +41,38 @@ def fit_held(start: Model, samples: Samples, parameters: Sequence[ModelParameter
 
     start: the nominal arm, with base and tool where it has them.
     """
-    placed = any(shows_base(samples, frame) for frame in range(len(samples.frames)))
-    if placed or cell.distances or {RANGE, RAY} & set(samples.kinds):
+    if _shows_scale(samples, cell):
         return fit_geometry(start, samples, parameters, cell)
     fit = fit_geometry(start, samples, held(parameters), cell)
-    widths = widths_of_links(neighbourhood(fit.model, start.chain, samples, cell, functions=False))
+    widths = widths_of_links(arms_near(fit.model, start.chain, samples, cell, functions=False))
     if max(widths.values(), default=0.0) <= _WIDER:
         return fit
     return fit_geometry(start, samples, held(parameters, widths), cell)
+
+
+def settled(calibration: Calibration, samples: Samples, cell: Cell) -> Calibration:
+    """The calibration in the middle of what its readings and the usual size of errors leave possible.
+
+    A fit has the fewest values that say the same to the instrument, each held by itself. Where readings do not show the
+    scale that is a narrower law than that of all errors of an arm, and another middle.
+    """
+    if _shows_scale(samples, cell):
+        return calibration
+    nominal, geometric = calibration.nominal.chain, calibration.geometric
+    moved = _settled(calibration.calibrated, nominal, samples, cell)
+    alone = moved if geometric is calibration.calibrated else _settled(geometric, nominal, samples, cell)
+    return replace(calibration, calibrated=moved, geometric=alone)
+
+
+def _settled(model: Model, nominal: Mechanism, samples: Samples, cell: Cell) -> Model:
+    std = np.concatenate([np.zeros(0), *(effect.std for effect in model.effects)])
+    for _ in range(_STEPS):
+        about = arms_near(model, nominal, samples, cell, functions=False)
+        middle = about.values + draw(about, _DRAWS, np.random.default_rng(0)).values.mean(axis=0)
+        model = model_at(about.model, about.parameters, middle, std)
+    return model
+
+
+def _shows_scale(samples: Samples, cell: Cell) -> bool:
+    placed = any(shows_base(samples, frame) for frame in range(len(samples.frames)))
+    return bool(placed or cell.distances or {RANGE, RAY} & set(samples.kinds))

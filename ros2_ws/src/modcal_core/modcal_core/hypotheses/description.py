@@ -112,7 +112,7 @@ def _vector(axis: Array) -> str:
 
 
 @dataclass(frozen=True)
-class Arm:
+class FittedArm:
     """An arm whose joints are at ``M q + c`` and whose origins (n + 1, 4, 4) may be others than described."""
 
     chain: Chain
@@ -121,7 +121,7 @@ class Arm:
     origins: Array
 
     @classmethod
-    def described(cls, chain: Chain) -> Arm:
+    def described(cls, chain: Chain) -> FittedArm:
         """The arm as its description has it."""
         return cls(chain, np.eye(chain.n), np.zeros(chain.n), chain.origins)
 
@@ -152,7 +152,7 @@ class Free:
     turns: bool = False
 
 
-def fitted(case: HandEye, start: Arm, free: Free, near: float = 1.0) -> tuple[Arm, Placement]:
+def fitted(case: HandEye, start: FittedArm, free: Free, near: float = 1.0) -> tuple[FittedArm, Placement]:
     """The arm, base and tool that the readings ask for, from this start. near: limits that count as little."""
     scale = near * np.array(case.limits)
     placement = placed(replace(case, A=start.tip(case.q)), thorough=False).placement
@@ -184,7 +184,7 @@ def _cost(r: Array) -> float:
     return float(np.sum(np.log1p(np.sum(r**2, axis=1))))
 
 
-def _rows(case: HandEye, arm: Arm, placement: Placement, free: Free, scale: Array) -> tuple[Array, Array]:
+def _rows(case: HandEye, arm: FittedArm, placement: Placement, free: Free, scale: Array) -> tuple[Array, Array]:
     """Residuals (N, k) in units of what a nominal arm misses by, and how a step reduces them, (N, k, values).
 
     A value moves the tip by a twist (v, w) in the base; the point of the tool moves by v + w × point.
@@ -222,7 +222,7 @@ def _rows(case: HandEye, arm: Arm, placement: Placement, free: Free, scale: Arra
     return r, G
 
 
-def _stepped(arm: Arm, placement: Placement, free: Free, step: Array) -> tuple[Arm, Placement]:
+def _stepped(arm: FittedArm, placement: Placement, free: Free, step: Array) -> tuple[FittedArm, Placement]:
     n, k, M, c, origins = arm.chain.n, len(free.columns), arm.M.copy(), arm.c, arm.origins.copy()
     rest = step
     if free.columns or not free.origins:
@@ -249,10 +249,13 @@ def _few(case: HandEye) -> HandEye:
 def links(case: HandEye) -> Iterator[Hypothesis]:
     """One origin of the description that stands elsewhere or otherwise, or several whose lengths are others."""
     few, chain = _few(case), case.chain
-    n, likely = chain.n, list[tuple[float, int, Arm]]()
+    n, likely = chain.n, list[tuple[float, int, FittedArm]]()
     values = 6 if case.poses else 3
     for j in range(1, n):
-        starts = [Arm.described(chain), *(_turned_origin(chain, j, S) for S in (_cube(few, j) if case.poses else ()))]
+        starts = [
+            FittedArm.described(chain),
+            *(_turned_origin(chain, j, S) for S in (_cube(few, j) if case.poses else ())),
+        ]
         for start in starts:
             arm, placement = fitted(few, start, Free(origins=(j,), turns=case.poses))
             left = at(replace(few, A=arm.tip(few.q)), placement).usual
@@ -261,7 +264,7 @@ def links(case: HandEye) -> Iterator[Hypothesis]:
             if what:
                 yield _by_arm(what, remedy, arm, RARE - float(np.log(n * len(starts))), values)
     every = tuple(range(1, n))
-    afar, _ = fitted(few, Arm.described(chain), Free(origins=every), near=_AFAR)
+    afar, _ = fitted(few, FittedArm.described(chain), Free(origins=every), near=_AFAR)
     arm, placement = fitted(few, afar, Free(origins=every))
     lengths = at(replace(few, A=arm.tip(few.q)), placement)
     shifts = [np.linalg.norm(arm.origins[j, :3, 3] - chain.origins[j, :3, 3]) for j in range(1, n)]
@@ -288,14 +291,14 @@ def links(case: HandEye) -> Iterator[Hypothesis]:
         )
 
 
-def _by_arm(what: str, remedy: str, arm: Arm, price: float, values: int) -> Hypothesis:
+def _by_arm(what: str, remedy: str, arm: FittedArm, price: float, values: int) -> Hypothesis:
     return Hypothesis(what, remedy, lambda c: replace(c, A=arm.tip(c.q)), price, values, "joints")
 
 
-def _turned_origin(chain: Chain, j: int, S: Array) -> Arm:
+def _turned_origin(chain: Chain, j: int, S: Array) -> FittedArm:
     origins = chain.origins.copy()
     origins[j, :3, :3] = origins[j, :3, :3] @ S
-    return replace(Arm.described(chain), origins=origins)
+    return replace(FittedArm.described(chain), origins=origins)
 
 
 def _cube(few: HandEye, j: int, most: int = 2) -> list[Array]:
@@ -348,7 +351,7 @@ def mixtures(case: HandEye) -> Iterator[Hypothesis]:
     """Joint positions that are mixed, scaled or shifted: the linear map of the columns that the readings ask for."""
     few, chain = _few(case), case.chain
     moved = tuple(np.flatnonzero(case.q.std(axis=0) > 0.0).tolist())
-    as_described = Arm.described(chain)
+    as_described = FittedArm.described(chain)
     starts = [as_described]
     part = few.select(spread_rows(len(few), 40))
     for some in (list(_mixed(chain)), list(_zeros(chain))):
@@ -363,7 +366,7 @@ def mixtures(case: HandEye) -> Iterator[Hypothesis]:
             yield _by_arm(what, remedy, arm, COMMON + VERY_RARE - RARE, values)
 
 
-def _sifted(arms: Sequence[Arm], part: HandEye, most: int = _STARTS) -> list[Arm]:
+def _sifted(arms: Sequence[FittedArm], part: HandEye, most: int = _STARTS) -> list[FittedArm]:
     """Those that leave least by a linear map of turns and places, whatever base and tool are."""
     p = part.p - part.p.mean(axis=0)
     left = []
@@ -377,23 +380,23 @@ def _sifted(arms: Sequence[Arm], part: HandEye, most: int = _STARTS) -> list[Arm
     return [arms[k] for k in np.argsort(left)[:most]]
 
 
-def _zeros(chain: Chain) -> Iterator[Arm]:
+def _zeros(chain: Chain) -> Iterator[FittedArm]:
     """Quarter turns in the zeros of the joints between the first and the last, whose own are base and tool as well."""
     inner = [j for j in range(1, chain.n - 1) if chain.revolute[j]]
     for quarters in product(range(4), repeat=len(inner) if len(inner) <= _MAX_INNER else 0):
         c = np.zeros(chain.n)
         c[inner[: len(quarters)]] = 0.5 * np.pi * np.array(quarters)
-        yield replace(Arm.described(chain), c=c)
+        yield replace(FittedArm.described(chain), c=c)
 
 
-def _mixed(chain: Chain) -> Iterator[Arm]:
+def _mixed(chain: Chain) -> Iterator[FittedArm]:
     """What undoes sums, differences and means of two columns, and angles that add up along the arm."""
     n = chain.n
     for first in range(n - 2):
         for last in range(first + 3, n + 1):
             B = np.eye(n)
             B[first:last, first:last] = np.tril(np.ones((last - first, last - first)))
-            yield replace(Arm.described(chain), M=np.asarray(np.linalg.inv(B), dtype=float))
+            yield replace(FittedArm.described(chain), M=np.asarray(np.linalg.inv(B), dtype=float))
     for i, j in combinations(range(n), 2):
         for values in product((-1.0, 0.0, 1.0), repeat=4):
             B = np.array(values).reshape(2, 2)
@@ -401,10 +404,10 @@ def _mixed(chain: Chain) -> Iterator[Arm]:
             for scale in () if det == 0.0 else (1.0, 2.0) if abs(det) == 2.0 else (1.0,):
                 M = np.eye(n)
                 M[np.ix_((i, j), (i, j))] = scale * np.linalg.inv(B)
-                yield replace(Arm.described(chain), M=M)
+                yield replace(FittedArm.described(chain), M=M)
 
 
-def _of_map(arm: Arm, case: HandEye) -> tuple[str, str, int]:
+def _of_map(arm: FittedArm, case: HandEye) -> tuple[str, str, int]:
     """What is said of a map, of which joints, and how many values it changes; empty for what nobody can name."""
     names, q, n = case.names, case.q, case.chain.n
     size = np.abs(arm.M - np.eye(n)) * q.std(axis=0)

@@ -24,7 +24,7 @@ from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, forward
 
 LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m; units that tables have positions in
-MIN_ROWS = 12  # six unknown turns, and as much again to tell
+MIN_ROWS = 10  # twelve unknown numbers at most, of thirty or sixty
 ARM_SHARE = 0.01  # of the reach; a nominal arm that misses by more (median) is not explained
 ARM_ANGLE = 0.035  # rad; the same of orientations
 OF_MOTION = 0.1  # of what moves; a fit that leaves more than this explains nothing
@@ -79,15 +79,24 @@ class Judged:
     R: Array
     position: Array
 
-    def explained(self, chain: Chain) -> bool:
-        """Whether what is left is what a nominal arm may be wrong by, and little of what moves.
+    @property
+    def share(self) -> float:
+        """What is left of places, or of turns where that is more, as a share of what moves.
 
         A meaning by which hardly anything moves fits whatever the columns are.
         """
         place, turn = moved(self.R, self.position)
-        if self.match.typical > min(ARM_SHARE * chain.reach(), OF_MOTION * place):
-            return False
-        return self.meaning.turning is None or self.match.typical_angle <= min(ARM_ANGLE, OF_MOTION * turn)
+        left = self.match.typical / max(place, 1e-12)
+        return left if self.meaning.turning is None else max(left, self.match.typical_angle / max(turn, 1e-12))
+
+    @property
+    def near(self) -> bool:
+        """Whether little is left of what moves: the arm is the one that was read, however wrong it may be."""
+        return self.share <= OF_MOTION
+
+    def explained(self, chain: Chain) -> bool:
+        """Whether what is left is also no more than most nominal arms are wrong by: no other meaning is looked for."""
+        return self.near and self.match.typical <= ARM_SHARE * chain.reach() and self.match.typical_angle <= ARM_ANGLE
 
 
 def moved(R: Array, position: Array) -> tuple[float, float]:
@@ -111,7 +120,7 @@ def judge(chain: Chain, choices: Sequence[Postures], position: Array, turned: Ar
             found += [_judged_point(chain, choice, c, position, unit) for unit in LENGTHS]
         else:
             found += _judged_poses(chain, choice, c, position, turned, ways)
-    found.sort(key=lambda j: -j.match.score)
+    found.sort(key=lambda j: (not j.near, -j.match.score))
     distinct: list[Judged] = []
     for one in found:
         if not any(_same(one, other, choices) for other in distinct):

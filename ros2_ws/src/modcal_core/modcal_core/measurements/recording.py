@@ -26,6 +26,7 @@ POSE, POINT, RANGE, BEARING, TOUCH, RAY = "pose", "point", "range", "bearing", "
 # Notes of a recording that say what its readings are, as `modcal import` writes them
 ORDER_ONLY = "The table has no clock: stamps give the order of the rows only, not when they were taken."
 SOCKETS = "Sockets, in each of which the tool's ball rests at one point: "
+TARGETS = "Another target on the tool from these stamps [s] on: "
 IMPORTED = "Imported from tables by "
 PART = "#"  # between the topic and the field, in the name of a signal that is one of many numbers in a message
 
@@ -132,6 +133,12 @@ class Recording:
         """Frames that a note states to be sockets."""
         stated = [note.removeprefix(SOCKETS).rstrip(".") for note in self.warnings if note.startswith(SOCKETS)]
         return tuple(name for names in stated for name in names.split(", "))
+
+    @property
+    def tool_changes(self) -> tuple[float, ...]:
+        """Stamps [s] at which a note states that another target on the tool is measured."""
+        stated = [note.removeprefix(TARGETS).rstrip(".") for note in self.warnings if note.startswith(TARGETS)]
+        return tuple(float(stamp) for stamps in stated for stamp in stamps.split(", "))
 
     @property
     def frames(self) -> tuple[str, ...]:

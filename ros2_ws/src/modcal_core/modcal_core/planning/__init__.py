@@ -1,30 +1,38 @@
-"""Before anything is measured: which parameters matter, and which stations will show them."""
+"""Which stations to measure: before anything is measured, one after the other until an accuracy is proven, and which
+parameters matter at all.
+"""
 
 # ruff: noqa: I001
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from modcal_core.planning.advice import BATCH, Advice, Advisor, Method
     from modcal_core.planning.closed_chain import ClosedChain, calibration_chain, dh_closed_chain, sizes_of
-    from modcal_core.planning.criteria import ACCURACY, CRITERIA, criterion
+    from modcal_core.planning.criteria import ACCURACY, CRITERIA
     from modcal_core.planning.deciding import DecidingStations, propose, undecided_by_posture
-    from modcal_core.planning.fedorov import exchange
+    from modcal_core.planning.designs import DESIGNS, design, orthogonal_array
+    from modcal_core.planning.motion import TimedMotion, free_way, from_side, timed
     from modcal_core.planning.planner import STARTS, Plan, PlanRequest, plan
-    from modcal_core.planning.posture_pool import CANDIDATES, allowed, survey, with_limits
-    from modcal_core.planning.route import RETURNS, Trajectory, stations_from_data, stations_from_rows
-    from modcal_core.planning.route import trajectory_from_data, with_returns
-    from modcal_core.planning.sensitivity_study import ARMS, DESIGNS, NAMED, Measured, Study, design, orthogonal_array
-    from modcal_core.planning.sensitivity_study import sensitivity, study
-    from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of, visible
-    from modcal_core.planning.worth import Accuracy
+    from modcal_core.planning.pool import CANDIDATES, Pool, allowed, of_recording, of_robot, with_limits
+    from modcal_core.planning.proof import MAX_STATIONS, Goal
+    from modcal_core.planning.route import RETURNS, with_returns
+    from modcal_core.planning.sensitivity_study import ARMS, NAMED, Measured, Studied, Study, sensitivity, study
+    from modcal_core.planning.session import PROOF, SKIPPED, UNSEEN, Session, Station, from_data, to_data
+    from modcal_core.planning.site import Site, Spheres, clearance, site_from_data, spheres_of
+    from modcal_core.planning.station_files import Trajectory, stations_from_data, stations_from_rows
+    from modcal_core.planning.station_files import trajectory_from_data
+    from modcal_core.planning.typed_table import FilledTable, require_likely, text_of, to_table, with_table
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["ACCURACY", "ARMS", "CANDIDATES", "CRITERIA", "DESIGNS", "NAMED", "RETURNS", "STARTS", "Accuracy"]
-__all__ += ["ClosedChain", "DecidingStations", "Measured", "Plan", "PlanRequest", "Site", "Spheres", "Study"]
-__all__ += ["Trajectory", "allowed", "calibration_chain", "clearance", "criterion", "design", "dh_closed_chain"]
-__all__ += ["exchange", "orthogonal_array", "plan", "propose", "sensitivity", "site_from_data", "sizes_of"]
-__all__ += ["spheres_of", "stations_from_data", "stations_from_rows", "study", "survey", "trajectory_from_data"]
-__all__ += ["undecided_by_posture", "visible", "with_limits", "with_returns"]
+__all__ = ["ACCURACY", "ARMS", "BATCH", "CANDIDATES", "CRITERIA", "DESIGNS", "MAX_STATIONS", "NAMED", "PROOF"]
+__all__ += ["RETURNS", "SKIPPED", "STARTS", "UNSEEN", "Advice", "Advisor", "ClosedChain", "DecidingStations"]
+__all__ += ["FilledTable", "Goal", "Measured", "Method", "Plan", "PlanRequest", "Pool", "Session", "Site", "Spheres"]
+__all__ += ["Station", "Studied", "Study", "TimedMotion", "Trajectory", "allowed", "calibration_chain", "clearance"]
+__all__ += ["design", "dh_closed_chain", "free_way", "from_data", "from_side", "of_recording", "of_robot"]
+__all__ += ["orthogonal_array", "plan", "propose", "require_likely", "sensitivity", "site_from_data", "sizes_of"]
+__all__ += ["spheres_of", "stations_from_data", "stations_from_rows", "study", "text_of", "timed", "to_data"]
+__all__ += ["to_table", "trajectory_from_data", "undecided_by_posture", "with_limits", "with_returns", "with_table"]

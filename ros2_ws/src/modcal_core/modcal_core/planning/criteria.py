@@ -40,13 +40,18 @@ class Criterion:
         """Whether it is D-optimality."""
         return self.name in ("d", "o1")
 
+    @property
+    def spectral(self) -> bool:
+        """Whether it hangs on single eigenvalues."""
+        return self.name in _SPECTRAL
+
     def value(self, H: Array) -> Array:
         """How good information matrices (..., P, P) are, (...): larger is better; logarithms, but for accuracy."""
         if self.name == ACCURACY:
             return np.asarray(-np.trace(np.linalg.solve(H, np.broadcast_to(self.gamma, H.shape)), axis1=-2, axis2=-1))
         if self.by_determinant:
             return np.asarray(np.linalg.slogdet(H)[1])
-        return _SPECTRAL[self.name](_plain(np.linalg.eigvalsh(H)))
+        return _SPECTRAL[self.name](np.asarray(np.linalg.eigvalsh(H), dtype=float))
 
     def gradient(self, H: Array) -> Array:
         """∂ value/∂H, (P, P)."""
@@ -54,13 +59,9 @@ class Criterion:
             inverse = np.linalg.inv(H)
             return np.asarray(inverse @ self.gamma @ inverse)
         if self.by_determinant:
-            return _plain(np.linalg.inv(H))
+            return np.asarray(np.linalg.inv(H))
         value, vector = np.linalg.eigh(H)
         return np.asarray((vector * _SLOPE[self.name](value)) @ vector.T)
-
-
-def _plain(a: object) -> Array:
-    return np.asarray(a, dtype=np.float64)
 
 
 def criterion(name: str, gamma: Array) -> Criterion:
@@ -70,16 +71,11 @@ def criterion(name: str, gamma: Array) -> Criterion:
     return Criterion(name, gamma)
 
 
-def _of_ends(low: float, high: float) -> Spectral:
+def _of_ends(v: Array, low: float, high: float) -> Array:
     """The slope of low · log of the smallest + high · log of the largest eigenvalue."""
-
-    def slope(v: Array) -> Array:
-        out = np.zeros_like(v)
-        out[0] += low / v[0]
-        out[-1] += high / v[-1]
-        return out
-
-    return slope
+    out = np.zeros_like(v)
+    out[[0, -1]] += low / v[0], high / v[-1]
+    return out
 
 
 # of rising eigenvalues, singular values squared: logarithms of the indices, and their slopes
@@ -90,9 +86,9 @@ _SPECTRAL: dict[str, Spectral] = {
     "o5": lambda v: -np.log(np.sum(v**-0.5, axis=-1)),
 }
 _SLOPE: dict[str, Spectral] = {
-    "o2": _of_ends(0.5, -0.5),
-    "o3": _of_ends(0.5, 0.0),
-    "o4": _of_ends(1.0, -0.5),
+    "o2": lambda v: _of_ends(v, 0.5, -0.5),
+    "o3": lambda v: _of_ends(v, 0.5, 0.0),
+    "o4": lambda v: _of_ends(v, 1.0, -0.5),
     "o5": lambda v: 0.5 * v**-1.5 / np.sum(v**-0.5),
 }
 
@@ -112,15 +108,9 @@ class Observability:
 def observability(information: Array, stations: int) -> Observability:
     """The five observability indices of JᵀWJ (P, P), without the prior, for so many stations; 0 where rank is lost."""
     value = np.maximum(np.linalg.eigvalsh(information), 0.0)
-    s = np.sqrt(value)
-    rank = int(np.sum(s > 1e-7 * max(float(s[-1]), 1e-300)))
-    if rank < len(s):
+    rank = int(np.sum(value > 1e-14 * max(float(value[-1]), 1e-300)))
+    if rank < len(value):
         return Observability(0.0, 0.0, 0.0, 0.0, 0.0, rank)
-    return Observability(
-        float(np.exp(np.mean(np.log(s))) / np.sqrt(stations)),
-        float(s[0] / s[-1]),
-        float(s[0]),
-        float(s[0] ** 2 / s[-1]),
-        float(1.0 / np.sum(1.0 / s)),
-        rank,
-    )
+    o1 = np.exp(0.5 * np.mean(np.log(value))) / np.sqrt(stations)
+    others = {name: float(np.exp(log_of(value))) for name, log_of in _SPECTRAL.items()}
+    return Observability(o1=float(o1), rank=rank, **others)

@@ -1,8 +1,8 @@
 """Stations that tell two explanations of the same error apart.
 
 If one effect is the truth, the other one and the geometry together can imitate it on what was recorded, but not
-everywhere. The imitation is fitted to what was recorded; where it then misses the truth by most, a station says which
-of the two it is. That station is added to what is imitated, and so on (T-optimal design; Atkinson & Fedorov 1975).
+everywhere. What stations tell of the truth is the information about its size that all which imitates it leaves; its
+square root is by how many standard deviations the best imitation misses (T-optimal design; Atkinson & Fedorov 1975).
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from modcal_core.calibration import (
     RowView,
     View,
     choose_parameters,
-    general_samples,
-    geometry_rows,
+    linearise,
 )
-from modcal_core.effects import Drivers, Effect, all_columns, columns, prior_stds
+from modcal_core.effects import Drivers, Effect, columns, prior_stds
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
+from modcal_core.planning.closed_chain import readings_at
+from modcal_core.planning.criteria import ACCURACY, Criterion
+from modcal_core.planning.exchange import Search, grown, information
 from modcal_core.robots import random_postures
 
 DECIDES = 5.0  # standard deviations by which the explanations must differ over all proposed stations together
@@ -86,34 +88,24 @@ def propose(
     model = calibration.calibrated
     truth, other = model.effects[effect], calibration.rivals[effect][rival]
     rest = tuple(e for i, e in enumerate(model.effects) if i != effect)
-    imitation = model.with_effects((*rest, other))
-    seen = View(calibration.kind, 0)
-    parameters = choose_parameters(model, [seen]).parameters
-    samples = _candidates(calibration, seen, rng, allowed)
-    if len(samples) < len(calibration.postures) + count:
-        found = len(samples) - len(calibration.postures)
-        raise NotPlannable(
-            f"{count} stations", f"only {found} postures are allowed", "ask for fewer, or widen the site"
-        )
+    samples = _candidates(calibration, rng, allowed)
     recorded = len(calibration.postures)
-    difference, J, prior = _rows(model, imitation, truth, parameters, samples, calibration.noise)
-    chosen = list(range(recorded))
-    for _ in range(count):
-        miss = _miss(difference, J, prior, chosen)
-        miss[chosen] = 0.0
-        chosen.append(int(np.argmax(miss)))
-    new = np.array(chosen[recorded:])
-    separation = float(np.sqrt(np.sum(_miss(difference, J, prior, chosen)[new])))
-    P = len(parameters)
+    if len(samples) < recorded + count:
+        said = f"only {len(samples) - recorded} postures are allowed"
+        raise NotPlannable(f"{count} stations", said, "ask for fewer, or widen the site")
+    geometry = choose_parameters(model, [View(calibration.kind, 0)]).parameters
+    rows = _rows(model.with_effects((*rest, other)), truth, geometry, samples, calibration.noise)
+    K = rows.shape[2]
+    at_first = np.eye(K) + information(rows[:recorded])
+    only_truth = Criterion(ACCURACY, np.diag(np.eye(K)[0]))
+    new = recorded + np.array(grown(Search.of(rows[recorded:], only_truth, at_first), count))
+    told = _told(at_first + information(rows[new])) - _told(at_first)
+    whole, bare = np.eye(K) + information(rows), 1 + len(geometry)
     directed = {e.place for e in (truth, other) if e.driver.startswith("direction:")}
-    matters = np.array([name in directed for name in samples.names])
-    approach = np.where(matters, samples.approach[new], 0.0)
-    everywhere = list(range(len(samples)))
+    approach = np.where(np.isin(samples.names, list(directed)), samples.approach[new], 0.0)
+    distinct = _told(whole) / max(_told(whole[:bare, :bare]), 1e-300)
     by_effort = any(part.startswith("effort:") for e in (truth, other) for part in e.driver.split(","))
-    own, left = (
-        float(np.sum(_miss(difference, rows, held, everywhere))) for rows, held in ((J[..., :P], prior[:P]), (J, prior))
-    )
-    return DecidingStations(truth, other, samples.q[new], approach, separation, left / max(own, 1e-300), by_effort)
+    return DecidingStations(truth, other, samples.q[new], approach, float(np.sqrt(told)), distinct, by_effort)
 
 
 def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> str:
@@ -137,61 +129,41 @@ def undecided_by_posture(calibration: Calibration, effect: int, rival: int) -> s
 
 
 def _candidates(
-    calibration: Calibration, seen: View, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
+    calibration: Calibration, rng: np.random.Generator, allowed: Callable[[Array], np.ndarray] | None
 ) -> Samples:
     """Recorded postures, then random allowed ones in and around their range, each approached from either side."""
     model = calibration.calibrated
     low, high = calibration.seen
     room = np.maximum(_BEYOND * (high - low), 0.5)
-    within = np.maximum(model.chain.lower, low - room), np.minimum(model.chain.upper, high + room)
-    chain = model.chain.with_limits(*within)
-    if allowed is None:
-        drawn = random_postures(chain, _CANDIDATES, rng)
-    else:
-        drawn = random_postures(chain, _DRAWN * _CANDIDATES, rng)
-        drawn = drawn[allowed(drawn)][:_CANDIDATES]
+    chain = model.chain.with_limits(
+        np.maximum(model.chain.lower, low - room), np.minimum(model.chain.upper, high + room)
+    )
+    drawn = random_postures(chain, _CANDIDATES if allowed is None else _DRAWN * _CANDIDATES, rng)
+    drawn = drawn if allowed is None else drawn[allowed(drawn)][:_CANDIDATES]
     q = np.concatenate([calibration.postures, drawn])
-    shown = tuple(i for i in model.instruments if i.frame == model.frames[0])
-    like = general_samples(replace(model, effects=(), frames=model.frames[:1], instruments=shown), [seen], 1)
-    N = len(q)
-    repeated = like.select(np.zeros(N, int))
-    approach = rng.choice([-1.0, 1.0], q.shape)
-    T = model.predict(q, 0)
-    return replace(
-        repeated, q=q, approach=approach, velocity=np.zeros_like(q), effort=np.full(q.shape, np.nan),
-        acceleration=np.zeros_like(q), station=np.arange(N), reading=T[:, :3, 3], R=T[:, :3, :3],
-    )  # fmt: skip
+    exact = readings_at(model.with_effects(()), q, calibration.kind)
+    return replace(exact, approach=rng.choice([-1.0, 1.0], q.shape), effort=np.full(q.shape, np.nan))
 
 
 def _rows(
-    model: Model,
-    imitation: Model,
-    truth: Effect,
-    parameters: Sequence[ModelParameter],
-    samples: Samples,
-    noise: NoiseModel,
-) -> tuple[Array, Array, Array]:
-    """Motion that the truth makes (N, c), derivatives of what imitates it (N, c, P) in standard deviations, priors."""
-    at = Drivers(samples, model.arm or model.drivers(samples).arm)
-    view = RowView.of(model.with_effects(()), samples, at)
-    moved = np.sum([a * view.moved_by(t) for a, t in zip(truth.amplitudes, columns(truth, at), strict=True)], axis=0)
-    zero = np.zeros(len(parameters))
-    J = np.concatenate(
-        [
-            geometry_rows(view, model, parameters, zero),
-            *(view.moved_by(t)[None] for t in all_columns(imitation.effects, at)),
-        ]
-    )
-    prior = np.concatenate([[p.prior_std for p in parameters], *(prior_stds(e, at) for e in imitation.effects)])
+    imitation: Model, truth: Effect, geometry: Sequence[ModelParameter], samples: Samples, noise: NoiseModel
+) -> Array:
+    """In standard deviations of the readings the motion that one explanation makes, first, and behind it derivatives of
+    all that imitates it per prior deviation: of the geometry, then of effects, (N, c, K).
+    """
+    at = Drivers(samples, imitation.arm or imitation.drivers(samples).arm)
+    values = np.concatenate([np.zeros(len(geometry)), *(e.values for e in imitation.effects)])
+    view = RowView.of(imitation.with_effects(()), samples, at)
+    terms = zip(truth.amplitudes, columns(truth, at), strict=True)
+    moved = np.sum([amplitude * view.moved_by(term) for amplitude, term in terms], axis=0)
+    prior = np.concatenate([[p.prior_std for p in geometry], *(prior_stds(e, at) for e in imitation.effects)])
+    J = np.vstack([moved, linearise(imitation, geometry, values, samples, drivers=at).J * prior[:, None]])
     N = len(samples)
-    weight = np.full(len(moved), 1.0 / np.maximum(noise.of(samples), FINEST).max())
-    weight[3 * N :] = 1.0 / max(noise.rotation, FINEST)
-    return (moved * weight).reshape(-1, N).T, (J * weight).reshape(len(J), -1, N).transpose(2, 1, 0), prior
+    J[:, : 3 * N] /= np.maximum(noise.of(samples), FINEST).max()
+    J[:, 3 * N :] /= max(noise.rotation, FINEST)
+    return np.asarray(J.reshape(len(J), -1, N).transpose(2, 1, 0))
 
 
-def _miss(difference: Array, J: Array, prior: Array, chosen: list[int]) -> Array:
-    """Squared miss at every station (N,), in variances, of the imitation fitted to the chosen ones."""
-    P = J.shape[2]
-    A, b = J[chosen].reshape(-1, P), difference[chosen].ravel()
-    x = np.linalg.lstsq(np.concatenate([A, np.diag(1.0 / prior)]), np.concatenate([b, np.zeros(P)]), rcond=1e-12)[0]
-    return np.asarray(np.sum((difference - J @ x) ** 2, axis=1))
+def _told(H: Array) -> float:
+    """How far the first value is from what the others imitate of it, in variances, by information H (K, K)."""
+    return max(1.0 / float(np.linalg.inv(H)[0, 0]) - 1.0, 0.0)

@@ -2,26 +2,28 @@
 
     joints' ranges → postures that are allowed and seen → rows → exchange → accuracy → how many → the way through them
 
-The parameters are those that ``modcal calibrate`` will fit, its weights and its prior count.
+The noise is that of the site. What accuracy counts is the claim to be expected (:mod:`modcal_core.claim`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES
-from modcal_core.claim import Claim
+from modcal_core.calibration import EQUATIONS_PER_PARAMETER, SHARES, Calibration, Cell, NoiseModel
+from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
-from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, criterion, observability
-from modcal_core.planning.fedorov import Exchange, exchange
-from modcal_core.planning.posture_pool import CANDIDATES, PosturePool, random_accuracies, survey
+from modcal_core.planning.closed_chain import readings_at
+from modcal_core.planning.criteria import ACCURACY, Observability, criterion, observability
+from modcal_core.planning.exchange import PASSES, Exchange, exchange, information
+from modcal_core.planning.outlook import nominal_outlook, unrepeated
+from modcal_core.planning.pool import CANDIDATES, Ground, Pool, survey
 from modcal_core.planning.route import RETURNS, Route, route
-from modcal_core.planning.site import Site, clearance, visible
-from modcal_core.planning.worth import Accuracy, StationRows, station_rows
+from modcal_core.planning.site import Site
 from modcal_core.robots import Mechanism
 
 _REFINED = (0.3, 0.1, 0.03)  # rad or m by which stations are moved, round by round, in search of better ones
@@ -31,6 +33,8 @@ STARTS = 2  # of the exchange
 _QUICK = (1, 2)  # starts and passes while the number of stations is looked for
 _MAX = 400  # stations
 _USUAL = 1.5  # times the fewest stations, where neither a number nor an accuracy is asked for: some may be lost
+_CLAIMED = 200  # postures that a claim is made over, for time
+_RANDOM = 20  # random sets that a plan is compared with
 
 
 @dataclass(frozen=True)
@@ -57,26 +61,48 @@ class PlanRequest:
 
 
 @dataclass(frozen=True)
+class Expected:
+    """What is to be expected of a plan's distinct stations, over the workspace.
+
+    claim: from them. left: RMS error [m] that the fit leaves, at_random: of fits to as many random stations from the
+    same postures, the median. repeat: RMS [m] of what joints do not repeat. indices: of the fit's Jacobian.
+    """
+
+    claim: Claim
+    left: float
+    at_random: float
+    repeat: float
+    indices: Observability
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """The errors over those of random stations: in all, and what the model leaves."""
+        total = np.hypot(self.left, self.repeat) / np.hypot(self.at_random, self.repeat)
+        return {"total_rms": float(total), "model_rms": self.left / self.at_random}
+
+
+@dataclass(frozen=True)
 class Plan:
-    """Planned stations and their expected accuracy.
+    """Planned stations and what is expected of them.
 
     - q: postures in the order of the path, (k, n) [rad, m]; those visited twice appear twice.
-    - claim: to be expected over the workspace from the distinct stations. accuracy, indices: of their fit.
-    - random: accuracies of as many random stations from the same postures.
+    - parameters: names of those that are fitted.
     - curve: (number, claim) of the sets tried while the number was sought.
-    - values: criterion after each start, then after refinement.
     """
 
     request: PlanRequest
-    pool: PosturePool
+    pool: Pool
     q: Array
     route: Route
-    claim: Claim
-    accuracy: Accuracy
-    indices: Observability
-    random: tuple[Accuracy, ...]
-    values: tuple[float, ...]
+    parameters: Sequence[str]
+    expected: Expected
     curve: tuple[tuple[int, Claim], ...] = field(default=())
+
+    @property
+    def ground(self) -> Ground:
+        """The arm at its site."""
+        assert self.pool.ground is not None
+        return self.pool.ground
 
     @property
     def distinct(self) -> int:
@@ -84,100 +110,91 @@ class Plan:
         return len(self.q) - len(self.route.returns)
 
 
+class Planner:
+    """Chooses among the postures of a pool, for one request."""
+
+    def __init__(self, pool: Pool, request: PlanRequest, rng: np.random.Generator) -> None:
+        """Raises BadTable for a criterion or parameters that are not known."""
+        assert pool.ground is not None
+        self.pool, self.ground, self.request, self._rng = pool, pool.ground, request, rng
+        noise = self.ground.site.noise
+        fresh = nominal_outlook(self.ground.model, pool.q, pool.where, request.reading, noise, request.fixed)
+        criterion(request.criterion, fresh.gamma)
+        self.outlook = fresh if request.besides is None else fresh.beside(fresh.rows(request.besides))
+        self._rows = self.outlook.rows(pool.q)
+
+    def claim(self, q: Array) -> Claim:
+        """The claim to be expected over the workspace from stations q (k, n) and those that are measured already."""
+        request, noise, model = self.request, self.ground.site.noise, self.ground.model
+        every = q if request.besides is None else np.concatenate([request.besides, q])
+        scatter, planned = self.outlook.scatter, readings_at(model, every, request.reading)
+        distance = float(np.mean(np.linalg.norm(planned.reading, axis=1)))
+        size = np.hypot([noise.position + noise.per_metre * distance, noise.rotation], scatter[[0, 3]])
+        made = Calibration(model, model, model, np.stack([every.min(axis=0), every.max(axis=0)]))
+        return expected_claim(made, planned, Cell(), NoiseModel(*size.tolist()), self.pool.where[:_CLAIMED])
+
+    def left(self, rows: Array) -> float:
+        """RMS error of the tool [m] that a fit to stations with these rows leaves."""
+        return self.outlook.beside(rows).error(own=True)
+
+    def quick(self, count: int) -> Array:
+        """A good set of so many stations, (count, n), soon."""
+        return self.pool.q[self._exchanged(self._rows, count, *_QUICK).chosen]
+
+    def best(self, count: int, starts: int) -> Array:
+        """The best set of so many stations, (count, n): by exchange, then each moved about where it is, as long as the
+        exchange among these finds better ones.
+        """
+        q = self.pool.q[self._exchanged(self._rows, count, starts).chosen]
+        for size in _REFINED:
+            moved = np.concatenate([q, self.ground.around(q, (size,), _MOVED, self._rng)])
+            q = moved[self._exchanged(self.outlook.rows(moved), count, begin=np.arange(count)).chosen]
+        return q
+
+    def _exchanged(
+        self, rows: Array, count: int, starts: int = 1, passes: int = PASSES, begin: np.ndarray | None = None
+    ) -> Exchange:
+        search = self.outlook.search(rows, self.request.criterion)
+        return exchange(search, count, self._rng, starts, passes, begin)
+
+    def random(self, count: int) -> float:
+        """What so many stations would leave that are drawn from the same postures, the median of several sets [m]."""
+        sets = (self._rng.choice(len(self.pool.q), count, replace=False) for _ in range(_RANDOM))
+        return float(np.median([self.left(self._rows[chosen]) for chosen in sets]))
+
+    def measure(self, claim: Claim) -> float:
+        """The upper end of a claim [m], of what was asked for."""
+        return 1e-3 * claim.mm["rms" if self.request.measure == "rms" else "p95"].ci95[1]
+
+
 def plan(chain: Mechanism, site: Site, request: PlanRequest, rng: np.random.Generator) -> Plan:
     """The stations for this wish. Raises NotPlannable, and BadTable for a wish or a site that makes no sense."""
-    pool = survey(chain, site, rng, request.reading, request.fixed, request.candidates, request.besides)
-    good = criterion(request.criterion, pool.workspace.gamma)
-    measured = 0 if pool.known is None else len(pool.known)
-    least = max(min_stations(len(pool.parameters), request.reading) - measured, 1)
+    pool = survey(chain, site, rng, request.reading, request.candidates)
+    planner = Planner(pool, request, rng)
+    names, besides = planner.outlook.parameters, request.besides
+    measured = 0 if besides is None else len(besides)
+    least = max(min_stations(len(names), request.reading) - measured, 1)
+    ground, where = planner.ground, pool.where
+    repeat = float(np.sqrt(np.mean(np.sum(unrepeated(ground.model, where, site.noise)[:, :3] ** 2, axis=(1, 2)))))
     curve: tuple[tuple[int, Claim], ...] = ()
-    to_accuracy = request.stations is None and request.accuracy is not None
-    if to_accuracy:
-        count, curve = _how_many(pool, request, good, least, rng)
+    if request.stations is None and request.accuracy is not None:
+        best, claim, curve = _to_accuracy(planner, request.accuracy, least, repeat)
     else:
         count = request.stations or min(math.ceil(_USUAL * least), max(least, len(pool.q)))
         _require(count, least, len(pool.q))
-    best = chosen_stations(pool, count, good, request.starts, rng)
-    claim = pool.claim(best.q)
-    if to_accuracy:  # the quick search that said how many does not refine
-        for fewer in range(count - 1, max(count - _FEWER, least) - 1, -1):
-            other = chosen_stations(pool, fewer, good, 1, rng)
-            promised = pool.claim(other.q)
-            if _measure(promised, request) > _requested(request):
-                break
-            best, claim = other, promised
-        while _measure(claim, request) > _requested(request) and len(best.q) < len(pool.q):
-            best = chosen_stations(pool, min(len(best.q) + 1, len(pool.q)), good, 1, rng)
-            claim = pool.claim(best.q)
-    count = len(best.q)
-    way = through(pool, best.q, request.returns)
-    information = best.rows.information(np.arange(count)) + (0.0 if pool.given is None else pool.given)
-    return Plan(
-        request,
-        pool,
-        best.q[way.order],
-        way,
-        claim,
-        best.accuracy,
-        observability(information, count + measured),
-        tuple(random_accuracies(pool, count, rng)),
-        best.values,
-        curve,
-    )
+        best = planner.best(count, request.starts)
+        claim = planner.claim(best)
+    way = route(best, ground.free, pool.roadmap, 0.5 * (best.min(axis=0) + best.max(axis=0)), request.returns)
+    rows = planner.outlook.rows(best if besides is None else np.concatenate([besides, best]))
+    indices = observability(information(planner.outlook.search(rows, "d").J), len(rows))
+    expected = Expected(claim, planner.left(rows[measured:]), planner.random(len(best)), repeat, indices)
+    return Plan(request, pool, best[way.order], way, names, expected, curve)
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """Stations (k, n), what they tell, the accuracy they give, and the criterion: one value a start, then refined."""
-
-    q: Array
-    rows: StationRows
-    accuracy: Accuracy
-    values: tuple[float, ...]
-
-
-def chosen_stations(pool: PosturePool, count: int, good: Criterion, starts: int, rng: np.random.Generator) -> Chosen:
-    """Best set of a number of stations: by exchange, then refined."""
-    found = exchange(pool.rows, count, good, rng, starts, given=pool.given)
-    q, rows, value = refined(pool, found, good, rng)
-    accuracy = pool.accuracy(rows)
-    return Chosen(q, rows, accuracy, (*found.starts, value))
-
-
-def refined(
-    pool: PosturePool, found: Exchange, good: Criterion, rng: np.random.Generator
-) -> tuple[Array, StationRows, float]:
-    """Stations (k, n) near those that were found and better, what they tell, and the criterion.
-
-    Round by round every station gets candidates around it, allowed and seen, and the exchange goes on among these.
-    """
-    chain, site, count = pool.model.chain, pool.site, len(found.chosen)
-    q, value = pool.q[found.chosen], found.value
-    rows = pool.rows.of(found.chosen)
-    for size in _REFINED:
-        moved = np.repeat(q, _MOVED, axis=0)
-        moved = np.clip(moved + size * rng.standard_normal(moved.shape), chain.lower, chain.upper)
-        moved = moved[clearance(pool.spheres, site, moved) >= 0.0]
-        moved = np.concatenate([q, moved[visible(pool.spheres, site, moved)]])
-        more = station_rows(pool.model, pool.parameters, moved, pool.reading, site.noise, pool.rows.joint_variance)
-        better = exchange(more, count, good, rng, begin=np.arange(count), given=pool.given)
-        q, rows, value = moved[better.chosen], more.of(better.chosen), better.value
-    return q, rows, value
-
-
-def min_stations(parameters: int, reading: str) -> int:
-    """The fewest stations from which ``modcal calibrate`` fits so many parameters: it fits to a share of them first."""
-    equations = SHARES[0] * (6.0 if reading == "pose" else 3.0)
+def min_stations(parameters: int, reading: str, share: float = SHARES[0]) -> int:
+    """The fewest stations from which so many parameters are fitted to a share of them, as ``modcal calibrate`` does."""
+    equations = share * (6.0 if reading == "pose" else 3.0)
     return int(np.ceil(EQUATIONS_PER_PARAMETER * parameters / equations))
-
-
-def through(pool: PosturePool, q: Array, returns: int = 0) -> Route:
-    """The way through these stations, coming back to some of them, free of touching by the spheres."""
-
-    def free(postures: Array) -> np.ndarray:
-        return np.asarray(clearance(pool.spheres, pool.site, postures) >= 0.0)
-
-    return route(q, free, pool.free_q, 0.5 * (q.min(axis=0) + q.max(axis=0)), returns)
 
 
 def _require(count: int, least: int, there: int) -> None:
@@ -188,43 +205,40 @@ def _require(count: int, least: int, there: int) -> None:
         raise NotPlannable(f"{count} stations", said, "ask for fewer, or widen the site")
 
 
-def _requested(request: PlanRequest) -> float:
-    assert request.accuracy is not None
-    return request.accuracy
-
-
-def _measure(claim: Claim, request: PlanRequest) -> float:
-    """The upper end of the claim [m], of what was asked for."""
-    return 1e-3 * claim.mm["rms" if request.measure == "rms" else "p95"].ci95[1]
-
-
-def _how_many(
-    pool: PosturePool, request: PlanRequest, good: Criterion, least: int, rng: np.random.Generator
-) -> tuple[int, tuple[tuple[int, Claim], ...]]:
-    """The smallest number of stations that meets the wish, by doubling and halving, and what was tried."""
-    most = min(_MAX, len(pool.q))
-    _require(least, least, len(pool.q))
-    repeat = float(np.sqrt(np.mean(pool.workspace.repeat)))
-    if repeat >= _requested(request):
+def _to_accuracy(
+    planner: Planner, wanted: float, least: int, repeat: float
+) -> tuple[Array, Claim, tuple[tuple[int, Claim], ...]]:
+    """The fewest stations whose claim meets the wish [m], by doubling and halving, their claim, and what was tried."""
+    there, asked = len(planner.pool.q), f"{planner.request.measure} of {1e3 * wanted:.3g} mm"
+    _require(least, least, there)
+    if repeat >= wanted:
         said = f"what the joints do not repeat alone makes {1e3 * repeat:.3g} mm RMS"
-        remedy = "ask for less, or correct the noise of the site"
-        raise NotPlannable(f"{request.measure} of {1e3 * _requested(request):.3g} mm", said, remedy)
+        raise NotPlannable(asked, said, "ask for less, or correct the noise of the site")
     tried: dict[int, Claim] = {}
 
     def enough(count: int) -> bool:
         if count not in tried:
-            chosen = exchange(pool.rows, count, good, rng, *_QUICK, given=pool.given).chosen
-            tried[count] = pool.claim(pool.q[chosen])
-        return _measure(tried[count], request) <= _requested(request)
+            tried[count] = planner.claim(planner.quick(count))
+        return planner.measure(tried[count]) <= wanted
 
     low, high = least, least
     while not enough(high):
-        if high >= most:
-            said = f"{high} stations leave {1e3 * _measure(tried[high], request):.3g} mm"
-            remedy = "ask for less, use a better tracker, or measure poses"
-            raise NotPlannable(f"{request.measure} of {1e3 * _requested(request):.3g} mm", said, remedy)
-        low, high = high, min(2 * high, most)
+        if high >= min(_MAX, there):
+            said = f"{high} stations leave {1e3 * planner.measure(tried[high]):.3g} mm"
+            raise NotPlannable(asked, said, "ask for less, use a better tracker, or measure poses")
+        low, high = high, min(2 * high, _MAX, there)
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if enough(middle) else (middle, high)
-    return high, tuple(sorted(tried.items()))
+    best = planner.best(high, planner.request.starts)
+    claim = planner.claim(best)
+    for fewer in range(high - 1, max(high - _FEWER, least) - 1, -1):  # the quick search does not refine
+        other = planner.best(fewer, 1)
+        promised = planner.claim(other)
+        if planner.measure(promised) > wanted:
+            break
+        best, claim = other, promised
+    while planner.measure(claim) > wanted and len(best) < there:
+        best = planner.best(len(best) + 1, 1)
+        claim = planner.claim(best)
+    return best, claim, tuple(sorted(tried.items()))

@@ -19,11 +19,6 @@ it counts only what the measurements have left, so a parameter that is seen only
 left when the two also act together. *Matters and is not seen* is said where a parameter had a share worth naming and
 more than half of it is still there.
 
-An orthogonal array of strength 2 shows, in any two of its columns, every pair of levels equally often. For a prime
-number of levels s the columns are linear forms over the field of s elements: runs are the vectors u of s^k, columns
-the vectors c whose first number that is not zero is 1, and the entry is u · c mod s (Bose & Bush 1952). That gives
-(s^k − 1) / (s − 1) columns; with s = 5 and k = 2 it is Taguchi's L25(5^6).
-
 With Y the error, S_k = V(E[Y | g_k]) / V(Y) is the share that g_k makes alone, S_Tk = 1 − V(E[Y | all but g_k]) / V(Y)
 the share that goes when everything but g_k is known. Two samples A, B of arms and, for every k, A with the k-th error
 of B (Saltelli et al. 2010, Computer Physics Communications 181:259) give
@@ -31,26 +26,22 @@ of B (Saltelli et al. 2010, Computer Physics Communications 181:259) give
     V_k = mean f(B) (f(A_B^k) − f(A)),        V_Tk = ½ mean (f(A_B^k) − f(A))²            (Saltelli; Jansen)
 
 Y has many components: x, y, z at every posture, or the distance at every posture. Their variances are added up before
-they are divided (Lamboni, Monod & Makowski 2011), so postures where nothing happens count little. For an error vector
-that is linear in the parameters, both indices are the parameters' shares of the mean square; the distance is not
-linear, and S_T − S shows it. The whole is repeated with differently scrambled Sobol sequences, which gives a standard
-error.
+they are divided (Lamboni, Monod & Makowski 2011), so postures where nothing happens count little. The error vector is
+linear in small errors, so both of its indices are the parameters' shares of the mean square; the distance is not, and
+S_T − S shows it. It is repeated with differently scrambled Sobol sequences, which gives a standard error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy.special import ndtri
 
-from modcal_core.calibration import joint_ranges
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.planning.closed_chain import ClosedChain
-from modcal_core.robots import Mechanism, takes
+from modcal_core.planning.designs import sobol_points, sobol_postures
 
 _ROUNDING = 1e-9  # share of a value within which values are the same
 
@@ -83,11 +74,6 @@ class Sensitivity:
     def mean(self) -> Array:
         """Plain means over the postures [m], (P,)."""
         return self.single.mean(axis=0)
-
-    @property
-    def spread(self) -> Array:
-        """Largest less smallest value over the postures [m], (P,)."""
-        return np.ptp(self.single, axis=0)
 
 
 def sensitivity(closed: ClosedChain, q: Array, sizes: Array, base: str, bins: int | None = None) -> Sensitivity:
@@ -184,99 +170,10 @@ def joint_use(G: Array, sizes: Array, J: Array, std: Array) -> JointGain:
     return JointGain(gains(G, before), gains(G, after), np.where(sizes > 0.0, seen, 0.0))
 
 
-# --- Sets of postures: orthogonal arrays and Sobol sequences over the joints' ranges
+# --- Variance-based (Sobol) indices of the position error
 
-DESIGNS = ("l25", "array", "sobol")
-_MAX_RUNS = 20_000  # for time
-_DRAWN = 8  # times as many postures as are wanted of a robot that cannot take all of them
-_SAME = 1e-6  # rad
-
-
-def orthogonal_array(factors: int, levels: int) -> np.ndarray:
-    """The smallest array of strength 2 with these columns, entries 0 … levels − 1, (levels^k, factors).
-
-    Raises BadTable unless levels is a prime, and where the array would have more than 20 000 rows.
-    """
-    if levels < 2 or any(levels % d == 0 for d in range(2, int(levels**0.5) + 1)):
-        raise BadTable(
-            f"orthogonal array of {levels} levels", "the number is not a prime", "choose 2, 3, 5, 7, 11 or 13"
-        )
-    k = 2
-    while (levels**k - 1) // (levels - 1) < factors:
-        k += 1
-    if levels**k > _MAX_RUNS:
-        said = f"{levels**k} runs, {_MAX_RUNS} are the limit"
-        raise BadTable(f"orthogonal array of {factors} factors at {levels} levels", said, "choose fewer levels")
-    # unit vectors last to first, then the sums: i, j, i + j, i + 2 j … for two
-    forms = sorted(
-        (c for c in product(range(levels), repeat=k) if any(c) and c[np.flatnonzero(c)[0]] == 1),
-        key=lambda c: (sum(x > 0 for x in c), tuple(x > 0 for x in reversed(c)), c),
-    )
-    runs = np.array(list(product(range(levels), repeat=k)))
-    return np.asarray(runs @ np.array(forms[:factors]).T % levels)
-
-
-def array_postures(chain: Mechanism, levels: int) -> Array:
-    """Postures (N, n) [rad, m] of the orthogonal array, every joint at so many levels from its least to its largest.
-
-    Where some levels of a turning joint would be the same angle, its levels are spread over one turn instead.
-    """
-    low, high = joint_ranges(chain)
-    array = orthogonal_array(chain.n, levels)
-    q = np.stack(
-        [_levels(low[k], high[k], levels, bool(chain.revolute[k]))[array[:, k]] for k in range(chain.n)], axis=1
-    )
-    return q[takes(chain, q)]
-
-
-def _levels(low: float, high: float, count: int, turns: bool) -> Array:
-    at = np.linspace(low, high, count)
-    if turns:
-        apart = np.abs(np.angle(np.exp(1j * (at[:, None] - at[None]))))[np.triu_indices(count, 1)]
-        if apart.min() < _SAME:
-            return np.asarray(0.5 * (low + high) + 2.0 * np.pi * ((np.arange(count) + 0.5) / count - 0.5))
-    return at
-
-
-def sobol_postures(chain: Mechanism, count: int, rng: np.random.Generator) -> Array:
-    """Postures (count, n) [rad, m] of a scrambled Sobol sequence over the joints' ranges.
-
-    Of a Delta those that its platform fits, and fewer where hardly any does.
-    """
-    low, high = joint_ranges(chain)
-    q = np.asarray(low + (high - low) * sobol_points(count * (_DRAWN if chain.closed else 1), chain.n, rng))
-    return q[takes(chain, q)][:count] if chain.closed else q
-
-
-def sobol_points(count: int, dimensions: int, rng: np.random.Generator) -> Array:
-    """The first points of a scrambled Sobol sequence, (count, dimensions), each number in (0, 1)."""
-    whole = 1 << max(count - 1, 0).bit_length()  # the sequence is balanced at powers of two
-    from scipy.stats import qmc  # takes half a second, and every calibration imports this file
-
-    return np.asarray(qmc.Sobol(dimensions, seed=rng).random(whole)[:count])
-
-
-def design(chain: Mechanism, kind: str, rng: np.random.Generator, levels: int = 5, count: int = 64) -> Array:
-    """Postures (N, n) of a design by name.
-
-    ``l25``: the source's, five levels, up to six joints. ``array``: that of ``levels`` levels for any number of joints.
-    ``sobol``: ``count`` of a Sobol sequence. Raises BadTable.
-    """
-    if kind == "sobol":
-        return sobol_postures(chain, count, rng)
-    if kind == "array":
-        return array_postures(chain, levels)
-    if kind != "l25":
-        raise BadTable(f"design '{kind}'", "is not known", f"choose {', '.join(DESIGNS)}")
-    if chain.n > 6:
-        raise BadTable("design l25", f"it has 6 columns, the arm {chain.n} joints", "use --design array or sobol")
-    return array_postures(chain, 5)
-
-
-# --- Variance-based (Sobol) indices of the position error, estimated from arms with errors drawn at random
-
-OUTPUTS = ("vector", "distance")
 ARMS = 128  # for time
+_REPEATS = 6  # independent estimates, from whose scatter the standard errors come
 
 
 @dataclass(frozen=True)
@@ -290,52 +187,34 @@ class SobolIndices:
     variance: float
 
 
-def sobol_indices(
-    closed: ClosedChain,
-    q: Array,
-    sizes: Array,
-    rng: np.random.Generator,
-    output: str = "vector",
-    arms: int = ARMS,
-    repeats: int = 6,
-) -> SobolIndices:
-    """Sobol indices of the position error over postures q (N, n), errors Gaussian with standard deviations sizes (P,).
+def of_vector(gain: Gain) -> SobolIndices:
+    """The indices of the error's components, which are linear in the parameters: their shares."""
+    zero = np.zeros_like(gain.share)
+    return SobolIndices(gain.share, gain.share, zero, zero, gain.mean_square)
 
-    output: ``vector``, the error's components, or ``distance``, its length. arms: in each of the samples A and B.
-    repeats: independent estimates, from whose scatter the standard errors come.
+
+def of_distance(G: Array, sizes: Array, rng: np.random.Generator, arms: int = ARMS) -> SobolIndices:
+    """The indices of the error's length over postures with derivatives G (N, 3, P), from arms drawn at random.
+
+    sizes: standard deviations of the errors, which are Gaussian (P,). arms: in each of the samples A and B.
     """
-    assert output in OUTPUTS, output
-    nominal = closed.positions(q, np.zeros(len(sizes)))
-
-    def f(errors: Array) -> Array:
-        moved = closed.positions(q, errors) - nominal
-        return (moved if output == "vector" else np.linalg.norm(moved, axis=-1)).reshape(len(errors), -1)
-
-    both = [_once(f, sizes, rng, arms) for _ in range(repeats)]
+    both = [_once(G * sizes, rng, arms) for _ in range(_REPEATS)]
     first, total, variance = (np.array(part) for part in zip(*both, strict=True))
-    scatter = np.sqrt(repeats)
-    components = 3 if output == "vector" else 1
-    return SobolIndices(
-        first.mean(axis=0),
-        total.mean(axis=0),
-        first.std(axis=0, ddof=1) / scatter,
-        total.std(axis=0, ddof=1) / scatter,
-        float(variance.mean()) * components,
-    )
+    scatter = np.sqrt(_REPEATS)
+    std_first, std_total = (part.std(axis=0, ddof=1) / scatter for part in (first, total))
+    return SobolIndices(first.mean(axis=0), total.mean(axis=0), std_first, std_total, float(variance.mean()))
 
 
-def _once(f: Callable[[Array], Array], sizes: Array, rng: np.random.Generator, arms: int) -> tuple[Array, Array, float]:
-    P = len(sizes)
-    A, B = np.split(ndtri(sobol_points(arms, 2 * P, rng)) * np.tile(sizes, 2), 2, axis=1)
-    fA, fB = f(A), f(B)
-    centre = 0.5 * (fA.mean(axis=0) + fB.mean(axis=0))  # the estimators do not change with it, their scatter does
-    fA, fB = fA - centre, fB - centre
-    variance = float(0.5 * (np.mean(fA**2) + np.mean(fB**2)))
+def _once(G: Array, rng: np.random.Generator, arms: int) -> tuple[Array, Array, float]:
+    P = G.shape[2]
+    A, B = np.split(ndtri(sobol_points(arms, 2 * P, rng)), 2, axis=1)
+    moved, other = (np.einsum("ncp,sp->snc", G, errors) for errors in (A, B))
+    fA, fB = (np.linalg.norm(p, axis=2) for p in (moved, other))
+    variance = float(0.5 * (np.var(fA, axis=0).mean() + np.var(fB, axis=0).mean()))
+    fB = fB - 0.5 * (fA.mean(axis=0) + fB.mean(axis=0))  # the estimator does not change with it, its scatter does
     first, total = np.empty(P), np.empty(P)
     for k in range(P):
-        mixed = A.copy()
-        mixed[:, k] = B[:, k]
-        step = f(mixed) - centre - fA
+        step = np.linalg.norm(moved + (B - A)[:, None, k, None] * G[..., k], axis=2) - fA
         first[k] = np.mean(fB * step) / variance
         total[k] = 0.5 * np.mean(step**2) / variance
     return first, total, variance
@@ -358,41 +237,43 @@ class Measured:
 
 
 @dataclass(frozen=True)
+class Studied:
+    """What is studied. design: name of the postures q (N, n). sizes: of the errors (P,) [m, rad]. base: name of the
+    base factor. measured: what is supposed to be measured. bins: intervals of the histograms. arms: that are drawn for
+    the shares of the variance, a power of two.
+    """
+
+    design: str
+    q: Array
+    sizes: Array
+    base: str
+    measured: Measured
+    bins: int | None = None
+    arms: int = ARMS
+
+
+@dataclass(frozen=True)
 class Study:
-    """closed: what was studied. design: name of the postures q (N, n). indices: over these. variance: by output, over
-    postures spread over the joints' ranges, as joint. measured: what joint supposes to be measured.
+    """closed: the chain. of: what was studied. indices: over its postures. variance: by output, over postures spread
+    over the joints' ranges, as joint.
     """
 
     closed: ClosedChain
-    design: str
-    q: Array
+    of: Studied
     indices: Sensitivity
     variance: dict[str, SobolIndices]
-    measured: Measured
     joint: JointGain
 
 
-def study(
-    closed: ClosedChain,
-    q: Array,
-    design: str,
-    sizes: Array,
-    base: str,
-    measured: Measured,
-    rng: np.random.Generator,
-    bins: int | None = None,
-    arms: int = ARMS,
-) -> Study:
-    """Everything there is to say of the sensitivity of a closed chain, with errors of these sizes (P,) [m, rad].
-
-    arms: that are drawn for the shares of the variance, a power of two.
-    """
-    indices = sensitivity(closed, q, sizes, base, bins)
+def study(closed: ClosedChain, of: Studied, rng: np.random.Generator) -> Study:
+    """Everything there is to say of the sensitivity of a closed chain."""
+    sizes, measured = of.sizes, of.measured
+    indices = sensitivity(closed, of.q, sizes, of.base, of.bins)
     workspace = sobol_postures(closed.chain, _GAIN_POSTURES, rng)
     G = closed.jacobian(workspace)[:, :3]
     rows = 6 if measured.kind == "pose" else 3
     J = closed.jacobian(measured.q)[:, :rows].reshape(-1, len(sizes))
     std = np.tile(np.repeat([measured.std_m, measured.std_rad], 3)[:rows], len(measured.q))
-    few = workspace[:_VARIANCE_POSTURES]
-    variance = {output: sobol_indices(closed, few, sizes, rng, output, arms) for output in OUTPUTS}
-    return Study(closed, design, q, indices, variance, measured, joint_use(G, sizes, J, std))
+    joint = joint_use(G, sizes, J, std)
+    distance = of_distance(G[:_VARIANCE_POSTURES], sizes, rng, of.arms)
+    return Study(closed, of, indices, {"vector": of_vector(joint.before), "distance": distance}, joint)

@@ -23,6 +23,7 @@ import numpy as np
 
 from modcal_core.errors import BadTable, refusing
 from modcal_core.geometry import Array, se3
+from modcal_core.measurements import require
 from modcal_core.robots import (
     Chain,
     Frames,
@@ -33,7 +34,6 @@ from modcal_core.robots import (
     random_postures,
     takes,
     tool_frames,
-    vector,
 )
 
 FORMAT = 1  # of the file
@@ -139,120 +139,98 @@ class Site:
         return self.tracker.position if self.tracker is not None and self.tracker.carried else self.target.position
 
 
-_TOP = {"modcal_site", "tracker", "target", "noise", "arm", "surroundings", "limits", "workspace"}
+def _object(required: Sequence[str] = (), /, **properties: Any) -> dict[str, Any]:
+    return {"type": "object", "required": required, "properties": properties, "additionalProperties": False}
+
+
+def _list(count: int, items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "minItems": count, "maxItems": count, "items": items}
+
+
+_NUMBER, _SIZE = {"type": "number"}, {"type": "number", "minimum": 0}
+_POINT, _PAIR = _list(3, _NUMBER), _list(2, _NUMBER)
+_CONE = {"axis": _POINT, "half_angle_deg": {"type": "number", "exclusiveMinimum": 0, "maximum": 180}}
+_BALL = {"center_m": _POINT, "radius_m": _SIZE}
+_BALLS = {"type": "array", "items": _object(("center_m",), **_BALL)}
+_LINKED = {"type": "array", "items": _object(("center_m", "link"), link={"type": "string"}, **_BALL)}
 _NOISE = ("position_m", "position_m_per_m", "rotation_rad", "joint_rad", "joint_m")  # in the order of Noise
-_KEYS = {
-    "tracker": {"position_m", "axis", "half_angle_deg", "range_m", "on_tool"},
-    "target": {"position_m", "axis", "half_angle_deg", "radius_m"},
-    "noise": set(_NOISE),
-    "arm": {"spheres", "link_radius_m", "margin_m"},
-    "surroundings": {"floor_m", "spheres", "boxes"},
-    "workspace": {"box_m"},
-}
+_SCHEMA = _object(
+    modcal_site={"enum": [FORMAT]},
+    tracker=_object(("position_m",), position_m=_POINT, range_m=_PAIR, on_tool={"type": "boolean"}, **_CONE),
+    target=_object((), position_m=_POINT, radius_m=_SIZE, **_CONE),
+    noise=_object((), **dict.fromkeys(_NOISE, _SIZE)),
+    arm=_object(spheres=_LINKED, link_radius_m=_SIZE, margin_m=_SIZE),
+    surroundings=_object(floor_m=_NUMBER, spheres=_BALLS, boxes={"type": "array", "items": _list(3, _PAIR)}),
+    limits={"type": "object", "additionalProperties": _PAIR},
+    workspace=_object(box_m=_list(3, _PAIR)),
+)
+_REMEDY = "correct the file, as docs/planning.md shows one"
 
 
 @refusing
 def site_from_data(data: Any, source: str) -> Site:
     """The site in nested mappings, such as a YAML file holds. Raises BadTable; docs/planning.md shows one."""
-    top = _mapping(data, _TOP, source)
-    if top.get("modcal_site", FORMAT) != FORMAT:
-        raise BadTable(source, f"modcal_site is {top['modcal_site']!r}, {FORMAT} is known", "correct the file")
-    part = {key: _mapping(top.get(key) or {}, keys, f"{source}, {key}") for key, keys in _KEYS.items()}
-    arm, around, noise = part["arm"], part["surroundings"], part["noise"]
-    box = part["workspace"].get("box_m")
+    top = _stated(data)
+    require(top, _SCHEMA, source, _REMEDY)
+    tracker, target, noise, arm, around, limits = (
+        top.get(key, {}) for key in ("tracker", "target", "noise", "arm", "surroundings", "limits")
+    )
+    box = top.get("workspace", {}).get("box_m")
     return Site(
-        tracker=_tracker(part["tracker"], f"{source}, tracker") if part["tracker"] else None,
+        tracker=_tracker(tracker, f"{source}: tracker") if tracker else None,
         target=SiteTarget(
-            _point(part["target"], "position_m", f"{source}, target", SiteTarget().position),
-            _cone(part["target"], f"{source}, target"),
-            _size(part["target"], "radius_m", f"{source}, target", 0.0),
+            np.array(target.get("position_m", SiteTarget().position), dtype=float),
+            _cone(target, f"{source}: target"),
+            float(target.get("radius_m", 0.0)),
         ),
-        noise=Noise(
-            *(
-                _size(noise, key, f"{source}, noise", default)
-                for key, default in zip(_NOISE, astuple(Noise()), strict=True)
-            )
-        ),
-        spheres=_balls(arm.get("spheres"), True, f"{source}, arm"),
-        link_radius=None if "link_radius_m" not in arm else _size(arm, "link_radius_m", f"{source}, arm", 0.0),
-        margin=_size(arm, "margin_m", f"{source}, arm", 0.0),
-        floor=None if around.get("floor_m") is None else _number(around, "floor_m", f"{source}, surroundings"),
-        obstacles=_balls(around.get("spheres"), False, f"{source}, surroundings"),
-        boxes=tuple(_box(b, f"{source}, surroundings, box {i + 1}") for i, b in enumerate(around.get("boxes") or ())),
-        limits={str(k): _pair(v, f"{source}, limits: {k}") for k, v in (top.get("limits") or {}).items()},
-        box=None if box is None else _box(box, f"{source}, workspace: box_m"),
+        noise=Noise(*(float(noise.get(key, size)) for key, size in zip(_NOISE, astuple(Noise()), strict=True))),
+        spheres=_balls(arm),
+        link_radius=arm.get("link_radius_m"),
+        margin=float(arm.get("margin_m", 0.0)),
+        floor=around.get("floor_m"),
+        obstacles=_balls(around),
+        boxes=tuple(_box(b, f"{source}: surroundings: box {i + 1}") for i, b in enumerate(around.get("boxes", ()))),
+        limits={name: _pair(ends, f"{source}: limits: {name}") for name, ends in limits.items()},
+        box=None if box is None else _box(box, f"{source}: workspace: box_m"),
     )
 
 
-def _mapping(data: Any, keys: set[str], what: str) -> Mapping[str, Any]:
+def _stated(data: Any) -> Any:
+    """The data without keys that say nothing."""
     if not isinstance(data, Mapping):
-        raise BadTable(what, "is not a mapping", f"give keys of {', '.join(sorted(keys))}")
-    unknown = sorted(str(key) for key in set(data) - keys)
-    if unknown:
-        raise BadTable(what, f"'{unknown[0]}' is not one of its keys", f"choose from {', '.join(sorted(keys))}")
-    return data
-
-
-def _number(data: Mapping[str, Any], key: str, what: str) -> float:
-    return float(vector([data.get(key)], 1, f"{what}: {key}")[0])
-
-
-def _size(data: Mapping[str, Any], key: str, what: str, default: float) -> float:
-    value = default if data.get(key) is None else _number(data, key, what)
-    if value < 0.0:
-        raise BadTable(f"{what}: {key}", f"is {value:g}, at least 0 is needed", "correct the file")
-    return value
-
-
-def _point(data: Mapping[str, Any], key: str, what: str, default: Array | None = None) -> Array:
-    if key not in data and default is not None:
-        return default
-    return vector(data.get(key), 3, f"{what}: {key}")
+        return data
+    return {key: _stated(value) for key, value in data.items() if value is not None}
 
 
 def _cone(data: Mapping[str, Any], what: str) -> Cone | None:
     if "axis" not in data and "half_angle_deg" not in data:
         return None
-    axis = _point(data, "axis", what)
+    axis = np.array(data.get("axis", np.zeros(3)), dtype=float)
     length = float(np.linalg.norm(axis))
-    angle = _number(data, "half_angle_deg", what)
-    if length < 1e-9 or not 0.0 < angle <= 180.0:
+    if length < 1e-9 or "half_angle_deg" not in data:
         raise BadTable(what, "its cone has no axis or no angle", "give axis: [x, y, z] and half_angle_deg: 1 to 180")
-    return Cone(axis / length, float(np.radians(angle)))
+    return Cone(axis / length, float(np.radians(data["half_angle_deg"])))
 
 
 def _tracker(data: Mapping[str, Any], what: str) -> SiteTracker:
     near, far = _pair(data["range_m"], f"{what}: range_m") if "range_m" in data else (0.0, np.inf)
-    carried = data.get("on_tool", False)
-    if not isinstance(carried, bool):
-        raise BadTable(f"{what}: on_tool", f"is {carried!r}", "give true or false")
-    return SiteTracker(_point(data, "position_m", what), _cone(data, what), near, far, carried)
+    position = np.array(data["position_m"], dtype=float)
+    return SiteTracker(position, _cone(data, what), near, far, data.get("on_tool", False))
 
 
-def _pair(values: Any, what: str) -> tuple[float, float]:
-    low, high = vector(values, 2, what)
-    if low >= high:
-        raise BadTable(what, f"{low:g} is not below {high:g}", "give [least, largest]")
-    return float(low), float(high)
+def _pair(ends: Sequence[float], what: str) -> tuple[float, float]:
+    if ends[0] >= ends[1]:
+        raise BadTable(what, f"{ends[0]:g} is not below {ends[1]:g}", "give [least, largest]")
+    return float(ends[0]), float(ends[1])
 
 
-def _box(values: Any, what: str) -> Array:
-    if not isinstance(values, list) or len(values) != 3:
-        raise BadTable(what, "needs three ranges", "give [[x0, x1], [y0, y1], [z0, z1]]")
-    return np.array([_pair(v, what) for v in values]).T
+def _box(ranges: Sequence[Sequence[float]], what: str) -> Array:
+    return np.array([_pair(ends, what) for ends in ranges]).T
 
 
-def _balls(rows: Any, of_arm: bool, what: str) -> tuple[Ball, ...]:
-    keys = {"center_m", "radius_m"} | ({"link"} if of_arm else set())
-    out = []
-    for i, row in enumerate(rows or ()):
-        here = f"{what}, sphere {i + 1}"
-        row = _mapping(row, keys, here)
-        if of_arm and not isinstance(row.get("link"), str):
-            raise BadTable(here, "names no link", f"give link: {BASE}, or the joint that moves it")
-        radius = _size(row, "radius_m", here, 0.0)
-        out.append(Ball(_point(row, "center_m", here), radius, str(row["link"]) if of_arm else None))
-    return tuple(out)
+def _balls(data: Mapping[str, Any]) -> tuple[Ball, ...]:
+    rows = data.get("spheres", ())
+    return tuple(Ball(np.array(r["center_m"], dtype=float), float(r.get("radius_m", 0.0)), r.get("link")) for r in rows)
 
 
 # --- Postures that show the target: where random ones hardly ever do, as with a camera that looks at a board

@@ -10,17 +10,17 @@ import numpy as np
 
 from modcal_core.calibration import ErrorSize
 from modcal_core.claim import Claim, Statistic
-from modcal_core.diagnosis import EffectChoice
-from modcal_core.report.contents import STAGES, ReportContents
-from modcal_core.report.diagnosis_entries import Finding, loads_to_json, sizes_to_json
-from modcal_core.report.sentence import sentence
+from modcal_core.diagnosis import EffectChoice, Loads
+from modcal_core.effects import Quantity
+from modcal_core.outcome import STAGES, Finding, Outcome
+from modcal_core.report.words import sentence
 from modcal_core.verdict import Row, Share, Tolerance, Verdict, reading_scatter_mm
 
 FORMAT = 1
 _STRONGEST = 10  # candidates of a scan that report.json names
 
 
-def to_json_data(report: ReportContents) -> dict[str, Any]:
+def to_json_data(report: Outcome) -> dict[str, Any]:
     """The report as the data of ``report.json``: plain dictionaries, None where something does not apply."""
     seen, out, rest = report.identifiability, report.rejection, report.unexplained_mm
     return {
@@ -148,7 +148,7 @@ def _size(size: ErrorSize | None, interval: tuple[float, float] | None = None) -
     return out if interval is None else {**out, "rms_ci95": list(interval)}
 
 
-def _judged(report: ReportContents) -> Mapping[str, Any]:
+def _judged(report: Outcome) -> Mapping[str, Any]:
     """What follows from the verdict."""
     judged = report.judged or Verdict("cannot_tell")
     return {
@@ -211,4 +211,38 @@ def tolerance_data(met: Tolerance | None) -> dict[str, Any] | None:
         "ci95": list(met.ci95),
         "result": met.result,
         "because": met.because,
+    }
+
+
+def sizes_to_json(sizes: Mapping[str, Quantity]) -> dict[str, Any]:
+    """Named sizes for ``report.json``."""
+    return {name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in sizes.items()}
+
+
+def loads_to_json(loads: Loads | None) -> dict[str, Any] | None:
+    """For ``report.json``."""
+    if loads is None:
+        return None
+    return {
+        "gravity": None
+        if loads.down is None
+        else {
+            "direction": [float(x) for x in loads.down],
+            "std_deg": float(np.degrees(loads.down_std)),
+            "turned_deg": float(np.degrees(loads.turned)),
+        },
+        "gravity_unknown": loads.unknown,
+        "relative": loads.relative,
+        "stated_payload_centre_m": None if loads.centre is None else [float(x) for x in loads.centre],
+        "stated_payload_centre_std_m": None if loads.centre_std is None else [float(x) for x in loads.centre_std],
+        "payloads": [
+            {
+                "since": p.since,
+                "mass": p.mass,
+                "mass_std": p.mass_std,
+                "centre_m": None if p.place is None else [float(x) for x in p.place],
+                "centre_std_m": None if p.place_std is None else [float(x) for x in p.place_std],
+            }
+            for p in loads.payloads
+        ],
     }

@@ -35,9 +35,8 @@ from modcal_core.camera import (
 from modcal_core.effects import ReportEntry, family_named
 from modcal_core.files import to_json, to_yaml
 from modcal_core.geometry import Array
-from modcal_core.report.as_json import FORMAT, finite, tolerance_data, unexplained
-from modcal_core.report.contents import STAGES, Trace
-from modcal_core.report.diagnosis_entries import at_tool, parameters, sizes_to_json
+from modcal_core.outcome import STAGES, Trace, at_tool, parameters
+from modcal_core.report.as_json import FORMAT, finite, sizes_to_json, tolerance_data, unexplained
 from modcal_core.robot import Robot
 from modcal_core.robots import NO_HASH, calibrated_urdf, joint_origins, kinematics_yaml_data, lacks_hash
 from modcal_core.verdict import Tolerance

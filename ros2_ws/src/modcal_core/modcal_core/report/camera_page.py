@@ -8,6 +8,7 @@ has reservations: it is the figure of a fit, with no station that the fit has no
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,43 +18,36 @@ from modcal_core.camera import CameraFit, CameraSolution, ToolError, distances_o
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
+from modcal_core.outcome import Trace, counted
 from modcal_core.report.certificates import (
     MAX_REASONS,
     Certificate,
     Hashes,
     Scale,
-    Tone,
     box_in_words,
     listed,
+    signatures,
 )
-from modcal_core.report.contents import Trace
+from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.page import (
-    AFTER,
-    MAX_POSTURES,
-    Chart,
+    Block,
+    Figures,
+    Fold,
+    Listing,
+    Page,
     PageTable,
-    RobotScene,
-    arm_paths,
-    joints_in_words,
+    Section,
+    files_section,
     number,
     parameter_tables,
-    plain_page,
     size_tables,
 )
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.plots import Panel
-from modcal_core.report.sentence import counted
+from modcal_core.report.scene import ShownPostures
 from modcal_core.robots import chain_forward
 from modcal_core.verdict import Asked, Tolerance
 
 TONES = {"apply": "good", "do not apply": "bad", "cannot tell": "warn"}
-_HOLDS = {
-    "report.json": "all numbers of this page, for programs",
-    "calibration.yaml": "everything needed for prediction: nominal and calibrated arm, covariance",
-    "calibrated.urdf": "the robot description with corrected origins, as a proposal",
-    "kinematics.yaml": "the same numbers in the manufacturer's format, or by joint name",
-    "camera.yaml": "the lens, in the form of camera_info",
-}
 _PLACES = (("in_view", "where the target is in view"), ("anywhere", "anywhere within the joint limits"))
 
 
@@ -65,19 +59,16 @@ def to_html(
     charts: of :func:`camera_charts`.
     """
     camera = data["camera"]
-    files_held = [(name, _HOLDS[name]) for name in files if name in _HOLDS]
-    return plain_page(
-        f"{data['trace']['robot'] or 'arm'}: calibration by camera",
-        " ".join(camera["because"]),
-        _sentences(data),
-        list(charts),
-        files_held,
-        _tables(data),
+    blocks: list[Block | None] = [
+        Listing(_sentences(data)),
+        Section("found", "What was found", _tables(data)),
         _robot(model, q),
-        heading=camera["decision"],
-        tone=TONES.get(camera["decision"], "warn"),
-        expert_tables=_parameters(data),
-    )
+        Section("images", "Images", [Figures(charts)]) if charts else None,
+        Fold("Expert: all parameters", _parameters(data), "expert"),
+        files_section(files),
+    ]
+    title, tone = f"{data['trace']['robot'] or 'arm'}: calibration by camera", TONES.get(camera["decision"], "warn")
+    return Page(title, " ".join(camera["because"]), blocks, camera["decision"], tone).html()
 
 
 def _sentences(data: Mapping[str, Any]) -> list[str]:
@@ -108,21 +99,19 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
             size = camera["tool_error_mm"][place][arm]
             rows.append((f"{arm} arm, {words}", f"{size['rms']:.2f}", f"{size['low95']:.2f} … {size['high95']:.2f}"))
     tables = [PageTable("Error at the tool, mm", ("arm", "RMS, mm", "95 % interval, mm"), tuple(rows))]
-    effects = [(f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}", e) for e in data["effects"]]
-    if effects:
-        tables.append(
-            PageTable(
-                "Unmodelled effects",
-                ("effect", "driver", "moves the tool by, mm", "p"),
-                tuple(
-                    (name, e["driver"].replace(":", " of "), f"{e['rms_mm_at_tool']:.3f}", f"{e['p_value']:.1g}")
-                    for name, e in effects
-                ),
-                words=2,
-                below="p is the chance that noise would look as good.",
+    if effects := data["effects"]:
+        found = tuple(
+            (
+                f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}",
+                e["driver"].replace(":", " of "),
+                f"{e['rms_mm_at_tool']:.3f}",
+                f"{e['p_value']:.1g}",
             )
+            for e in effects
         )
-        tables += size_tables((name, e["parameters"]) for name, e in effects)
+        columns = ("effect", "driver", "moves the tool by, mm", "p")
+        below = "p is the chance that noise would look as good."
+        tables += [PageTable("Unmodelled effects", columns, found, words=2, below=below), *size_tables(effects)]
     worth = tuple((one["what"], f"{one['value']:.3f}") for one in camera.get("account_mm2", ()))
     if worth:
         below = "By how much the mean square error at the tool would fall, were this known exactly."
@@ -139,35 +128,25 @@ def _tables(data: Mapping[str, Any]) -> list[PageTable]:
             cells = tuple((name, number(k["value"], 5), number(k["std"], 2)) for name, k in lens.items())
             header = ("constant", f"value{end}", f"± one standard deviation{end}")
             tables.append(PageTable(title, header, cells))
-    return tables
+    return [replace(table, heading=True) for table in tables]
 
 
-def _parameters(data: Mapping[str, Any]) -> list[PageTable]:
+def _parameters(data: Mapping[str, Any]) -> list[Fold]:
     """All of the arm, the tool and the target, a table for each unit."""
-    rows = tuple((p["name"], p["value"], p["std"], p["unit"]) for p in data["parameters"])
-    out = []
-    for table in parameter_tables(rows):
-        end = "" if table.unit == "1" else f", {table.unit}"
-        cells = tuple((name, f"{value:.4f}", f"{std:.4f}") for name, value, std in table.rows)
-        header = ("parameter", f"value{end}", f"± one standard deviation{end}")
-        out.append(PageTable(f"{table.title} of all parameters{end}", header, cells))
-    sheet = data["camera"]["sheet"]
-    if sheet:
+    out = parameter_tables((p["name"], p["value"], p["std"], p["unit"]) for p in data["parameters"])
+    if sheet := data["camera"]["sheet"]:
         cells = tuple((name, number(s["value"]), number(s["std"], 2)) for name, s in sheet.items())
-        out.append(PageTable("The sheet, in SI units", ("constant", "value", "± one standard deviation"), cells))
+        table = PageTable("The sheet", ("constant", "value", "± one standard deviation"), cells)
+        out.append(Fold("The sheet, in SI units", [table]))
     return out
 
 
-def _robot(model: Model, q: Array) -> RobotScene | None:
+def _robot(model: Model, q: Array) -> Section | None:
     """The arm in the postures of the images."""
     if not len(q):
         return None
-    chain = model.serial
-    rows = spread_rows(len(q), MAX_POSTURES)
-    paths = arm_paths(chain, q[rows])
-    said = [f"Image {row + 1} of {len(q)}: {joints_in_words(chain, q[row])}." for row in rows]
     alt = f"The arm in the postures of {counted(len(q), 'image')}."
-    return RobotScene(tuple(paths), tuple(said), paths[:, -1], np.arange(len(rows)), chain.base, alt)
+    return Section("robot", "Robot", [ShownPostures(model.serial, q, "Image").scene(alt)])
 
 
 _DRAWN = 4000  # corners in a picture; more only make the page heavy
@@ -178,22 +157,17 @@ def camera_charts(fit: CameraFit) -> list[Chart]:
     used = np.flatnonzero(fit.table.weight > 0.0)
     rows = used[spread_rows(len(used), _DRAWN)]
     w, h = fit.state.lens.size
-    covered = Panel((0.0, float(w)), (-float(h), 0.0))
-    covered.hollow(fit.table.pixels[rows, 0], -fit.table.pixels[rows, 1], AFTER, "circle")
+    covered = Panel(Axis("u, px", 0.0, float(w)), Axis("−v, px", -float(h), 0.0))
+    covered.marks(fit.table.pixels[rows, 0], -fit.table.pixels[rows, 1], AFTER)
     off = np.sqrt(distances_of_views(fit) / 6.0)
-    number = np.arange(1, len(off) + 1, dtype=float)
-    apart = Panel((0.0, float(len(off) + 1)), (0.0, 1.1 * max(float(off.max()), 2.0)))
-    apart.hollow(number, off, AFTER, "circle")
+    apart = Panel(Axis("image", 0.0, len(off) + 1.0), Axis("distance, σ", 0.0, 1.1 * max(float(off.max()), 2.0)))
+    apart.marks(np.arange(1.0, len(off) + 1.0), off, AFTER)
+    corners = "where corners were in the images: the lens is known where they are"
+    far = "how far each image's target is from where the arm has it; one is usual"
     return [
-        covered.chart(
-            "covered", "u, px", "−v, px", "Where corners were in the images.",
-            "where corners were in the images: the lens is known where they are",
-        ),
-        apart.chart(
-            "apart", "image", "distance, σ", "How far each image is from where the arm has its target.",
-            "how far each image's target is from where the arm has it; one is usual",
-        ),
-    ]  # fmt: skip
+        covered.chart("covered", "Where corners were in the images.", corners),
+        apart.chart("apart", "How far each image is from where the arm has its target.", far),
+    ]
 
 
 _SILENT_ON = (
@@ -238,7 +212,6 @@ def camera_certificate(
     doubts = tuple(said for said in solution.decision.because if said != met.because)[:MAX_REASONS]
     if met.result == "PASS":
         doubts = _reservations(solution, images)
-    tones: dict[str, Tone] = {"PASS": "warn", "FAIL": "bad"}
     fit = solution.fit
     flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
     low, high = met.ci95
@@ -263,18 +236,13 @@ def camera_certificate(
     return Certificate(
         title="Accuracy certificate: calibration by camera",
         result=met.result,
-        heading="PASS, with reservations" if met.result == "PASS" else met.result,
-        tone=tones.get(met.result, "warn"),
         because=met.because,
         reservations=doubts,
         scale=Scale(met.asked.mm, before, met.value_mm, low, high, 1.25 * max(met.asked.mm, high or 0.0)),
         facts=facts,
-        errors=(),
-        floor="not known",
-        iso=(),
         silent_on=_SILENT_ON,
         hashes=listed(hashes, "images and joints"),
-        signatures=(("Measured by", said.measured_by), ("Approved by", said.approved_by)),
+        signatures=signatures(said),
     )
 
 

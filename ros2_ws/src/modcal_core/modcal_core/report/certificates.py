@@ -8,7 +8,6 @@ of the score.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -16,21 +15,16 @@ from modcal_core.calibration import Calibration, Stated
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples
-from modcal_core.report.page import Chart, framed, render
+from modcal_core.outcome import Outcome, counted
+from modcal_core.report.charts import BAD, INK, Axis, Chart, Panel
+from modcal_core.report.page import Block, Facts, Figures, Listing, Page, PageTable, Paragraph, Section, Signatures
 from modcal_core.report.particulars import Particulars
-from modcal_core.report.plots import round_numbers
-from modcal_core.report.report import Report
-from modcal_core.report.sentence import counted
 from modcal_core.verdict import PoseTest, pose_test
 
-Tone = Literal["good", "warn", "bad"]
 MAX_OF_TOLERANCE = 1.0 / 3.0  # that the instrument may be off by; ISO 10012 and ISO 14253-2 ask for 1/3 to 1/10
 MAX_REASONS = 3  # that the page has room for; report.json has all of them
 _NAMES = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest error"}
 _STAGES = (("nominal", "before: nominal model"), ("final", "after: calibrated model"))
-_WIDTH, _LEFT, _RIGHT = 370.0, 8.0, 362.0  # points of the scale; a phone shows all of it
-_LABEL = 36.0  # points, half of what the tolerance's label takes
-_HEIGHT, _BAR, _AXIS = 54.0, 22.0, 36.0
 OWN_RECORDING = (
     "The calibration was made from this very recording: the figures are those of a fit, and show no accuracy. Evaluate "
     "it on another one."
@@ -59,42 +53,39 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class ErrorRow:
-    """A row of before and after: mean, RMS, 95th percentile and largest, in mm, and in degrees or None."""
-
-    name: str
-    mm: tuple[float, float, float, float]
-    deg: tuple[float, float, float, float] | None
-
-
-@dataclass(frozen=True)
 class Certificate:
-    """What the page says, in the order of the page, however it is laid out.
+    """What the page says, in its order.
 
     result: of the tolerance. heading: the same as it is shown. because: how it came about. reservations: what keeps a
     PASS from being one without. facts: names and what is known, None where a line is left to be filled in by hand.
-    iso: figures of ISO 9283, or what the recording lacks for them. silent_on: what the result does not say.
-    hashes: names and SHA-256. signatures: roles and names, empty where they are to be written.
+    sections: errors, and results by ISO 9283. silent_on: what the result does not say. hashes: names and SHA-256.
+    signatures: roles and names, empty where they are to be written.
     """
 
     title: str
     result: str
-    heading: str
-    tone: Tone
     because: str
     reservations: tuple[str, ...]
     scale: Scale
     facts: tuple[tuple[str, str | None], ...]
-    errors: tuple[ErrorRow, ...]
-    floor: str
-    iso: tuple[str, ...]
     silent_on: tuple[str, ...]
     hashes: tuple[tuple[str, str], ...]
     signatures: tuple[tuple[str, str], ...]
+    sections: tuple[Section, ...] = ()
+
+    @property
+    def heading(self) -> str:
+        """The result as it is shown."""
+        return "PASS, with reservations" if self.result == "PASS" and self.reservations else self.result
+
+    @property
+    def tone(self) -> str:
+        """The colour of the result."""
+        return {"PASS": "good", "FAIL": "bad"}.get(self.heading, "warn")
 
 
 def certificate(
-    report: Report,
+    report: Outcome,
     stated: Stated | None = None,
     particulars: Particulars | None = None,
     hashes: Hashes | None = None,
@@ -110,28 +101,22 @@ def certificate(
         raise BadTable("--certificate", "has no tolerance to judge by", "give --tolerance-mm, e.g. --tolerance-mm 0.2")
     doubts = _reservations(report, stated) if met.result == "PASS" else _reasons(report)
     doubts = (OWN_RECORDING, *doubts) if made_from else doubts
-    heading = f"{met.result}, with reservations" if met.result == "PASS" and doubts else met.result
-    tones: dict[str, Tone] = {"PASS": "warn" if doubts else "good", "FAIL": "bad"}
     tests = pose_test(report.scored, {k: report.errors[k] for k in ("nominal", "final")})
     return Certificate(
         title="Accuracy certificate: " + ("frozen calibration" if report.searched is None else "calibration"),
         result=met.result,
-        heading=heading,
-        tone=tones.get(met.result, "warn"),
         because=met.because,
         reservations=doubts,
         scale=_scale(report),
         facts=_facts(report, stated, said, made_from),
-        errors=_errors(report),
-        floor=_floor(report),
-        iso=_iso(tests),
+        sections=(*_errors(report), Section("iso", "ISO 9283", [Paragraph(said) for said in _iso(tests)])),
         silent_on=_silent_on(report, stated, tests),
         hashes=listed(replace(hashes, recording=hashes.recording or report.trace.bag_sha256), "recording"),
-        signatures=(("Measured by", said.measured_by), ("Approved by", said.approved_by)),
+        signatures=signatures(said),
     )
 
 
-def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
+def _reservations(report: Outcome, stated: Stated) -> tuple[str, ...]:
     """Why a PASS is not one without reservations; empty where it is."""
     out = []
     if report.status == "open":
@@ -161,7 +146,7 @@ def _reservations(report: Report, stated: Stated) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _reasons(report: Report) -> tuple[str, ...]:
+def _reasons(report: Outcome) -> tuple[str, ...]:
     """What stands behind another result than PASS: the reasons of an open verdict, and what was left out."""
     out = []
     floor = None if report.judged is None else report.judged.floor_mm
@@ -182,7 +167,7 @@ def _reasons(report: Report) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _rejected(report: Report, count: int) -> str:
+def _rejected(report: Outcome, count: int) -> str:
     rejection = report.rejection
     sizes = ""
     if rejection is not None and rejection.with_mm is not None and rejection.without_mm is not None:
@@ -191,7 +176,7 @@ def _rejected(report: Report, count: int) -> str:
     return f"{count} of {report.samples.stations} stations were rejected and {counts} in the figures{sizes}."
 
 
-def _scale(report: Report) -> Scale:
+def _scale(report: Outcome) -> Scale:
     met = report.tolerance
     assert met is not None
     before = report.size_mm("nominal")
@@ -204,7 +189,7 @@ def _scale(report: Report) -> Scale:
     return Scale(met.asked.mm, start, met.value_mm, low, high, 1.25 * largest)
 
 
-def _facts(report: Report, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
+def _facts(report: Outcome, stated: Stated, said: Particulars, made_from: bool) -> tuple[tuple[str, str | None], ...]:
     trace = report.trace
     sizes, counts = report.set_sizes(), report.samples.stations
     held = f"{sizes['held_out']} of them scored that no fit has seen"
@@ -245,7 +230,7 @@ def _accuracy(stated: Stated) -> str | None:
     return f"{', '.join(parts)}, as stated" if parts else "not stated"
 
 
-def _volume(report: Report) -> str | None:
+def _volume(report: Outcome) -> str | None:
     """The box that the tool was in, in the arm's base [m]."""
     if report.model is None or not len(report.scored):
         return None
@@ -262,24 +247,30 @@ def box_in_words(p: Array) -> str:
     return f"{box.replace('-', '−')} from the base"
 
 
-def _temperatures(report: Report) -> str:
+def _temperatures(report: Outcome) -> str:
     """The recorded temperatures, all together."""
     values = [np.asarray(s.values).ravel() for s in report.samples.signals if s.name.startswith("temperature:")]
     finite = np.concatenate(values)[np.isfinite(np.concatenate(values))] if values else np.empty(0)
     return f"{finite.min():.1f} … {finite.max():.1f} °C recorded" if len(finite) else ""
 
 
-def _errors(report: Report) -> tuple[ErrorRow, ...]:
-    rows = []
+def _errors(report: Outcome) -> tuple[Section, ...]:
+    """The errors before and after, where anything was scored in millimetres."""
+    mm, deg = [], []
     for stage, name in _STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
         if size is not None:
-            turned = None if angle is None else (angle.mean, angle.rms, angle.p95, angle.max)
-            rows.append(ErrorRow(name, (size.mean, size.rms, size.p95, size.max), turned))
-    return tuple(rows)
+            mm.append((name, *(f"{x:.3f}" for x in (size.mean, size.rms, size.p95, size.max))))
+        if size is not None and angle is not None:
+            deg.append((name, *(f"{x:.4f}" for x in (angle.mean, angle.rms, angle.p95, angle.max))))
+    names = ("mean", "RMS", "95 %", "largest")
+    tables = [PageTable("Error before and after", ("position, mm", *names), tuple(mm))]
+    tables += [PageTable("Orientation before and after", ("orientation, °", *names), tuple(deg))] if deg else []
+    floor = Paragraph(f"Floor of arm and instrument: {_floor(report)}.")
+    return (Section("errors", "Error on scored stations", [*tables, floor]),) if mm else ()
 
 
-def _floor(report: Report) -> str:
+def _floor(report: Outcome) -> str:
     judged = report.judged
     if judged is None or judged.floor_mm is None:
         return "not known"
@@ -311,7 +302,7 @@ def _iso(tests: PoseTest) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _silent_on(report: Report, stated: Stated, tests: PoseTest) -> tuple[str, ...]:
+def _silent_on(report: Outcome, stated: Stated, tests: PoseTest) -> tuple[str, ...]:
     met = report.tolerance
     assert met is not None
     standing = "in motion" if report.samples.moving.all() else "at rest" if not report.samples.moving.any() else "these"
@@ -345,57 +336,42 @@ def listed(hashes: Hashes, recording: str) -> tuple[tuple[str, str], ...]:
     return tuple((name, digest) for name, digest in named if digest)
 
 
+def signatures(said: Particulars) -> tuple[tuple[str, str], ...]:
+    """Who signs, as far as it is stated."""
+    return (("Measured by", said.measured_by), ("Approved by", said.approved_by))
+
+
 def certificate_html(one: Certificate) -> str:
     """The certificate as HTML text."""
-    return render(
-        "certificate.html.j2",
-        title=one.title,
-        verdict=one.because,
-        heading=one.heading,
-        tone=one.tone,
-        one=one,
-        scale=drawn(one.scale, one.tone),
-    )
+    blocks: list[Block] = []
+    if one.reservations:
+        label = "Reservations" if one.result == "PASS" else "Reasons"
+        blocks.append(Listing(one.reservations, one.tone, label))
+    blocks += [Figures([drawn(one.scale, one.tone)]), Facts(one.facts)]
+    blocks += one.sections
+    blocks.append(Section("silent", "What this certificate does not say", [Listing(one.silent_on)]))
+    if one.hashes:
+        blocks.append(Section("hashes", "SHA-256", [Facts(one.hashes, small=True)]))
+    blocks.append(Signatures(one.signatures))
+    return Page(one.title, one.because, blocks, one.heading, one.tone, "certificate").html()
 
 
 def drawn(scale: Scale, tone: str) -> Chart:
     """The error, its interval and the tolerance on one axis."""
-
-    def at(mm: float) -> float:
-        return _LEFT + min(mm / scale.end, 1.0) * (_RIGHT - _LEFT)
-
-    ink = "stroke:var(--ink)"
-    parts = [f'<path d="M{_LEFT} {_AXIS}H{_RIGHT}" style="{ink};stroke-width:0.8"/>']
-    for mm in (abs(round(float(value), 9)) for value in round_numbers(0.0, 0.92 * scale.end)[0]):
-        parts.append(f'<path d="M{at(mm):.1f} {_AXIS}v4" style="{ink};stroke-width:0.8"/>')
-        parts.append(_text(f"{mm:g}", at(mm), _AXIS + 14.0, "middle" if mm else "start"))
-    parts.append(_text("mm", _RIGHT, _AXIS + 14.0, "end"))
-    if scale.value is not None:
-        low = scale.value if scale.low is None else scale.low
-        high = scale.value if scale.high is None else scale.high
-        wide = max(at(high) - at(low), 1.5)
-        parts.append(
-            f'<rect x="{at(low):.1f}" y="{_BAR - 5}" width="{wide:.1f}" height="10" style="fill:var(--{tone})"/>'
-            f'<path d="M{at(scale.value):.1f} {_BAR - 8}v16" style="{ink};stroke-width:1.6"/>'
-        )
-    parts.append(
-        f'<path d="M{at(scale.asked):.1f} 13V{_AXIS}" style="stroke:var(--bad);stroke-width:1.4;stroke-dasharray:4 2"/>'
-    )
-    asked = at(scale.asked)
-    anchor = "start" if asked < _LEFT + _LABEL else "end" if asked > _RIGHT - _LABEL else "middle"
-    parts.append(_text(f"tolerance {scale.asked:g}", asked, 9.0, anchor))
+    keys = ((f"tolerance {scale.asked:g}", BAD, "line"),)
+    panel = Panel(Axis("mm", 0.0, scale.end), Axis.rows([""]), 370.0, 62.0, keys)
     said = f"tolerance {scale.asked:g} mm"
     if scale.value is not None:
         said += f", error {scale.value:.3f} mm"
+        ends = [scale.value if end is None else end for end in (scale.low, scale.high)]
+        panel.bars((np.array(ends[:1]), np.array(ends[1:])), (np.array([-0.25]), np.array([0.25])), tone)
+        panel.line(np.full(2, scale.value), np.array([-0.4, 0.4]), INK, 1.6)
     if scale.low is not None and scale.high is not None:
         said += f" with a 95 % interval of {scale.low:.3f} to {scale.high:.3f} mm"
+    panel.line(np.full(2, scale.asked), np.array([-0.5, 0.5]), BAD, 1.4, dashed=True)
     words = (
         "Bar: the tool's error, each end passed with a chance of 5 %; stroke: the likely one; dashed: the tolerance."
     )
     if scale.before is not None:
         words += f" Before calibration the error was {scale.before:.3f} mm."
-    return Chart("scale", framed("".join(parts) + "</svg>", _WIDTH, _HEIGHT, f"Scale in millimetres: {said}."), words)
-
-
-def _text(said: str, x: float, y: float, anchor: str) -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" style="font-size:8.5px;text-anchor:{anchor}">{said}</text>'
+    return panel.chart("scale", f"Scale in millimetres: {said}.", words)

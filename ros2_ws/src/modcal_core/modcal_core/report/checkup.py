@@ -11,8 +11,8 @@ import numpy as np
 from modcal_core.checking import NamedChange, Series, SizeFound
 from modcal_core.checkup import Checked
 from modcal_core.report.as_json import claim_data, finite, tolerance_data
-from modcal_core.report.page import AFTER, BEFORE, Chart, PageTable, plain_page
-from modcal_core.report.plots import Panel
+from modcal_core.report.charts import AFTER, BEFORE, Axis, Panel
+from modcal_core.report.page import Figures, Listing, Page, PageTable, Section, files_section
 from modcal_core.report.terminal import SummaryLine, SummaryTable, Tone
 
 _HEADINGS = {
@@ -23,17 +23,6 @@ _HEADINGS = {
 }
 _TONES: dict[str, Tone] = {"unchanged": "good", "changed": "undecided", "ambiguous": "undecided", "unexplained": "bad"}
 _SIZES = ("change", "size", "value", "95 % interval", "unit")
-_FILES = {
-    "check.json": "all numbers, for programs",
-    "stations.csv": "the stations to measure next",
-    "calibration.yaml": "the repaired calibration, everything needed to predict",
-    "calibrated.urdf": "the repaired robot description",
-    "calibrated_delta.yaml": "the repaired description of the Delta",
-    "kinematics.yaml": "the repaired kinematics",
-    "report.json": "how far the model misses at these stations",
-    "report.html": "the same as a page",
-    "certificate.html": "the certificate",
-}
 
 
 def checkup_data(found: Checked, calibration: str = "") -> dict[str, Any]:
@@ -86,15 +75,7 @@ def _change(c: NamedChange) -> dict[str, Any]:
 def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
     """What a terminal shows: errors, changes, what would have been noticed, the answer, and what to do."""
     out: list[SummaryTable | SummaryLine] = []
-    rows = [
-        (what, *("" if x is None else f"{x:.{digits}f}" for x, digits in zip(pair, (3, 4), strict=True)))
-        for what, pair in (
-            ("frozen model", found.before),
-            ("expected while nothing has changed", found.expected),
-            *((("with what changed", found.after),) if found.changes else ()),
-        )
-    ]
-    out.append(SummaryTable((f"error at {found.stations} stations", "RMS mm", "RMS deg"), tuple(rows)))
+    out.append(SummaryTable(_errors_header(found), _errors(found)))
     for change in found.changes:
         if lines := tuple(_row(change, s) for s in change.sizes):
             out.append(SummaryTable(_SIZES, lines, words=2))
@@ -111,6 +92,21 @@ def checkup_summary(found: Checked) -> tuple[SummaryTable | SummaryLine, ...]:
         tones: dict[str, Tone] = {"PASS": "good", "FAIL": "bad"}
         out.append(SummaryLine(f"{met.result}: {_judged(found)} {met.because}", tones.get(met.result, "undecided")))
     return tuple(out)
+
+
+def _errors_header(found: Checked) -> tuple[str, ...]:
+    return (f"error at {found.stations} stations", "RMS mm", "RMS deg")
+
+
+def _errors(found: Checked) -> tuple[tuple[str, ...], ...]:
+    """The error by the frozen model, what is expected, and with what changed."""
+    stages = {"frozen model": found.before, "expected while nothing has changed": found.expected}
+    if found.changes:
+        stages["with what changed"] = found.after
+    return tuple(
+        (what, *("" if x is None else f"{x:.{digits}f}" for x, digits in zip(pair, (3, 4), strict=True)))
+        for what, pair in stages.items()
+    )
 
 
 def _not_shown(found: Checked) -> str:
@@ -134,9 +130,6 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
         heading, tone = "No change is seen", "warn"
     lines = [
         f"What to do: {found.advice.sentence}",
-        f"The error at these {found.stations} stations is {_pair(found.before)} by the model as it was calibrated; "
-        f"{_pair(found.expected)} is expected while nothing has changed.",
-        *([f"With what changed put in it is {_pair(found.after)}."] if found.changes else []),
         *([f"{_judged(found)} {found.report.claim.sentence}"] if found.report.claim is not None else []),
         (
             f"While nothing has changed, as much is named by chance in fewer than {_rarely(found.chance)} checks."
@@ -149,63 +142,52 @@ def checkup_html(found: Checked, title: str, files: Sequence[str]) -> str:
     met = found.report.tolerance
     if met is not None:
         lines.insert(1, f"{met.result}. {_judged(found)} {met.because}")
-    return plain_page(
-        title,
-        found.sentence,
-        lines,
-        _charts(found),
-        [(name, _FILES.get(name, "")) for name in files],
-        _tables(found),
-        heading=heading,
-        tone=tone,
-    )
+    seen = Section("seen", "What was seen", [*_tables(found), *_station_errors(found)])
+    return Page(title, found.sentence, [Listing(lines), seen, files_section(files)], heading, tone).html()
 
 
 def _rarely(chance: float) -> str:
     return f"one in {1.0 / max(chance, 1e-12):,.0f}".replace(",", " ") if chance > 1e-12 else "one in 10¹²"
 
 
-def _pair(pair: tuple[float | None, float | None]) -> str:
-    mm, deg = pair
-    said = [f"{mm:.3f} mm"] if mm is not None else []
-    return " and ".join([*said, *([f"{deg:.4f}°"] if deg is not None else [])]) + " RMS"
-
-
 def _tables(found: Checked) -> tuple[PageTable, ...]:
-    out = []
+    header = _errors_header(found)
+    out = [PageTable(header[0].capitalize(), ("model", *header[1:]), _errors(found), heading=True)]
     if rows := tuple(_row(c, s) for c in found.changes for s in c.sizes):
         below = "Of a base: in the frame of the first joint. Of a tool: in its own."
-        out.append(PageTable("What changed", _SIZES, rows, 2, below))
+        out.append(PageTable("What changed", _SIZES, rows, 2, below, heading=True))
     if found.changes:
         rivals = tuple(
             (c.label, ", ".join(c.same_as) or "none", c.alike, f"{100.0 * c.probability:.1f} %") for c in found.changes
         )
         columns = ("named", "explains these stations as well", "the same at every posture", "probability")
-        out.append(PageTable("What it may as well be", columns, rivals, 3))
+        out.append(PageTable("What it may as well be", columns, rivals, 3, heading=True))
     if len(found.advice.stations):
         numbered = tuple((str(i), *(f"{x:.4f}" for x in q)) for i, q in enumerate(found.advice.stations, 1))
-        out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered))
+        out.append(PageTable("Stations to add, rad or m", ("station", *found.joints), numbered, heading=True))
     noticed = tuple((n.label, f"{n.mm:.3f}") for n in found.noticed if np.isfinite(n.mm))
     if noticed:
         below = f"RMS at the tool over these stations, of the direction that shows least.{_not_shown(found)}"
-        out.append(PageTable("Noticed in 95 of 100 such checks", ("change", "mm"), noticed, 1, below))
+        out.append(
+            PageTable("Noticed in 95 of 100 such checks", ("change", "RMS, mm"), noticed, below=below, heading=True)
+        )
     return tuple(out)
 
 
-def _charts(found: Checked) -> list[Chart]:
+def _station_errors(found: Checked) -> list[Figures]:
     """The error of each station before and after."""
     if found.station_errors is None:
         return []
     before, after = (1e3 * e for e in found.station_errors)
     x = np.arange(1.0, len(before) + 1.0)
     top = 1.1 * max(float(before.max()), float(after.max()), 1e-6)
-    panel = Panel((0.4, len(before) + 0.6), (0.0, top))
-    panel.hollow(x, before, BEFORE, "circle")
-    panel.hollow(x, after, AFTER, "square")
+    panel = Panel(Axis("station", 0.4, len(before) + 0.6), Axis("error, mm", 0.0, top))
+    panel.marks(x, before, BEFORE, "circle")
+    panel.marks(x, after, AFTER, "square")
     alt = f"Error at every station: up to {before.max():.3f} mm by the frozen model"
     alt += f", up to {after.max():.3f} mm with what changed." if found.changes else "."
     caption = "circles: the model as calibrated; squares: with what changed put in"
-    return [panel.chart("stations", "station", "error, mm", alt, caption)]
+    return [Figures([panel.chart("stations", alt, caption)])]
 
 
 @dataclass(frozen=True)

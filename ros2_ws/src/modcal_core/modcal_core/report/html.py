@@ -1,222 +1,471 @@
-"""The report as one page that needs nothing else: no files beside it, no network."""
+"""The page of a calibration or an evaluation: its sections, made of the data of ``report.json`` and of pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from modcal_core.diagnosis import EvidenceMap
 from modcal_core.effects import remembered
+from modcal_core.measurements.kinds import indirect_rows
+from modcal_core.outcome import STAGES, Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.contents import STAGES, ReportContents
-from modcal_core.report.figures import comparisons, effect_shapes, error_histogram, spread_chart, timeline
-from modcal_core.report.page import Sizes, as_script_data, parameter_tables, render, size_tables
-from modcal_core.report.scene import scene, still
-from modcal_core.report.sentence import STATUS_WORDS, sentence
-from modcal_core.report.terminal import accounts
+from modcal_core.report.figures import (
+    effect_shapes,
+    error_histogram,
+    residual_charts,
+    timeline,
+)
+from modcal_core.report.page import (
+    Block,
+    Figures,
+    File,
+    Fold,
+    HeatTable,
+    Listing,
+    Page,
+    PageTable,
+    Paragraph,
+    Section,
+    SideBySide,
+    Tiles,
+    files_section,
+    parameter_tables,
+    size_tables,
+)
+from modcal_core.report.scene import scene
+from modcal_core.report.terminal import Account, accounts
+from modcal_core.report.words import STATUS_WORDS, sentence
 from modcal_core.verdict import Status
 
 TONES: dict[Status, str] = {"at_floor": "good", "open": "bad", "cannot_tell": "warn"}
-MAX_BYTES = 950_000  # of a page: below 1 MB, with what a mail puts around it
-_SHARES = (1.0, 0.5, 0.25, 0.1, 0.04)  # of the usual marks that charts have, tried in turn
+OF_RESULT = {"PASS": "good", "FAIL": "bad"}
 _MAX_COLUMNS = 28  # drivers of a map
 STATISTICS = {"mean": "mean", "rms": "RMS", "p95": "95th percentile", "max": "largest"}
 _MAX_LISTED = 30  # stations that were left out
-
-
-@dataclass(frozen=True)
-class File:
-    """One file beside the report. holds: what it is for. commands: how to use it, run in the report's folder."""
-
-    name: str
-    holds: str
-    commands: tuple[str, ...] = ()
-
-
-FILES = (
-    File(
-        "calibration.yaml",
-        "Everything needed for prediction: nominal and calibrated arm, effects, base frames, tool, covariance.",
-        (
-            "modcal evaluate calibration.yaml OTHER_BAG --out check",
-            'ros2 launch modcal_nodes correct.launch.py calibration:="$PWD"',
-        ),
-    ),
-    File(
-        "calibrated.urdf",
-        "The robot description with corrected origins, every other byte as it was: geometry, no effects.",
-        ("ros2 run robot_state_publisher robot_state_publisher calibrated.urdf",),
-    ),
-    File("kinematics.yaml", "The same numbers in the manufacturer's format, or by joint name.", ()),
-    File(
-        "calibrated_delta.yaml",
-        "The Delta's constants and the identified tool.",
-        ("modcal calibrate OTHER_BAG --delta calibrated_delta.yaml --out again",),
-    ),
-    File("report.json", "All numbers of this page, for programs.", ("python3 -m json.tool report.json",)),
+_DECIDE = File(
+    "Which of several explanations is it?",
+    "Stations that tell them apart:",
+    ("modcal plan --decide . --out deciding",),
+    is_file=False,
 )
 
 
 @remembered()
-def to_html(report: ReportContents, files: Iterable[str] = (), calibration: str = "") -> str:
-    """The report as HTML text, below 1 MB. files: names of what is written beside it. calibration: of an evaluation,
-    the name of what was evaluated.
+def to_html(report: Outcome, files: Iterable[str] = (), calibration: str = "") -> str:
+    """The report as HTML text, below 1 MB: of long recordings a part is drawn, and all is counted.
 
-    Where recordings, effects or joints are many, charts are thinned until the page is small enough, and it says so.
+    files: names of what is written beside it. calibration: of an evaluation, the name of what was evaluated.
     """
-    beside = tuple(files)
-    for share in _SHARES:
-        page = _page(report, beside, calibration, share)
-        if len(page.encode()) < MAX_BYTES:
-            break
-    return page
-
-
-def _page(report: ReportContents, files: tuple[str, ...], calibration: str, share: float) -> str:
-    """The page with this share of the marks and curves that charts usually have."""
-    data = to_json_data(report)
-    drawn = scene(report, share)
     kind = "evaluation" if report.searched is None else "calibration"
     title = f"{report.title}: {kind} report"
     if report.searched is None and calibration:
         title = f"{calibration}, evaluated on {report.title}"
-    return render(
-        "report.html.j2",
-        title=title,
-        verdict=sentence(report),
-        tone=TONES[report.status],
+    return Page(
+        title,
+        sentence(report),
+        _Sections(report, to_json_data(report), tuple(files)).all(),
         heading=f"Verdict: {STATUS_WORDS[report.status]}",
-        accounts=[(one, one.drawn()) for one in accounts(report.judged)],
-        counts_rejected=report.counts_rejected,
-        data=data,
-        claim=report.claim and report.claim.sentence,
-        statistics=STATISTICS.items(),
-        tiles=_tiles(report, data),
-        stages=[stage for stage in STAGES if data["error_mm"][stage]],
-        histogram=error_histogram(report),
-        offsets=_offsets(report),
-        tables=parameter_tables(report.parameters),
-        sizes=size_tables(_named_sizes(data)),
-        scene=None if drawn is None else as_script_data(drawn.to_data()),
-        scene_stages=[] if drawn is None else [name for name, _ in drawn.stages],
-        postures=0 if drawn is None else len(drawn.paths),
-        partly=drawn is not None and drawn.partly,
-        still=None if drawn is None else still(drawn),
-        comparisons=comparisons(report, share),
-        shapes=effect_shapes(report, share),
-        maps=_maps(report.evidence),
-        spread=spread_chart(report),
-        timeline=timeline(report, share),
-        rejected=_rejected(report),
-        files=[file for file in FILES if file.name in files],
-        rivals=any(f["same_as"] for f in data["effects"]),
-        thinned=0 if share == 1.0 else round(100 * share),
-    )
+        tone=TONES[report.status],
+    ).html()
 
 
-def _named_sizes(data: dict[str, Any]) -> list[tuple[str, Sizes]]:
-    """Name and sizes of each effect; of those with one name the later ones are numbered."""
-    names = [f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}" for e in data["effects"]]
-    count = [names[:k].count(name) + 1 for k, name in enumerate(names)]
-    return [
-        (name if k == 1 else f"{name} ({k})", e["parameters"])
-        for name, k, e in zip(names, count, data["effects"], strict=True)
-    ]
+@dataclass(frozen=True)
+class _Sections:
+    """Sections of a report; each is None, or has no block, where there is nothing to say. data: of ``report.json``."""
 
+    report: Outcome
+    data: Mapping[str, Any]
+    files: tuple[str, ...]
 
-def _offsets(report: ReportContents) -> dict[str, Any] | None:
-    """Joint offsets by unit: names, values, and their intervals as far as they are known."""
-    found = report.offsets
-    if found is None:
-        return None
-    tables = []
-    for turning, unit, factor, title in (
-        (True, "°", np.degrees(1.0), "Joint offsets"),
-        (False, "mm", 1e3, "Offsets of sliding joints"),
-    ):
-        rows = [
-            (o.joint, factor * o.value, None if o.ci95 is None else [factor * end for end in o.ci95])
-            for o in found.found
-            if o.turning == turning
+    def all(self) -> list[Block | None]:
+        """All in their order, those for experts folded together."""
+        rivals = [_DECIDE] if self.files and any(e["same_as"] for e in self.data["effects"]) else []
+        expert = (
+            self.account(), self.steps(), self.evidence(), self.distances(), self.identifiability(), self.parameters()
+        )  # fmt: skip
+        title = "Expert: account of the error, steps, evidence, identifiability, all parameters"
+        return [
+            *self.answer(),
+            self.claim(),
+            self.offsets(),
+            self.error(),
+            self.robot(),
+            self.residual(),
+            self.effects(),
+            self.stations(),
+            files_section(self.files, *rivals),
+            self.grounds(),
+            _section("notes", "Notes", [Listing(self.data["notes"])] if self.data["notes"] else [], "Notes"),
+            Fold(title, [one for one in expert if one is not None], "expert"),
+            self.end(),
         ]
-        if rows:
-            tables.append({"title": title, "unit": unit, "rows": rows})
-    return {"tables": tables, "nominal_mm": found.nominal_mm, "left_mm": found.left_mm}
 
+    @cached_property
+    def _unit(self) -> str:
+        return str(self.data["split"]["unit"])
 
-def _tiles(report: ReportContents, data: dict[str, Any]) -> list[tuple[str, str]]:
-    """The few numbers that are wanted first."""
-    out = []
-    before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
-    if before and after:
-        out += [("position, nominal model, RMS", f"{before['rms']:.3f} mm")]
-        out += [("position, final model, RMS", f"{after['rms']:.3f} mm")]
-        rejection = data["rejected_rms_mm"]
-        if rejection and None not in rejection.values() and rejection["with"] != rejection["without"]:
-            other = "without" if report.counts_rejected else "with"
-            out.append((f"{other} rejected stations, RMS", f"{rejection[other]:.3f} mm"))
-    if data["error_deg"]["nominal"] and data["error_deg"]["final"]:
-        out.append(("orientation, nominal model, RMS", f"{data['error_deg']['nominal']['rms']:.3g}°"))
-        out.append(("orientation, final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
-    floor, recording = data["noise_floor_mm"], data["recording"]
-    out.append(("floor of arm and instrument", "not known" if floor is None else f"{floor:.3f} mm"))
-    if claim := data["claim_mm"]:
-        out.append(("tool, 95 % of the errors, at most", f"{claim['p95']['ci95'][1]:.3f} mm"))
-        if not data["apply"]:
-            out.append(("apply the calibration", "no"))
-    if met := data["tolerance"]:
-        out.append((f"tolerance {met['asked_mm']:g} mm, {STATISTICS[met['statistic']]}", met["result"]))
-    out.append(("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}"))
-    return out
+    def answer(self) -> list[Block]:
+        """What stands above the sections."""
+        data, out = self.data, list[Block]()
+        if data["open_because"]:
+            out.append(Listing(data["open_because"], TONES[self.report.status], "Open because"))
+        if met := data["tolerance"]:
+            said = f"within {met['asked_mm']:g} mm. {met['because']}"
+            out.append(Paragraph(said, met["result"], OF_RESULT.get(met["result"], "warn")))
+        out.append(Tiles(self._tiles()))
+        return [*out, *([Listing(data["story"])] if data["story"] else [])]
 
+    def _tiles(self) -> list[tuple[str, str]]:
+        data, out = self.data, []
+        before, after = data["error_mm"]["nominal"], data["error_mm"]["final"]
+        if before and after:
+            out += [("position, nominal model, RMS", f"{before['rms']:.3f} mm")]
+            out += [("position, final model, RMS", f"{after['rms']:.3f} mm")]
+            rejection = data["rejected_rms_mm"]
+            if rejection and None not in rejection.values() and rejection["with"] != rejection["without"]:
+                other = "without" if self.report.counts_rejected else "with"
+                out.append((f"{other} rejected stations, RMS", f"{rejection[other]:.3f} mm"))
+        if data["error_deg"]["nominal"] and data["error_deg"]["final"]:
+            out.append(("orientation, nominal model, RMS", f"{data['error_deg']['nominal']['rms']:.3g}°"))
+            out.append(("orientation, final model, RMS", f"{data['error_deg']['final']['rms']:.3g}°"))
+        floor, recording = data["noise_floor_mm"], data["recording"]
+        out.append(("floor of arm and instrument", "not known" if floor is None else f"{floor:.3f} mm"))
+        if claim := data["claim_mm"]:
+            out.append(("tool, 95 % of the errors, at most", f"{claim['p95']['ci95'][1]:.3f} mm"))
+            if not data["apply"]:
+                out.append(("apply the calibration", "no"))
+        if met := data["tolerance"]:
+            out.append((f"tolerance {met['asked_mm']:g} mm, {STATISTICS[met['statistic']]}", met["result"]))
+        out.append(("stations, rejected of them", f"{recording['stations']}, {recording['rejected'] or 'none'}"))
+        return out
 
-def _maps(evidence: tuple[EvidenceMap, ...]) -> list[dict[str, Any]]:
-    """Tables of the first and the last scan, with the same columns: the drivers that explain most in either."""
-    if not evidence:
-        return []
-    best: dict[str, float] = {}
-    for seen in evidence:
-        for driver, share in zip(seen.drivers, np.nanmax(seen.share, axis=0).tolist(), strict=True):
-            best[driver] = max(share, best.get(driver, 0.0))
-    kept = set(sorted(best, key=lambda d: -best[d])[:_MAX_COLUMNS])
-    titles = ("Before any effect was added", "After the last one") if len(evidence) > 1 else ("The scan",)
-    out = []
-    for title, seen in zip(titles, evidence, strict=True):
-        columns = [j for j, driver in enumerate(seen.drivers) if driver in kept]
+    def claim(self) -> Section | None:
+        """What may be said of the tool."""
+        mm, deg = self.data["claim_mm"], self.data["claim_deg"]
+        if not mm or self.report.claim is None:
+            return None
         rows = [
-            {"place": place, "direction": direction, "cells": [_cell(seen.share[i, j]) for j in columns]}
-            for i, (place, direction) in enumerate(seen.rows)
+            (what, *(_span(part[name]["ci95"], unit) for name in STATISTICS))
+            for what, part, unit in (("position", mm, " mm"), ("orientation", deg, "°"))
+            if part
         ]
-        out.append(
-            {
-                "title": title,
-                "drivers": [seen.drivers[j].replace(":", " of ") for j in columns],
-                "rows": rows,
-                "p_value": seen.p_value,
-                "best": next(iter(seen.strongest(1)), None),
-                "dropped": len(seen.drivers) - len(columns),
-            }
+        out: list[Block] = [
+            Paragraph(self.report.claim.sentence),
+            PageTable("The claim", (f"over the {mm['over']}", *STATISTICS.values()), tuple(rows)),
+        ]
+        if mm["open"]:
+            shown, held = f"{mm['shown_mm']:.3f} mm", f"{mm['unshown_mm']:.3f} mm"
+            names = ("95 %, shown by the readings", f"95 %, held by what arms are like: {mm['open']}")
+            out.append(Tiles(tuple(zip(names, (shown, held), strict=True))))
+        said = "Each end is passed with a chance of 5 %."
+        out.append(Paragraph(said + ("" if deg else " Readings without orientation claim none."), soft=True))
+        return Section("claim", "Claim: the tool's error", out, "Claim")
+
+    def offsets(self) -> Section | None:
+        """What to add to the reported joint positions."""
+        found = self.report.offsets
+        if found is None:
+            return None
+        said = (
+            "Added to the reported positions, these bring the nominal arm nearest to the calibrated one: "
+            f"{found.nominal_mm:.3f} mm RMS apart without them, {found.left_mm:.3f} mm with them alone, base and tool "
+            "being free. The interval holds what the fit leaves open, and what other postures of this kind would make "
+            "nearest. A joint that is not listed has an offset that is no other motion than one of base or tool."
         )
-    return out
+        out: list[Block] = [Paragraph(said, soft=True)]
+        for turning, unit, factor, title in (
+            (True, "°", np.degrees(1.0), "Joint offsets"),
+            (False, "mm", 1e3, "Offsets of sliding joints"),
+        ):
+            rows = []
+            for o in found.found:
+                ends = "not known" if o.ci95 is None else f"{factor * o.ci95[0]:+.4f} … {factor * o.ci95[1]:+.4f}"
+                rows += [(o.joint, f"{factor * o.value:+.4f}", ends)] if o.turning == turning else []
+            if rows:
+                header = ("joint", f"offset, {unit}", f"95 % interval, {unit}")
+                out.append(PageTable(title, header, tuple(rows), strong=1))
+        return Section("offsets", "Joint offsets", out, "Joint offsets")
+
+    def error(self) -> Section:
+        """The error before and after."""
+        data, split = self.data, self.data["split"]
+        where = f"On {split['held_out']} stations, with the calibration frozen."
+        if split["train"]:
+            where = f"On {split['held_out']} stations that neither the fit nor the selection has seen."
+        where += " Nominal: the nominal model, base and tool fitted; geometric: all geometry fitted; final: with every "
+        out: list[Block] = [Paragraph(f"{where}effect.", soft=True)]
+        names = ("95th percentile", "largest")
+        rows = []
+        for stage in STAGES:
+            if e := data["error_mm"][stage]:
+                ends = _span(e["rms_ci95"], "") if "rms_ci95" in e else ""
+                sizes = [f"{e[k]:.3f}" for k in STATISTICS]
+                rows.append((stage, *sizes[:2], ends, *sizes[2:]))
+        header = ("position, mm", "mean", "RMS", "95 % interval of it", *names)
+        out.append(PageTable("Errors before and after", header, tuple(rows), strong=2))
+        if data["error_deg"]["nominal"]:
+            turned = tuple(
+                (stage, *(f"{e[k]:.4f}" for k in STATISTICS)) for stage in STAGES if (e := data["error_deg"][stage])
+            )
+            turning = ("orientation, °", "mean", "RMS", *names)
+            out.append(PageTable("Orientation errors before and after", turning, turned, strong=2))
+        out.append(Paragraph(self._used(), soft=True))
+        if histogram := error_histogram(self.report):
+            out.append(Figures([histogram]))
+        return Section(
+            "error", f"Error on {f'held-out {self._unit}' if split['train'] else 'scored station'}s", out, "Error"
+        )
+
+    def _used(self) -> str:
+        """What each station was used for."""
+        recording, split, r = self.data["recording"], self.data["split"], self.data["rejected_rms_mm"]
+        kind = recording["measurement"].replace("_", " ")
+        said = f"{recording['stations']} stations ({kind}), {recording['rejected']} of them rejected"
+        if split["train"]:
+            said += f"; {split['train']} stations to fit, {split['explain']} to choose effects, "
+            said += f"{split['held_out']} to score"
+        said += "."
+        if r and r["stations"] and r["with"] is not None and r["without"] is not None:
+            said += (
+                f" The table is {'with' if self.report.counts_rejected else 'without'} the rejected stations: final "
+                f"RMS {r['with']:.3f} mm with them, {r['without']:.3f} mm without."
+            )
+        if recording["dropped"]:
+            said += f" Not used: {', '.join(f'{count} {reason}' for reason, count in recording['dropped'].items())}."
+        return said
+
+    def robot(self) -> Section | None:
+        """The arm in three dimensions, and on paper."""
+        drawn = scene(self.report)
+        if drawn is None:
+            return None
+        partly = "Some of these instruments measure along one line only: their arrows show that component of the error."
+        out: list[Block] = [Paragraph(partly, soft=True)] if indirect_rows(self.report.scored).any() else []
+        return Section("robot", "Robot and errors", [*out, drawn], "Robot")
+
+    def residual(self) -> Section | None:
+        """What the final model leaves."""
+        charts, size = residual_charts(self.report), self.report.size_mm("final")
+        if not charts or size is None:
+            return None
+        said = (
+            "The residual of the final model: x as circles, y as triangles, z as squares. A pattern here is an effect "
+            "that the model lacks."
+        )
+        title = f"Residual: {size.rms:.3f} mm RMS"
+        return Section("residuals", title, [Paragraph(said, soft=True), Figures(charts)], "Residual")
+
+    def effects(self) -> Section | None:
+        """What was added to the geometry."""
+        effects = self.data["effects"]
+        if not effects:
+            return None
+        header = (
+            "effect",
+            "place",
+            "direction",
+            "driver",
+            "moves the tool by, mm",
+            "error without it, mm",
+            "with it, mm",
+        )
+        rows = tuple(
+            (
+                *(e["family"].replace("_", " "), e["place"], e["direction"], e["driver"].replace(":", " of ")),
+                *("" if e[k] is None else f"{e[k]:.3f}" for k in ("tool_rms_mm", "rms_mm_before", "rms_mm_after")),
+                f"{e['p_value']:.1g}",
+            )
+            for e in effects
+        )
+        below = f"RMS over the held-out {self._unit}s; p is the chance that noise would look as good."
+        out: list[Block] = [PageTable("Effects", (*header, "p"), rows, words=4, below=below)]
+        if sizes := size_tables(effects):
+            words = "Each ± one standard deviation; a table for each unit."
+            out += [Paragraph(words, "Their sizes.", soft=True), SideBySide(sizes)]
+        for e in effects:
+            if e["same_as"]:
+                words = f"cannot be distinguished from: {'; '.join(e['same_as'])}."
+                out.append(Paragraph(words, f"{e['family'].replace('_', ' ')} at {e['place']}"))
+        if shapes := effect_shapes(self.report):
+            words = "The line is the estimate, the band its two standard deviations; ticks below show the samples."
+            out += [Paragraph(words, "Their shapes.", soft=True), Figures(shapes)]
+        return Section("effects", "Unmodelled effects", out, "Effects")
+
+    def stations(self) -> Section:
+        """The stations in time, and those that were left out, the farthest first."""
+        report, rows = self.report, self.report.rejected_rows()
+        drawn = timeline(report)
+        out: list[Block] = [] if drawn is None else [Figures([drawn])]
+        if not len(rows):
+            return Section("stations", "Stations", [*out, Paragraph("No station was rejected.")], "Stations")
+        usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
+        start = float(report.samples.stamps.min())
+        listed = []
+        for row in rows[:_MAX_LISTED]:
+            miss, time = 1e3 * float(report.residuals[row]), float(report.samples.stamps[row]) - start
+            times = f"{miss / max(usual, 1e-9):.0f}"
+            listed.append((str(int(report.samples.station[row])), f"{time:.1f}", f"{miss:.3f}", times))
+        said = "Rejected, because their residuals are too large for the spread of the model; usual are "
+        more = len(rows) - len(listed)
+        below = f"And {more} more; all are in report.json." if more else ""
+        header = ("station", "time, s", "error, mm", "times the usual")
+        table = PageTable("Rejected stations", header, tuple(listed), below=below)
+        return Section(
+            "stations", "Stations", [*out, Paragraph(f"{said}{usual:.3f} mm.", soft=True), table], "Stations"
+        )
+
+    def grounds(self) -> Section | None:
+        """What else the verdict stands on."""
+        data, lines = self.data, []
+        if data["convention"]:
+            lines.append(f"Corrected convention: {data['convention']}.")
+        for r in data["regimes"]:
+            what = "a base and a tool" if r["what"] == "both" else f"a {r['what']}"
+            lines.append(f"Stations {r['from_station']} … {r['to_station']} have {what} of their own.")
+        for n in data["not_applied"]:
+            cost = f"That costs {n['cost_mm2']:.3g} mm² on held-out stations."
+            lines.append(f"{n['effect']} was not applied: {n['why']}. {cost}")
+        return _section("grounds", "Further grounds of the verdict", [Listing(lines)] if lines else [])
+
+    def account(self) -> Section | None:
+        """The account of the squared error."""
+        found, data = accounts(self.report.judged), self.data
+        if not found:
+            return None
+        said = (
+            f"The rows add up to the squared error of the nominal model on the held-out {self._unit}s. What is "
+            "predictable but not modelled was measured with a regressor without physics, on data it was not trained on."
+        )
+        out: list[Block] = [Paragraph(said, soft=True)]
+        for one in found:
+            out.append(_account_table(one))
+        parts = []
+        if position := data["predictable"]:
+            said = f"A regressor without physics predicts {_predicted(position)} of the squared position error left"
+            if turned := data["predictable_deg"]:
+                said += f", and {_predicted(turned)} of the orientation error"
+            parts.append(f"{said}.")
+        for size, unit in ((data["repeatability_mm"], "mm"), (data["repeatability_deg"], "°")):
+            if size and size["value"] is not None:
+                how = "from postures visited again" if size["source"] == "revisits" else "as stated"
+                parts.append(f"Repeatability {size['value']:.3g} {unit}, {how}.")
+        return Section("account", "Account of the squared error", [*out, Paragraph(" ".join(parts))])
+
+    def steps(self) -> Section | None:
+        """What each step took away."""
+        rows, before = [], self.data["error_mm"]["nominal"]
+        for step in self.data["steps"] if before else ():
+            rows.append((step["added"].replace(":", " of "), f"{step['rms_mm']:.3f}"))
+        header = ("added", "RMS of what is left, mm")
+        return _section("steps", "What each step leaves", [PageTable("Steps", header, tuple(rows))] if rows else [])
+
+    def evidence(self) -> Section | None:
+        """Maps of the first and the last scan, with the same columns: the drivers that explain most in either."""
+        evidence = self.report.evidence
+        if not evidence:
+            return None
+        said = (
+            "Each cell shows its best candidate: the percentage of the squared residual that it explains alone, free "
+            "shapes included. Empty: no candidate."
+        )
+        out: list[Block] = [Paragraph(said, soft=True)]
+        best: dict[str, float] = {}
+        for seen in evidence:
+            for driver, share in zip(seen.drivers, np.nanmax(seen.share, axis=0).tolist(), strict=True):
+                best[driver] = max(share, best.get(driver, 0.0))
+        kept = set(sorted(best, key=lambda d: -best[d])[:_MAX_COLUMNS])
+        titles = ("Before any effect was added", "After the last one") if len(evidence) > 1 else ("The scan",)
+        for title, seen in zip(titles, evidence, strict=True):
+            columns = [j for j, driver in enumerate(seen.drivers) if driver in kept]
+            said = ""
+            for place, direction, driver, share in seen.strongest(1):
+                by = driver.replace(":", " of ")
+                said += f"Most is explained at {place} ({direction}) by {by}: {100 * share:.0f} %. "
+            said += f"Noise alone gives as good a maximum with p = {seen.p_value:.1g}."
+            if len(seen.drivers) > len(columns):
+                said += f" {len(seen.drivers) - len(columns)} weaker drivers are not shown."
+            rows = [(f"{place}, {way}", seen.share[i, columns].tolist()) for i, (place, way) in enumerate(seen.rows)]
+            names = [seen.drivers[j].replace(":", " of ") for j in columns]
+            out += [Paragraph(said, f"{title}."), HeatTable(title, "place, direction", names, rows)]
+        return Section("evidence", "Evidence: place, direction, driver", out)
+
+    def distances(self) -> Section | None:
+        """Known distances, as stated and as found."""
+        rows = tuple(
+            (
+                d["name"],
+                f"{d['stated_mm']:.3f} ± {d['stated_std_mm']:.3f}",
+                f"{d['misfit_mm']:+.3f}",
+                f"{d['found_mm']:.3f} ± {d['found_std_mm']:.3f}" + (", contradicted" if d["contradicted"] else ""),
+            )
+            for d in self.data["known_distances"]
+        )
+        header = ("between", "stated, mm", "misfit of the fit, mm", "by the readings alone, mm")
+        return _section("distances", "Known distances", [PageTable("Known distances", header, rows)] if rows else [])
+
+    def identifiability(self) -> Section | None:
+        """What the stations determine."""
+        seen = self.data["identifiability"]
+        if not seen:
+            return None
+        said = f"{seen['parameters']} parameters, rank {seen['rank']}"
+        said += f", condition {seen['condition']:.0f}." if seen["condition"] else "."
+        if seen["rank"] == seen["parameters"] and not seen["weak"]:
+            said += " These stations determine every combination of them."
+        out: list[Block] = [Paragraph(said)]
+        if seen["unobservable"]:
+            out += [
+                Paragraph("", "Not determined by these stations, held near nominal:"),
+                Listing(seen["unobservable"]),
+            ]
+        if seen["weak"]:
+            end = "% of what was expected beforehand"
+            lines = [f"{w['direction']}: known to {100 * w['std_over_prior']:.0f} {end}" for w in seen["weak"]]
+            out += [Paragraph("", "Weakly determined:"), Listing(lines)]
+        if left := seen["left_out"]:
+            title = f"{len(left)} directions that no recording of this kind can distinguish from others"
+            out.append(Fold(title, [Paragraph(", ".join(left))]))
+        return Section("told", "Identifiability", out)
+
+    def parameters(self) -> Section | None:
+        """All parameters."""
+        tables = parameter_tables(self.report.parameters)
+        said = "Deviations from the nominal robot, with their standard deviations; one unit a table."
+        return Section("parameters", "All parameters", [Paragraph(said, soft=True), *tables]) if tables else None
+
+    def end(self) -> Paragraph:
+        """Where the numbers come from."""
+        trace = self.data["trace"]
+        digest = trace["bag_sha256"] and f"recording sha256 {trace['bag_sha256']}"
+        known = (f"modcal {trace['version']}", trace["date"], trace["robot"], trace["instrument"], digest)
+        return Paragraph(" · ".join(filter(None, known)), soft=True)
 
 
-def _cell(share: float) -> tuple[str, str] | None:
-    """How full a cell is, and what it says; None where nothing was looked for."""
-    return None if np.isnan(share) else (f"{min(max(share, 0.0), 1.0):.2f}", f"{100.0 * share:.0f}")
+def _section(name: str, title: str, blocks: list[Any], short: str = "") -> Section | None:
+    """A section of these blocks; None where there is none."""
+    return Section(name, title, blocks, short) if blocks else None
 
 
-def _rejected(report: ReportContents) -> dict[str, Any] | None:
-    """The stations that were left out, the farthest first, and against what that is far."""
-    rows = report.rejected_rows()
-    if not len(rows):
-        return None
-    usual = 1e3 * float(np.median(report.residuals[~report.wrong])) if (~report.wrong).any() else 0.0
-    start = float(report.samples.stamps.min())
-    listed = []
-    for row in rows[:_MAX_LISTED]:
-        miss, stamp = 1e3 * float(report.residuals[row]), float(report.samples.stamps[row])
-        listed.append((int(report.samples.station[row]), stamp - start, miss, miss / max(usual, 1e-9)))
-    return {"usual": usual, "listed": listed, "more": len(rows) - len(listed)}
+def _span(ends: tuple[float, float], unit: str) -> str:
+    return f"{ends[0]:.3f} … {ends[1]:.3f}{unit}"
+
+
+def _predicted(share: Mapping[str, Any]) -> str:
+    low, high = (100 * end for end in share["ci95"])
+    return f"{100 * share['share']:.0f} % ({low:.0f} … {high:.0f} %)"
+
+
+def _account_table(one: Account) -> PageTable:
+    rows = []
+    for line in one.lines:
+        ends = "" if line.ci95 is None else f"{line.ci95[0]:.3g} … {line.ci95[1]:.3g}"
+        share = f"{round(100 * line.share, 2) + 0.0:.2f} %"
+        known = (f"{line.value:.4g}", ends, share, f"{line.rms:.4f}")
+        rows.append((line.words, *(known if line.known else ("not known", "", "", ""))))
+    rows.append(("nominal model", f"{one.total:.4g}", "", "100 %", f"{one.total**0.5:.4f}"))
+    header = ("what", f"{one.unit}²", "95 % interval", "of the nominal", f"root, {one.unit}")
+    return PageTable(f"Account in {one.unit}²", header, tuple(rows))

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.measurements import spread_rows
-from modcal_core.report.page import MAX_POSTURES, PageTable, RobotScene, arm_paths, joints_in_words, plain_page
-from modcal_core.report.sentence import counted, percent
+from modcal_core.outcome import counted
+from modcal_core.report.page import Listing, Page, PageTable, Section, files_section
+from modcal_core.report.scene import ShownPostures
+from modcal_core.report.words import percent
 from modcal_core.robots import LoadedArm, Window, constant_bounds
 
 _MAX = 200  # postures written one by one
@@ -117,12 +118,6 @@ def joint_limits(found: LimitsFound) -> dict[str, Any]:
     return {"joint_limits": out}
 
 
-_FILES = [
-    ("limits.json", "all numbers, for programs"),
-    ("joint_limits.yaml", "constant bounds in the form of MoveIt's file"),
-]
-
-
 def answer(found: LimitsFound) -> str:
     """What a person asks first: how fast the weakest joint may accelerate, and which drive is nearest to its limit."""
     lower, upper = found.constant
@@ -150,45 +145,32 @@ def limits_html(found: LimitsFound, title: str, notes: tuple[str, ...] = ()) -> 
         "bounds at once, at the tightest posture. For all postures: one set of bounds that holds at each of them, as "
         "joint_limits.yaml has it.",
     ]
-    return plain_page(
-        f"{title}: limits of acceleration", answer(found), lines, [], _FILES, _tables(found), _robot(found)
-    )
+    sections = [Section("bounds", "Bounds and loads", _tables(found)), _robot(found)]
+    files = files_section(("limits.json", "joint_limits.yaml"))
+    return Page(f"{title}: limits of acceleration", answer(found), [Listing(lines), *sections, files]).html()
 
 
 def _tables(found: LimitsFound) -> tuple[PageTable, ...]:
-    """Table of accelerations and holding torques, separate for revolute and prismatic joints."""
+    """Accelerations and holding torques, separate for revolute and prismatic joints."""
     chain, drives = found.arm.chain, found.arm.drives
-    alone, together = found.window.equivalent(), found.coupled
+    bounds = (found.window.equivalent(), found.coupled)
     out = []
     for turning, kind, unit, torque, inertia in (
         (True, "turning", "rad/s²", "N m", "kg m²"),
         (False, "sliding", "m/s²", "N", "kg"),
     ):
-        rows = [int(j) for j in np.flatnonzero(chain.revolute == turning)]
-        if not rows:
-            continue
-        bounds = tuple(
-            (
-                chain.names[j],
-                _span(alone[0][:, j].max(), alone[1][:, j].min()),
-                _span(together[0][:, j].max(), together[1][:, j].min()),
-                _span(found.constant[0][j], found.constant[1][j]),
-            )
-            for j in rows
-        )
-        header = ("joint", "alone", "together", "for all postures")
-        out.append(PageTable(f"Acceleration of {kind} joints, {unit}", header, bounds))
-        loads = tuple(
-            (
-                chain.names[j],
-                f"{drives.torque[j]:.3g}",
-                percent(found.load[:, j].max()),
-                _span(found.inertia[:, j].min(), found.inertia[:, j].max()),
-            )
-            for j in rows
-        )
+        allowed, loads = [], []
+        for j in (int(j) for j in np.flatnonzero(chain.revolute == turning)):
+            tightest = (_span(lower[:, j].max(), upper[:, j].min()) for lower, upper in bounds)
+            allowed.append((chain.names[j], *tightest, _span(found.constant[0][j], found.constant[1][j])))
+            span = _span(found.inertia[:, j].min(), found.inertia[:, j].max())
+            loads.append((chain.names[j], f"{drives.torque[j]:.3g}", percent(found.load[:, j].max()), span))
         header = ("joint", f"torque of the drive, {torque}", "of it needed to hold", f"inertia, {inertia}")
-        out.append(PageTable(f"Load of {kind} joints", header, loads))
+        if allowed:
+            names = ("joint", "alone", "together", "for all postures")
+            title = f"Acceleration of {kind} joints, {unit}"
+            out.append(PageTable(title, names, tuple(allowed), heading=True))
+            out.append(PageTable(f"Load of {kind} joints", header, tuple(loads), heading=True))
     return tuple(out)
 
 
@@ -200,21 +182,18 @@ def _span(low: float, high: float) -> str:
     return " … ".join(ends).replace("-", "−")
 
 
-def _robot(found: LimitsFound) -> RobotScene:
+def _robot(found: LimitsFound) -> Section:
     """The arm in its postures, every joint as large as the share of its torque that is needed at most."""
-    chain = found.arm.chain
-    rows = spread_rows(len(found.q), MAX_POSTURES)
-    paths = arm_paths(chain, found.q[rows])
-    said = []
-    for row in rows:
+    chain, shown = found.arm.chain, ShownPostures(found.arm.chain, found.q)
+    more = []
+    for row in shown.rows:
         j = int(np.argmax(found.load[row]))
-        said.append(
-            f"Posture {row + 1} of {len(found.q)}: {joints_in_words(chain, found.q[row])}. {chain.names[j]} needs "
-            f"{percent(found.load[row, j])} of its torque here. Discs: the share that each joint needs at most."
+        more.append(
+            f"{chain.names[j]} needs {percent(found.load[row, j])} of its torque here. Discs: the share that each "
+            "joint needs at most."
         )
     most = found.load.max(axis=0)
     alt = "The arm; a disc at each joint shows the share of its torque that is needed: " + ", ".join(
         f"{name} {percent(value)}" for name, value in zip(chain.names, most, strict=True)
     )
-    weights = tuple(float(min(value, 1.0)) for value in most)
-    return RobotScene(tuple(paths), tuple(said), paths[:, -1], np.arange(len(rows)), chain.base, alt, weights=weights)
+    return Section("robot", "Robot", [shown.scene(alt, more, weights=np.minimum(most, 1.0).tolist())])

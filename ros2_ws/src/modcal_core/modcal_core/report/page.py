@@ -1,4 +1,8 @@
-"""Pages that need nothing else: one file, its style and scripts inside, nothing fetched; and pictures for them."""
+"""Pages that need nothing else: one file, its style and scripts inside, nothing fetched.
+
+A page is an answer and, below it, sections. A section holds blocks: sentences, tables, charts, the scene in three
+dimensions, files. Every verb gives a list of sections; the template ``page.html.j2`` knows how each block looks.
+"""
 
 from __future__ import annotations
 
@@ -6,126 +10,185 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from modcal_core.geometry import Array
-from modcal_core.robots import ARMS, Mechanism, is_delta, tool_frames
+from modcal_core.report.charts import DARK, LIGHT, Chart
+from modcal_core.report.scene import Scene3D
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-
-INK, SOFT, LINE, PAPER, PANEL = "ink", "soft", "line", "paper", "panel"
-AFTER, BEFORE, GOOD, WARN, BAD = "after", "before", "good", "warn", "bad"
-
-# Text stands on paper and on panels in ink, soft, after, good, warn and bad: those keep a contrast of 4.5 there.
-COLOURS: dict[str, tuple[str, str]] = {
-    INK: ("#1c2430", "#e6eaf0"),
-    SOFT: ("#566172", "#a9b3c1"),
-    LINE: ("#d5dbe4", "#3a4350"),
-    PAPER: ("#ffffff", "#12161c"),
-    PANEL: ("#f3f6fa", "#1c222b"),
-    AFTER: ("#1a5fd0", "#7db1ff"),
-    BEFORE: ("#8791a0", "#7f8a99"),
-    GOOD: ("#2c6a38", "#7fcb8d"),
-    WARN: ("#85560a", "#e3b560"),
-    BAD: ("#b3263c", "#ff8f99"),
-}
-LIGHT = {name: light for name, (light, _) in COLOURS.items()}
-DARK = {name: dark for name, (_, dark) in COLOURS.items()}
-OF_AXES = (BAD, GOOD, AFTER)  # x, y, z
 TINT = 50  # per cent of `after` in the fullest cell of a map; ink can be read on it
 
-MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Sentences. lead: words before them in bold, in the colour of tone where that is given."""
+
+    text: str
+    lead: str = ""
+    tone: str = ""
+    soft: bool = False
 
 
 @dataclass(frozen=True)
-class RobotScene:
-    """All in the arm's base [m]. arms: polylines (k, 3), one a posture. said: a sentence for each posture. points: of
-    the target (N, 3), at the postures ``shown`` (indices). route: whether they are connected in order. cloud: others
-    (M, 3). marks: named places. weights: for each joint how large it is drawn, 0 … 1; empty: alike. base: its link.
-    alt: for those who do not see it.
-    """
+class Listing:
+    """Sentences one below the other. tone: of a line beside them. label: what they are, for those who do not see it."""
 
-    arms: tuple[Array, ...]
-    said: tuple[str, ...]
-    points: Array
-    shown: np.ndarray
-    base: str
-    alt: str
-    route: bool = False
-    cloud: Array | None = None
-    marks: tuple[tuple[str, Array], ...] = ()
-    weights: tuple[float, ...] = ()
-
-    def to_data(self) -> dict[str, Any]:
-        """What the page's script draws."""
-        cloud = np.empty((0, 3)) if self.cloud is None else self.cloud
-        return {
-            "points": np.round(self.points, 4).tolist(),
-            "stages": [],
-            "arms": [[np.round(path, 3).tolist()] for path in self.arms],
-            "shown": self.shown.tolist(),
-            "said": list(self.said),
-            "route": self.route,
-            "cloud": np.round(cloud, 3).tolist(),
-            "marks": [{"name": name, "at": np.round(at, 3).tolist()} for name, at in self.marks],
-            "weights": [round(weight, 4) for weight in self.weights],
-            "base": self.base,
-        }
-
-
-def arm_paths(chain: Mechanism, q: Array, T_tip_tool: Array | None = None) -> Array:
-    """Polylines from base over every joint to the tool at postures q (N, n), (N, n + 2, 3) [m], in the base."""
-    frames = tool_frames(chain, np.eye(4) if T_tip_tool is None else T_tip_tool, q, {})
-    p = np.moveaxis(frames.p, -1, 0)  # (N, places, 3)
-    if is_delta(chain):  # one line over all three arms
-        shoulders = [p[:, i] for i in range(1, 1 + ARMS)]
-        elbows = [s + frames.loops[i].lever.T for i, s in enumerate(shoulders, 1)]
-        tip = p[:, -2] if chain.has_shaft else p[:, -1]
-        (a, b, c), (e, f, g) = shoulders, elbows
-        return np.stack([p[:, 0], a, e, tip, f, b, c, g, tip, p[:, -1]], axis=1)
-    T = chain.T_base_root
-    return np.concatenate([np.zeros((len(q), 1, 3)), p @ T[:3, :3].T + T[:3, 3]], axis=1)
-
-
-def joints_in_words(chain: Mechanism, q: Array) -> str:
-    """A posture (n,) in degrees, and millimetres of sliding joints."""
-    turning = chain.revolute
-    values = (f"{np.degrees(x):.1f}°" if turns else f"{1e3 * x:.1f} mm" for x, turns in zip(q, turning, strict=True))
-    return ", ".join(f"{name} {value}" for name, value in zip(chain.names, values, strict=True))
-
-
-_PX = 1.48  # on the page, per point of a small chart: three then fill a row
-_NARROWEST = 300.0  # px; a wider chart is shrunk no further than 0.65 of its size, and can be moved sideways instead
-
-
-@dataclass(frozen=True)
-class Chart:
-    """A picture of a page. drawn: SVG in the page's colours. caption: under it. name: unique on the page."""
-
-    name: str
-    drawn: str
-    caption: str
+    lines: Sequence[str]
+    tone: str = ""
+    label: str = ""
 
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table of a page. words: how many columns, from the left, hold words. below: a sentence under it."""
+    """A table. words: how many columns, from the left, hold words. below: a sentence under it. strong: a column in
+    bold. heading: whether its title stands over it.
+    """
 
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     words: int = 1
     below: str = ""
+    strong: int = -1
+    heading: bool = False
 
 
-def render(template: str, **values: Any) -> str:
-    """The page that a template of this package makes of these values."""
-    return str(_environment().get_template(template).render(light=LIGHT, dark=DARK, tint=TINT, **values))
+@dataclass(frozen=True)
+class SideBySide:
+    """Small tables side by side."""
+
+    tables: Sequence[PageTable]
+
+
+@dataclass(frozen=True)
+class HeatTable:
+    """A table of shares, cells as full as they are. rows: names and shares, NaN where there is none."""
+
+    title: str
+    corner: str
+    columns: Sequence[str]
+    rows: Sequence[tuple[str, Sequence[float]]]
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The few numbers that are wanted first: names and values."""
+
+    rows: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names and values, None where one is left to be filled in. small: in small print, one a line."""
+
+    rows: Sequence[tuple[str, str | None]]
+    small: bool = False
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Lines to sign: roles, and names where they are known."""
+
+    rows: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Charts: small ones side by side, large ones one below the other."""
+
+    charts: Sequence[Chart]
+
+    @property
+    def small(self) -> bool:
+        """Whether they stand side by side."""
+        return len(self.charts) > 1 and all(one.width < 300.0 for one in self.charts)
+
+
+@dataclass(frozen=True)
+class File:
+    """A file beside the page. holds: what it is for. commands: how to use it, run in the page's folder."""
+
+    name: str
+    holds: str
+    commands: tuple[str, ...] = ()
+    is_file: bool = True
+
+
+@dataclass(frozen=True)
+class FileList:
+    """Files with what they are for."""
+
+    files: Sequence[File]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What is shown when it is asked for. name: of the part for experts, which paper leaves out."""
+
+    title: str
+    blocks: Sequence[Block]
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page. name: for links, unique on the page. title: its heading. short: its name in the list of
+    sections; empty: not listed.
+    """
+
+    name: str
+    title: str
+    blocks: Sequence[Block]
+    short: str = ""
+
+    @property
+    def script(self) -> bool:
+        """Whether it is empty without scripts."""
+        return all(isinstance(block, Scene3D) for block in self.blocks)
+
+
+Block = (
+    Paragraph | Listing | PageTable | SideBySide | HeatTable | Tiles | Facts | Signatures | Figures | FileList | Fold
+    | Section | Scene3D
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page. heading: a word over the answer. tone: its colour (plain, good, warn, bad). kind: report, certificate."""
+
+    title: str
+    answer: str
+    blocks: Sequence[Block | None]
+    heading: str = "Result"
+    tone: str = "plain"
+    kind: str = "report"
+
+    def html(self) -> str:
+        """The page as HTML text."""
+        blocks = [block for block in self.blocks if block is not None]
+        parts = [k for k, block in enumerate(blocks) if isinstance(block, Section | Fold)]
+        begin = parts[0] if parts else len(blocks)
+        listed = [b for b in blocks if isinstance(b, Section | Fold) and b.name]
+        links = [(b.name, b.short if isinstance(b, Section) else "Expert") for b in listed]
+        return str(
+            _environment()
+            .get_template("page.html.j2")
+            .render(
+                page=self,
+                lead=blocks[:begin],
+                sections=blocks[begin:],
+                links=[link for link in links if link[1]],
+                scene=any(isinstance(b, Scene3D) for s in blocks if isinstance(s, Section) for b in s.blocks),
+                light=LIGHT,
+                dark=DARK,
+                tint=TINT,
+            )
+        )
 
 
 @cache
@@ -133,49 +196,15 @@ def _environment() -> Environment:
     """The templates."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    return Environment(
+    made = Environment(
         loader=PackageLoader("modcal_core.report", "templates"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-
-
-def plain_page(
-    title: str,
-    verdict: str,
-    lines: list[str],
-    charts: list[Chart],
-    files: list[tuple[str, str]],
-    tables: Sequence[PageTable] = (),
-    robot: RobotScene | None = None,
-    expert: Sequence[Chart] = (),
-    expert_tables: Sequence[PageTable] = (),
-    heading: str = "Result",
-    tone: str = "plain",
-) -> str:
-    """A page of an answer, sentences, tables and pictures. verdict: the answer. files: names and what each holds.
-
-    robot: the arm in three dimensions, where there is one to show. expert, expert_tables: what is folded
-    away. heading, tone: a word over the answer, and its colour (plain, good, warn, bad).
-    """
-    return render(
-        "plain.html.j2",
-        title=title,
-        verdict=verdict,
-        tone=tone,
-        heading=heading,
-        lines=lines,
-        charts=charts,
-        expert=expert,
-        expert_tables=expert_tables,
-        files=files,
-        tables=tables,
-        scene=None if robot is None else as_script_data(robot.to_data()),
-        scene_alt="" if robot is None else robot.alt,
-        postures=0 if robot is None else len(robot.arms),
-    )
+    made.filters |= {"kind": lambda block: type(block).__name__, "script_data": as_script_data}
+    return made
 
 
 def as_script_data(data: Any) -> str:
@@ -183,17 +212,52 @@ def as_script_data(data: Any) -> str:
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
-def framed(body: str, width: float, height: float, alt: str, px: float = _PX) -> str:
-    """An SVG element of this width and height. body: what stands in it, and its end. px: of the page in a unit of it.
+FILES = (
+    File(
+        "calibration.yaml",
+        "Everything needed for prediction: nominal and calibrated arm, effects, base frames, tool, covariance.",
+        (
+            "modcal evaluate calibration.yaml OTHER_BAG --out check",
+            'ros2 launch modcal_nodes correct.launch.py calibration:="$PWD"',
+        ),
+    ),
+    File(
+        "calibrated.urdf",
+        "The robot description with corrected origins, every other byte as it was: geometry, no effects.",
+        ("ros2 run robot_state_publisher robot_state_publisher calibrated.urdf",),
+    ),
+    File("kinematics.yaml", "The same numbers in the manufacturer's format, or by joint name."),
+    File(
+        "calibrated_delta.yaml",
+        "The Delta's constants and the identified tool.",
+        ("modcal calibrate OTHER_BAG --delta calibrated_delta.yaml --out again",),
+    ),
+    File("report.json", "All numbers of this page, for programs.", ("python3 -m json.tool report.json",)),
+    File("report.html", "The error at these stations as a page."),
+    File("certificate.html", "The certificate."),
+    File("camera.yaml", "The lens, in the form of camera_info."),
+    File("check.json", "All numbers, for programs."),
+    File("limits.json", "All numbers, for programs."),
+    File("joint_limits.yaml", "Constant bounds in the form of MoveIt's file."),
+    File("plan.yaml", "The stations and what is expected of them, for programs."),
+    File("stations.csv", "Joint positions of the stations to measure, one a row."),
+    File("trajectory.yaml", "The way through the stations as a JointTrajectory."),
+    File("sensitivity.json", "All numbers, for programs."),
+    File("sensitivity.md", "Every parameter in a table."),
+    File("single_point.csv", "Single-point indices, one row a posture."),
+)
 
-    alt: what it shows, for those who do not see it.
-    """
-    natural = px * width
-    least = min(natural, max(_NARROWEST, 0.65 * natural))
-    return (
-        f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(alt, quote=True)}" '
-        f'style="max-width:{natural:.0f}px;min-width:{least:.0f}px">{body}'
-    )
+
+def files_section(names: Iterable[str], *more: File) -> Section | None:
+    """What the files of these names beside the page are for; others are passed over. None where none is left."""
+    beside = set(names)
+    files = [*(file for file in FILES if file.name in beside), *more]
+    if not files:
+        return None
+    commands = any(file.commands for file in files)
+    said = [Paragraph("Commands are run in the folder of this page.", soft=True)] if commands else []
+    title = "Files, and what to do with them" if commands else "Files"
+    return Section("files", title, [*said, FileList(files)], short="Files")
 
 
 _FIRST = ("mrad", "mm")  # then the others by name, numbers without a unit last
@@ -231,12 +295,16 @@ def with_deviation(quantity: Mapping[str, Any]) -> str:
     return number(factor * quantity["value"]) + (f" ± {number(factor * std, 1)}" if std else "")
 
 
-def size_tables(rows: Iterable[tuple[str, Sizes]]) -> list[PageTable]:
-    """A table for each unit of what effects are made of. rows: the name of an effect, and its sizes."""
+def size_tables(effects: Sequence[Mapping[str, Any]]) -> list[PageTable]:
+    """Sizes of effects as ``report.json`` has them, a table for each unit; of effects with one name the later ones are
+    numbered.
+    """
+    names = [f"{e['family'].replace('_', ' ')} at {e['place']}, {e['direction']}" for e in effects]
     found: dict[str, list[tuple[str, ...]]] = {}
-    for name, sizes in rows:
-        for quantity, size in sizes.items():
-            cells = (name, quantity.replace("_", " "), with_deviation(size))
+    for i, (name, effect) in enumerate(zip(names, effects, strict=True)):
+        count = names[:i].count(name) + 1
+        for quantity, size in effect["parameters"].items():
+            cells = (name if count == 1 else f"{name} ({count})", quantity.replace("_", " "), with_deviation(size))
             found.setdefault(scaled(str(size["unit"]))[0], []).append(cells)
     ranked = sorted(found, key=lambda unit: (_FIRST.index(unit) if unit in _FIRST else len(_FIRST), unit == "1", unit))
     return [
@@ -251,25 +319,21 @@ def size_tables(rows: Iterable[tuple[str, Sizes]]) -> list[PageTable]:
 
 
 Parameter = tuple[str, float, float, str]  # name, value, standard deviation, unit
-_PARTS = (("m", "mm", 1e3, "Lengths"), ("rad", "mrad", 1e3, "Angles"), ("1", "‰", 1e3, "Ratios"))
+_PARTS = {"m": ("mm", 1e3, "Lengths"), "rad": ("mrad", 1e3, "Angles"), "1": ("‰", 1e3, "Ratios")}
 
 
-@dataclass(frozen=True)
-class ParameterTable:
-    """Rows of one unit: name, value and standard deviation in it."""
-
-    title: str
-    unit: str
-    rows: tuple[tuple[str, float, float], ...]
-
-
-def parameter_tables(parameters: tuple[Parameter, ...]) -> tuple[ParameterTable, ...]:
-    """All of them, a table for each unit."""
-    parts = [(si, unit, factor, title) for si, unit, factor, title in _PARTS]
-    known = {si for si, *_ in _PARTS}
-    parts += [(unit, unit, 1.0, "Others") for unit in sorted({p[3] for p in parameters} - known)]
-    tables = [
-        ParameterTable(title, unit, tuple((name, factor * v, factor * s) for name, v, s, u in parameters if u == si))
-        for si, unit, factor, title in parts
-    ]
-    return tuple(table for table in tables if table.rows)
+def parameter_tables(parameters: Iterable[Parameter]) -> list[Fold]:
+    """All parameters, a folded table for each unit."""
+    by_unit: dict[str, list[Parameter]] = {unit: [] for unit in _PARTS}
+    for parameter in parameters:
+        by_unit.setdefault(parameter[3], []).append(parameter)
+    out = []
+    for si, rows in by_unit.items():
+        unit, factor, title = _PARTS.get(si, (si, 1.0, "Others"))
+        header = ("name", f"value, {unit}", f"standard deviation, {unit}", "value ÷ deviation")
+        cells = tuple(
+            (name, f"{factor * v:.4f}", f"{factor * s:.4f}", f"{abs(v / s):.1f}" if s else "") for name, v, s, _ in rows
+        )
+        if rows:
+            out.append(Fold(f"{title}, {unit}: {len(rows)}", [PageTable(title, header, cells)]))
+    return out

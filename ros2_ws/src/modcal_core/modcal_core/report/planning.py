@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -10,41 +9,34 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
-from modcal_core.planning import Accuracy, Plan
+from modcal_core.planning import Plan
 from modcal_core.report.as_json import claim_data
-from modcal_core.report.page import MAX_POINTS, MAX_POSTURES, Chart, RobotScene, arm_paths, joints_in_words, plain_page
-from modcal_core.report.plots import Panel, side_by_side
-from modcal_core.report.sentence import percent
+from modcal_core.report.charts import AFTER, BAD, BEFORE, INK, SMALL, Chart, Panel, as_file
+from modcal_core.report.page import Figures, Listing, Page, Section, files_section
+from modcal_core.report.scene import MAX_POINTS, ShownPostures, arm_paths
+from modcal_core.report.words import percent
 from modcal_core.robots import plain
 
-_FILES = [
-    ("plan.yaml", "the stations and what is expected of them, for programs"),
-    ("stations.csv", "joint positions, one station a row"),
-    ("trajectory.yaml", "the way through them as a JointTrajectory"),
-]
 _MEASURES = {"p95": "95th percentile", "rms": "RMS"}
 _VIEWS = (("from above", (0, 1)), ("from the side", (0, 2)))
-_HIGH = 200.0  # points
+_HIGH = 200.0  # points; of a view
 _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 
 
 def to_plan_data(plan: Plan) -> dict[str, Any]:
     """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
-    random = _middle(plan.random)
-    indices = plan.indices
+    expected, ground = plan.expected, plan.ground
+    indices = expected.indices
     return {
         "modcal_plan": 1,
-        "joints": list(plan.pool.model.chain.names),
+        "joints": list(ground.model.chain.names),
         "reading": plan.request.reading,
         "criterion": plan.request.criterion,
-        "parameters": [p.name for p in plan.pool.parameters],
-        **claim_data(plan.claim),
-        "left_rms_mm": {"planned": 1e3 * plan.accuracy.model, "random": 1e3 * random.model},
-        "not_repeated_rms_mm": 1e3 * plan.accuracy.repeat,
-        "ratio_to_random": {
-            "total_rms": plan.accuracy.rms / random.rms,
-            "model_rms": plan.accuracy.model / random.model,
-        },
+        "parameters": list(plan.parameters),
+        **claim_data(expected.claim),
+        "left_rms_mm": {"planned": 1e3 * expected.left, "random": 1e3 * expected.at_random},
+        "not_repeated_rms_mm": 1e3 * expected.repeat,
+        "ratio_to_random": expected.ratios,
         "observability": {
             **{name: float(getattr(indices, name)) for name in ("o1", "o2", "o3", "o4", "o5")},
             "rank": indices.rank,
@@ -61,14 +53,9 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _middle(sets: Sequence[Accuracy]) -> Accuracy:
-    """The medians of several accuracies."""
-    return Accuracy(*(float(np.median([getattr(a, k) for a in sets])) for k in ("model", "repeat")))
-
-
 def plan_sentences(plan: Plan) -> list[str]:
     """What a person should know."""
-    request, a, k, claim = plan.request, plan.accuracy, plan.distinct, plan.claim
+    request, expected, k, claim = plan.request, plan.expected, plan.distinct, plan.expected.claim
     more = "" if request.besides is None else f" besides the {len(request.besides)} that are measured"
     asked = (
         ""
@@ -78,7 +65,8 @@ def plan_sentences(plan: Plan) -> list[str]:
     out = [
         f"{k} stations{more}{asked}. To be claimed of a usual arm: 95 % of the errors over the workspace are below "
         f"{claim.mm['p95'].ci95[1]:.3f} mm, RMS at most {claim.mm['rms'].ci95[1]:.3f} mm. The fit leaves "
-        f"{1e3 * a.model:.3f} mm RMS by the site's noise, and the joints do not repeat {1e3 * a.repeat:.3f} mm."
+        f"{1e3 * expected.left:.3f} mm RMS by the site's noise, and the joints do not repeat "
+        f"{1e3 * expected.repeat:.3f} mm."
     ]
     if pairs := plan.route.returns:
         out.append(
@@ -87,19 +75,20 @@ def plan_sentences(plan: Plan) -> list[str]:
         )
     else:
         out.append("No station is visited twice: the noise floor will be unknown.")
-    random = _middle(plan.random)
     out.append(
-        f"{k} stations drawn at random from the same postures would leave {1e3 * random.model:.3f} mm where these "
-        f"leave {1e3 * a.model:.3f} mm: the ratio is {a.model / random.model:.2f}."
+        f"{k} stations drawn at random from the same postures would leave {1e3 * expected.at_random:.3f} mm where "
+        f"these leave {1e3 * expected.left:.3f} mm: the ratio is {expected.ratios['model_rms']:.2f}."
     )
     free, seen = plan.pool.shares
     said = f"{percent(free)} of the postures within the limits touch nothing"
-    out.append(said + ("." if plan.pool.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
-    if plan.pool.site.floor is None:
+    out.append(said + ("." if plan.ground.site.tracker is None else f"; of these the tracker sees {percent(seen)}."))
+    if plan.ground.site.floor is None:
         out.append("No floor is given: stations may lie below the base.")
-    P = len(plan.pool.parameters)
-    if plan.indices.rank < P:
-        out.append(f"These stations show {plan.indices.rank} of {P} parameters: the others keep their nominal values.")
+    P = len(plan.parameters)
+    if expected.indices.rank < P:
+        out.append(
+            f"These stations show {expected.indices.rank} of {P} parameters: the others keep their nominal values."
+        )
     if plan.route.blocked:
         ways = ", ".join(f"{i + 1} to {i + 2}" for i in plan.route.blocked)
         out.append(f"No free path was found from station {ways}: use a motion planner or move the arm by hand there.")
@@ -109,7 +98,7 @@ def plan_sentences(plan: Plan) -> list[str]:
 def to_csv(plan: Plan) -> str:
     """Joint positions [rad, m], one station a row, under the joints' names."""
     rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in plan.q)
-    return ",".join(plan.pool.model.chain.names) + "\n" + rows
+    return ",".join(plan.ground.model.chain.names) + "\n" + rows
 
 
 def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]:
@@ -136,54 +125,53 @@ def to_trajectory_data(plan: Plan, speed: float, dwell: float) -> dict[str, Any]
             stand(here)
         now += dwell
         stand(stops[-1])
-    return {"joint_names": list(plan.pool.model.chain.names), "points": points}
+    return {"joint_names": list(plan.ground.model.chain.names), "points": points}
 
 
 def figure(plan: Plan) -> str:
     """The picture of the stations as a file of its own, SVG."""
-    return side_by_side(_charts(plan), _HIGH)
+    return as_file(_charts(plan))
 
 
 def planning_html(plan: Plan, title: str) -> str:
     """The plan as a page: sentences, pictures, files."""
     first, *others = plan_sentences(plan)
-    return plain_page(f"{title}: stations to measure", first, others, _charts(plan), _FILES, robot=_robot(plan))
+    views = Section("stations", "Stations", [Figures(_charts(plan))])
+    files = files_section(("plan.yaml", "stations.csv", "trajectory.yaml"))
+    return Page(f"{title}: stations to measure", first, [Listing(others), _robot(plan), views, files]).html()
 
 
-def _robot(plan: Plan) -> RobotScene:
+def _robot(plan: Plan) -> Section:
     """The arm at the stations in their order, among the places that could be chosen."""
-    pool, tracker = plan.pool, plan.pool.site.tracker
-    chain = pool.model.chain
-    rows = spread_rows(len(plan.q), MAX_POSTURES)
-    paths = arm_paths(chain, plan.q, pool.model.T_tip_tool)
-    could = arm_paths(chain, pool.q[spread_rows(len(pool.q), MAX_POINTS)], pool.model.T_tip_tool)[:, -1]
-    said = [f"Station {row + 1} of {len(plan.q)}: {joints_in_words(chain, plan.q[row])}." for row in rows]
-    marks = () if tracker is None else (("tracker", tracker.position),)
+    pool, tracker = plan.pool, plan.ground.site.tracker
+    shown = ShownPostures(plan.ground.model.chain, plan.q, "Station", plan.ground.model.T_tip_tool)
+    some = pool.q[spread_rows(len(pool.q), MAX_POINTS)]
+    way, could = (arm_paths(shown.chain, q, shown.T_tip_tool)[:, -1] for q in (plan.q, some))
     alt = f"The arm at {len(plan.q)} stations, in order, among the places that could be chosen."
-    points = paths[:, -1]
-    return RobotScene(tuple(paths[rows]), tuple(said), points, rows, chain.base, alt, True, could, marks)
+    marks = () if tracker is None else (("tracker", tracker.position),)
+    others: dict[str, Any] = {"points": way, "shown": shown.rows, "route": True, "cloud": could, "marks": marks}
+    return Section("robot", "Robot", [shown.scene(alt, **others)])
 
 
 def _charts(plan: Plan) -> list[Chart]:
     """Where the target stands at the stations, seen along two axes of the base, among all that could be chosen."""
-    pool, tracker = plan.pool, plan.pool.site.tracker
-    origin = pool.model.T_frame_base[0][:3, 3]
-    could, chosen = (pool.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
+    pool, ground, tracker = plan.pool, plan.ground, plan.ground.site.tracker
+    origin = ground.model.T_frame_base[0][:3, 3]
+    could, chosen = (ground.model.predict(q)[:, :3, 3] - origin for q in (pool.q, plan.q))
     could = could[spread_rows(len(could), MAX_POINTS)]
     base = np.zeros((1, 3))
     sight = base[:0] if tracker is None else np.asarray(tracker.position, dtype=float)[None]
     every = np.concatenate([could, chosen, base, sight])
     out = []
     for seen, (i, j) in _VIEWS:
-        panel = Panel.to_scale(every[:, i], every[:, j], _HIGH)
-        panel.dashes(could[:, i], could[:, j], "before", 0.0, 1.2)
-        panel.line(chosen[:, i], chosen[:, j], "after", 0.5)
-        panel.dashes(chosen[:, i], chosen[:, j], "after", 0.0, 3.5)
-        panel.hollow(base[:, i], base[:, j], "ink", "square")
-        panel.hollow(sight[:, i], sight[:, j], "bad", "triangle")
+        panel = Panel.to_scale((f"{'xyz'[i]}, m", every[:, i]), (f"{'xyz'[j]}, m", every[:, j]), SMALL[0], _HIGH)
+        panel.marks(could[:, i], could[:, j], BEFORE, "dot", 1.2)
+        panel.line(chosen[:, i], chosen[:, j], AFTER, 0.5)
+        panel.marks(chosen[:, i], chosen[:, j], AFTER, "dot", 3.5)
+        panel.marks(base[:, i], base[:, j], INK, "square")
+        panel.marks(sight[:, i], sight[:, j], BAD, "triangle")
         alt = f"{len(plan.q)} stations among the postures that could be chosen, {seen}."
         words = f"Stations {seen}: small dots could be chosen, the line connects the stations in their order; the base "
         words += "is a square." if tracker is None else "is a square, the tracker a triangle."
-        name = f"stations-{'xyz'[j]}"
-        out.append(panel.chart(name, f"{'xyz'[i]}, m", f"{'xyz'[j]}, m", alt, words))
+        out.append(panel.chart(f"stations-{'xyz'[j]}", alt, words))
     return out

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from modcal_core.calibration import Calibration, to_data
 from modcal_core.files import to_json, to_yaml, write_folder
 from modcal_core.geometry import so3
+from modcal_core.outcome import Outcome
 from modcal_core.report.as_json import to_json_data
-from modcal_core.report.contents import ReportContents
-from modcal_core.report.sentence import sentence
 from modcal_core.report.terminal import summary, text
+from modcal_core.report.words import sentence
 from modcal_core.robots import Chain, Delta, delta_to_data
 
 
 def calibration_files(
     calibration: Calibration,
-    report: ReportContents,
+    report: Outcome,
     nominal: Chain,
     urdf: str,
     factory: Mapping[str, Any] | None = None,
@@ -49,7 +49,7 @@ def calibration_files(
     )
 
 
-def delta_files(calibration: Calibration, report: ReportContents, page: bool = True) -> dict[str, str]:
+def delta_files(calibration: Calibration, report: Outcome, page: bool = True) -> dict[str, str]:
     """The same for a Delta, into whose file the tool that was found is written as well."""
     calibrated = calibration.geometric.chain
     assert isinstance(calibrated, Delta)
@@ -63,14 +63,12 @@ def delta_files(calibration: Calibration, report: ReportContents, page: bool = T
     )
 
 
-def report_files(report: ReportContents, page: bool = True, calibration: str = "") -> dict[str, str]:
+def report_files(report: Outcome, page: bool = True, calibration: str = "") -> dict[str, str]:
     """Names and texts of a report. calibration: of an evaluation, the name of what was evaluated."""
     return _with_report(report, {}, page, calibration)
 
 
-def _with_report(
-    report: ReportContents, others: dict[str, str], page: bool = True, calibration: str = ""
-) -> dict[str, str]:
+def _with_report(report: Outcome, others: dict[str, str], page: bool = True, calibration: str = "") -> dict[str, str]:
     """A report, whose page names the other files as well, before those."""
     files = {"report.json": to_json(to_json_data(report))}
     if page:
@@ -82,8 +80,13 @@ def _with_report(
 
 
 @dataclass(frozen=True)
-class Report(ReportContents):
-    """Everything a calibration or an evaluation has to say."""
+class Report(Outcome):
+    """An outcome with what a person and a program read of it."""
+
+    @classmethod
+    def of(cls, outcome: Outcome) -> Self:
+        """The report of an outcome."""
+        return cls(**{one.name: getattr(outcome, one.name) for one in fields(outcome)})
 
     @property
     def verdict(self) -> str:

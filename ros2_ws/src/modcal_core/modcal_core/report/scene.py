@@ -1,9 +1,10 @@
-"""The robot in three dimensions with what each held-out sample misses by: data for the page, and a still picture."""
+"""The scene of a page in three dimensions: an arm in its postures, or an object that moves, and what stands around."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,58 +13,118 @@ from modcal_core.effects import motion
 from modcal_core.geometry import Array
 from modcal_core.measurements import Samples, spread_rows
 from modcal_core.measurements.kinds import indirect_rows
-from modcal_core.report.contents import ReportContents
-from modcal_core.report.page import AFTER, BEFORE, INK, LIGHT, SOFT, Chart
-from modcal_core.report.plots import chart, columns, limits_to_scale, line_size, plot
-from modcal_core.robots import ARMS, Delta, tool_frames
+from modcal_core.outcome import Outcome
+from modcal_core.robots import ARMS, Delta, Mechanism, is_delta, tool_frames
 
-if TYPE_CHECKING:
-    from lets_plot.plot.core import PlotSpec
-
-MAX_ARROWS = 300
-_MAX_POSTURES = 60
-_MAX_STILL = 120  # arrows of the still picture, which cannot be turned or zoomed
-_MAX_STAGES = 7
-_WIDE, _HIGH = 386, 384  # px, either half of the still picture
-_RATIO = 1.0  # width to height of what is between its axes, about
+MAX_POSTURES, MAX_POINTS = 60, 500  # that a page can show and a person look through
 
 
 @dataclass(frozen=True)
-class ReportScene:
-    """All in the arm's base [m]. points: where the tool is, (N, 3). stages: name and misses (N, 3). paths: of the arm
-    at the points ``shown``, polylines (k, 3). names: of the points. partly: some readings see along one line only.
-    base: name of the base link.
+class Scene3D:
+    """What the page's script draws, all in one frame [m].
+
+    points: of the target (N, 3). arms: polylines (k, 3) of each posture that can be chosen. shown: the point of each
+    posture, indices. said: a sentence for each posture. base: name of the frame. alt: for those who do not see it.
+    stages: name and misses (N, 3) by model; names: of the points, for sentences about them. route: whether the points
+    are connected in order. cloud: others (M, 3). marks: named places. lines: named lines (2, 3). weights: how large a
+    joint is drawn, 0 … 1. local: whether the frame's origin may be far away. slider, legend: words beside the scene.
     """
 
     points: Array
-    stages: tuple[tuple[str, Array], ...]
-    paths: tuple[tuple[Array, ...], ...]
+    arms: Sequence[Sequence[Array]]
     shown: np.ndarray
-    names: tuple[str, ...]
-    partly: bool
-    base: str = ""
+    said: Sequence[str]
+    base: str
+    alt: str
+    stages: Sequence[tuple[str, Array]] = ()
+    names: Sequence[str] = ()
+    route: bool = False
+    cloud: Array | None = None
+    marks: Sequence[tuple[str, Array]] = ()
+    lines: Sequence[tuple[str, Array]] = ()
+    weights: Sequence[float] = ()
+    local: bool = False
+    slider: str = "Posture"
+    legend: str = "The grid is the floor of the base."
 
     def to_data(self) -> dict[str, Any]:
-        """What the page's script draws: metres, and millimetres of the misses."""
+        """The same as JSON has it, misses in millimetres."""
+        digits = 4 if self.local else 3
         return {
             "points": np.round(self.points, 4).tolist(),
             "stages": [{"name": name, "arrows": np.round(1e3 * miss, 4).tolist()} for name, miss in self.stages],
-            "arms": [[np.round(path, 3).tolist() for path in arm] for arm in self.paths],
+            "arms": [[np.round(path, digits).tolist() for path in arm] for arm in self.arms],
             "shown": self.shown.tolist(),
+            "said": list(self.said),
             "names": list(self.names),
+            "route": self.route,
+            "cloud": [] if self.cloud is None else np.round(self.cloud, digits).tolist(),
+            "marks": [{"name": name, "at": np.round(at, 3).tolist()} for name, at in self.marks],
+            "lines": [{"name": name, "path": np.round(path, 4).tolist()} for name, path in self.lines],
+            "weights": [round(float(weight), 4) for weight in self.weights],
             "base": self.base,
+            "local": self.local,
         }
 
 
-def scene(report: ReportContents, share: float = 1.0) -> ReportScene | None:
-    """The scene of a report's held-out samples; None where no model or no sample is at hand.
+def arm_paths(chain: Mechanism, q: Array, T_tip_tool: Array | None = None) -> Array:
+    """Polylines from base over every joint to the tool at postures q (N, n), (N, n + 2, 3) [m], in the base."""
+    frames = tool_frames(chain, np.eye(4) if T_tip_tool is None else T_tip_tool, q, {})
+    p = np.moveaxis(frames.p, -1, 0)  # (N, places, 3)
+    if is_delta(chain):  # one line over all three arms
+        shoulders = [p[:, i] for i in range(1, 1 + ARMS)]
+        elbows = [s + frames.loops[i].lever.T for i, s in enumerate(shoulders, 1)]
+        tip = p[:, -2] if chain.has_shaft else p[:, -1]
+        (a, b, c), (e, f, g) = shoulders, elbows
+        return np.stack([p[:, 0], a, e, tip, f, b, c, g, tip, p[:, -1]], axis=1)
+    T = chain.T_base_root
+    return np.concatenate([np.zeros((len(q), 1, 3)), p @ T[:3, :3].T + T[:3, 3]], axis=1)
 
-    share: of the arrows that are usually drawn.
-    """
+
+def joints_in_words(chain: Mechanism, q: Array) -> str:
+    """A posture (n,) in degrees, and millimetres of sliding joints."""
+    turning = chain.revolute
+    values = (f"{np.degrees(x):.1f}°" if turns else f"{1e3 * x:.1f} mm" for x, turns in zip(q, turning, strict=True))
+    return ", ".join(f"{name} {value}" for name, value in zip(chain.names, values, strict=True))
+
+
+@dataclass(frozen=True)
+class ShownPostures:
+    """Postures of an arm that a scene shows. what: Posture, Station or Image. q: (N, n). rows: those that are shown."""
+
+    chain: Mechanism
+    q: Array
+    what: str = "Posture"
+    T_tip_tool: Array | None = None
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Numbers of the postures that are shown."""
+        return spread_rows(len(self.q), MAX_POSTURES)
+
+    def said(self, row: int) -> str:
+        """A posture in words."""
+        return f"{self.what} {row + 1} of {len(self.q)}: {joints_in_words(self.chain, self.q[row])}."
+
+    def scene(self, alt: str, more: Sequence[str] = (), **others: Any) -> Scene3D:
+        """The scene of these postures. more: a sentence for each that is shown. others: fields of the scene."""
+        paths = arm_paths(self.chain, self.q[self.rows], self.T_tip_tool)
+        said = [self.said(int(row)) for row in self.rows]
+        said = [f"{one} {also}" for one, also in zip(said, more, strict=True)] if more else said
+        given: dict[str, Any] = {"points": paths[:, -1], "shown": np.arange(len(paths)), **others}
+        return Scene3D(arms=[[path] for path in paths], said=said, base=self.chain.base, alt=alt, **given)
+
+
+MAX_ARROWS = 300
+_MAX_STAGES = 7
+
+
+def scene(report: Outcome) -> Scene3D | None:
+    """The arm and what each held-out sample misses by; None where no model or no sample is at hand."""
     model, scored = report.model, report.scored
     if model is None or not len(scored):
         return None
-    rows = spread_rows(len(scored), int(share * MAX_ARROWS))
+    rows = spread_rows(len(scored), MAX_ARROWS)
     samples = scored.select(rows)
     indirect = indirect_rows(samples)
     named = [("nominal model", report.errors["nominal"]), *((s.added, s.errors) for s in report.steps)]
@@ -76,10 +137,17 @@ def scene(report: ReportContents, share: float = 1.0) -> ReportScene | None:
         of_root = miss @ model.chain.T_base_root[:3, :3].T
         stages.append((name, np.where(indirect[:, None], of_root, np.einsum("nji,nj->ni", R_frame_base, miss))))
     places = _arms(model, samples)
-    shown = spread_rows(len(samples), max(int(share * _MAX_POSTURES), 8))
-    paths = tuple(tuple(path[k] for path in places) for k in shown)
-    names = tuple(f"station {int(s)}" for s in samples.station)
-    return ReportScene(places[-1][:, -1], tuple(stages), paths, shown, names, bool(indirect.any()), model.chain.base)
+    shown = spread_rows(len(samples), MAX_POSTURES)
+    return Scene3D(
+        points=places[-1][:, -1],
+        arms=tuple(tuple(path[k] for path in places) for k in shown),
+        shown=shown,
+        said=(),
+        base=model.chain.base,
+        alt="The arm and an arrow for the error of every held-out sample",
+        stages=tuple(stages),
+        names=tuple(f"station {int(s)}" for s in samples.station),
+    )
 
 
 def _arms(model: Model, samples: Samples) -> list[Array]:
@@ -95,71 +163,3 @@ def _arms(model: Model, samples: Samples) -> list[Array]:
     elbows = [p[:, i] + (f.loops[i].lever.T @ T[:3, :3].T) for i in range(1, 1 + ARMS)]
     arms = [np.concatenate([base, p[:, i : i + 1], elbows[i - 1][:, None], tip], axis=1) for i in range(1, 1 + ARMS)]
     return [*arms, np.concatenate([tip, p[:, -1:]], axis=1)]
-
-
-def still(drawn: ReportScene) -> Chart:
-    """The same from the side and from above, for paper and where no script runs."""
-    import lets_plot as lp
-
-    rows = spread_rows(len(drawn.points), _MAX_STILL)
-    points = drawn.points[rows]
-    before, after = 1e3 * drawn.stages[0][1][rows], 1e3 * drawn.stages[-1][1][rows]
-    reach = float(np.ptp(points, axis=0).max()) or 1.0
-    usual = float(np.percentile(np.linalg.norm(before, axis=1), 95)) or 1.0
-    scale = float(f"{0.15e3 * reach / usual:.1g}")
-    arm = drawn.paths[len(drawn.paths) // 2]
-    views = [
-        _view(points, ((before, BEFORE, 1.2), (after, AFTER, 2.1)), scale, arm, axes, seen)
-        for axes, seen in (((0, 1), "from above"), ((0, 2), "from the side"))
-    ]
-    alt = f"The arm and the errors of {len(points)} held-out samples, from above and from the side."
-    words = (
-        f"Errors are drawn {scale:g} times as long as they are: thin grey lines with the nominal model, "
-        "thick blue ones with the final."
-    )
-    return chart(lp.gggrid(views, hspace=16) + lp.ggsize(2 * _WIDE + 16, _HIGH), "still", alt, words)
-
-
-def _view(
-    points: Array,
-    misses: tuple[tuple[Array, str, float], ...],
-    scale: float,
-    arm: tuple[Array, ...],
-    axes: tuple[int, int],
-    seen: str,
-) -> PlotSpec:
-    """The arm, the points (N, 3) [m] and their misses, each (N, 3) [mm], a colour and a width, along two axes."""
-    import lets_plot as lp
-
-    i, j = axes
-    x, y = (f"{'xyz'[i]}, m ({seen})", f"{'xyz'[j]}, m")
-    view = plot(_WIDE, _HIGH, x, y)
-    place = lp.aes("x", "y")
-    for path in arm:
-        at = columns({"x": path[:, i], "y": path[:, j]})
-        view += lp.geom_path(place, data=at, color=LIGHT[INK], size=line_size(3.0))
-        view += lp.geom_point(place, data=at, color=LIGHT[INK], size=line_size(5.2))
-    tips = [points + 1e-3 * scale * miss for miss, *_ in misses]
-    for to, (_, colour, width) in zip(tips, misses, strict=True):
-        ends = {"x": points[:, i], "y": points[:, j], "to_x": to[:, i], "to_y": to[:, j]}
-        view += lp.geom_segment(
-            lp.aes("x", "y", xend="to_x", yend="to_y"), data=columns(ends), color=LIGHT[colour], size=line_size(width)
-        )
-    at = columns({"x": points[:, i], "y": points[:, j]})
-    view += lp.geom_point(place, data=at, color=LIGHT[SOFT], size=line_size(2.6))
-    every = np.concatenate([points, *tips, *arm])
-    (left, right), (low, high) = limits_to_scale(every[:, i], every[:, j], _RATIO)
-    room = 0.25 * (right - left) / scale * 1e3
-    decade = 10.0 ** np.floor(np.log10(room))
-    mm = float(max(m * decade for m in (1.0, 2.0, 5.0) if m * decade <= room))
-    at_x, at_y, tall = left + 0.04 * (right - left), low + 0.04 * (high - low), 0.01 * (high - low)
-    bar = {"color": LIGHT[INK], "size": line_size(2.0)}
-    end = at_x + 1e-3 * scale * mm
-    view += lp.geom_segment(x=at_x, xend=end, y=at_y, yend=at_y, **bar)
-    for side in (at_x, end):
-        view += lp.geom_segment(x=side, xend=side, y=at_y - tall, yend=at_y + tall, **bar)
-    view += lp.geom_text(
-        x=at_x, y=at_y + 0.025 * (high - low), label=f"{mm:g} mm of error", size=5.0, hjust=0, vjust=0, color=LIGHT[INK]
-    )
-    view += lp.scale_x_continuous(expand=[0, 0]) + lp.scale_y_continuous(expand=[0, 0])
-    return view + lp.coord_fixed(xlim=[left, right], ylim=[low, high])

@@ -2,41 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from modcal_core.measurements import spread_rows
 from modcal_core.planning import NAMED, Study
-from modcal_core.report.page import (
-    AFTER,
-    GOOD,
-    INK,
-    LIGHT,
-    MAX_POSTURES,
-    WARN,
-    PageTable,
-    RobotScene,
-    arm_paths,
-    joints_in_words,
-    plain_page,
-)
-from modcal_core.report.plots import SMALL, chart, columns, line_size, plot, svg
-from modcal_core.report.sentence import percent
+from modcal_core.report.charts import AFTER, GOOD, INK, LARGE, WARN, Axis, Chart, Panel, as_file
+from modcal_core.report.page import Block, Figures, Fold, Listing, Page, PageTable, Section, files_section
+from modcal_core.report.scene import Scene3D, ShownPostures
+from modcal_core.report.words import percent
 
-if TYPE_CHECKING:
-    from lets_plot.plot.core import FeatureSpec, PlotSpec
-
-_FILES = [
-    ("sensitivity.json", "all numbers, for programs"),
-    ("sensitivity.md", "every parameter in a table"),
-    ("single_point.csv", "single-point indices, one row a posture"),
-]
 _SAME = 1e-6  # share of an index within which it is the same at every posture
 _LISTED = 10  # parameters of a table on the page
-_PLAIN = ("gain",)  # pictures for everybody; the indices are for experts
-_ROW = 21  # px of a picture, a parameter
+_ROW = 14.0  # points of a picture, a parameter
+_LEVELS = 12  # of the cells of a map
 _NAMED = 3  # of the strongest parameters, in a sentence
 
 
@@ -74,14 +53,14 @@ def sensitivity_data(study: Study) -> dict[str, Any]:
     return {
         "modcal_sensitivity": 1,
         "joints": list(study.closed.chain.names),
-        "design": {"name": study.design, "postures": len(study.q)},
+        "design": {"name": study.of.design, "postures": len(study.of.q)},
         "base_factor": at.names[at.base],
         "rms_mm": {"as_built": 1e3 * joint.before.rms, "after_measuring": 1e3 * joint.after.rms},
         "measured": {
-            "stations": len(study.measured.q),
-            "kind": study.measured.kind,
-            "std_mm": 1e3 * study.measured.std_m,
-            "std_mrad": 1e3 * study.measured.std_rad,
+            "stations": len(study.of.measured.q),
+            "kind": study.of.measured.kind,
+            "std_mm": 1e3 * study.of.measured.std_m,
+            "std_mrad": 1e3 * study.of.measured.std_rad,
         },
         "parameters": rows,
         "sentences": sensitivity_sentences(study),
@@ -96,7 +75,7 @@ def _constant(study: Study) -> np.ndarray:
 
 def sensitivity_sentences(study: Study) -> list[str]:
     """What a person should know first."""
-    joint, names = study.joint, study.closed.names
+    joint, names, measured = study.joint, study.closed.names, study.of.measured
     lengths = np.array([f.is_length for f in study.closed.factors])
     constant = _constant(study)
     order = np.argsort(-joint.before.share)
@@ -112,7 +91,7 @@ def sensitivity_sentences(study: Study) -> list[str]:
         said = f"{varying} of {angles} angles have a different influence from pose to pose"
         out.append(said + (f"; {', '.join(steady)} move the point by the same at every one." if steady else "."))
     out.append(
-        f"{len(study.measured.q)} stations ({study.measured.kind}s, {1e3 * study.measured.std_m:.3g} mm) would leave "
+        f"{len(measured.q)} stations ({measured.kind}s, {1e3 * measured.std_m:.3g} mm) would leave "
         f"{1e3 * joint.after.rms:.3f} mm."
     )
     for k in np.flatnonzero(joint.unseen):
@@ -148,7 +127,7 @@ def to_text(study: Study) -> str:
     joint, at = study.joint, study.indices
     head = (
         f"| parameter | SFCDPE mm | RSFCDPE | mean mm | min … max mm | share | S | S_T | S_T distance | gain mm "
-        f"| seen by {len(study.measured.q)} stations | gain left mm |"
+        f"| seen by {len(study.of.measured.q)} stations | gain left mm |"
     )
     lines = ["# Sensitivity", "", *(f"* {s}" for s in sensitivity_sentences(study)), "", head, "|---" * 12 + "|"]
     vector, distance = study.variance["vector"], study.variance["distance"]
@@ -161,31 +140,34 @@ def to_text(study: Study) -> str:
             f"| {distance.total[k]:.3f} | {1e3 * joint.before.rms_gain[k]:.4f} | {joint.seen[k]:.0%} "
             f"| {1e3 * joint.after.rms_gain[k]:.4f} |"
         )
-    lines += ["", f"Base factor {at.names[at.base]}; {study.design}, {len(study.q)} postures."]
+    lines += ["", f"Base factor {at.names[at.base]}; {study.of.design}, {len(study.of.q)} postures."]
     return "\n".join(lines) + "\n"
 
 
 def single_csv(study: Study) -> str:
     """Single-point indices [mm] as CSV: joints, then parameters; one row a posture."""
     head = ",".join([*study.closed.chain.names, *study.indices.names])
-    rows = np.c_[study.q, 1e3 * study.indices.single]
+    rows = np.c_[study.of.q, 1e3 * study.indices.single]
     return head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows)
 
 
 def pictures(study: Study) -> dict[str, str]:
     """Names and texts of the SVG files."""
-    return {f"{name}.svg": svg(drawn, name) for name, (drawn, _) in _plots(study).items()}
+    named = {"gain": [_gain(study)], "indices": list(_indices(study)), "by_pose": [_by_pose(study)]}
+    return {f"{name}.svg": as_file(charts) for name, charts in named.items()}
 
 
 def sensitivity_html(study: Study, title: str) -> str:
     """The study as a page: the answer, sentences, the strongest parameters, the robot, and pictures."""
     first, *others = sensitivity_sentences(study)
-    charts = [chart(drawn, name, words, words) for name, (drawn, words) in _plots(study).items()]
-    plain = [one for one in charts if one.name in _PLAIN]
-    expert = [one for one in charts if one.name not in _PLAIN]
-    return plain_page(
-        f"{title}: sensitivity", first, others, plain, _FILES, _tables(study), _robot(study), expert=expert
-    )
+    blocks: list[Block | None] = [
+        Listing(others),
+        Section("strongest", "Parameters that matter most", [*_tables(study), Figures([_gain(study)])]),
+        Section("robot", "Robot", [_robot(study)]),
+        Fold("Expert: indices; by pose", [Figures([*_indices(study), _by_pose(study)])], "expert"),
+        files_section(("sensitivity.json", "sensitivity.md", "single_point.csv")),
+    ]
+    return Page(f"{title}: sensitivity", first, blocks).html()
 
 
 def _tables(study: Study) -> tuple[PageTable, ...]:
@@ -206,122 +188,86 @@ def _tables(study: Study) -> tuple[PageTable, ...]:
         header = ("parameter", "share of the squared error", "observed by the stations", f"assumed error, {unit}")
         below = "" if len(rows) <= _LISTED else f"{len(rows) - _LISTED} weaker ones are in sensitivity.md."
         if rows:
-            out.append(PageTable(f"{title} that matter most", header, tuple(rows[:_LISTED]), below=below))
+            out.append(PageTable(title, header, tuple(rows[:_LISTED]), below=below, heading=True))
     return tuple(out)
 
 
-def _robot(study: Study) -> RobotScene:
+def _robot(study: Study) -> Scene3D:
     """The arm in the postures of the study, every joint as large as the share of its parameters."""
     chain, share = study.closed.chain, study.joint.before.share
-    rows = spread_rows(len(study.q), MAX_POSTURES)
-    paths = arm_paths(chain, study.q[rows])
     of_joint = [
-        sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint)
+        float(sum(share[k] for k, name in enumerate(study.closed.names) if name.partition("/")[0] == joint))
         for joint in chain.names
     ]
-    said = [
-        f"Posture {row + 1} of {len(study.q)}: {joints_in_words(chain, study.q[row])}. Discs: share of the "
-        "squared error that each joint's parameters have."
-        for row in rows
-    ]
+    shown = ShownPostures(chain, study.of.q)
+    more = ["Discs: share of the squared error that each joint's parameters have."] * len(shown.rows)
     alt = "The arm; a disc at each joint shows the share of the error that its parameters have: " + ", ".join(
         f"{name} {percent(value)}" for name, value in zip(chain.names, of_joint, strict=True)
     )
-    points = paths[:, -1]
-    weights = () if chain.closed else tuple(map(float, of_joint))  # its line does not go from joint to joint
-    return RobotScene(tuple(paths), tuple(said), points, np.arange(len(rows)), chain.base, alt, weights=weights)
+    return shown.scene(alt, more, weights=() if chain.closed else of_joint)  # a Delta's line skips joints
 
 
-def _plots(study: Study) -> dict[str, tuple[PlotSpec, str]]:
-    return {
-        "gain": (_gain(study), "Remaining RMS error when the strongest parameters are known, one after the other."),
-        "indices": (
-            _indices(study),
-            "Left: the multi-point index RSFCDPE, the influence of a parameter over all postures as a multiple of the "
-            "base factor's, with a line from its smallest to its largest at one posture. Right: the total Sobol index "
-            "S_T, a parameter's share of the variance of the error with all that it does together with others, with "
-            "two standard errors.",
-        ),
-        "by_pose": (
-            _by_pose(study),
-            "Relative single-point indices RSFDPE: the influence of a parameter (down) at one posture (across), as a "
-            "multiple of the base factor's.",
-        ),
-    }
+def _high(study: Study) -> float:
+    return 60.0 + _ROW * len(study.indices.names)
 
 
-def _by_pose(study: Study) -> PlotSpec:
+def _by_pose(study: Study) -> Chart:
     """Relative single-point indices as a map, parameters down and postures across."""
-    import lets_plot as lp
-
     relative = study.indices.relative_single.T
-    wide, high = 160 + min(23 * len(study.q), 960), 120 + _ROW * len(relative)
-    down, across = (n.ravel() for n in np.indices(relative.shape))
-    x = f"posture of the design {study.design}"
-    drawn = plot(wide, high, x, "", "right", across=across, down=down, relative=relative.ravel())
-    drawn += lp.geom_raster(lp.aes("across", "down", fill="relative"))
-    bar = lp.guide_colorbar(barheight=0.5 * high)
-    drawn += lp.scale_fill_viridis(name=f"RSFDPE,\n{study.indices.names[study.indices.base]} is 1", guide=bar)
-    drawn += lp.theme(legend_title=lp.element_text(size=SMALL)) + lp.coord_cartesian()
-    return drawn + lp.scale_x_continuous(expand=[0, 0]) + _parameters(study.indices.names)
-
-
-def _indices(study: Study) -> PlotSpec:
-    """Multi-point indices beside the Sobol indices, one bar a parameter, with twice the standard error."""
-    import lets_plot as lp
-
-    row, high = np.arange(len(study.indices.names)), 120 + _ROW * len(study.indices.names)
-    low, top = study.indices.relative_single.min(axis=0), study.indices.relative_single.max(axis=0)
-    left = plot(440, high, "RSFCDPE", "", row=row, low=low, top=top)
-    bars = {"above": row - 0.35, "below": row + 0.35, "all": study.indices.relative_multi}
-    left += lp.geom_rect(
-        lp.aes(ymin="above", ymax="below", xmax="all"), data=columns(bars), xmin=0.0, fill=LIGHT[AFTER], size=0
+    count = relative.shape[1]
+    x = Axis(f"posture of the design {study.of.design}", -0.5, count - 0.5)
+    panel = Panel(x, Axis.rows(study.indices.names), 150.0 + min(12.0 * count, 380.0), _high(study))
+    level = np.ceil(_LEVELS * relative / max(float(relative.max()), 1e-300))
+    for k in range(1, _LEVELS + 1):
+        down, across = (axis.astype(float) for axis in np.nonzero(level == k))
+        panel.bars((across - 0.5, across + 0.5), (down - 0.5, down + 0.5), AFTER, k / _LEVELS)
+    base = study.indices.names[study.indices.base]
+    words = (
+        "Relative single-point indices RSFDPE: the influence of a parameter (down) at one posture (across), as a "
+        f"multiple of the base factor's ({base}); the fullest cell is {relative.max():.3g}."
     )
-    left += lp.geom_segment(lp.aes("low", "row", xend="top", yend="row"), color=LIGHT[INK], size=line_size(1.2))
-    right = plot(440, high, "S_T of the error", "", "top")
-    for output, shift in (("vector", -0.2), ("distance", 0.2)):
-        indices = study.variance[output]
-        bars = {
-            "row": row + shift,
-            "above": row + shift - 0.19,
-            "below": row + shift + 0.19,
-            "total": indices.total,
-            "low": indices.total - 2.0 * indices.std_total,
-            "top": indices.total + 2.0 * indices.std_total,
-            "output": np.repeat(output, len(row)),
-        }
-        data = columns(bars)
-        what = lp.aes(ymin="above", ymax="below", xmax="total", fill="output")
-        right += lp.geom_rect(what, data=data, xmin=0.0, size=0)
-        ends = lp.aes("low", "row", xend="top", yend="row")
-        right += lp.geom_segment(ends, data=data, color=LIGHT[INK], size=line_size(0.9))
-    right += lp.scale_fill_manual({"vector": LIGHT[AFTER], "distance": LIGHT[WARN]})
-    names = study.indices.names
-    sides = ((left, names), (right, [""] * len(names)))
-    views = [view + lp.scale_x_continuous(expand=[0, 0, 0.05, 0]) + _parameters(said) for view, said in sides]
-    return lp.gggrid(views, widths=[500, 340], hspace=16, align=True) + lp.ggsize(856, high)
+    return panel.chart("by_pose", words, words)
 
 
-def _parameters(names: Sequence[str]) -> FeatureSpec:
-    """An axis of parameters with these names, down."""
-    import lets_plot as lp
+def _indices(study: Study) -> tuple[Chart, Chart]:
+    """The multi-point indices and the Sobol indices, a bar a parameter, with ranges."""
+    at, row = study.indices, np.arange(float(len(study.indices.names)))
+    zero = np.zeros(len(row))
+    spans = np.c_[at.relative_single.min(axis=0), at.relative_single.max(axis=0)]
+    x = Axis("RSFCDPE", 0.0, 1.05 * max(float(spans.max()), float(at.relative_multi.max()), 1e-300))
+    left = Panel(x, Axis.rows(at.names), LARGE[0], _high(study))
+    left.bars((zero, at.relative_multi), (row - 0.35, row + 0.35), AFTER)
+    left.strokes(np.c_[spans[:, 0], row], np.c_[spans[:, 1], row], INK)
+    words = (
+        "The multi-point index RSFCDPE, the influence of a parameter over all postures as a multiple of the base "
+        "factor's, with a line from its smallest to its largest at one posture."
+    )
+    ends = {k: np.c_[v.total - 2.0 * v.std_total, v.total + 2.0 * v.std_total] for k, v in study.variance.items()}
+    x = Axis("S_T of the error", 0.0, 1.05 * max(float(end.max()) for end in ends.values()))
+    keys = (("vector", AFTER, "bar"), ("distance", WARN, "bar"))
+    right = Panel(x, Axis.rows(at.names), LARGE[0], _high(study) + 13.0, keys)
+    for (output, colour, _), shift in zip(keys, (-0.2, 0.2), strict=True):
+        rows = row + shift
+        right.bars((zero, study.variance[output].total), (rows - 0.19, rows + 0.19), colour)
+        right.strokes(np.c_[ends[output][:, 0], rows], np.c_[ends[output][:, 1], rows], INK, 0.6)
+    more = (
+        "The total Sobol index S_T, a parameter's share of the variance of the error with all that it does together "
+        "with others, with two standard errors."
+    )
+    return left.chart("indices", words, words), right.chart("sobol", more, more)
 
-    ends, rows = [-0.5, len(names) - 0.5], list(range(len(names)))
-    return lp.scale_y_reverse(limits=ends, expand=[0, 0], breaks=rows, labels=list(names))
 
-
-def _gain(study: Study) -> PlotSpec:
-    """The Remaining RMS error when the strongest parameters are known, one after the other."""
-    import lets_plot as lp
-
+def _gain(study: Study) -> Chart:
+    """The remaining RMS error when the strongest parameters are known, one after the other."""
     share = np.sort(study.joint.before.share)[::-1]
     left = 1e3 * study.joint.before.rms * np.sqrt(np.maximum(1.0 - np.r_[0.0, np.cumsum(share)], 0.0))
+    known, rest = np.arange(float(len(left))), np.full(2, 1e3 * study.joint.after.rms)
     large = int((share >= NAMED).sum())
-    x = f"parameters known, the strongest first (a share above {percent(NAMED)}: {large})"
-    drawn = plot(490, 266, x, "RMS error, mm", "top", known=np.arange(len(left)), left=left)
-    drawn += lp.geom_line(lp.aes("known", "left"), color=LIGHT[AFTER], size=line_size(1.8))
-    drawn += lp.geom_point(lp.aes("known", "left"), color=LIGHT[AFTER], size=line_size(4.0))
-    rest = {"left": [1e3 * study.joint.after.rms], "said": ["left by the measured stations"]}
-    drawn += lp.geom_hline(lp.aes(yintercept="left", color="said"), data=rest, size=line_size(1.5))
-    drawn += lp.scale_color_manual([LIGHT[GOOD]])
-    return drawn + lp.scale_y_continuous(limits=[0.0, None], expand=[0, 0, 0.05, 0])
+    x = Axis.around(f"parameters known, the strongest first (a share above {percent(NAMED)}: {large})", known)
+    y = Axis("RMS error, mm", 0.0, 1.05 * max(float(left.max()), rest[0]))
+    panel = Panel(x, y, LARGE[0], 180.0, keys=(("left by the measured stations", GOOD, "line"),))
+    panel.line(known, left, AFTER, 1.2)
+    panel.marks(known, left, AFTER, "dot", 2.7)
+    panel.line(np.array([x.low, x.high]), rest, GOOD, 1.0)
+    words = "Remaining RMS error when the strongest parameters are known, one after the other."
+    return panel.chart("gain", words, words)

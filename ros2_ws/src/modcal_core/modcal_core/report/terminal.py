@@ -4,33 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from textwrap import fill
 from typing import Literal
 
 import numpy as np
 
-from modcal_core.report.contents import STAGES, ReportContents
-from modcal_core.report.page import AFTER, BAD, INK, LIGHT, SOFT, WARN, Chart
-from modcal_core.report.plots import chart, in_decades, line_size, plot, with_margin
-from modcal_core.report.sentence import MAX_REASONS, sentence
+from modcal_core.outcome import STAGES, Outcome
+from modcal_core.report.words import MAX_REASONS, sentence
 from modcal_core.verdict import Row, Status, Verdict
 
 EFFECT = "effect:"
-# How a row is called on a page, and its colour: what the model took away, what it leaves though it could be predicted,
-# what no model can take away, and what nobody has a name for.
 _WORDS = {
-    "geometry": ("geometry", AFTER),
-    "shared": ("shared among effects", AFTER),
-    "predictable": ("predictable, not modelled", BAD),
-    "estimation": ("uncertainty of the parameters", SOFT),
-    "repeatability": ("repeatability of the arm", SOFT),
-    "instrument": ("instrument", SOFT),
-    "unaccounted": ("unaccounted for", WARN),
+    "shared": "shared among effects",
+    "predictable": "predictable, not modelled",
+    "estimation": "uncertainty of the parameters",
+    "repeatability": "repeatability of the arm",
+    "unaccounted": "unaccounted for",
 }
 _OF_FLOOR = ("repeatability", "instrument")
 _ROUNDING = 1e-9  # of the whole; the rows sum to it within as much
-_LETTERS = 30  # of a line beside the bars
-_MIN_DECADE = 1e-6  # of the largest row; smaller ones are drawn as this
 
 
 @dataclass(frozen=True)
@@ -41,7 +32,6 @@ class Line:
     """
 
     words: str
-    colour: str
     value: float
     share: float
     rms: float
@@ -57,10 +47,6 @@ class Account:
     unit: str
     total: float
     lines: tuple[Line, ...]
-
-    def drawn(self) -> Chart:
-        """Its picture."""
-        return _chart(tuple(line for line in self.lines if line.known), self.unit)
 
 
 def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
@@ -80,44 +66,11 @@ def accounts(verdict: Verdict | None) -> tuple[Account, ...]:
 def _line(row: Row, total: float, known: bool) -> Line:
     value = 0.0 if abs(row.value) < _ROUNDING * total else row.value
     effect = row.what.startswith(EFFECT)
-    words, colour = _WORDS.get(row.what, (row.what.replace("_", " "), SOFT))
+    words = _WORDS.get(row.what, row.what.replace("_", " "))
     if effect:
-        words, colour = row.what.removeprefix(EFFECT).replace(":", " of "), AFTER
+        words = row.what.removeprefix(EFFECT).replace(":", " of ")
     rms = float(np.copysign(np.sqrt(abs(value)), value))
-    return Line(words, colour, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
-
-
-def _chart(lines: tuple[Line, ...], unit: str) -> Chart:
-    """A bar a row on a logarithmic axis, outlined where negative, with whiskers for the interval."""
-    import lets_plot as lp
-
-    names = [fill(line.words, _LETTERS) for line in lines]
-    high = 62 + 21 * len(lines) + 11 * sum(name.count("\n") + 1 for name in names)
-    longest = max(len(part) for name in names for part in name.split("\n"))
-    most = max(abs(line.value) for line in lines) or 1.0
-    least = _MIN_DECADE * most
-    ends = with_margin(0.5 * least, max([most, *(line.ci95[1] for line in lines if line.ci95)]), 0.02)
-    drawn = plot(362 + 8 * longest, high, f"squared error, {unit}²", "")
-    for k, line in enumerate(lines):
-        if not line.value:
-            continue
-        tone, outlined = LIGHT[line.colour], line.value < 0.0
-        bar = {"xmin": 0.5 * least, "xmax": max(abs(line.value), least), "ymin": k - 0.31, "ymax": k + 0.31}
-        drawn += lp.geom_rect(**bar, fill="rgba(0,0,0,0)" if outlined else tone, color=tone, size=line_size(1.2))
-        if line.ci95 is not None and not outlined:
-            low, top = (max(end, least) for end in line.ci95)
-            drawn += lp.geom_errorbar(y=k, xmin=low, xmax=top, width=0.4, color=LIGHT[INK], size=line_size(1.3))
-    drawn += lp.scale_x_log10(limits=list(ends), expand=[0, 0], **in_decades(*ends))
-    rows = list(range(len(lines)))
-    drawn += lp.scale_y_reverse(limits=[-0.5, len(lines) - 0.5], expand=[0, 0], breaks=rows, labels=names)
-    drawn += lp.theme(axis_line_y=lp.element_blank(), axis_ticks_y=lp.element_blank())
-    said = "; ".join(f"{line.words} {line.value:.3g}" for line in lines)
-    alt = f"Account of the squared error of the nominal model in {unit}²: {said}."
-    words = (
-        "Contributions to the squared error of the nominal model, on a logarithmic axis. Outlined: negative. "
-        "Whiskers: 95 % interval."
-    )
-    return chart(drawn, f"account-{unit}", alt, words)
+    return Line(words, value, value / max(total, 1e-300), rms, row.ci95, known, effect)
 
 
 Tone = Literal["plain", "legend", "doubt", "good", "bad", "undecided", "reason"]
@@ -158,7 +111,7 @@ class SummaryTable:
     words: int = 1
 
 
-def summary(report: ReportContents) -> tuple[SummaryTable | SummaryLine, ...]:
+def summary(report: Outcome) -> tuple[SummaryTable | SummaryLine, ...]:
     """Before and after, what the data could not tell, the effects, the account, and the verdict."""
     return tuple(_blocks(report))
 
@@ -170,7 +123,7 @@ def text(blocks: Sequence[SummaryTable | SummaryLine]) -> str:
     )
 
 
-def _blocks(report: ReportContents) -> Iterator[SummaryTable | SummaryLine]:
+def _blocks(report: Outcome) -> Iterator[SummaryTable | SummaryLine]:
     rows = []
     for stage in STAGES:
         size, angle = report.size_mm(stage), report.size_deg(stage)
@@ -227,7 +180,7 @@ def _account(one: Account) -> SummaryTable:
     return SummaryTable(("account of the squared error", f"{one.unit}²", "95 % interval", "share"), tuple(rows))
 
 
-def _effects(report: ReportContents) -> SummaryTable:
+def _effects(report: Outcome) -> SummaryTable:
     rows = tuple(
         (f.family, f.place, f.direction, f.driver, f"{f.p_value:.1g}", f"{1e3 * f.before:.3f}", f"{1e3 * f.after:.3f}")
         for f in report.effects

@@ -36,7 +36,7 @@ MAX_ABOVE_FLOOR = 1.44  # E² in units of F²: a fifth more in RMS, about what s
 
 
 @dataclass(frozen=True)
-class Facts:
+class Findings:
     """What checks see. known: floors. tails: of positions, and of orientations where there are any, with their units.
     mean: what of the rest is predictable.
     """
@@ -56,8 +56,8 @@ class Check:
     """
 
     kind: ReasonKind
-    look: Callable[[Facts], Iterable[str]]
-    unless: tuple[Callable[[Facts], Iterable[str]], ...] = ()
+    look: Callable[[Findings], Iterable[str]]
+    unless: tuple[Callable[[Findings], Iterable[str]], ...] = ()
 
 
 def judge(
@@ -81,9 +81,9 @@ def judge(
     angles = bool(case.samples.is_pose[case.held_out].any())
     position, rotation = tail_of(case, known.position, angle=False), tail_of(case, known.rotation, angle=True)
     tails = ((position, " mm"), *([(rotation, "°")] if angles else []))
-    seen = Facts(case, grounds, stated, known, tails, predictable(case))
+    seen = Findings(case, grounds, stated, known, tails, predictable(case))
     reasons: list[Reason] = []
-    found: set[Callable[[Facts], Iterable[str]]] = set()
+    found: set[Callable[[Findings], Iterable[str]]] = set()
     for check in CHECKS:
         if not found.intersection(check.unless):
             said = [Reason(check.kind, sentence) for sentence in check.look(seen)]
@@ -114,24 +114,24 @@ def judge(
     )
 
 
-def _not_reached(seen: Facts) -> Iterator[str]:
+def _not_reached(seen: Findings) -> Iterator[str]:
     if not seen.grounds.converged:
         yield "The fit did not converge: it stopped before it reached its minimum."
 
 
-def _many_rejected(seen: Facts) -> Iterator[str]:
+def _many_rejected(seen: Findings) -> Iterator[str]:
     station, wrong = seen.case.samples.station, seen.case.wrong
     count, of = len(np.unique(station[wrong])), len(np.unique(station))
     if too_many(wrong, seen.case.samples):
         yield f"{count} of {of} stations were rejected ({count / of:.0%}): more than single wrong readings are."
 
 
-def _rejected_in_sequence(seen: Facts) -> Iterator[str]:
+def _rejected_in_sequence(seen: Findings) -> Iterator[str]:
     for first, last in seen.grounds.rejected_runs:
         yield f"Stations {first} to {last} were rejected in sequence: something was different there."
 
 
-def _rejected_at_a_joint(seen: Facts) -> Iterator[str]:
+def _rejected_at_a_joint(seen: Findings) -> Iterator[str]:
     for place in seen.grounds.rejected_places:
         yield (
             f"{place.stations} stations next to each other, with {place.joint} between {place.low:.3g} and "
@@ -139,7 +139,7 @@ def _rejected_at_a_joint(seen: Facts) -> Iterator[str]:
         )
 
 
-def _not_applied(seen: Facts) -> Iterator[str]:
+def _not_applied(seen: Findings) -> Iterator[str]:
     square = float(mean_square(seen.case.errors["final"], angle=False).mean())
     for item in seen.grounds.not_applied:
         if item.cost_mm2 > MAX_NOT_APPLIED * square:
@@ -149,11 +149,11 @@ def _not_applied(seen: Facts) -> Iterator[str]:
             )
 
 
-def _contradicted(seen: Facts) -> Iterable[str]:
+def _contradicted(seen: Findings) -> Iterable[str]:
     return (*seen.grounds.contradictions, *seen.known.contradictions)
 
 
-def _loose(seen: Facts) -> Iterator[str]:
+def _loose(seen: Findings) -> Iterator[str]:
     """Returns that differ by more than arms do, unless it was stated that this one does."""
     limit = 1e3 * MAX_OF_REACH * seen.case.model.chain.reach()
     for floor, most, own, unit in (
@@ -169,12 +169,12 @@ def _loose(seen: Facts) -> Iterator[str]:
         )
 
 
-def _two_values(seen: Facts) -> Iterator[str]:
+def _two_values(seen: Findings) -> Iterator[str]:
     if seen.mean.rest is not None:
         yield from filter(None, [two_values(seen.mean.rest, seen.case.fitted)])
 
 
-def _predictable(seen: Facts) -> Iterator[str]:
+def _predictable(seen: Findings) -> Iterator[str]:
     share = seen.mean.both
     if share is not None and seen.mean.sure:
         yield (
@@ -183,7 +183,7 @@ def _predictable(seen: Facts) -> Iterator[str]:
         )
 
 
-def _below_floor(seen: Facts) -> Iterator[str]:
+def _below_floor(seen: Findings) -> Iterator[str]:
     """An error surely far below the floor: no model predicts what an arm does not repeat."""
     for tail, unit in seen.tails:
         floor, what = tail.floor, "orientation" if unit == "°" else "position"
@@ -203,7 +203,7 @@ def _below_floor(seen: Facts) -> Iterator[str]:
             )
 
 
-def _above_floor(seen: Facts) -> Iterator[str]:
+def _above_floor(seen: Findings) -> Iterator[str]:
     for tail, unit in seen.tails:
         if tail.floor is None or not tail.above(MAX_ABOVE_FLOOR):
             continue
@@ -215,7 +215,7 @@ def _above_floor(seen: Facts) -> Iterator[str]:
         )
 
 
-def _worse_outside(seen: Facts) -> Iterator[str]:
+def _worse_outside(seen: Findings) -> Iterator[str]:
     """A frozen model that misses by more than it did on its own recording, and is used outside of it.
 
     Few returns know the floor to a factor of two; how far a calibration missed where it was made is known far better.
@@ -232,20 +232,20 @@ def _worse_outside(seen: Facts) -> Iterator[str]:
         )
 
 
-def _uneven(seen: Facts) -> Iterator[str]:
+def _uneven(seen: Findings) -> Iterator[str]:
     yield from filter(None, [uneven(seen.case)])
 
 
-def _whole_scatter(seen: Facts) -> Iterator[str]:
+def _whole_scatter(seen: Findings) -> Iterator[str]:
     """What scatters meets a tolerance as well as what is predictable does, unless the largest of it was left out."""
     return _scatter(seen, cut_off=False)
 
 
-def _cut_scatter(seen: Facts) -> Iterator[str]:
+def _cut_scatter(seen: Findings) -> Iterator[str]:
     return _scatter(seen, cut_off=True)
 
 
-def _scatter(seen: Facts, cut_off: bool) -> Iterator[str]:
+def _scatter(seen: Findings, cut_off: bool) -> Iterator[str]:
     """A place that scatters by far more than the rest, unless it was stated what does not repeat."""
     mean = seen.mean
     if seen.stated.rms_mm is None and mean.rest is not None and bool(seen.case.wrong.any()) == cut_off:
@@ -277,7 +277,7 @@ def _spoken(question: NotAsked) -> str:
     return f"It cannot be told {question.what}: that needs {question.needs}."
 
 
-def _not_asked(seen: Facts) -> Iterator[NotAsked]:
+def _not_asked(seen: Findings) -> Iterator[NotAsked]:
     """What so few stations do not answer."""
     samples, returns = seen.case.samples, seen.known.position
     stations, read = samples.stations, np.bincount(samples.frame, minlength=len(samples.frames))

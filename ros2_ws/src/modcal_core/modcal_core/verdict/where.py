@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from modcal_core.calibration import Errors
+from modcal_core.hypotheses import disagreement, limits
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_core.verdict.case import Case
 from modcal_core.verdict.predictable import MAX_PREDICTABLE, MIN_STATIONS, dependence
@@ -95,17 +96,10 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
 
     chain: the arm before it was fitted, for a fitted one has links that make up for what is wrong.
     """
-    from modcal_core.hypotheses import disagreement, limits  # a dozen files, which other verdicts do not need
-
-    def far(left: Errors) -> bool:
-        """Whether errors of a model are larger than those of a nominal arm."""
-        missed = left.position_norm
-        return len(missed) > 0 and is_serial_arm(chain) and float(np.median(missed)) > limits(chain)[1]
-
     many = too_many(case.wrong, case.samples)
-    unlike = many or far(case.errors["final"])
-    if unlike or far(case.errors["nominal"]):  # a fit can come to terms with wrong joints without a rejection
-        found = disagreement(case.samples, chain, joints_only=not unlike)
+    off = many or _far(case.errors["final"], chain)
+    if off or _far(case.errors["nominal"], chain):  # a fit can come to terms with wrong joints without a rejection
+        found = disagreement(case.samples, chain, joints_only=not off)
         if found is not None:
             what = found.what[0].upper() + found.what[1:]
             yield f"{what} ({found.stations} of {found.of} stations that were looked at): {found.remedy}."
@@ -116,3 +110,9 @@ def _apart(case: Case, chain: Mechanism) -> Iterator[str]:
         along = dependence(case, np.flatnonzero(case.wrong), _WORTH_NAMING, free=False)
         if along is not None:
             yield f"The residual of the rejected stations {along.sentence}."
+
+
+def _far(left: Errors, chain: Mechanism) -> bool:
+    """Whether errors of a model are larger than those of a nominal arm."""
+    missed = left.position_norm
+    return len(missed) > 0 and is_serial_arm(chain) and float(np.median(missed)) > limits(chain)[1]

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from modcal_msgs_py.tables.convert import Tables, import_tables, json_schema, read_tables
-    from modcal_msgs_py.tables.propose import find
-    from modcal_msgs_py.tables.proposed import Proposal, proposal
+    from modcal_msgs_py.tables.propose import Arm, Proposal, find
     from modcal_msgs_py.tables.tracks import read_track
 else:
     from modcal_core.lazy import lazy_face
 
     __getattr__ = lazy_face(__name__, __file__)
 
-__all__ = ["Proposal", "Tables", "find", "import_tables", "json_schema", "proposal", "read_tables", "read_track"]
+__all__ = ["Arm", "Proposal", "Tables", "find", "import_tables", "json_schema", "read_tables", "read_track"]

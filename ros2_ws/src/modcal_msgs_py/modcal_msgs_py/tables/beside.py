@@ -15,120 +15,31 @@ import numpy as np
 
 from modcal_core.geometry import Array
 from modcal_core.robots import Chain, Inertias, chain_gravity_wrench
-from modcal_msgs_py.tables.candidates import JointColumns, Numbers, is_counter
-from modcal_msgs_py.tables.fitted import ColumnChoice, Fitted, scales
-from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, OTHER, VELOCITY, angle_triples, matrices, quaternions
-from modcal_msgs_py.tables.moments import RowTimes, stamps_of
+from modcal_msgs_py.tables.columns import JointColumns, Numbers, is_counter
+from modcal_msgs_py.tables.fits import Fitted, JointChoice
+from modcal_msgs_py.tables.labels import COMMANDED, EFFORT, MEASURED, OTHER, VELOCITY, Label, grouped, words
 from modcal_msgs_py.tables.readings import EFFORTS, UNITS
-from modcal_msgs_py.tables.table import Faults, Sheet, Table
 
-# --- Standard deviations that an instrument states of every reading: which columns, of what, in which unit
-
-_FINEST = 1e-6  # m, rad; standard deviations of instruments are more
-_STD = {"std", "stdev", "stddev", "sigma", "sd", "deviation", "u"}  # the last only where a coverage is stated
-_ALONG, _ABOUT = ("x", "y", "z"), ("rx", "ry", "rz", "roll", "pitch", "yaw")
-_TURNED = {"rot", "rotation", "angle", "orientation", "ori", "angular"}
-
-
-def stated_deviations(numbers: Numbers, fitted: Fitted) -> tuple[dict[str, Any], set[int], list[str]]:
-    """What a mapping states under ``std``, the columns that it takes, and what is to be said of them.
-
-    By their labels, of positions and of orientations; empty where the table has none.
-    """
-    used: set[int] = set()
-    said: list[str] = []
-    if fitted.body.points:
-        return {}, used, said
-    groups: dict[tuple[str, str], dict[str, int]] = {}
-    for k in range(numbers.values.shape[1]):
-        label = numbers.labels[k]
-        words = [w for w in label.words if not w.isdigit()]
-        axis = next((w for w in words if w in _ALONG or w in _ABOUT), "")
-        marked = bool((_STD if label.coverage else _STD - {"u"}) & set(words))
-        short = re.fullmatch(rf"(?:s|sd|std|sigma{'|u' if label.coverage else ''})([xyz])", "".join(words))
-        if k in fitted.columns or not (marked or short) or not _stated(numbers.values[:, k]):
-            continue
-        axis = short[1] if short is not None else axis
-        turned = axis in _ABOUT or bool(_TURNED & set(words))
-        groups.setdefault(("orientation" if turned else "position", label.coverage), {}).setdefault(axis, k)
-    stated: dict[str, Any] = {}
-    for (what, factor), found in groups.items():
-        columns = _axes(found)
-        coverage = float(factor or 1.0)
-        if not columns or what in stated or (what == "orientation" and fitted.best.meaning.turning is None):
-            continue
-        if stated and coverage != float(stated.get("coverage", 1.0)):
-            continue
-        unit = _unit_of_std(numbers, fitted, columns, what, coverage)
-        shown = ", ".join(numbers.shown(k) for k in columns)
-        if unit is None:
-            said.append(f"standard deviations {shown} are not used: no unit makes them plausible; state std")
-            continue
-        keys = [numbers.key(k) for k in columns]
-        stated[what] = keys if len(keys) == 3 else keys[0]
-        stated["unit" if what == "position" else "orientation_unit"] = unit
-        if coverage > 1.0:
-            stated["coverage"] = coverage
-        of = f"{factor} standard deviations" if coverage > 1.0 else "standard deviations"
-        each = "" if len(columns) == 3 else " along each axis"
-        said.append(f"{shown} are {of} of the {what}{each}, in {unit}")
-        used |= set(columns)
-    return stated, used, said
-
-
-def _stated(values: Array) -> bool:
-    there = values[np.isfinite(values)]
-    return len(there) > 0 and bool((there >= 0.0).all()) and bool((there > 0.0).any())
-
-
-def _axes(found: Mapping[str, int]) -> list[int]:
-    for names in (("x", "y", "z"), ("rx", "ry", "rz"), ("roll", "pitch", "yaw")):
-        if set(names) <= set(found):
-            return [found[name] for name in names]
-    return [found[""]] if "" in found else []
-
-
-def _unit_of_std(numbers: Numbers, fitted: Fitted, columns: Sequence[int], what: str, coverage: float) -> str | None:
-    """The unit by the label; else that of the readings, or another one, with which the size is an instrument's."""
-    label, typical = numbers.labels[columns[0]], float(np.nanmedian(numbers.values[:, list(columns)])) / coverage
-    if what == "orientation":
-        if label.unit in ("deg", "rad"):
-            return label.unit
-        if label.unit is not None or label.told:
-            return None
-        turning = fitted.best.meaning.turning
-        assert turning is not None
-        fits = [u for u in ("rad", "deg") if _FINEST < UNITS[u] * typical < max(fitted.best.match.typical_angle, 1e-3)]
-        if turning.form in ("euler", "rotvec"):
-            same = "deg" if turning.degrees else "rad"
-            return same if same in fits else None
-        return fits[0] if len(fits) == 1 else None
-    if label.unit in ("mm", "m", "in", "cm"):
-        return label.unit
-    if label.unit is not None or label.told:
-        return None
-    most = max(fitted.best.match.typical, 1e-4)
-    same = fitted.best.meaning.unit
-    return next((u for u in (same, "mm", "m") if _FINEST < UNITS[u] * typical < most), None)
-
-
-_SPEEDS = {"rad/s": "rad/s", "rad/sec": "rad/s", "rads": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "deg/sec": "deg/s",
-           "dps": "deg/s", "degs": "deg/s"}  # fmt: skip
+_SPEEDS = {name: "rad/s" for name in words("rad/s rad/sec rads")}
+_SPEEDS |= {name: "deg/s" for name in words("deg/s °/s deg/sec dps degs")}
 _TORQUES = {"nm": "N m", "n-m": "N m", "n.m": "N m", "n": "N", "nmm": "N mm", "knm": "kN m"}
-_PER_DEGREE = np.pi / 180.0
 _GAP = 0.25  # s between rows that are one motion, so that the slope of the joints is their speed
 _MOVING, _MIN_MOVING = 0.02, 20  # rad/s, and values that move as fast or faster, to tell a unit
 _SURE = 0.9  # correlation of speeds with slopes
 _SLOPE = 1.25  # factor by which the scale of speeds may be off: filters of controllers and coarse stamps
 _HOLDS = 0.8  # correlation of efforts with what gravity asks, from which their sign is told
 _FOLLOWS = 0.1  # rad or m; commanded joints are this near
-_NOT_A_SIGNAL = {
-    "frame", "index", "id", "nr", "no", "number", "count", "sample", "row", "station", "sub", "residual", "rms",
-    "error", "err", "std", "sigma", "stdev", "deviation", "uncertainty", "quality", "intensity", "confidence", "status",
-    "valid", "time", "timestamp", "stamp", "date", "flag", "markers", "covariance",
-}  # fmt: skip
-_KELVIN = {"k", "°f", "f"}
+_NOT_A_SIGNAL = words(
+    "frame index id nr no number count sample row station sub residual rms error err std sigma stdev deviation "
+    "uncertainty quality intensity confidence status valid time timestamp stamp date flag markers covariance"
+)
+_WARM = words("temperature temp temperatur")
+_NOT_CELSIUS = ("k", "°f", "f")
 _TOPIC = re.compile(r"[^A-Za-z0-9_]+")
+_STD = words("std stdev stddev sigma sd deviation")
+_SHORT = re.compile(r"\b(?:s|sd|std|sigma)[xyz]\b")
+_TURNED = words("rot rotation angle orientation ori angular rx ry rz roll pitch yaw")
+_FINEST = 1e-6  # m, rad; standard deviations of instruments are more
 
 
 @dataclass
@@ -147,114 +58,97 @@ class OtherColumns:
     questions: list[str] = field(default_factory=list)
 
 
-def find_beside(
-    numbers: Numbers,
-    chain: Chain,
-    inertias: Inertias | None,
-    labelled: Sequence[JointColumns],
-    choice: ColumnChoice,
-    readings: Sequence[int],
-    time: RowTimes,
-    fitted: Fitted | None,
-) -> OtherColumns:
-    """What the columns that are neither joints nor readings nor time are."""
+@dataclass(frozen=True)
+class Surroundings:
+    """A table of which joints, readings and times are known. taken: their columns. stamps: of the rows [s], None where
+    only their order is known. bystanders: other joints of the robot description, each with whether it turns.
+    """
+
+    numbers: Numbers
+    chain: Chain
+    choice: JointChoice
+    fitted: Fitted | None
+    taken: set[int]
+    stamps: Array | None
+    inertias: Inertias | None
+    bystanders: Mapping[str, bool] = field(default_factory=dict)
+
+    def by_joint(self, columns: Sequence[int]) -> dict[str, Any]:
+        """Columns by joint, as a mapping names them."""
+        return dict(zip(self.chain.names, self.numbers.keys(columns), strict=True))
+
+    @property
+    def q(self) -> Array:
+        """Joint positions (N, n) [rad, m]."""
+        return self.choice.postures(self.chain, self.numbers.values)
+
+
+def find_beside(around: Surroundings, labelled: Sequence[JointColumns]) -> OtherColumns:
+    """What the columns are that are neither joints nor readings nor time. labelled: families of as many as joints."""
     out = OtherColumns()
-    taken = {*choice.joints.columns, *readings, *time.columns}
-    free = [j for j in labelled if not set(j.columns) & taken]
-    q = scales(chain, choice.angle, choice.length) * numbers.values[:, list(choice.joints.columns)]
-    _commanded(out, numbers, chain, [j for j in free if j.role == COMMANDED], choice, q)
-    _velocity(out, numbers, chain, [j for j in free if j.role == VELOCITY], choice, q, _stamps(numbers, time))
-    _effort(out, numbers, chain, [j for j in free if j.role == EFFORT], inertias, q)
-    if fitted is not None:
-        out.std, taken_by_std, said = stated_deviations(numbers, fitted)
-        out.used |= taken_by_std
-        out.said += said
-    families = {k for j in free for k in j.columns}
-    _temperatures(out, numbers, chain, [j for j in free if j.role == OTHER], taken)
-    _signals(out, numbers, chain, [j for j in free if j.role in (OTHER, EFFORT)], taken, families)
+    free = [j for j in labelled if not set(j.columns) & around.taken]
+    q = around.q
+    _commanded(out, around, [j for j in free if j.role == COMMANDED], q)
+    _velocity(out, around, [j for j in free if j.role == VELOCITY], q)
+    _effort(out, around, [j for j in free if j.role == EFFORT], q)
+    _bystanders(out, around)
+    if around.fitted is not None and not around.fitted.body.points:
+        _deviations(out, around.numbers, around.fitted)
+    _temperatures(out, around, [j for j in free if j.role == OTHER])
+    _signals(out, around, [j for j in free if j.role in (OTHER, EFFORT)], {k for j in free for k in j.columns})
     return out
 
 
-def _by_joint(numbers: Numbers, chain: Chain, columns: Sequence[int]) -> dict[str, Any]:
-    return {name: numbers.key(k) for name, k in zip(chain.names, columns, strict=True)}
-
-
-def _stamps(numbers: Numbers, time: RowTimes) -> Array | None:
-    """Stamps of the rows [s]; None where only their order is known."""
-    if not time.columns:
-        return None
-    sniffed = numbers.sniffed
-    sheet = Sheet(sniffed.path, sniffed.labels, sniffed.rows, list(range(len(sniffed.rows))), sniffed.form.decimal)
-    return stamps_of(Table(sheet, Faults(sniffed.path.name)), time.stated, 0.0)[0]
-
-
-def _commanded(
-    out: OtherColumns, numbers: Numbers, chain: Chain, some: Sequence[JointColumns], choice: ColumnChoice, q: Array
-) -> None:
+def _commanded(out: OtherColumns, around: Surroundings, some: Sequence[JointColumns], q: Array) -> None:
     """Labelled columns that are near the joints in one unit, and in no other."""
+    choice, chain = around.choice, around.chain
     for one in some:
-        values = numbers.values[:, list(one.columns)]
         units = {}
         for angle in ("rad", "deg"):
-            gap = np.abs(scales(chain, angle, choice.length) * values - q)
+            values = JointChoice(one, angle, choice.length, choice.counted).postures(chain, around.numbers.values)
+            gap = np.abs(values - q)
             if np.isfinite(gap).any() and bool((np.nanmedian(gap, axis=0) < _FOLLOWS).all()):
                 units[angle] = float(np.nanmedian(gap))
         if not units:
             continue
         angle = min(units, key=lambda unit: units[unit])
-        stated: dict[str, Any] = {"columns": _by_joint(numbers, chain, one.columns)}
-        if angle != choice.angle and np.any(chain.revolute):
-            stated = {"unit": angle, **stated}
-        out.joints["commanded"] = stated
+        own = {"unit": angle} if angle != choice.angle and np.any(chain.revolute) else {}
+        out.joints["commanded"] = {**own, "columns": around.by_joint(one.columns)}
         out.used |= set(one.columns)
         near = f"they are as near as {units[angle]:.2g} rad"
         out.said.append(f"columns labelled as commanded are the commanded joints in {angle}: {near}")
         return
 
 
-def _velocity(
-    out: OtherColumns,
-    numbers: Numbers,
-    chain: Chain,
-    some: Sequence[JointColumns],
-    choice: ColumnChoice,
-    q: Array,
-    stamps: Array | None,
-) -> None:
+def _velocity(out: OtherColumns, around: Surroundings, some: Sequence[JointColumns], q: Array) -> None:
+    numbers = around.numbers
     if not some:
         return
     one = min(some, key=lambda j: "target" in numbers.labels[j.columns[0]].words)
     shown = f"{numbers.shown(one.columns[0])} … {numbers.shown(one.columns[-1])}"
-    values = numbers.values[:, list(one.columns)]
-    if not np.all(chain.revolute):
+    if not np.all(around.chain.revolute):
         out.said.append(f"speeds {shown} are not used: sliding joints stand among turning ones")
         return
     told = _SPEEDS.get(numbers.labels[one.columns[0]].told)
-    slope = None if stamps is None else _slope(values, q, stamps)
-    found = None
+    slope = None if around.stamps is None else _slope(numbers.values[:, list(one.columns)], q, around.stamps)
+    found = told
     if slope is not None:
-        found = next((u for u, s in (("rad/s", 1.0), ("deg/s", 1.0 / _PER_DEGREE)) if _near(slope, s)), None)
+        scales = {"rad/s": 1.0, "deg/s": 180.0 / np.pi}
+        found = next((u for u, scale in scales.items() if scale / _SLOPE < slope < scale * _SLOPE), None)
+        times = f"{slope:.3g} times the slopes of the joints in rad/s" if slope else "no multiple of the joints' slopes"
         if found is None:
-            times = (
-                f"{slope:.3g} times the slopes of the joints in rad/s" if slope else "no multiple of the joints' slopes"
-            )
             out.questions.append(f"speeds {shown} are {times}: state velocity, or leave it out")
             return
         if told is not None and told != found:
             out.questions.append(f"labels say that {shown} are in {told}; the joints' own motion says {found}")
-        out.proved.append(f"speeds {shown} in {found}: they are {slope:.3g} times the slopes of the joints in rad/s")
+        out.proved.append(f"speeds {shown} in {found}: they are {times}")
     elif told is not None:
-        found = told
         out.said.append(f"speeds {shown} are in {found}, as their labels say")
     if found is None:
         out.said.append(f"speeds {shown} are not used: neither labels nor the motion tell their unit; state velocity")
         return
-    out.joints["velocity"] = {"unit": found, "columns": _by_joint(numbers, chain, one.columns)}
+    out.joints["velocity"] = {"unit": found, "columns": around.by_joint(one.columns)}
     out.used |= set(one.columns)
-
-
-def _near(slope: float, scale: float) -> bool:
-    return scale / _SLOPE < slope < scale * _SLOPE
 
 
 def _slope(values: Array, q: Array, stamps: Array) -> float | None:
@@ -263,35 +157,28 @@ def _slope(values: Array, q: Array, stamps: Array) -> float | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         slopes = (q[2:] - q[:-2]) / step[:, None]
     seen = values[1:-1]
-    keep = (
-        np.isfinite(slopes)
-        & np.isfinite(seen)
-        & ((step > 0.0) & (step < 2.0 * _GAP))[:, None]
-        & (abs(slopes) > _MOVING)
-    )
+    one_motion = ((step > 0.0) & (step < 2.0 * _GAP))[:, None]
+    keep = np.isfinite(slopes) & np.isfinite(seen) & one_motion & (abs(slopes) > _MOVING)
     if keep.sum() < _MIN_MOVING:
         return None
     a, b = slopes[keep], seen[keep]
-    if float(a @ b) < _SURE * float(np.linalg.norm(a) * np.linalg.norm(b)):
-        return 0.0
-    return float(a @ b / (a @ a))
+    sure = float(a @ b) >= _SURE * float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b / (a @ a)) if sure else 0.0
 
 
-def _effort(
-    out: OtherColumns, numbers: Numbers, chain: Chain, some: Sequence[JointColumns], inertias: Inertias | None, q: Array
-) -> None:
+def _effort(out: OtherColumns, around: Surroundings, some: Sequence[JointColumns], q: Array) -> None:
     for one in some:
-        label = numbers.labels[one.columns[0]]
-        shown = f"{numbers.shown(one.columns[0])} … {numbers.shown(one.columns[-1])}"
+        label = around.numbers.labels[one.columns[0]]
+        shown = f"{around.numbers.shown(one.columns[0])} … {around.numbers.shown(one.columns[-1])}"
         unit = _TORQUES.get(label.told)
         if label.told and unit is None:
             continue  # per cent of something: a signal
-        values = EFFORTS[unit or "N m"] * numbers.values[:, list(one.columns)]
-        holds = _holds(chain, inertias, q, values)
+        values = EFFORTS[unit or "N m"] * around.numbers.values[:, list(one.columns)]
+        holds = _holds(around.chain, around.inertias, q, values)
         if unit is None and not abs(holds) > _HOLDS:
             out.said.append(f"efforts {shown} are not used: no unit is told, and they do not hold this arm up")
             continue
-        stated: dict[str, Any] = {"columns": _by_joint(numbers, chain, one.columns)}
+        stated: dict[str, Any] = {"columns": around.by_joint(one.columns)}
         if unit not in (None, "N m", "N"):
             stated["unit"] = unit
         told = unit or "N m, which no label says"
@@ -320,18 +207,84 @@ def _holds(chain: Chain, inertias: Inertias | None, q: Array, effort: Array) -> 
     return float(np.sum(a * b)) / size if size > 0.0 else 0.0
 
 
-def _temperatures(
-    out: OtherColumns, numbers: Numbers, chain: Chain, families: Sequence[JointColumns], taken: set[int]
-) -> None:
+def _bystanders(out: OtherColumns, around: Surroundings) -> None:
+    """Other joints of the robot description, by their names; turning ones in the arm's unit where no label says it."""
+    for name, turns in around.bystanders.items():
+        own, free = Label.of(name).words, around.numbers.free(around.taken | out.used)
+        columns = [k for k, label in free.items() if label.words == own and label.role == MEASURED]
+        unit = around.numbers.labels[columns[0]].unit if len(columns) == 1 else None
+        unit = unit or (around.choice.angle if turns else None)
+        if len(columns) != 1 or unit not in (("rad", "deg") if turns else ("m", "cm", "mm", "in")):
+            continue
+        out.joints.setdefault("columns", {})[name] = around.numbers.key(columns[0])
+        if unit != around.choice.units(around.chain):
+            out.joints.setdefault("units", {})[name] = unit
+        out.used.add(columns[0])
+        out.said.append(f"{around.numbers.shown(columns[0])} is the joint {name}, which is not of this arm, in {unit}")
+
+
+def _deviations(out: OtherColumns, numbers: Numbers, fitted: Fitted) -> None:
+    """Standard deviations that an instrument states of every reading: which columns, of what, in which unit."""
+    labels = {k: label for k, label in numbers.labels.items() if k not in fitted.columns and _is_std(label)}
+    labels = {k: label for k, label in labels.items() if _positive(numbers.values[:, k])}
+    for columns in grouped(labels, "deviation"):
+        label = labels[columns[0]]
+        what = "orientation" if _TURNED & set(label.words) else "position"
+        coverage = float(label.coverage or 1.0)
+        if what in out.std or set(columns) & out.used or len(columns) not in (1, 3):
+            continue
+        if (what == "orientation" and fitted.best.meaning.turning is None) or (
+            out.std and coverage != float(out.std.get("coverage", 1.0))
+        ):
+            continue
+        unit = _unit_of_std(fitted, label, float(np.nanmedian(numbers.values[:, list(columns)])) / coverage, what)
+        shown = numbers.shown(*columns)
+        if unit is None:
+            out.said.append(f"standard deviations {shown} are not used: no unit makes them plausible; state std")
+            continue
+        keys = numbers.keys(columns)
+        out.std |= {what: keys if len(keys) == 3 else keys[0]}
+        out.std |= {"unit" if what == "position" else "orientation_unit": unit}
+        out.std |= {"coverage": coverage} if coverage > 1.0 else {}
+        of = f"{label.coverage} standard deviations" if coverage > 1.0 else "standard deviations"
+        axes = "" if len(columns) == 3 else " along each axis"
+        out.said.append(f"{shown} are {of} of the {what}{axes}, in {unit}")
+        out.used |= set(columns)
+
+
+def _is_std(label: Label) -> bool:
+    words = set(label.words)
+    return bool(_STD & words or _SHORT.search(label.name) or (label.coverage and re.search(r"\bu[xyz]?\b", label.name)))
+
+
+def _positive(values: Array) -> bool:
+    there = values[np.isfinite(values)]
+    return len(there) > 0 and bool((there >= 0.0).all()) and bool((there > 0.0).any())
+
+
+def _unit_of_std(fitted: Fitted, label: Label, typical: float, what: str) -> str | None:
+    """The unit by the label; else that of the readings, or another one, with which the size is an instrument's."""
+    turning, match = fitted.best.meaning.turning, fitted.best.match
+    units = ("rad", "deg") if what == "orientation" else (fitted.best.meaning.unit, "mm", "m")
+    if label.unit is not None or label.told:
+        return label.unit if label.unit in (*units, "cm", "in") else None
+    most = max(match.typical_angle, 1e-3) if what == "orientation" else max(match.typical, 1e-4)
+    fits = [unit for unit in units if _FINEST < UNITS[unit] * typical < most]
+    if what == "orientation" and turning is not None and turning.form in ("euler", "rotvec"):
+        fits = [unit for unit in fits if unit == ("deg" if turning.degrees else "rad")]
+    return fits[0] if fits and (what == "position" or len(fits) == 1) else None
+
+
+def _temperatures(out: OtherColumns, around: Surroundings, families: Sequence[JointColumns]) -> None:
     """Temperatures in °C; a family of as many as there are joints is theirs."""
+    numbers = around.numbers
     for one in families:
-        if all(_is_warm(numbers, k) for k in one.columns) and any(k in numbers.usable() for k in one.columns):
-            out.temperature |= _by_joint(numbers, chain, one.columns)
+        if all(_is_warm(numbers, k) for k in one.columns) and set(one.columns) & set(numbers.usable):
+            out.temperature |= around.by_joint(one.columns)
             out.used |= set(one.columns)
-    for k in numbers.usable():
-        if k not in taken | out.used and _is_warm(numbers, k):
-            words = [w for w in numbers.labels[k].words if w not in ("c", "degc")]
-            name = "_".join(words) or f"column_{k}"
+    for k in numbers.usable:
+        if k not in around.taken | out.used and _is_warm(numbers, k):
+            name = "_".join(w for w in numbers.labels[k].words if w not in ("c", "degc")) or f"column_{k}"
             out.temperature[name if name not in out.temperature else f"{name}_{k}"] = numbers.key(k)
             out.used.add(k)
     if out.temperature:
@@ -339,41 +292,29 @@ def _temperatures(
 
 
 def _is_warm(numbers: Numbers, k: int) -> bool:
-    label = numbers.labels[k]
-    return bool({"temperature", "temp", "temperatur"} & set(label.words)) and label.told not in _KELVIN
+    return bool(_WARM & set(numbers.labels[k].words)) and numbers.labels[k].told not in _NOT_CELSIUS
 
 
-def _signals(
-    out: OtherColumns,
-    numbers: Numbers,
-    chain: Chain,
-    families: Sequence[JointColumns],
-    taken: set[int],
-    of_joints: set[int],
-) -> None:
+def _signals(out: OtherColumns, around: Surroundings, families: Sequence[JointColumns], of_joints: set[int]) -> None:
     """Take every other labelled column that changes and is neither a counter nor a reading's own error as a signal."""
+    numbers, labels = around.numbers, around.numbers.labels
     for one in families:
-        if set(one.columns) & (out.used | taken):
+        words = [w for w in labels[one.columns[0]].words if not w.isdigit() and w not in ("j", "joint", "axis")]
+        if set(one.columns) & (out.used | around.taken) or _NOT_A_SIGNAL & set(words):
             continue
-        words = [w for w in numbers.labels[one.columns[0]].words if not w.isdigit() and w not in ("j", "joint", "axis")]
-        if _NOT_A_SIGNAL & set(words):
-            continue
-        stem = _topic(words) or "joint_signal"
-        for name, k in zip(chain.names, one.columns, strict=True):
-            if k in numbers.usable():
-                out.signals[f"{stem}/{_topic([name])}"] = numbers.key(k)
+        for name, k in zip(around.chain.names, one.columns, strict=True):
+            if k in numbers.usable:
+                out.signals[f"{_topic(words) or 'joint_signal'}/{_topic([name])}"] = numbers.key(k)
                 out.used.add(k)
-    labels = dict(numbers.labels)
-    coordinates = {k for t in (*angle_triples(labels), *quaternions(labels), *matrices(labels)) for k in t}
-    coordinates |= {k for k, label in labels.items() if label.axis is not None and label.told not in _TORQUES}
-    for k in numbers.usable():
-        label = numbers.labels[k]
-        if k in taken | out.used | of_joints | coordinates or not label.words or _NOT_A_SIGNAL & set(label.words):
+    barred = {k for kind in ("angles", "quaternion", "matrix") for group in grouped(labels, kind) for k in group}
+    barred |= {k for k, label in labels.items() if label.axis("position") is not None and label.told not in _TORQUES}
+    for k in numbers.usable:
+        label, values = labels[k], numbers.values[:, k][np.isfinite(numbers.values[:, k])]
+        if k in around.taken | out.used | of_joints | barred or _NOT_A_SIGNAL & set(label.words):
             continue
-        if is_counter(numbers.values[:, k]) and _whole(numbers.values[:, k]):
+        if is_counter(values) and bool((values == np.round(values)).all()):
             continue
-        name = _topic(label.words)
-        if name:
+        if name := _topic(label.words):
             out.signals[name if name not in out.signals else f"{name}_{k}"] = numbers.key(k)
             out.used.add(k)
     if out.signals:
@@ -383,8 +324,3 @@ def _signals(
 def _topic(words: Sequence[str]) -> str:
     name = _TOPIC.sub("_", "_".join(words)).strip("_")
     return name if name[:1].isalpha() else f"signal_{name}" if name else ""
-
-
-def _whole(values: Array) -> bool:
-    values = values[np.isfinite(values)]
-    return bool((values == np.round(values)).all())

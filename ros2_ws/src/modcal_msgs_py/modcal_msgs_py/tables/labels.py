@@ -1,9 +1,22 @@
-"""What a column's label says: of which quantity it is, along which axis, of which joint, in which unit. Words only."""
+"""What a column's label says, by one table of rules: quantity, axis, joint and unit. Words only.
+
+A label becomes a line of words. Each rule of :data:`RULES` has patterns for such lines: the group ``axis`` is the
+column's own name, and what stands around it names the body. Columns of one body are put together in the order of the
+rule. A new kind of column is a row of the table.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+
+
+def words(text: str) -> frozenset[str]:
+    """The words of a text."""
+    return frozenset(text.split())
+
 
 _BRACKETS = re.compile(r"[\[(<{]\s*([^\])>}]*)\s*[\])>}]")
 _SUFFIX = re.compile(r"[_ ](k?Nm{1,2}|(?:rad|deg|mm|m)[/_]s|gon|kg|degC|hPa|bar|mm|m|in|cm|deg|rad|%)$", re.IGNORECASE)
@@ -11,45 +24,91 @@ _COVERAGE = re.compile(r"([23])[ _-]?(?:sigma|σ|std|s\b)|\bk ?= ?([23])|95")
 _WORD = re.compile(r"[A-Za-z°µ]+|\d+")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 # Units as labels have them, and as a mapping does
-UNITS = {
-    "mm": "mm", "millimeter": "mm", "millimeters": "mm", "cm": "cm", "m": "m", "meter": "m", "meters": "m",
-    "in": "in", "inch": "in", "inches": "in", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg",
-    "rad": "rad", "radian": "rad", "radians": "rad", "s": "s", "sec": "s", "seconds": "s", "ms": "ms", "us": "us",
-    "µs": "us", "ns": "ns",
-}  # fmt: skip
+_UNITS = "mm millimeter millimeters millimetre|cm|m meter meters metre|in inch inches|deg degree degrees °"
+_UNITS += "|rad radian radians|gon|s sec seconds|ms|us µs|ns"
+UNITS = {name: names.split()[0] for names in _UNITS.split("|") for name in names.split()}
 MEASURED, COMMANDED, VELOCITY, EFFORT, OTHER = "measured", "commanded", "velocity", "effort", "other"
-_ROLES = (
-    (OTHER, {"current", "temp", "temperature", "error", "err", "std", "stddev", "sd", "sigma", "stdev", "sx", "sy",
-             "sz", "deviation", "covariance", "payload", "mass", "residual", "acc",
-             "acceleration", "qdd", "voltage", "status", "limit", "min", "max", "rms", "uncertainty", "quality",
-             "intensity", "pressure", "humidity", "confidence", "frame", "index", "count"}),
-    (EFFORT, {"effort", "torque", "tau", "moment", "trq", "load"}),
-    (VELOCITY, {"velocity", "vel", "qd", "dq", "speed", "rate"}),
-    (COMMANDED, {"commanded", "command", "cmd", "target", "desired", "des", "setpoint", "ref", "reference", "demand",
-                 "nominal", "soll", "planned", "goal"}),
-)  # fmt: skip
-_COMPUTED = {"tcp", "flange", "fk", "controller", "robot", *dict(_ROLES)[COMMANDED]}
-_DIFFERENCES = {"dif", "diff", "difference", "delta", "dev", "deviation", "err", "error", "d"}
-TURNS = {
-    "r",
-    "rot",
-    "rotation",
-    "orientation",
-    "euler",
-    "q",
-    "quat",
-    "quaternion",
-    "angle",
-    "ori",
-    "rpy",
-    "rotvec",
-    "attitude",
+_ROLES = {
+    OTHER: "current temp temperature temperatur error err std stddev sd sigma stdev sx sy sz deviation covariance "
+    "payload mass residual acc acceleration qdd voltage status limit min max rms uncertainty quality intensity "
+    "pressure druck humidity confidence frame index count",
+    EFFORT: "effort torque tau moment trq load",
+    VELOCITY: "velocity vel qd dq speed rate",
+    COMMANDED: "commanded command cmd target desired des setpoint ref reference demand nominal soll planned goal",
 }
-_ANGLE_TRIPLES = (
-    ("rx", "ry", "rz"), ("roll", "pitch", "yaw"), ("a", "b", "c"), ("w", "p", "r"), ("alpha", "beta", "gamma"),
-    ("phi", "theta", "psi"), ("e1", "e2", "e3"), ("u", "v", "w"), ("heading", "pitch", "roll"), ("ax", "ay", "az"),
-    ("ox", "oy", "oz"), ("omega", "phi", "kappa"), ("wx", "wy", "wz"), ("rotx", "roty", "rotz"), ("o", "a", "t"),
-)  # fmt: skip
+_ROLE_WORDS = {role: words(said) for role, said in _ROLES.items()}
+_COMPUTED = _ROLE_WORDS[COMMANDED] | {"tcp", "flange", "fk", "controller", "robot"}
+_TURNS = "r rot rotation orientation euler q quat quaternion angle ori rpy rotvec attitude"
+TURNS = words(_TURNS)
+_TURN = rf"\b(?:{_TURNS.replace(' ', '|')})\b(?: \w+)*? "
+_TRIPLES = "rx ry rz|roll pitch yaw|a b c|w p r|alpha beta gamma|phi theta psi|u v w|heading pitch roll|ax ay az"
+_TRIPLES += "|ox oy oz|omega phi kappa|wx wy wz|rotx roty rotz|o a t"
+_XYZ = (("x", "y", "z"),)
+_ANGLE_ORDERS = tuple(tuple(triple.split()) for triple in _TRIPLES.split("|"))
+_ANGLES = "|".join(sorted({name for order in _ANGLE_ORDERS for name in order}, key=len, reverse=True))
+_PLAIN = words("rx ry rz roll pitch yaw rotx roty rotz")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How columns of one kind are called. patterns: the first that fits a label's words counts. orders: names of the
+    columns of a body, as they are read; none: each column is one by itself. words, barred: of which a label must have
+    one, and none.
+    """
+
+    patterns: tuple[str, ...]
+    orders: tuple[tuple[str, ...], ...] = ()
+    words: frozenset[str] = frozenset()
+    barred: frozenset[str] = frozenset()
+
+    def axis(self, name: str) -> tuple[str, str] | None:
+        """(name of the column in its body, name of the body) of a line of words; None where it is no such column."""
+        words = frozenset(name.split())
+        if (self.words and not self.words & words) or self.barred & words:
+            return None
+        for pattern in self.patterns:
+            if (found := re.search(pattern, name)) is not None:
+                group = found.lastgroup or 0
+                rest = f"{name[: found.start(group)]} {name[found.end(group) :]}"
+                return found[group].replace(" ", "") if group == "axis" else str(group), " ".join(rest.split())
+        return None
+
+
+def _matrix(base: int, columns: int) -> list[str]:
+    return [f"{r}{c}" for r in range(base, base + 3) for c in range(base, base + columns)]
+
+
+def _homogeneous(base: int) -> tuple[str, ...]:
+    """Names of the place, then of the turn, in a matrix whose fourth column is the place."""
+    place = [f"{r}{base + 3}" for r in range(base, base + 3)]
+    return (*place, *(name for name in _matrix(base, 4) if name not in place))
+
+
+_DIGITS = (r"(?P<axis>\d ?\d?)$",)
+_SECOND = "elevation|el|elev|altitude|vertical|vert|zenith|zen|v|za|va"
+RULES: Mapping[str, tuple[Rule, ...]] = {
+    "position": (Rule((r"\b(?P<axis>[xyz])$", r"\b(?P<axis>[xyz])\b"), _XYZ, barred=TURNS | _ROLE_WORDS[OTHER]),
+                 Rule((r"\b[tpd](?P<axis>[xyz])$",), _XYZ)),
+    "difference": (Rule((r"\b(?P<axis>[xyz])\b",), _XYZ,
+                        words("dif diff difference delta dev deviation err error d"), TURNS),
+                   Rule((r"\bd(?P<axis>[xyz])$",), _XYZ)),
+    "quaternion": (Rule((rf"(?:\bq ?|\be (?=\d)|{_TURN})(?P<axis>[xyzw]|\d)$",),
+                        (tuple("xyzw"), tuple("xyz0"), tuple("0123"), tuple("1234"))),),
+    "matrix": (Rule(_DIGITS, tuple(tuple(_matrix(b, 3)) for b in (1, 0))),
+               Rule(_DIGITS, tuple(tuple(str(k) for k in range(b, b + 9)) for b in (1, 0)))),
+    "homogeneous": (Rule(_DIGITS, (_homogeneous(1), _homogeneous(0))),),
+    "angles": (Rule((rf"\b(?P<axis>{_ANGLES})$",), _ANGLE_ORDERS),
+               Rule((rf"{_TURN}(?P<axis>[xyz])$",), _XYZ), Rule((r"\be (?P<axis>[123])$",), (tuple("123"),))),
+    "bearing": (Rule((rf"\b(?:(?P<azimuth>azimuth|az|hz|horizontal|ha|azim|hza)|(?P<second>{_SECOND}))\b",),
+                     (("azimuth", "second"),), barred=_ROLE_WORDS[OTHER]),),
+    "range": (Rule((r"\b(?P<axis>distance|dist|range|rng|length|wire|slope|laenge|abstand)\b",
+                    r"^(?P<axis>d)(?: \w+)?$"), barred=_ROLE_WORDS[OTHER] | {"x", "y", "z"}),),
+    "touch": (Rule((r"\b(?P<axis>height|plane|dial|indicator|gap|clearance|gauge|standoff)\b",),
+                   barred=_ROLE_WORDS[OTHER] | {"x", "y", "z"}),),
+    "deviation": (Rule((r"\b(?:s|sd|std|sigma|u)(?P<axis>[xyz])\b", r"\b(?P<axis>rx|ry|rz|roll|pitch|yaw|[xyz])\b",
+                        r"(?P<axis>)$"), (*_XYZ, *_ANGLE_ORDERS[:2], ("",))),),
+    "family": (Rule((r"(?P<axis>\d{1,4})(?=\D*$)",)),),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,24 +128,26 @@ class Label:
         told = [*_BRACKETS.findall(text), unit.strip("[]()<> ")]
         found = next((UNITS[t.strip().lower()] for t in told if t.strip().lower() in UNITS), None)
         inside = _BRACKETS.sub(lambda m: f" {m[1]} " if m[1].strip().isdigit() else " ", text)
-        words = [w for part in _WORD.findall(inside) for w in _CAMEL.split(part)]
-        words = [w.lower() for w in words]
+        words = [w.lower() for part in _WORD.findall(inside) for w in _CAMEL.split(part)]
         if found is None and len(words) > 1 and words[-1] in UNITS:  # x_mm
-            found = UNITS[words[-1]]
-            words = words[:-1]
+            found = UNITS[words.pop()]
         raw = ["".join(t.lower().split()) for t in told]
         behind = _SUFFIX.search(text)
-        name = next((t for t in raw if t and not any(c.isdigit() for c in t)), "") or (
-            behind[1].lower() if behind is not None else ""
-        )
+        name = next((t for t in raw if t and not any(c.isdigit() for c in t)), "")
+        name = name or (behind[1].lower() if behind is not None else "")
         return cls(text, tuple(words), found, name.replace("·", "").replace("*", "").replace("_", "/"))
+
+    @cached_property
+    def name(self) -> str:
+        """The words as one line, which rules are read on."""
+        return " ".join(self.words)
 
     @property
     def role(self) -> str:
         """What a joint's column holds."""
         if self.coverage:
             return OTHER
-        return next((role for role, said in _ROLES if said & set(self.words)), MEASURED)
+        return next((role for role, said in _ROLE_WORDS.items() if said & set(self.words)), MEASURED)
 
     @property
     def coverage(self) -> str:
@@ -99,125 +160,46 @@ class Label:
         """Whether it sounds like a pose that the controller computed, not one that was measured."""
         return bool(_COMPUTED & set(self.words))
 
-    @property
-    def axis(self) -> tuple[str, str] | None:
-        """("x", rest of the label) of a coordinate of a position, None for others."""
-        if not self.words:
-            return None
-        last, rest = self.words[-1], self.words[:-1]
-        if last in ("x", "y", "z") and not TURNS & set(rest) and self.role != OTHER:
-            return last, " ".join(rest)
-        if len(last) == 2 and last[0] in "tpd" and last[1] in "xyz":  # Tx, px
-            return last[1], " ".join((*rest, last[0]))
-        for i, word in enumerate(self.words):  # X tool
-            if word in ("x", "y", "z") and not TURNS & set(self.words) and self.role != OTHER:
-                return word, " ".join(self.words[:i] + self.words[i + 1 :])
-        return None
+    def axis(self, kind: str) -> tuple[str, str] | None:
+        """(name of the column in its body, name of the body) as a column of a kind; None where it is none."""
+        found = (rule.axis(self.name) for rule in RULES[kind])
+        return None if self.coverage and kind != "deviation" else next((axis for axis in found if axis), None)
 
     @property
-    def difference(self) -> tuple[str, str] | None:
-        """("x", rest of the label) of a difference along an axis: ``x_dif``, ``Error Y [mm]``, ``dz``; or None."""
-        rest = [w for w in self.words if w not in ("x", "y", "z")]
-        axes = [w for w in self.words if w in ("x", "y", "z")]
-        if len(axes) == 1 and _DIFFERENCES & set(rest) and not TURNS & set(rest):
-            return axes[0], " ".join(rest)
-        if self.words and self.words[-1] in ("dx", "dy", "dz"):
-            return self.words[-1][1], " ".join((*self.words[:-1], "d"))
-        return None
+    def of_instrument(self) -> bool:
+        """Whether it is one of a distance, a direction or a height."""
+        return any(self.axis(kind) for kind in ("range", "bearing", "touch"))
+
+    @property
+    def plainly_turned(self) -> bool:
+        """Whether it says plainly that the column is an angle of an orientation."""
+        found = self.axis("angles")
+        return found is not None and (found[0] in _PLAIN or bool(TURNS & set(found[1].split())))
 
 
-def angle_triples(labels: dict[int, Label]) -> list[tuple[int, int, int]]:
-    """Columns whose labels are those of three angles, each three in the order of their names."""
-    out = []
-    flat = {i: _turn_word(label) for i, label in labels.items()}
-    for names in _ANGLE_TRIPLES:
-        by_stem: dict[str, dict[str, int]] = {}
-        for i, (word, stem) in flat.items():
-            if word in names:
-                by_stem.setdefault(stem, {}).setdefault(word, i)
-        out += [tuple(found[n] for n in names) for found in by_stem.values() if len(found) == 3]
-    return list(dict.fromkeys((t[0], t[1], t[2]) for t in out))
+def grouped(labels: Mapping[int, Label], kind: str) -> list[tuple[int, ...]]:
+    """Columns whose labels make a body of a kind, each in the order of the rule."""
+    out: list[tuple[int, ...]] = []
+    lines = {k: label.name for k, label in labels.items() if kind == "deviation" or not label.coverage}
+    for rule in RULES[kind]:
+        axes = {k: axis for k, name in lines.items() if (axis := rule.axis(name)) is not None}
+        out += _ordered(axes, rule.orders) if rule.orders else [(k,) for k in axes]
+    return list(dict.fromkeys(out))
 
 
-_PLAIN_TURNS = {"rx", "ry", "rz", "roll", "pitch", "yaw", "rotx", "roty", "rotz"}
+def families(labels: Mapping[int, Label], count: int) -> list[tuple[tuple[int, ...], str]]:
+    """(columns, name) of labels that differ by a number alone, which counts from 1, or from 0, to so many."""
+    (rule,) = RULES["family"]
+    axes = {k: axis for k, label in labels.items() if (axis := rule.axis(label.text)) is not None}
+    axes = {k: (str(int(number)), stem) for k, (number, stem) in axes.items()}
+    orders = [tuple(str(k) for k in range(first, first + count)) for first in (1, 0)]
+    found = {stem: _ordered({k: a for k, a in axes.items() if a[1] == stem}, orders)[:1] for _, stem in axes.values()}
+    return [(columns, stem) for stem, some in found.items() for columns in some]
 
 
-def turn_labels(labels: dict[int, Label]) -> set[int]:
-    """Columns whose labels say plainly that they are angles of an orientation."""
-    return {k for k, label in labels.items() if _turn_word(label)[0] in _PLAIN_TURNS}
-
-
-def quaternions(labels: dict[int, Label]) -> list[tuple[int, int, int, int]]:
-    """Columns whose labels are those of quaternions, in the order x y z w or as they are numbered."""
-    out: list[tuple[int, int, int, int]] = []
-    by_stem: dict[str, dict[str, int]] = {}
-    for i, label in labels.items():
-        words = label.words
-        if not words:
-            continue
-        last, rest = words[-1], words[:-1]
-        turned = bool(TURNS & set(rest))
-        if last in ("qx", "qy", "qz", "qw"):
-            by_stem.setdefault(" ".join(rest), {})[last[1]] = i
-        elif turned and last in ("x", "y", "z", "w"):
-            by_stem.setdefault(" ".join(rest), {})[last] = i
-        elif last.isdigit() and rest and rest[-1] in ("q", "quat", "quaternion", "e"):
-            by_stem.setdefault(label.text.rstrip("])}0123456789"), {})[last] = i
-    for found in by_stem.values():
-        if set(found) == {"0"}:  # Q0 Qx Qy Qz
-            for other in by_stem.values():
-                if set(other) == {"x", "y", "z"}:
-                    other["w"] = found["0"]
-    for found in by_stem.values():
-        for names in (("x", "y", "z", "w"), ("0", "1", "2", "3"), ("1", "2", "3", "4")):
-            if set(names) <= set(found):
-                out.append((found[names[0]], found[names[1]], found[names[2]], found[names[3]]))
-    return out
-
-
-def matrices(labels: dict[int, Label]) -> list[tuple[int, ...]]:
-    """Columns whose labels are those of the nine elements of a matrix, row by row or as they are numbered."""
-    out = []
-    for found in _elements(labels):
-        for base in (1, 0):
-            names = [f"{r}{c}" for r in range(base, base + 3) for c in range(base, base + 3)]
-            numbered = [str(k) for k in range(base, base + 9)]
-            out += [tuple(found[name] for name in wanted) for wanted in (names, numbered) if set(wanted) <= set(found)]
-    return out
-
-
-def homogeneous(labels: dict[int, Label]) -> list[tuple[tuple[int, int, int], tuple[int, ...]]]:
-    """Columns whose labels are those of a matrix with the place as its fourth column: place, and nine elements."""
-    out = []
-    for found in _elements(labels):
-        for base in (1, 0):
-            rows = range(base, base + 3)
-            turn, place = [f"{r}{c}" for r in rows for c in rows], [f"{r}{base + 3}" for r in rows]
-            if {*turn, *place} <= set(found):
-                x, y, z = (found[name] for name in place)
-                out.append(((x, y, z), tuple(found[name] for name in turn)))
-    return out
-
-
-def _elements(labels: dict[int, Label]) -> list[dict[str, int]]:
-    """Columns that are called the same but for numbers, by these."""
-    cells: dict[str, dict[str, int]] = {}
-    for i, label in labels.items():
-        numbers = [w for w in label.words if w.isdigit()]
-        rest = " ".join(w for w in label.words if not w.isdigit())
-        if numbers and rest:
-            cells.setdefault(rest, {})["".join(numbers)] = i
-    return list(cells.values())
-
-
-def _turn_word(label: Label) -> tuple[str, str]:
-    """(word of an angle, rest of the label); ("", "") for others."""
-    words = label.words
-    if not words:
-        return "", ""
-    last, rest = words[-1], words[:-1]
-    if last in ("x", "y", "z") and TURNS & set(rest):
-        return f"r{last}", " ".join(w for w in rest if w not in TURNS)
-    if last.isdigit() and rest and rest[-1] == "e":
-        return f"e{last}", " ".join(rest[:-1])
-    return last, " ".join(w for w in rest if w not in TURNS)
+def _ordered(axes: Mapping[int, tuple[str, str]], orders: Iterable[Sequence[str]]) -> list[tuple[int, ...]]:
+    """Columns of bodies that have all names of an order; of two with one name the first counts."""
+    bodies: dict[str, dict[str, int]] = {}
+    for k, (axis, body) in axes.items():
+        bodies.setdefault(body, {}).setdefault(axis, k)
+    return [tuple(found[n] for n in order) for order in orders for found in bodies.values() if set(order) <= set(found)]

@@ -6,19 +6,34 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import pairwise
+from functools import cache
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 
 from modcal_core.geometry import Array
-from modcal_core.measurements import ORDER_ONLY
-from modcal_msgs_py.tables.candidates import Numbers
+from modcal_core.measurements import ORDER_ONLY, Schema
+from modcal_msgs_py.tables.columns import Numbers
+from modcal_msgs_py.tables.labels import words
+from modcal_msgs_py.tables.readings import COLUMN, mapping, one_of
 from modcal_msgs_py.tables.table import Table
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-LAST = 2.0**31  # s; stamps of messages end in 2038
+_LAST = 2.0**31  # s; stamps of messages end in 2038
 _ORDER_STEP = 1e-3  # s between rows that a table stamps alike
+_COLUMNS: Schema = {"type": ["string", "integer", "array"], "items": COLUMN, "minItems": 1, "maxItems": 2}
+_FORMAT: Schema = {"type": "string", "minLength": 1, "description": "as strptime has it: %Y-%m-%d %H:%M:%S"}
+_PERIOD: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 1e6}
+TIME: Schema = {
+    "type": "object",
+    "oneOf": [
+        mapping({"column": _COLUMNS, "format": _FORMAT}, "column", "format"),
+        mapping({"seconds": COLUMN, "unit": one_of(*SECONDS)}, "seconds"),
+        mapping({"order": mapping({"period_s": _PERIOD}, "period_s")}, "order"),
+    ],
+    "description": "when a row was taken: a date, a number of seconds, or its order only",
+}
 
 
 def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Array, str | None]:
@@ -31,15 +46,14 @@ def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Arra
     if "format" in time:
         column = time["column"]
         out = _dates(table, column, time["format"])
+        table.lack(np.flatnonzero([not cell for cell in table.text(column)]), f"column {column}")
     else:
         column = time["seconds"]
         out = SECONDS[time.get("unit", "s")] * table.numbers(column)
-    for i in np.flatnonzero(np.isfinite(out) & ~((out >= 0.0) & (out < LAST))):
+    for i in np.flatnonzero(np.isfinite(out) & ~((out >= 0.0) & (out < _LAST))):
         table.bad(int(i), column, f"{out[i]:g} s is not a plausible time", "is not a plausible time")
         out[i] = np.nan
-    if "format" in time:
-        table.lack(np.flatnonzero([not cell for cell in table.text(column)]), f"column {column}")
-    else:
+    if "format" not in time:
         table.present(column)
     there = np.flatnonzero(np.isfinite(out))
     falls = int((np.diff(out[there]) < 0.0).sum())
@@ -51,45 +65,44 @@ def stamps_of(table: Table, time: Mapping[str, Any], clock: float) -> tuple[Arra
     return out, warning
 
 
+_FINER = re.compile(r"([.,]\d{6})\d+")  # nanoseconds
+
+
+def _moment(cell: str, form: str) -> float:
+    """Seconds since 1970. Raises ValueError and the like for what is not in this format."""
+    moment = datetime.strptime(_FINER.sub(r"\1", cell), form)
+    if moment.year == 1900:  # a time of day without a date
+        moment = moment.replace(year=1970)
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
 def _dates(table: Table, column: Any, form: str) -> Array:
     out = np.full(len(table), np.nan)
     for i, cell in enumerate(table.text(column)):
-        if not cell:
-            continue
         try:
-            moment = datetime.strptime(cell, form)
-            if moment.year == 1900:  # a time of day without a date
-                moment = moment.replace(year=1970)
-            out[i] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+            out[i] = _moment(cell, form) if cell else np.nan
         except (ValueError, IndexError, KeyError, OverflowError, re.error):
             table.bad(i, column, f"'{cell[:40]}' is not {form}", form)
     return out
 
 
-_NAMES = {
-    "time",
-    "timestamp",
-    "stamp",
-    "t",
-    "zeit",
-    "seconds",
-    "sec",
-    "secs",
-    "epoch",
-    "datetime",
-    "date",
-    "uhrzeit",
-    "temps",
-}
-_FORMATS = (
-    "%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%dT%H:%M:%SZ",
-    "%Y-%m-%dT%H:%M:%S.%fZ", "%Y-%m-%dT%H:%M:%S%z", "%Y/%m/%d %H:%M:%S", "%Y/%m/%d %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S",
-    "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p", "%d/%m/%Y %H:%M:%S", "%Y%m%d%H%M%S",
-    "%d.%m.%Y %H:%M", "%H:%M:%S", "%H:%M:%S.%f",
-)  # fmt: skip
+_NAMES = words("time timestamp stamp t zeit seconds sec secs epoch datetime date datum uhrzeit temps clock utc")
+# Every date with every time of day and zone; where two read all cells, the first counts
+_DATES = "%Y-%m-%d|%Y/%m/%d|%d.%m.%Y|%m/%d/%Y|%d/%m/%Y|%Y.%m.%d|%d-%m-%Y|%Y%m%d|%d-%b-%Y|%d %b %Y|%b %d %Y"
+_DATES += "|%d.%m.%y|%m/%d/%y|%Y:%m:%d"
+_TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%I:%M:%S %p", "%H:%M", "%H%M%S", "%H-%M-%S", "%I:%M %p")
+_BETWEEN, _ZONES = (" ", "T", "_", ", ", ",", "-", ""), ("", "Z", "%z", " %z", " UTC")
 _ORDER_S = 10.0  # s between rows of which only the order is known
 _EPOCH = 1e9  # s since 1970 are more than this, from 2001 on
 _ROWS = 200  # that are tried with a format
+
+
+@cache
+def _formats() -> tuple[tuple[str, str], ...]:
+    """(format, the signs that it must find) of every date and time, and of times alone."""
+    times = [f"{time}{zone}" for zone, time in product(_ZONES, _TIMES)]
+    forms = [f"{date}{between}{time}" for between, time, date in product(_BETWEEN, times, _DATES.split("|"))]
+    return tuple((form, re.sub("%.", "", form)) for form in (*forms, *times))
 
 
 @dataclass(frozen=True)
@@ -111,31 +124,36 @@ def find_time(numbers: Numbers, taken: set[int]) -> RowTimes:
         if (found := _seconds(numbers, k)) is not None:
             return found
     said = f"no column says when a row was taken: rows count as {_ORDER_S:g} s apart, and nothing is told of drift"
+    for k in named[:1]:
+        cell = next((cell for cell in numbers.sheet.column(k) if cell), "")
+        said += f"; {numbers.shown(k)} is called a time, and '{cell[:40]}' is in no format that is known: state time"
     return RowTimes({"order": {"period_s": _ORDER_S}}, (), said)
 
 
 def _dates_of_rows(numbers: Numbers, columns: tuple[int, ...]) -> RowTimes | None:
-    rows = numbers.sniffed.rows[:_ROWS]
-    cells = [" ".join(row[k].strip() for k in columns if k < len(row)).strip() for row in rows]
-    cells = [cell for cell in cells if cell]
+    rows = zip(*(numbers.sheet.column(k)[:_ROWS] for k in columns), strict=True)
+    cells = [cell for cell in (" ".join(row).strip() for row in rows) if cell]
     if not cells or (not any(sign in cells[0] for sign in ":-/.") and len(cells[0]) != 14):
         return None
-    fits = [form for form in _FORMATS if all(_reads(cell, form) for cell in cells)]
+    fits: list[str] = []
+    for form, signs in _formats():
+        if set(signs) <= set(cells[0]) and all(_reads(cell, form) for cell in cells):
+            fits.append(form)
     if not fits:
         return None
     keys = [numbers.key(k) for k in columns]
     names = " and ".join(numbers.shown(k) for k in columns)
-    also = f" ({fits[1]} would read them, too)" if len(fits) > 1 and "%m" in fits[1] else ""
+    other = next((form for form in fits[1:] if "%m" in form and form.index("%m") != fits[0].find("%m")), "")
+    also = f" ({other} would read them, too)" if other else ""
     said = f"{names} holds the time, as {fits[0]}{also}, in UTC"
     return RowTimes({"column": keys[0] if len(keys) == 1 else keys, "format": fits[0]}, columns, said)
 
 
 def _reads(cell: str, form: str) -> bool:
     try:
-        datetime.strptime(cell, form)
-    except ValueError:
+        return _moment(cell, form) >= 0.0
+    except (ValueError, OverflowError):
         return False
-    return True
 
 
 def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
@@ -145,13 +163,10 @@ def _seconds(numbers: Numbers, k: int) -> RowTimes | None:
         return None
     label = numbers.labels[k]
     told = label.unit if label.unit in SECONDS else next((w for w in label.words if w in SECONDS), None)
-    powers = {"s": _EPOCH, "ms": 1e3 * _EPOCH, "us": 1e6 * _EPOCH, "ns": 1e9 * _EPOCH}
-    since_1970 = [u for u, low in powers.items() if low < column.min() and SECONDS[u] * column.max() < LAST]
+    since_1970 = [u for u, s in SECONDS.items() if s * column.min() > _EPOCH and s * column.max() < _LAST]
     unit = since_1970[0] if len(since_1970) == 1 else told or "s"
     how = "since 1970, by its size" if len(since_1970) == 1 else "by its label" if told else "assumed: no unit is told"
-    if SECONDS[unit] * column.max() >= LAST:
+    if SECONDS[unit] * column.max() >= _LAST:
         return None
-    stated: dict[str, Any] = {"seconds": numbers.key(k)}
-    if unit != "s":
-        stated["unit"] = unit
+    stated: dict[str, Any] = {"seconds": numbers.key(k), **({"unit": unit} if unit != "s" else {})}
     return RowTimes(stated, (k,), f"{numbers.shown(k)} holds the time in {unit} ({how})")

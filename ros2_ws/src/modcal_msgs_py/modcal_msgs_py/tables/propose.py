@@ -1,13 +1,13 @@
 """A mapping for a table that has none: what its columns are, proved by the nominal arm that fits, or asked.
 
-The text says how the file is written (``sniff``), labels and numbers which columns may be what (``candidates``,
-``labels``), and the hand-eye problem of the nominal arm which reading of them is right
-(:mod:`modcal_core.hypotheses.meanings`). Where two readings fit alike, nothing is chosen in silence.
+The text says how the file is written (:mod:`sheet`), labels and numbers which columns may be what (:mod:`labels`,
+:mod:`columns`), and the hand-eye problem of the nominal arm which reading of them is right (:mod:`proof`). Where two
+readings fit alike, nothing is chosen in silence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,270 +15,368 @@ from typing import Any
 import numpy as np
 
 from modcal_core.errors import BadTable
+from modcal_core.files import to_yaml
 from modcal_core.geometry import Array, se3
-from modcal_core.hypotheses import MATRIX, MIN_ROWS, Postures, Turning, judge, likely_orders, rivals, same_poses
+from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, Inertias
-from modcal_msgs_py.tables.beside import OtherColumns, find_beside
-from modcal_msgs_py.tables.candidates import Body, JointColumns, Numbers, bodies, joints, orthonormal, pool
-from modcal_msgs_py.tables.fitted import (
-    MAX_RAD,
-    ColumnChoice,
-    Fitted,
-    decided,
+from modcal_msgs_py.tables.beside import OtherColumns, Surroundings, find_beside
+from modcal_msgs_py.tables.columns import (
+    Body,
+    JointColumns,
+    Numbers,
+    bodies,
     deviation_columns,
+    joint_columns,
+    orthonormal,
+    pool,
+    rigid_bodies,
+)
+from modcal_msgs_py.tables.fits import (
+    MAX_RAD,
+    Fitted,
+    JointChoice,
+    choices_of,
+    decided,
     differences,
     missed,
-    scales,
-    units,
     with_deviations,
     worse,
 )
-from modcal_msgs_py.tables.labels import MEASURED, turn_labels
-from modcal_msgs_py.tables.moments import RowTimes, find_time
-from modcal_msgs_py.tables.readings import rigid_bodies, rigid_poses
-from modcal_msgs_py.tables.sighted import SightColumns, Sighted, find_sights, is_sight, sight_columns
-from modcal_msgs_py.tables.sniff import Sniffed, sniff
-from modcal_msgs_py.tables.table import Faults, Sheet, Table, join
+from modcal_msgs_py.tables.labels import MEASURED, words
+from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
+from modcal_msgs_py.tables.proof import (
+    LENGTHS,
+    MATRIX,
+    MIN_ROWS,
+    Postures,
+    Turning,
+    astray,
+    by_target,
+    corrected,
+    judge,
+    likely_orders,
+    rivals,
+    same_poses,
+)
+from modcal_msgs_py.tables.readings import rigid_poses
+from modcal_msgs_py.tables.sheet import Sheet, joined, sniff
+from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, sight_columns
+from modcal_msgs_py.tables.table import Table
 
-NOT_AN_ARM = 0.05  # of the reach; columns that leave more have nothing to do with the arm
 _ORDERS = 6  # of columns without labels that are judged in full
 _MAX_BODIES = 10  # that are judged where labels do not tell
+_MAX = 300  # rows that meanings are judged by
+_WIDTH = 116  # of comments
+
+Watch = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Findings:
-    """Everything that was found out of a table. fitted: its readings. beside: what else it holds. questions: what the
-    data cannot tell; the mapping is refused till they are answered. others: places of columns that fit as well and are
-    not used.
+class Proposal:
+    """A proposed mapping. proved: what the data shows, with the second best. open: questions."""
+
+    mapping: Mapping[str, Any]
+    proved: tuple[str, ...]
+    assumed: tuple[str, ...]
+    open: tuple[str, ...]
+
+    def text(self, source: str) -> str:
+        """The mapping as YAML, with comments."""
+        lines = [f"Mapping for modcal import, found out from {source}. Edit it where it is wrong."]
+        for name, said in (("Proved", self.proved), ("Assumed", self.assumed)):
+            lines += [f"{name}: {sentence}." for sentence in said]
+        return "".join(f"# {part}\n" for line in lines for part in _folded(line)) + to_yaml(self.mapping)
+
+
+def _folded(text: str) -> list[str]:
+    out, line = [], ""
+    for word in text.replace("\n", " ").split(" "):
+        if line and len(line) + len(word) >= _WIDTH:
+            out.append(line)
+            line = f"  {word}"
+        else:
+            line = f"{line} {word}" if line else word
+    return [*out, line]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The robot that is measured. inertias: of the chain's bodies, by which the sign of efforts is told. bystanders:
+    other joints of the robot description, each with whether it turns. urdf: its file, as a mapping states it.
     """
 
-    numbers: Numbers
     chain: Chain
-    time: RowTimes
-    fitted: Fitted | Sighted
-    questions: tuple[str, ...] = ()
-    assumed: tuple[str, ...] = ()
-    others: tuple[Fitted, ...] = field(default=())
-    beside: OtherColumns = field(default_factory=OtherColumns)
-    joined: Together | None = None
+    inertias: Inertias | None = None
+    bystanders: Mapping[str, bool] = field(default_factory=dict)
+    urdf: str | None = None
 
 
-def find(
-    paths: Sequence[Path],
-    chain: Chain,
-    watch: Callable[[str], None] = lambda stage: None,
-    inertias: Inertias | None = None,
-) -> Findings:
-    """What the columns of a file are; of several, joined by a column that they share.
+def find(paths: Sequence[Path], arm: Arm | Chain, watch: Watch = lambda stage: None) -> Proposal:
+    """A mapping for a file; of several, joined by a column that they share, or by their order where the arm then fits.
 
-    inertias: of the chain's bodies, by which the sign of efforts is told. Raises BadTable where no reading of the
-    columns has to do with the arm at all.
+    Raises BadTable where no reading of the columns has to do with the arm at all.
     """
-    path = paths[0]
-    watch(f"reading {path.name}")
-    joined = together(paths)
-    numbers = Numbers.of(joined.sniffed)
+    arm = arm if isinstance(arm, Arm) else Arm(arm)
+    watch(f"reading {paths[0].name}")
+    ways = _together(paths)
+    refusals, found = list[BadTable](), list[Proposal]()
+    for way in ways:
+        try:
+            found.append(_found(way, arm, watch))
+        except BadTable as error:
+            refusals.append(error)
+            continue
+        if not found[-1].open:
+            break
+    if not found:
+        raise refusals[0]
+    return min(found, key=lambda made: len(made.open))
+
+
+def _found(way: _Together, arm: Arm, watch: Watch) -> Proposal:
+    numbers, chain = Numbers.of(way.sheet), arm.chain
     if len(numbers.values) < MIN_ROWS:
         said = f"has {len(numbers.values)} rows, {MIN_ROWS} are needed to tell what its columns are"
-        raise BadTable(path.name, said, "write a mapping, see docs/import.md")
+        raise BadTable(way.sheet.path.name, said, "write a mapping, see docs/import.md")
     sure = orthonormal(numbers)
     labelled = [
         j
-        for j in joints(numbers, chain.names)
-        if not set(j.columns) & sure and not all(is_sight(numbers.labels[k]) for k in j.columns)
+        for j in joint_columns(numbers, chain.names)
+        if not set(j.columns) & sure and not all(numbers.labels[k].of_instrument for k in j.columns)
     ]
-    measured = [j for j in labelled if j.role == MEASURED]
     taken = {k for j in labelled for k in j.columns}
     time = find_time(numbers, taken)
-    away = deviation_columns(numbers, {*taken, *time.columns})
-    places = with_deviations(numbers, bodies(numbers, {*taken, *(away or ())}, set(time.columns)), away)
     watch("comparing what columns may mean")
-    instruments = sight_columns(numbers, {*taken, *time.columns, *sure})
-    fits = _every_fit(numbers, chain, places, measured, set(time.columns), instruments, watch)
+    search = _Search(numbers, chain, [j for j in labelled if j.role == MEASURED], set(time.columns), watch)
+    away = deviation_columns(numbers, {*taken, *time.columns})
+    places = with_deviations(numbers, bodies(numbers, {*taken, *away}, set(time.columns)), away)
+    fits = search.every_fit(places, sight_columns(numbers, {*taken, *time.columns, *sure}))
+    questions: tuple[str, ...] = ()
+    assumed: list[str] = []
     if isinstance(fits, Sighted):
-        found = Findings(numbers, chain, time, fits, fits.questions)
+        read: Fitted | Sighted = fits
+        questions = fits.questions
     else:
-        near = min((f.best.match.typical for f in fits), default=np.inf)
-        if not near <= NOT_AN_ARM * chain.reach():
-            said = "no columns are found that could be the joints of this arm and the position of a target on it"
-            if fits:
-                said += f"; the best leave {1e3 * near:.0f} mm"
-            raise BadTable(path.name, said, "check --urdf, --base and --tip, or write a mapping: docs/import.md")
-        fits, asked = decided(numbers, fits)
-        found = _decided(numbers, chain, time, fits, labelled)
-        found = replace(found, questions=(*asked, *found.questions))
-    read = found.fitted
+        fits = search.otherwise(fits)
+        if not any(f.best.near for f in fits):
+            raise BadTable(way.sheet.path.name, *_no_arm(fits))
+        fits, questions = decided(numbers, fits)
+        read, asked, assumed = _decided(numbers, chain, fits, labelled)
+        questions = (*questions, *asked)
     whole = read if isinstance(read, Fitted) else None
-    beside = find_beside(numbers, chain, inertias, labelled, read.choice, read.columns, time, whole)
-    questions = tuple(dict.fromkeys((*found.questions, *beside.questions)))
-    return replace(found, joined=joined, beside=beside, questions=questions)
+    used = {*read.choice.joints.columns, *read.columns, *time.columns}
+    stamps = stamps_of(Table.of(numbers.sheet), time.stated, 0.0)[0] if time.columns else None
+    around = Surroundings(numbers, chain, read.choice, whole, used, stamps, arm.inertias, arm.bystanders)
+    beside = find_beside(around, labelled)
+    return _made(numbers, arm, time, read, beside, way, tuple(dict.fromkeys((*questions, *beside.questions))), assumed)
 
 
-def _every_fit(
-    numbers: Numbers,
-    chain: Chain,
-    places: Sequence[Body],
-    measured: Sequence[JointColumns],
-    time: set[int],
-    instruments: Sequence[SightColumns],
-    watch: Callable[[str], None],
-) -> list[Fitted] | Sighted:
-    """Likely places of the readings with their meanings: by labels first, by numbers where labels lead nowhere.
+def _no_arm(fits: Sequence[Fitted]) -> tuple[str, str]:
+    said = "no columns are found that could be the joints of this arm and the position of a target on it"
+    if fits:
+        said += f"; the best leave {1e3 * min(f.best.match.typical for f in fits):.0f} mm"
+        said += ", and no joint that is counted otherwise explains it"
+    return said, "check --urdf, --base and --tip, or write a mapping: docs/import.md"
 
-    Targets of one body come before any of them alone, distances, directions and heights behind labelled positions.
-    """
-    targets = rigid_bodies(numbers, places)
-    posed = [b for b in places if b.named and b.turned]
-    named = posed or [b for b in places if b.named]
-    points = [b for b in places if b.turned is None]
-    other = [b for b in (bodies(numbers, set(), time) if not measured else places) if not b.named and b.turned]
-    fits: list[Fitted] = []
 
-    def settled() -> bool:
-        return any(f.best.explained(chain) and not f.computed for f in fits)
+class _Search:
+    """Likely places of the readings in a table, with what they may mean. measured: joints by their labels."""
 
-    def left(some: Sequence[Body]) -> list[Body]:
-        """Bodies that share no column with a pose computed from the joints."""
-        gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
-        return [b for b in some if not gone & {*b.position, *(b.turned or ())}]
+    def __init__(
+        self, numbers: Numbers, chain: Chain, measured: Sequence[JointColumns], time: set[int], watch: Watch
+    ) -> None:
+        self._numbers, self._chain, self._measured = numbers, chain, measured
+        self._time, self._watch = time, watch
 
-    if targets and measured:
-        fits += _fits(numbers, chain, targets, measured)
-        if settled():
+    def every_fit(self, places: Sequence[Body], instruments: Sequence[SightColumns]) -> list[Fitted] | Sighted:
+        """By labels first, by numbers where labels lead nowhere.
+
+        Targets of one body come before any of them alone, distances, directions and heights behind labelled positions.
+        """
+        measured, numbers = self._measured, self._numbers
+        posed = [b for b in places if b.named and b.turned]
+        named = posed or [b for b in places if b.named]
+        points = [b for b in places if b.turned is None]
+        among = places if measured else bodies(numbers, set(), self._time)
+        other = [b for b in among if not b.named and b.turned]
+        fits = self._fits(rigid_bodies(numbers, places), measured) if measured else []
+        tiers = ((named, False), (named, True), (other, False), (points, False), (other, True), (points, True))
+        for some, search in tiers:
+            if any(f.best.explained(self._chain) and not f.computed for f in fits):
+                break
+            gone = {k for f in fits if f.computed for k in (*f.body.position, *(f.body.turned or ()))}
+            left = [b for b in some if not b.shares(gone)]  # no column of a pose that was computed from the joints
+            if search:
+                self._watch("looking for the joints' columns")
+                fits += self._searched(left)
+            elif measured:
+                fits += self._fits(left, measured)
+            if instruments and measured and not any(f.best.explained(self._chain) and not f.computed for f in fits):
+                self._watch("comparing what distances and directions may mean")
+                if (sighted := find_sights(numbers, self._chain, measured, instruments)) is not None:
+                    return sighted
+                instruments = ()
+        return fits
+
+    def _fits(self, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
+        """These places with their meanings; of columns that are explained already no other place is looked for."""
+        out: list[Fitted] = []
+        for body in places[:_MAX_BODIES]:
+            if any(_covers(f.body, body) and f.best.explained(self._chain) for f in out):
+                continue
+            if (fitted := self._fitted(body, choices)) is not None:
+                out.append(fitted)
+        return out
+
+    def _fitted(self, body: Body, joints: Sequence[JointColumns], counted: Sequence[JointChoice] = ()) -> Fitted | None:
+        values = self._numbers.values
+        used = [*body.columns, *(k for j in joints for k in j.columns)]
+        rows = np.flatnonzero(np.isfinite(values[:, used]).all(axis=1))
+        rows = rows[~(values[np.ix_(rows, np.array(body.zeros))] == 0.0).all(axis=1)]
+        if len(rows) < MIN_ROWS:
+            return None
+        values = values[rows]
+        choices = list(counted) or [choice for one in joints for choice in choices_of(self._chain, one, values)]
+        postures = [Postures(choice.postures(self._chain, values), choice.joints.how) for choice in choices]
+        position, turned = _columns_read(body, values)
+        found = judge(self._chain, postures, position, turned)
+        if body.points:  # as the mapping makes them, and no other way
+            whole = Turning(MATRIX, tuple(range(9)))
+            found = [f for f in found if f.meaning.turning == whole and not f.meaning.inverse]
+        told = [f for f in found if f.meaning.unit == self._numbers.labels[body.position[0]].unit]
+        found = told if any(f.explained(self._chain) for f in told) else found
+        return Fitted(body, tuple(choices), tuple(found), rows) if found else None
+
+    def _searched(self, places: Sequence[Body]) -> list[Fitted]:
+        """Places with the joints' columns found by what they explain of the readings."""
+        numbers, chain = self._numbers, self._chain
+        triples = list(dict.fromkeys(body.position for body in places))
+        taken = set(self._time)
+        if places and places[0].named:
+            taken |= {k for k, label in numbers.labels.items() if label.plainly_turned}
+            taken |= {k for b in places for k in b.position}
+            taken |= {k for b in places if b.turned and len(b.turned) > 3 for k in b.turned}  # by its numbers alone
+        columns = pool(numbers, taken)
+        used = sorted({*columns, *(k for triple in triples for k in triple)})
+        whole = np.isfinite(numbers.values[:, used]).all(axis=1)
+        if not triples or not whole.any():
+            return []
+        values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
+        largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
+        orders = [
+            order
+            for scale in ((np.pi / 180.0,) if largest > MAX_RAD else (1.0, np.pi / 180.0))
+            for order in likely_orders(chain, values, scale, columns, [(t[0], t[1], t[2]) for t in triples], _ORDERS)
+        ]
+        orders.sort(key=lambda order: order.left)
+        out: list[Fitted] = []
+        for t in dict.fromkeys(order.triple for order in orders[:_ORDERS]):
+            some = dict.fromkeys(order.columns for order in orders if order.triple == t)
+            choices = [JointColumns(order, "what they explain of the readings") for order in some]
+            for body in [b for b in places if b.position == triples[t]][:6]:
+                free = [c for c in choices if not body.shares(set(c.columns))][:_ORDERS]
+                if free and (fitted := self._fitted(body, free)) is not None:
+                    out.append(fitted)
+                    if fitted.best.explained(chain) and body.turned is not None:
+                        return out
+        return out
+
+    def otherwise(self, fits: list[Fitted]) -> list[Fitted]:
+        """The same, where the arm misses by more than usual with several targets, or with joints that are counted
+        otherwise, where that explains it.
+        """
+        if not fits or not self._measured or any(f.best.explained(self._chain) for f in fits):
             return fits
-    for some, search in ((named, False), (named, True), (other, False), (points, False), (other, True), (points, True)):
-        if search:
-            watch("looking for the joints' columns")
-            fits += _searched(numbers, chain, left(some), time)
-        elif measured:
-            fits += _fits(numbers, chain, left(some), measured)
-        if settled():
-            break
-        if instruments and measured:
-            watch("comparing what distances and directions may mean")
-            sighted = find_sights(numbers, chain, measured, instruments)
-            instruments = ()
-            if sighted is not None:
-                return sighted
-    return fits
+        self._watch("comparing how joints may be counted")
+        labelled = [f for f in fits if f.choice.joints in self._measured and not f.body.points and not f.body.away]
+        plain = [f for f in labelled if f.body.named] or labelled
+        if not plain:
+            return fits
+        first = max(plain, key=lambda f: (f.best.near, f.best.match.score))
+        point = next((f for f in fits if f.body == replace(first.body, turned=None)), None)
+        point = point or self._fitted(replace(first.body, turned=None), self._measured) or first
+        if (told := self._of_targets(point)) is not None:
+            return [told]
+        position = _columns_read(point.body, self._numbers.values[point.rows])[0]
+        choices = [Postures(c.postures(self._chain, self._numbers.values[point.rows]), "") for c in point.choices]
+        found = corrected(self._chain, choices, position)
+        if found is None:
+            return fits
+        k, counted, rivalling = found
+        some = [replace(point.choices[k], counted=c) for c in (counted, *rivalling)]
+        alike = [f.body for f in plain if f.body.position == point.body.position]
+        made = [self._fitted(b, [some[0].joints], some) for b in dict.fromkeys((*alike, point.body))]
+        return [f for f in made if f is not None and f.best.near] or fits
+
+    def _of_targets(self, point: Fitted) -> Fitted | None:
+        meaning, numbers, rows = point.best.meaning, self._numbers, point.rows
+        if meaning.turning is not None:
+            return None
+        scale = LENGTHS[meaning.unit]
+        position = scale * _columns_read(point.body, numbers.values[rows])[0]
+        free = set(range(numbers.sheet.width)) - {*point.columns, *point.choice.joints.columns, *self._time}
+        texts = {k: [numbers.sheet.column(k)[i] for i in rows] for k in free}
+        q = point.choice.postures(self._chain, numbers.values[rows])
+        column = by_target(self._chain, q, position, texts)
+        if column is None:
+            return None
+        groups = [np.array(texts[column]) == name for name in dict.fromkeys(texts[column])]
+        most = max(groups, key=lambda rows_of: int(rows_of.sum()))
+        judged = judge(self._chain, [Postures(q[most], "")], position[most] / scale, None)
+        found = [replace(j, meaning=replace(j.meaning, postures=meaning.postures)) for j in judged]
+        return replace(point, found=tuple(found), target=column) if found and found[0].near else None
 
 
-def _fits(numbers: Numbers, chain: Chain, places: Sequence[Body], choices: Sequence[JointColumns]) -> list[Fitted]:
-    """These places with their meanings; of columns that are explained already no other place is looked for."""
-    out: list[Fitted] = []
-    for body in places[:_MAX_BODIES]:
-        if any(_covers(f.body, body) and f.best.explained(chain) for f in out):
-            continue
-        if (fitted := _fitted(numbers, chain, body, choices)) is not None:
-            out.append(fitted)
-    return out
-
-
-def _covers(known: Body, body: Body) -> bool:
-    return (
-        (known.away, known.sign) == (body.away, body.sign)
-        and bool(set(known.position) & set(body.position))
-        and (
-            known.turned is None or body.turned is None or bool(set(known.turned) & set(body.turned)) or not body.named
-        )
-    )
-
-
-def _fitted(numbers: Numbers, chain: Chain, body: Body, joint_columns: Sequence[JointColumns]) -> Fitted | None:
-    used = [*body.columns, *(k for j in joint_columns for k in j.columns)]
-    rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
-    rows = rows[~(numbers.values[np.ix_(rows, np.array(body.zeros))] == 0.0).all(axis=1)]
-    if len(rows) < MIN_ROWS:
-        return None
-    values = numbers.values[rows]
-    choices: list[ColumnChoice] = []
-    postures: list[Postures] = []
-    for one in joint_columns:
-        for angle, length in units(chain, values[:, list(one.columns)]):
-            choices.append(ColumnChoice(one, angle, length))
-            postures.append(Postures(scales(chain, angle, length) * values[:, list(one.columns)], one.how))
-    turned = None if body.turned is None else values[:, list(body.turned)]
+def _columns_read(body: Body, values: Array) -> tuple[Array, Array | None]:
+    """Columns of positions (N, 3) and of orientations (N, k), in the table's unit; of targets, of the body they are."""
+    if body.points:
+        poses = rigid_poses(np.stack([values[:, list(triple)] for _, triple in body.points], axis=1))[0]
+        return poses[:, :3, 3], poses[:, :3, :3].reshape(-1, 9)
     position = values[:, list(body.position)]
     if body.away:
         position = position + body.sign * values[:, list(body.away)]
-    if body.points:
-        poses = rigid_poses(np.stack([values[:, list(triple)] for _, triple in body.points], axis=1))[0]
-        position, turned = poses[:, :3, 3], poses[:, :3, :3].reshape(-1, 9)
-    found = judge(chain, postures, position, turned)
-    if body.points:  # as the mapping makes them, and no other way
-        found = [f for f in found if f.meaning.turning == Turning(MATRIX, tuple(range(9))) and not f.meaning.inverse]
-    return Fitted(body, tuple(choices), tuple(found), rows) if found else None
+    return position, None if body.turned is None else values[:, list(body.turned)]
 
 
-def _searched(numbers: Numbers, chain: Chain, places: Sequence[Body], time: set[int]) -> list[Fitted]:
-    triples = list(dict.fromkeys(body.position for body in places))
-    taken = set(time)
-    if places and places[0].named:
-        taken |= turn_labels(numbers.labels)
-        taken |= {k for body in places for k in (*body.position, *((body.turned or ()) if _sure(body) else ()))}
-    columns = pool(numbers, taken)
-    used = sorted({*columns, *(k for triple in triples for k in triple)})
-    whole = np.isfinite(numbers.values[:, used]).all(axis=1)
-    if not triples or not whole.any():
-        return []
-    values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
-    largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
-    found = []
-    for scale in (np.pi / 180.0,) if largest > MAX_RAD else (1.0, np.pi / 180.0):
-        found += likely_orders(chain, values, scale, columns, triples, _ORDERS)
-    found.sort(key=lambda order: order.left)
-    out: list[Fitted] = []
-    for t in dict.fromkeys(order.triple for order in found[:_ORDERS]):
-        orders = dict.fromkeys(order.columns for order in found if order.triple == t)
-        choices = [JointColumns(order, "what they explain of the readings") for order in orders]
-        for body in [b for b in places if b.position == triples[t]][:6]:
-            free = [c for c in choices if not set(c.columns) & {*body.position, *(body.turned or ())}][:_ORDERS]
-            if free and (fitted := _fitted(numbers, chain, body, free)) is not None:
-                out.append(fitted)
-                if fitted.best.explained(chain) and body.turned is not None:
-                    return out
-    return out
-
-
-def _sure(body: Body) -> bool:
-    """Whether an orientation is one by its numbers alone."""
-    return body.turned is not None and len(body.turned) > 3
+def _covers(known: Body, body: Body) -> bool:
+    turned = known.turned is None or body.turned is None or bool(set(known.turned) & set(body.turned))
+    alike = (known.away, known.sign) == (body.away, body.sign) and bool(set(known.position) & set(body.position))
+    return alike and (turned or not body.named)
 
 
 def _decided(
-    numbers: Numbers, chain: Chain, time: RowTimes, fits: list[Fitted], labelled: Sequence[JointColumns]
-) -> Findings:
-    """The place that is proposed, with what is to be asked and what is to be said."""
-    fits.sort(
-        key=lambda f: (
-            not f.best.explained(chain), f.computed, f.body.computed, not f.body.posed, not f.body.named,
-        )
-    )  # fmt: skip
-    if not fits[0].best.explained(chain):
-        fits.sort(key=lambda f: -f.best.match.score)
-    chosen, *rest = fits
-    questions, assumed = [], []
-    best = chosen.best
+    numbers: Numbers, chain: Chain, fits: Sequence[Fitted], labelled: Sequence[JointColumns]
+) -> tuple[Fitted, list[str], list[str]]:
+    """The place that is proposed, what is to be asked, and what is to be said."""
+
+    def likely(f: Fitted) -> tuple[bool | float, ...]:
+        explained = f.best.explained(chain)
+        # numbers that are rotations for themselves are believed where they are near; angles may be read in many ways
+        posed = f.body.posed and (explained or len(f.body.turned or ()) > 3)
+        order = (f.computed, f.body.computed, not posed, not explained, not f.body.named)
+        return (not f.best.near, *order, -f.best.match.score)
+
+    chosen, *rest = sorted(fits, key=likely)
+    questions, assumed, best = list[str](), list[str](), chosen.best
     if not best.explained(chain):
-        questions.append(
-            f"no reading of the columns makes the nominal arm fit; the best leaves {missed(best)}: check the URDF, "
-            "--tip, and every line below"
+        assumed.append(
+            f"the nominal arm misses by {missed(best)}, more than most do ({100.0 * best.share:.1f} % of what moves): "
+            "no other reading of the columns fits better, and `modcal calibrate` says what explains it"
         )
     if chosen.computed:
         questions.append(
             "the nominal arm reproduces the readings to some micrometres: they look computed from the joints, not "
             "measured"
         )
-    others = tuple(f for f in rest if f.best.explained(chain))
-    for other in others:
-        if _alike(chosen, other):
-            continue
-        names = f"{_names(numbers, chosen.body)} and {_names(numbers, other.body)}"
+    for other in [f for f in rest if f.best.explained(chain) and not _alike(chosen, f)]:
+        names = [numbers.shown(*f.body.position) for f in (chosen, other)]
         if other.computed or (other.body.computed and not chosen.body.computed):
-            assumed.append(f"{_names(numbers, other.body)} look computed by the controller and are not used")
+            assumed.append(f"{names[1]} look computed by the controller and are not used")
         elif set(chosen.body.position) != set(other.body.position):
-            questions.append(f"{names} both move with the tool: keep the columns of the target that was measured")
-    if not chosen.body.posed and any(f.body.turned for f in rest):
+            both = " and ".join(names)
+            questions.append(f"{both} both move with the tool: keep the columns of the target that was measured")
+    turned = [f.body.turned for f in rest if f.body.turned is not None]
+    if not chosen.body.posed and any(len(t) > 3 or numbers.labels[t[0]].axis("angles") for t in turned):
         questions.append(
             "columns that look like orientations fit in no convention; positions alone fit: write euler, quaternion, "
             "rotvec or matrix, or leave the orientation out"
@@ -288,136 +386,170 @@ def _decided(
         questions.append(f"cannot tell {pairs} ({worse(best, rival)})")
     by_labels = [j for j in labelled if j.role == MEASURED]
     if by_labels and chosen.choice.joints.columns not in [j.columns for j in by_labels]:
-        named = ", ".join(numbers.shown(k) for k in by_labels[0].columns)
+        named = numbers.shown(*by_labels[0].columns)
         questions.append(f"labels say that the joints are {named}; the arm fits with the columns below instead")
-    return Findings(
-        numbers, chain, time, chosen, tuple(dict.fromkeys(questions)), tuple(dict.fromkeys(assumed)), others
-    )
+    return chosen, list(dict.fromkeys(questions)), list(dict.fromkeys((*assumed, *_astray(numbers, chain, chosen))))
+
+
+def _astray(numbers: Numbers, chain: Chain, chosen: Fitted) -> Iterator[str]:
+    """Rows that fit no base and tool of the others."""
+    rows = chosen.rows[spread_rows(len(chosen.rows), _MAX)]
+    if chosen.target is not None or len(rows) != len(chosen.best.position):
+        return
+    q = chosen.choice.postures(chain, numbers.values[rows])
+
+    def line(i: int) -> str:
+        name = numbers.sheet.column(0)[rows[i]]
+        tells = 0 not in {*chosen.columns, *chosen.choice.joints.columns} and name
+        return f"line {numbers.sheet.lines[rows[i]]}{f' ({name[:20]})' if tells else ''}"
+
+    for i, k in astray(chain, q, chosen.best.position):
+        of = f"its reading belongs to another station, {line(k)} by what fits" if k is not None else "no other fits it"
+        yield f"{line(i)} fits the arm in no way: {of}; it is kept, and `modcal calibrate` rejects it"
 
 
 def _alike(one: Fitted, other: Fitted) -> bool:
-    if one.body.position != other.body.position or (one.body.turned is None) != (other.body.turned is None):
+    if one.body.position != other.body.position or one.body.turned is None or other.body.turned is None:
         return False
-    if len(one.best.R) != len(other.best.R) or one.body.turned is None:
-        return False
-    return same_poses(se3.transform(one.best.R, one.best.position), other.best.R, other.best.position)
+    A = se3.transform(one.best.R, one.best.position)
+    return len(one.best.R) == len(other.best.R) and same_poses(A, other.best.R, other.best.position)
 
 
-def _names(numbers: Numbers, body: Body) -> str:
-    return ", ".join(numbers.shown(k) for k in body.position)
+def _made(
+    numbers: Numbers,
+    arm: Arm,
+    time: RowTimes,
+    read: Fitted | Sighted,
+    beside: OtherColumns,
+    way: _Together,
+    questions: tuple[str, ...],
+    assumed: Sequence[str],
+) -> Proposal:
+    """The mapping that was found, with its proof and what was assumed."""
+    chain, choice, sheet = arm.chain, read.choice, numbers.sheet
+    entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
+    used = {*choice.joints.columns, *read.columns, *beside.used}
+    said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", time.said]
+    shown = ", ".join(f"{n} = {numbers.shown(k)}" for n, k in zip(chain.names, choice.joints.columns, strict=True))
+    said += [f"the joints' columns by {choice.joints.how}: {shown}", *way.said]
+    if not sheet.sure:
+        said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
+    if lacking := len(numbers.values) - len(read.rows):
+        entry["missing"] = "skip"
+        said.append(f"{lacking} of {len(numbers.values)} rows lack a number that is needed, and are left out")
+    if odd := sorted({text for k in used for text in numbers.odd.get(k, ()) if k != getattr(read, "target", None)}):
+        entry["missing_values"] = odd
+        said.append(f"{', '.join(odd)} mark cells without a number")
+    if read.zeros and (numbers.values[:, list(read.zeros)] == 0.0).all(axis=1).any():
+        entry["zeros_missing"] = numbers.keys(read.zeros)
+        said.append("rows of zeros are rows in which nothing was read")
+    if way.stated:
+        entry["joined"] = list(way.stated)
+    entry["time"] = time.stated
+    joints = choice.entry(numbers, chain)
+    for key in ("columns", "units"):
+        if key in beside.joints:
+            joints[key] = {**joints.get(key, {}), **beside.joints[key]}
+    entry["joints"] = {**joints, **{k: v for k, v in beside.joints.items() if k not in ("columns", "units")}}
+    entry |= read.entry(numbers)
+    if beside.std:
+        next(entry[key] for key in ("pose", "point") if key in entry)["std"] = beside.std
+    for key, stated in (("temperature", beside.temperature), ("signals", beside.signals)):
+        if stated:
+            entry[key] = stated
+    said += [*assumed, *beside.said, *_unused(numbers, {*used, *time.columns})]
+    mapping: dict[str, Any] = {"undecided": list(questions)} if questions else {}
+    mapping |= {**({"urdf": arm.urdf} if arm.urdf else {}), "tables": [entry]}
+    return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), questions)
 
 
-_MIN_COLUMNS = 2  # of a further file: the shared one, and one more
+def _unused(numbers: Numbers, taken: set[int]) -> Iterator[str]:
+    """Every column that is not used, by why."""
+    rest = [k for k in range(numbers.sheet.width) if k not in taken]
+    for why, some in (
+        ("", [k for k in rest if k in numbers.usable]),
+        (" (constant)", [k for k in rest if k in numbers.filled and k not in numbers.usable]),
+        (" (no numbers)", [k for k in rest if k not in numbers.filled and any(numbers.sheet.column(k))]),
+    ):
+        if some:
+            yield f"not used: {numbers.shown(*some)}{why}"
+
+
+# --- Several files: rows belong together by a column that they share, or by their order
+
 _SHARED = 0.5  # of the rows must have a partner
-_KEYS = {
-    "station",
-    "id",
-    "pose",
-    "index",
-    "nr",
-    "no",
-    "number",
-    "point",
-    "frame",
-    "time",
-    "timestamp",
-    "stamp",
-    "t",
-    "sample",
-}
+_KEYS = words("station id pose index nr no number point frame time timestamp stamp t sample")
 _STEP = 0.5  # of the usual step of the finer file, by which times may differ
+_MIN_SHARED, _MIN_COLUMNS = 3, 2
 
 
 @dataclass(frozen=True)
-class Together:
+class _Together:
     """A file with the columns of others beside its own. stated: the entries under joined. said: how."""
 
-    sniffed: Sniffed
+    sheet: Sheet
     stated: tuple[dict[str, Any], ...] = ()
     said: tuple[str, ...] = ()
 
 
-def together(paths: Sequence[Path]) -> Together:
-    """The first file with the others joined to it. Raises BadTable where no column tells which rows belong together."""
-    first = sniff(paths[0])
-    out = Together(first)
+def _together(paths: Sequence[Path]) -> list[_Together]:
+    """The first file with the others joined to it, in every likely way. Raises BadTable where there is none."""
+    ways = [_Together(sniff(paths[0]))]
     for path in paths[1:]:
-        out = _joined(out, path)
-    return out
+        other = sniff(path, _MIN_COLUMNS)
+        first = ways[0].sheet
+        ways = [way for known in ways for way in _joined(known, other, path)]
+        if not ways:
+            said = f"shares no column of station numbers or times with {first.path.name}, and has other rows"
+            raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/import.md")
+    return ways
 
 
-def _joined(known: Together, path: Path) -> Together:
-    ours, theirs = Numbers.of(known.sniffed), Numbers.of(sniff(path, _MIN_COLUMNS))
-    found = _keys(ours, theirs)
-    if found is None:
-        said = f"shares no column of station numbers or times with {known.sniffed.path.name}"
-        raise BadTable(path.name, said, "state joined: {files, by} in a mapping, see docs/import.md")
-    a, b, within = found
-    form = theirs.sniffed.form.entry()
-    stated: dict[str, Any] = {"files": path.name, **form, "by": {ours.key(a): theirs.key(b)}}
-    if within is not None:
-        stated["within"] = within
-    sniffed = known.sniffed
-    form = {k: v for k, v in form.items() if k != "decimal"}
-    sheet = Sheet(sniffed.path, sniffed.labels, sniffed.rows, list(range(len(sniffed.rows))), sniffed.form.decimal)
-    table = Table(sheet, Faults(sniffed.path.name))
-    # as the mapping will do it, so that names and rows are the same
-    join(table, {**stated, "decimal": theirs.sniffed.form.decimal}, path.parent, sniffed.path.name)
-    stated.setdefault("decimal", theirs.sniffed.form.decimal)
-    width = sniffed.width
-    new = list(table.joined.items())
-    rows = [[*row, *[""] * (width - len(row)), *(cells[i] for _, cells in new)] for i, row in enumerate(sniffed.rows)]
-    pad = [""] * (width - len(sniffed.full))
-    full = {
-        label: theirs.sniffed.full[k] for k, label in enumerate(theirs.sniffed.labels) if k < len(theirs.sniffed.full)
-    }
-    units = dict(zip(theirs.sniffed.labels, theirs.sniffed.units, strict=False))
-
-    def plain(name: str) -> str:
-        return name.removeprefix(f"{path.stem}.")
-
-    whole = replace(
-        sniffed,
-        labels=(*sniffed.labels, *[""] * (width - len(sniffed.labels)), *(name for name, _ in new)),
-        full=(*sniffed.full, *pad, *(full.get(plain(name), name) for name, _ in new)),
-        units=(*sniffed.units, *[""] * (width - len(sniffed.units)), *(units.get(plain(name), "") for name, _ in new)),
-        rows=rows,
-    )
-    how = f"{ours.shown(a)} of {sniffed.path.name} is {theirs.shown(b)} of {path.name}"
-    how += f", the nearest within {within:g}" if within is not None else ""
-    return Together(whole, (*known.stated, stated), (*known.said, how))
+def _joined(known: _Together, other: Sheet, path: Path) -> Iterator[_Together]:
+    ours, theirs = Numbers.of(known.sheet), Numbers.of(other)
+    form = {**other.form.entry(), "decimal": other.form.decimal}
+    options: list[tuple[dict[str, Any], str]] = []
+    if (found := _shared(ours, theirs)) is not None:
+        a, b, within = found
+        how = f"{ours.shown(a)} of {known.sheet.path.name} is {theirs.shown(b)} of {path.name}"
+        near = {} if within is None else {"within": within}
+        how += "" if within is None else f", the nearest within {within:g}"
+        options.append(({"by": {ours.key(a): theirs.key(b)}, **near}, how))
+    if len(known.sheet.rows) == len(other.rows):
+        how = (
+            f"rows of {path.name} belong to those of {known.sheet.path.name} in their order, as the arm's fit bears out"
+        )
+        options.append(({"by": "row"}, how))
+    for by, how in options:
+        stated = {"files": path.name, **form, **by}
+        sheet = joined(known.sheet, stated, path.parent, known.sheet.path.name, other)
+        yield _Together(sheet, (*known.stated, stated), (*known.said, how))
 
 
-def _keys(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
+def _shared(ours: Numbers, theirs: Numbers) -> tuple[int, int, float | None] | None:
     """Columns by which rows belong together: same numbers, else times that are near; and how near."""
     best: tuple[float, int, int, float | None] | None = None
-    for a in ours.usable():
-        for b in theirs.usable():
-            if not isinstance(ours.key(a), str) or not isinstance(theirs.key(b), str):
-                continue
-            named = bool(_KEYS & set(ours.labels[a].words)) and bool(_KEYS & set(theirs.labels[b].words))
-            if not named:
-                continue
-            share, within = _share(ours.values[:, a], theirs.values[:, b])
-            alike = ours.labels[a].words == theirs.labels[b].words
-            score = share + 0.2 * alike + 0.1 * (within is None)
-            if share >= _SHARED and (best is None or score > best[0]):
-                best = (score, a, b, within)
+    sides = [
+        [k for k in n.usable if isinstance(n.key(k), str) and _KEYS & set(n.labels[k].words)] for n in (ours, theirs)
+    ]
+    for a, b in ((a, b) for a in sides[0] for b in sides[1]):
+        share, within = _share(ours.values[:, a], theirs.values[:, b])
+        score = share + 0.2 * (ours.labels[a].words == theirs.labels[b].words) + 0.1 * (within is None)
+        if share >= _SHARED and (best is None or score > best[0]):
+            best = (score, a, b, within)
     return None if best is None else best[1:]
 
 
 def _share(a: Array, b: Array) -> tuple[float, float | None]:
     """Share of the rows with a partner, and how near partners are where their numbers are not the same."""
     a, b = a[np.isfinite(a)], np.sort(b[np.isfinite(b)])
-    if len(a) < 3 or len(b) < 3:
+    if len(a) < _MIN_SHARED or len(b) < _MIN_SHARED:
         return 0.0, None
-    if len(np.unique(b)) == len(b):
-        same = float(np.isin(a, b).mean())
-        if same >= _SHARED:
-            return same, None
+    if len(np.unique(b)) == len(b) and (same := float(np.isin(a, b).mean())) >= _SHARED:
+        return same, None
     if (np.diff(a) < 0.0).any():
         return 0.0, None
-    step = min(float(np.median(np.diff(x))) for x in (np.unique(a), np.unique(b)))
-    within = float(f"{_STEP * step:.2g}")
-    gap = np.abs(a[:, None] - b[np.clip(np.searchsorted(b, a)[:, None] + np.array([-1, 0]), 0, len(b) - 1)]).min(axis=1)
+    within = float(f"{_STEP * min(float(np.median(np.diff(np.unique(x)))) for x in (a, b)):.2g}")
+    at = np.clip(np.searchsorted(b, a)[:, None] + np.array([-1, 0]), 0, len(b) - 1)
+    gap = np.abs(a[:, None] - b[at]).min(axis=1)
     return (float((gap <= within).mean()), within) if within > 0.0 else (0.0, None)

@@ -1,11 +1,15 @@
-"""Joints and readings of a table: positions, velocities, efforts and commands; poses, points, distances, directions."""
+"""Joints and readings of a table: what a mapping may state of them, and the tracks that they become.
+
+Every kind of reading is a row of :data:`READINGS`, every form of an orientation one of :data:`FORMS`: what a mapping
+states, and the function that reads it.
+"""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import combinations
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +17,312 @@ from scipy.spatial.transform import Rotation
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array, se3, so3
-from modcal_core.measurements import BEARING, POINT, POSE, RANGE, RAY, TOUCH, JointTrack, ReadingTrack
-from modcal_msgs_py.tables.candidates import Body, Numbers
+from modcal_core.measurements import BEARING, POINT, POSE, RANGE, RAY, TOUCH, JointTrack, ReadingTrack, Schema
 from modcal_msgs_py.tables.table import Table
 
+UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "gon": np.pi / 200.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+SPEEDS = {f"{unit}/s": scale for unit, scale in UNITS.items()}
+EFFORTS = {"N m": 1.0, "N": 1.0, "N mm": 1e-3, "kN m": 1e3}
+COMMANDS = "/joint_commands"
 _ROUNDS = 3  # of the mean shape
+_MAX_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
+_MIN_LENGTH = 1e-6  # of a quaternion
+_NOT_A_ROTATION = 0.02  # by which an element of RᵀR may be off; exports have three digits and more
+_ON_A_LINE = 1e-3  # m; targets that lie on a line by less make no pose
+
+
+def said(schema: Schema, description: str) -> Schema:
+    """A schema with a description."""
+    return {**schema, "description": description}
+
+
+def mapping(properties: Schema, *required: str) -> Schema:
+    """The schema of a mapping with these keys and no others."""
+    return {"type": "object", "properties": properties, "required": list(required), "additionalProperties": False}
+
+
+def columns(count: int) -> Schema:
+    """The schema of so many columns."""
+    return {"type": "array", "items": COLUMN, "minItems": count, "maxItems": count}
+
+
+def one_of(*names: str) -> Schema:
+    """The schema of one of these texts."""
+    return {"type": "string", "enum": list(names)}
+
+
+COLUMN: Schema = {"type": ["string", "integer"], "description": "a column, by its label or by its number from 0"}
+BY_JOINT: Schema = {
+    "type": "object", "additionalProperties": COLUMN, "minProperties": 1, "description": "joint: column",
+}  # fmt: skip
+_NUMBERS: Schema = {"type": "object", "additionalProperties": {"type": "number", "minimum": -1e6, "maximum": 1e6}}
+_FRAME: Schema = {
+    "type": "string",
+    "minLength": 1,
+    "description": "name of the instrument's frame; {stem} and {folder} of the file may stand in it",
+}
+_LENGTH, _ANGLE = one_of("m", "cm", "mm", "in"), one_of("rad", "deg")
+_JOINT, _SPEED = one_of("rad", "deg", "m", "cm", "mm", "in"), one_of("rad/s", "deg/s", "m/s", "mm/s")
+_UP_TO_THREE: Schema = {"type": ["string", "integer", "array"], "items": COLUMN, "minItems": 3, "maxItems": 3}
+_COVERAGE: Schema = {
+    "type": "number",
+    "minimum": 1,
+    "maximum": 10,
+    "description": "standard deviations in what is stated, such as 2 of expanded uncertainties",
+}
+_STD = mapping(
+    {"position": _UP_TO_THREE, "unit": _LENGTH, "orientation": _UP_TO_THREE, "orientation_unit": _ANGLE,
+     "coverage": _COVERAGE}
+)  # fmt: skip
+_UNITS_OF = {"type": "object", "additionalProperties": _JOINT, "description": "of single joints"}
+JOINTS = mapping(
+    {
+        "unit": _JOINT,
+        "units": _UNITS_OF,
+        "columns": BY_JOINT,
+        "sign": said(_NUMBERS, "joint: factor, such as -1 of one that the table counts the other way"),
+        "offset": said(_NUMBERS, "joint: what is added to it, in its unit"),
+        "coupled": {
+            "type": "object",
+            "additionalProperties": _NUMBERS,
+            "description": "joint: {other: factor}; so many times the other's number in the table is added to it",
+        },
+        "velocity": mapping({"unit": _SPEED, "columns": BY_JOINT}, "unit", "columns"),
+        "effort": mapping(
+            {"columns": BY_JOINT, "unit": said(one_of(*EFFORTS), "Default: N m, and N"),
+             "of_load": {"type": "boolean",
+                         "description": "true: the load's torque on the actuator, the opposite sign"}},
+            "columns",
+        ),
+        "commanded": mapping({"unit": _JOINT, "units": _UNITS_OF, "columns": BY_JOINT}, "columns"),
+    },
+    "unit", "columns",
+)  # fmt: skip
+
+
+def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[JointTrack, JointTrack | None]:
+    """Joint states of a table, and the commanded positions if it has any; rows that lack one are left out."""
+    names = tuple(joints["columns"])
+    M, offset = joint_map(joints, names)
+    position = _scaled(table, joints, UNITS, names) @ M.T + offset
+    velocity = _beside(table, joints, "velocity", SPEEDS, names) @ M.T
+    effort = _beside(table, joints, "effort", EFFORTS, names) @ np.linalg.inv(M)  # of virtual work
+    if joints.get("effort", {}).get("of_load"):
+        effort = -effort
+    keep = np.isfinite(stamps) & table.present(list(joints["columns"].values()))
+    track = _rows(JointTrack(names, stamps, position, velocity, effort, stamps), keep)
+    if "commanded" not in joints:
+        return track, None
+    wanted = {"unit": joints["unit"], **joints["commanded"]}
+    known = tuple(wanted["columns"])
+    M, offset = joint_map(joints, known)
+    position = _scaled(table, wanted, UNITS, known) @ M.T + offset
+    unknown = np.full_like(position, np.nan)
+    sent = np.isfinite(stamps) & np.isfinite(position).all(axis=1)
+    return track, _rows(JointTrack(known, stamps, position, unknown, unknown, stamps, COMMANDS), sent)
+
+
+def joint_map(joints: Mapping[str, Any], names: Sequence[str]) -> tuple[Array, Array]:
+    """(M (n, n), c (n,)) with positions of these joints ``M r + c`` [rad, m] of what a table holds, r in the same."""
+    M = np.diag([float(joints.get("sign", {}).get(name, 1.0)) for name in names])
+    for name, others in joints.get("coupled", {}).items():
+        for other, factor in others.items():
+            if name in names and other in names:
+                M[names.index(name), names.index(other)] += factor
+    return M, np.array([_scale(joints, UNITS, n) * joints.get("offset", {}).get(n, 0.0) for n in names])
+
+
+def merged_joints(tracks: list[JointTrack]) -> JointTrack | None:
+    """One track of several with the same joints; None for none. Raises BadTable where they are not the same."""
+    if not tracks:
+        return None
+    if any(track.names != tracks[0].names for track in tracks):
+        raise BadTable("tables", "have different joints", "import them into bags of their own")
+    columns: dict[str, Any] = {n: np.concatenate([getattr(t, n) for t in tracks]) for n in _OF_ROWS}
+    return replace(tracks[0], **columns)
+
+
+_OF_ROWS = ("stamps", "position", "velocity", "effort", "received")
+
+
+def _rows(track: JointTrack, keep: np.ndarray) -> JointTrack:
+    columns: dict[str, Any] = {name: getattr(track, name)[keep] for name in _OF_ROWS}
+    return replace(track, **columns)
+
+
+def _scale(part: Mapping[str, Any], units: Mapping[str, float], name: str) -> float:
+    return units[(part.get("units") or {}).get(name, part["unit"])]
+
+
+def _scaled(table: Table, part: Mapping[str, Any], units: Mapping[str, float], names: tuple[str, ...]) -> Array:
+    scale = np.array([_scale(part, units, name) for name in names])
+    return scale * table.numbers([part["columns"][name] for name in names])
+
+
+def _beside(
+    table: Table, joints: Mapping[str, Any], what: str, units: Mapping[str, float], names: tuple[str, ...]
+) -> Array:
+    """A quantity of the joints (N, n), NaN where it is not stated."""
+    out = np.full((len(table), len(names)), np.nan)
+    if what in joints:
+        part = {"unit": "N m", **joints[what]}
+        known = tuple(name for name in names if name in part["columns"])
+        out[:, [names.index(name) for name in known]] = _scaled(table, part, units, known)
+    return out
+
+
+# --- Orientations: the forms that a pose may be stated in, and the rotations that they are
+
+
+@dataclass(frozen=True)
+class OrientationForm:
+    """One form of an orientation. properties: of a mapping, all required but those in optional. rotations: of the
+    columns (m, k) that hold one, with which of them (m,) do.
+    """
+
+    count: int
+    properties: Schema
+    optional: tuple[str, ...]
+    rotations: Callable[[Array, Mapping[str, Any], str], tuple[Array, np.ndarray]]
+
+    @property
+    def schema(self) -> Schema:
+        """What a mapping states."""
+        keys = {"columns": columns(self.count), **self.properties}
+        return mapping(keys, *(key for key in keys if key not in self.optional))
+
+
+def _by_quaternion(values: Array, stated: Mapping[str, Any], where: str) -> tuple[Array, np.ndarray]:
+    sign = np.array([-1.0, -1.0, -1.0, 1.0]) if stated.get("conjugate") else 1.0
+    return np.asarray(Rotation.from_quat(values * sign).as_matrix()), np.ones(len(values), bool)
+
+
+def _by_matrix(values: Array, stated: Mapping[str, Any], where: str) -> tuple[Array, np.ndarray]:
+    R = values.reshape(-1, 3, 3)
+    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    proper = (off < _NOT_A_ROTATION) & (np.linalg.det(R) > 0.0)
+    return so3.nearest_rotation(np.where(proper[:, None, None], R, np.eye(3))), proper
+
+
+def _by_angles(values: Array, stated: Mapping[str, Any], where: str) -> tuple[Array, np.ndarray]:
+    angles = UNITS[stated["unit"]] * values
+    if stated["unit"] == "rad" and (largest := float(np.abs(angles).max(initial=0.0))) > _MAX_RAD:
+        raise BadTable(where, f"angles reach {largest:.0f} rad: they look like degrees", "state unit: deg")
+    every, sequence = np.ones(len(values), bool), str(stated.get("sequence", ""))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            of = Rotation.from_euler(sequence, angles) if sequence else Rotation.from_rotvec(angles)
+            return np.asarray(of.as_matrix()), every
+    except ValueError as error:
+        raise BadTable(where, f"sequence '{sequence}': {error}", "three axes: XYZ turning along, xyz fixed") from error
+
+
+_SEQUENCE: Schema = {
+    "type": "string",
+    "minLength": 3,
+    "maxLength": 3,
+    "description": "upper case turning along with the body, lower case about fixed axes",
+}
+FORMS = {
+    "euler": OrientationForm(3, {"unit": _ANGLE, "sequence": _SEQUENCE}, (), _by_angles),
+    "quaternion": OrientationForm(
+        4, {"columns": said(columns(4), "those of x, y, z and w, in this order"), "conjugate": {"type": "boolean"}},
+        ("conjugate",), _by_quaternion,
+    ),
+    "rotvec": OrientationForm(3, {"unit": _ANGLE}, (), _by_angles),
+    "matrix": OrientationForm(9, {"columns": said(columns(9), "row by row")}, (), _by_matrix),
+}  # fmt: skip
+
+
+def _orientation(table: Table, one: Mapping[str, Any], there: np.ndarray, where: str) -> tuple[Array, np.ndarray]:
+    """Rotations (N, 3, 3) as a reading states them, and in which of the rows there is one; the others are noted."""
+    form = next(name for name in FORMS if name in one)
+    stated = one[form]
+    values, first = table.numbers(stated["columns"]), stated["columns"][0]
+    rows = np.flatnonzero(there & table.present(stated["columns"]))
+    if form in ("quaternion", "matrix"):
+        empty = np.linalg.norm(values[rows], axis=1) <= _MIN_LENGTH
+        for i in rows[empty].tolist():  # a lost reading where those are skipped
+            if table.faults.skip:
+                table.lack([i], "the orientation (all zeros)")
+            else:
+                table.bad(i, first, f"a {form} of zeros is not an orientation")
+        rows = rows[~empty]
+    R, proper = FORMS[form].rotations(values[rows], stated, where) if len(rows) else (np.empty((0, 3, 3)), rows == 0)
+    for i in rows[~proper].tolist():
+        table.bad(i, first, "the nine numbers are not a rotation")
+    out, found = np.tile(np.eye(3), (len(table), 1, 1)), np.zeros(len(table), bool)
+    out[rows[proper]], found[rows[proper]] = R[proper], True
+    return out, found
+
+
+# --- Readings: their keys in a mapping, the topics that they go to, and how they are read
+
+_Read = tuple[Array, np.ndarray]  # values (N, k), and in which rows there are any (N,)
+
+
+def _position(table: Table, one: Mapping[str, Any], where: str) -> _Read:
+    p, there = table.numbers(one["position"]), table.present(one["position"])
+    for key, sign in (("plus", 1.0), ("minus", -1.0)):
+        if key in one:
+            p, there = p + sign * table.numbers(one[key]), there & table.present(one[key])
+    return np.where(there[:, None], UNITS[one["unit"]] * p, 0.0), there
+
+
+def _pose(table: Table, one: Mapping[str, Any], where: str) -> _Read:
+    p, there = _position(table, one, where)
+    R, there = _orientation(table, one, there, where)
+    T = se3.transform(R, p)
+    return se3.to_pose(se3.inverse(T) if one.get("inverse") else T), there
+
+
+def _nothing(width: int, table: Table, one: Mapping[str, Any], where: str) -> _Read:
+    return np.zeros((len(table), width)), np.ones(len(table), bool)
+
+
+def _length(table: Table, one: Mapping[str, Any], where: str) -> _Read:
+    if "column" not in one:  # of a plane: contact
+        return _nothing(1, table, one, where)
+    return UNITS[one["unit"]] * table.numbers([one["column"]]), table.present(one["column"])
+
+
+def direction(angles: Array, zenith: bool, clockwise: bool) -> Array:
+    """Unit vectors (N, 3) of azimuths and second angles (N, 2) [rad].
+
+    zenith: the second is from above. clockwise: azimuths grow so.
+    """
+    up = np.pi / 2.0 - angles[:, 1] if zenith else angles[:, 1]
+    azimuth = -angles[:, 0] if clockwise else angles[:, 0]
+    return np.stack([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)], axis=1)
+
+
+def _bearing(table: Table, one: Mapping[str, Any], where: str) -> _Read:
+    keys = one.get("vector") or [one[key] for key in ("azimuth", "elevation", "zenith") if key in one]
+    u, there = table.numbers(keys), table.present(keys)
+    if "vector" not in one:
+        u = direction(UNITS[one["unit"]] * u, "zenith" in one, bool(one.get("clockwise")))
+    length = np.linalg.norm(u, axis=1)
+    for i in np.flatnonzero(there & ~(length > 0.0)).tolist():
+        table.bad(i, keys[0], "a vector of zeros is not a direction", "zeros")
+    there &= length > 0.0
+    return u / np.where(there, length, 1.0)[:, None], there
+
+
+def _targets(table: Table, one: Mapping[str, Any], where: str) -> _Read:
+    """The pose of three targets or more on one tool: their mean shape, moved onto what was read (Arun 1987)."""
+    names = tuple(one["points"])
+    seen = UNITS[one["unit"]] * np.stack([table.numbers(one["points"][name]) for name in names], axis=1)
+    there = table.present([column for name in names for column in one["points"][name]])
+    values = np.tile([0.0] * 6 + [1.0], (len(table), 1))
+    if there.any():
+        poses, shape = rigid_poses(seen[there])
+        if np.linalg.svd(shape, compute_uv=False)[1] < _ON_A_LINE:
+            raise BadTable(
+                where, f"targets {', '.join(names)} lie on a line", "give three that do not, or one as point"
+            )
+        values[there] = se3.to_pose(poses)
+    return values, there
 
 
 def rigid_poses(points: Array) -> tuple[Array, Array]:
@@ -34,126 +339,75 @@ def rigid_poses(points: Array) -> tuple[Array, Array]:
     return se3.transform(so3.nearest_rotation(np.swapaxes(spread, 1, 2) @ shape), centre), shape
 
 
-# Keys of a mapping, each with the topic that its readings go to
-TOPICS = {
-    "pose": "/tracker/pose",
-    "targets": "/tracker/pose",
-    "point": "/tracker/point",
-    "same_point": "/tracker/point",
-    "range": "/tracker/range",
-    "bearing": "/tracker/bearing",
-    "plane": "/tracker/plane",
-    "ray": "/gripper/range",
+@dataclass(frozen=True)
+class ReadingKind:
+    """One kind of reading in a mapping. kind: of the track. properties: that are stated beside the frame."""
+
+    kind: str
+    topic: str
+    read: Callable[[Table, Mapping[str, Any], str], _Read]
+    properties: Schema
+    required: tuple[str, ...] = ()
+    several: bool = True
+
+    @property
+    def schema(self) -> Schema:
+        """What a mapping states: one, or a list of them."""
+        one = mapping({"frame": _FRAME, **self.properties}, "frame", *self.required)
+        return {**one, "type": ["object", "array"], "items": one, "minItems": 1} if self.several else one
+
+
+_LENGTHS: Schema = {"unit": _LENGTH, "column": COLUMN}
+_PLACE: Schema = {
+    "unit": _LENGTH,
+    "position": columns(3),
+    "plus": said(columns(3), "a deviation in the same unit, added to the position: of a goal, what was reached"),
+    "minus": said(columns(3), "the same, taken from the position"),
+    "target": said(COLUMN, "which of several targets on the tool was measured: its name or number"),
+    "std": _STD,
 }
+READINGS = {
+    "pose": ReadingKind(
+        POSE, "/tracker/pose", _pose,
+        {**_PLACE, "inverse": said({"type": "boolean"}, "true: the table holds the tracker's pose in the tool"),
+         **{name: form.schema for name, form in FORMS.items()}},
+        ("unit", "position"),
+    ),
+    "targets": ReadingKind(
+        POSE, "/tracker/pose", _targets,
+        {"unit": _LENGTH, "points": {"type": "object", "additionalProperties": columns(3), "minProperties": 3}},
+        ("unit", "points"),
+    ),
+    "point": ReadingKind(POINT, "/tracker/point", _position, _PLACE, ("unit", "position")),
+    "same_point": ReadingKind(POINT, "/tracker/point", partial(_nothing, 3), {}, several=False),
+    "range": ReadingKind(RANGE, "/tracker/range", _length, _LENGTHS, ("unit", "column")),
+    "bearing": ReadingKind(
+        BEARING, "/tracker/bearing", _bearing,
+        {"vector": columns(3), "unit": one_of("rad", "deg", "gon"), "azimuth": COLUMN, "elevation": COLUMN,
+         "zenith": COLUMN,
+         "clockwise": said({"type": "boolean"}, "true: the azimuth grows clockwise, seen from above")},
+    ),
+    "plane": ReadingKind(TOUCH, "/tracker/plane", _length, _LENGTHS),
+    "ray": ReadingKind(RAY, "/gripper/range", _length, _LENGTHS, ("unit", "column")),
+}  # fmt: skip
+
+
+def each(stated: Any) -> list[Mapping[str, Any]]:
+    """What is stated once, or in a list."""
+    return [] if stated is None else [stated] if isinstance(stated, Mapping) else list(stated)
 
 
 def readings_of(table: Table, entry: Mapping[str, Any], stamps: Array, source: str) -> Iterator[ReadingTrack]:
     """The readings that an entry states; rows without one are left out and noted."""
-    for key, topic in TOPICS.items():
-        stated = entry.get(key, [])
-        for one in [stated] if isinstance(stated, Mapping) else stated:
+    for key, row in READINGS.items():
+        for one in each(entry.get(key)):
             where = f"{source}: {key}"
-            frame = _frame(table, str(one["frame"]), where)
-            kind, values, there = _READ[key](table, one, where)
-            deviations = _deviations(table, one)
-            track = ReadingTrack(kind, frame, stamps, values, stamps, topic, deviations)
+            frame = str(one["frame"]).replace("{stem}", table.path.stem).replace("{folder}", table.path.parent.name)
+            if "{" in frame:
+                raise BadTable(where, f"frame '{frame}': only {{stem}} and {{folder}} are known", "correct it")
+            values, there = row.read(table, one, where)
+            track = ReadingTrack(row.kind, frame, stamps, values, stamps, row.topic, _deviations(table, one))
             yield track.rows(there & np.isfinite(stamps))
-
-
-def merged(tracks: list[ReadingTrack]) -> tuple[ReadingTrack, ...]:
-    """One track for every instrument."""
-    out: dict[tuple[str, str], ReadingTrack] = {}
-    for track in tracks:
-        key = (track.kind, track.frame)
-        if key in out:
-            old = out[key]
-            stamps = np.r_[old.stamps, track.stamps]
-            stated = None
-            if old.stated is not None or track.stated is not None:
-                none = [np.full((len(t.stamps), 2), np.nan) if t.stated is None else t.stated for t in (old, track)]
-                stated = np.concatenate(none)
-            values = np.r_[old.values, track.values]
-            track = replace(track, stamps=stamps, values=values, received=stamps, stated=stated)
-        out[key] = track
-    return tuple(out.values())
-
-
-def _frame(table: Table, stated: str, where: str) -> str:
-    frame = stated.replace("{stem}", table.path.stem).replace("{folder}", table.path.parent.name)
-    if "{" in frame:
-        raise BadTable(where, f"frame '{frame}': only {{stem}} and {{folder}} are known", "correct it")
-    return frame
-
-
-_Read = tuple[str, Array, np.ndarray]
-
-
-def _position(table: Table, one: Mapping[str, Any]) -> tuple[Array, np.ndarray]:
-    p, there = table.numbers(one["position"]), table.present(one["position"])
-    for key, sign in (("plus", 1.0), ("minus", -1.0)):
-        if key in one:
-            p, there = p + sign * table.numbers(one[key]), there & table.present(one[key])
-    p = UNITS[one["unit"]] * p
-    return np.where(there[:, None], p, 0.0), there
-
-
-def _pose(table: Table, one: Mapping[str, Any], where: str) -> _Read:
-    p, there = _position(table, one)
-    R, there = orientation(table, one, there, where)
-    T = se3.transform(R, p)
-    return POSE, se3.to_pose(se3.inverse(T) if one.get("inverse") else T), there
-
-
-def _point(table: Table, one: Mapping[str, Any], where: str) -> _Read:
-    return POINT, *_position(table, one)
-
-
-def _same_point(table: Table, one: Mapping[str, Any], where: str) -> _Read:
-    return POINT, np.zeros((len(table), 3)), np.ones(len(table), bool)
-
-
-def _length(kind: str) -> Callable[[Table, Mapping[str, Any], str], _Read]:
-    def read(table: Table, one: Mapping[str, Any], where: str) -> _Read:
-        if "column" not in one:  # of a plane: contact
-            return kind, np.zeros((len(table), 1)), np.ones(len(table), bool)
-        values = UNITS[one["unit"]] * table.numbers([one["column"]])
-        return kind, values, table.present(one["column"])
-
-    return read
-
-
-def _bearing(table: Table, one: Mapping[str, Any], where: str) -> _Read:
-    if "vector" in one:
-        u = table.numbers(one["vector"])
-    else:
-        azimuth, second = (
-            UNITS[one["unit"]] * table.numbers([one["azimuth"], one.get("elevation", one.get("zenith"))]).T
-        )
-        up = second if "elevation" in one else np.pi / 2.0 - second
-        azimuth = -azimuth if one.get("clockwise") else azimuth
-        u = np.stack([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)], axis=1)
-    keys = ("azimuth", "elevation", "zenith")
-    there = table.present(one.get("vector") or [one[key] for key in keys if key in one])
-    length = np.linalg.norm(u, axis=1)
-    for i in np.flatnonzero(there & ~(length > 0.0)):
-        table.bad(int(i), one.get("vector", [None])[0], "a vector of zeros is not a direction", "zeros")
-    there &= length > 0.0
-    return BEARING, u / np.where(there, length, 1.0)[:, None], there
-
-
-def _targets(table: Table, one: Mapping[str, Any], where: str) -> _Read:
-    """The pose of three targets or more on one tool: their mean shape, moved onto what was read (Arun 1987)."""
-    names = tuple(one["points"])
-    seen = UNITS[one["unit"]] * np.stack([table.numbers(one["points"][name]) for name in names], axis=1)
-    there = table.present([column for name in names for column in one["points"][name]])
-    if not there.any():
-        return POSE, np.tile([0.0] * 6 + [1.0], (len(table), 1)), there
-    poses, shape = rigid_poses(seen[there])
-    if np.linalg.svd(shape, compute_uv=False)[1] < 1e-3:
-        raise BadTable(where, f"targets {', '.join(names)} lie on a line", "give three that do not, or one as point")
-    values = np.tile([0.0] * 6 + [1.0], (len(table), 1))
-    values[there] = se3.to_pose(poses)
-    return POSE, values, there
 
 
 def _deviations(table: Table, one: Mapping[str, Any]) -> Array | None:
@@ -165,220 +419,21 @@ def _deviations(table: Table, one: Mapping[str, Any]) -> Array | None:
     for k, (what, unit) in enumerate((("position", "unit"), ("orientation", "orientation_unit"))):
         if what in stated:
             scale = UNITS[stated.get(unit, "rad" if k else one.get("unit", "m"))]
-            columns = stated[what] if isinstance(stated[what], list) else [stated[what]] * 3
-            out[:, k] = scale / stated.get("coverage", 1.0) * np.linalg.norm(table.numbers(columns), axis=1)
+            each_axis = stated[what] if isinstance(stated[what], list) else [stated[what]] * 3
+            out[:, k] = scale / stated.get("coverage", 1.0) * np.linalg.norm(table.numbers(each_axis), axis=1)
     return out
 
 
-_READ: dict[str, Callable[[Table, Mapping[str, Any], str], _Read]] = {
-    "pose": _pose,
-    "targets": _targets,
-    "point": _point,
-    "same_point": _same_point,
-    "range": _length(RANGE),
-    "bearing": _bearing,
-    "plane": _length(TOUCH),
-    "ray": _length(RAY),
-}
+def merged(tracks: list[ReadingTrack]) -> tuple[ReadingTrack, ...]:
+    """One track for every instrument."""
+    out: dict[tuple[str, str], list[ReadingTrack]] = {}
+    for track in tracks:
+        out.setdefault((track.kind, track.frame), []).append(track)
+    return tuple(_one_track(some) if len(some) > 1 else some[0] for some in out.values())
 
 
-_MOVES = 0.05  # of what the liveliest point moves; less is a target that stands
-_RIGID = 2e-3  # of what the points move, by which their distance may scatter
-_APART = 20.0  # times that scatter, that points and the line through them must be apart
-_MIN = 3  # targets that make a pose
-_MAD = 1.4826  # standard deviation of a Gaussian whose median absolute deviation is one
-
-
-def rigid_bodies(numbers: Numbers, places: Sequence[Body]) -> list[Body]:
-    """Bodies of three targets or more among labelled points, the largest first; none where no three are rigid."""
-    triples = list(dict.fromkeys(body.position for body in places if body.named))
-    if len(triples) < _MIN:
-        return []
-    points = {triple: numbers.values[:, list(triple)] for triple in triples}
-    moves = {triple: _motion(p) for triple, p in points.items()}
-    most = max(moves.values())
-    alive = [triple for triple in triples if moves[triple] > _MOVES * most > 0.0]
-    scatter = {pair: _scatter(points[pair[0]], points[pair[1]]) for pair in combinations(alive, 2)}
-    near = _RIGID * most
-
-    def rigid(a: tuple[int, int, int], b: tuple[int, int, int]) -> bool:
-        distance, off = scatter[(a, b) if (a, b) in scatter else (b, a)]
-        return off < near and distance > _APART * off
-
-    found: list[Body] = []
-    for i, first in enumerate(alive):
-        group = [first]
-        for other in alive[i + 1 :]:
-            if all(rigid(known, other) for known in group):
-                group.append(other)
-        if len(group) < _MIN or any(set(group) <= {t for _, t in body.points} for body in found):
-            continue
-        rows = np.isfinite(np.concatenate([points[t] for t in group], axis=1)).all(axis=1)
-        if rows.sum() < _MIN:
-            continue
-        shape = rigid_poses(np.stack([points[t][rows] for t in group], axis=1))[1]
-        if np.linalg.svd(shape, compute_uv=False)[1] < _APART * max(
-            scatter[pair][1] for pair in combinations(group, 2)
-        ):
-            continue  # on a line: turns about it do not show
-        names = _names(numbers, group)
-        found.append(replace(Body(first, None, True), points=tuple(zip(names, group, strict=True))))
-    return sorted(found, key=lambda body: -len(body.points))
-
-
-def _motion(p: Array) -> float:
-    p = p[np.isfinite(p).all(axis=1)]
-    return float(np.median(np.linalg.norm(p - np.median(p, axis=0), axis=1))) if len(p) else 0.0
-
-
-def _scatter(a: Array, b: Array) -> tuple[float, float]:
-    """(distance, its scatter) of two points, medians."""
-    d = np.linalg.norm(a - b, axis=1)
-    d = d[np.isfinite(d)]
-    if len(d) < _MIN:
-        return 0.0, np.inf
-    middle = float(np.median(d))
-    return middle, _MAD * float(np.median(np.abs(d - middle)))
-
-
-def _names(numbers: Numbers, group: Sequence[tuple[int, int, int]]) -> list[str]:
-    out: list[str] = []
-    for i, triple in enumerate(group):
-        axis = numbers.labels[triple[0]].axis
-        stem = "_".join(axis[1].split()) if axis is not None else ""
-        name = stem or f"target_{i + 1}"
-        out.append(name if name not in out else f"{name}_{i + 1}")
-    return out
-
-
-UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "gon": np.pi / 200.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
-SPEEDS = {f"{unit}/s": scale for unit, scale in UNITS.items()}
-EFFORTS = {"N m": 1.0, "N": 1.0, "N mm": 1e-3, "kN m": 1e3}
-COMMANDS = "/joint_commands"
-
-
-def joints_of(table: Table, joints: Mapping[str, Any], stamps: Array) -> tuple[JointTrack, JointTrack | None]:
-    """Joint states of a table, and the commanded positions if it has any; rows that lack one are left out."""
-    names = tuple(joints["columns"])
-    position = _scaled(table, joints, UNITS, names)
-    velocity = _beside(table, joints, "velocity", SPEEDS, names)
-    effort = _beside(table, joints, "effort", EFFORTS, names)
-    if joints.get("effort", {}).get("of_load"):
-        effort = -effort
-    keep = np.isfinite(stamps) & table.present(list(joints["columns"].values()))
-    track = JointTrack(names, stamps, position, velocity, effort, stamps)
-    if "commanded" not in joints:
-        return _rows(track, keep), None
-    wanted = joints["commanded"]
-    known = tuple(wanted["columns"])
-    position = _scaled(table, {"unit": joints["unit"], **wanted}, UNITS, known)
-    unknown = np.full_like(position, np.nan)
-    sent = np.isfinite(stamps) & np.isfinite(position).all(axis=1)
-    return _rows(track, keep), _rows(JointTrack(known, stamps, position, unknown, unknown, stamps, COMMANDS), sent)
-
-
-def merged_joints(tracks: list[JointTrack]) -> JointTrack | None:
-    """One track of several with the same joints; None for none. Raises BadTable where they are not the same."""
-    if not tracks:
-        return None
-    names = tracks[0].names
-    if any(track.names != names for track in tracks):
-        raise BadTable("tables", "have different joints", "import them into bags of their own")
-    columns: dict[str, Any] = {
-        what: np.concatenate([getattr(t, what) for t in tracks])
-        for what in ("stamps", "position", "velocity", "effort", "received")
-    }
-    return replace(tracks[0], **columns)
-
-
-def _scaled(table: Table, part: Mapping[str, Any], units: Mapping[str, float], names: tuple[str, ...]) -> Array:
-    own = part.get("units") or {}
-    scale = np.array([units[own.get(name, part["unit"])] for name in names])
-    return scale * table.numbers([part["columns"][name] for name in names])
-
-
-def _beside(
-    table: Table, joints: Mapping[str, Any], what: str, units: Mapping[str, float], names: tuple[str, ...]
-) -> Array:
-    """A quantity of the joints (N, n), NaN where it is not stated."""
-    out = np.full((len(table), len(names)), np.nan)
-    if what in joints:
-        part = {"unit": "N m", **joints[what]}
-        known = tuple(name for name in names if name in part["columns"])
-        out[:, [names.index(name) for name in known]] = _scaled(table, part, units, known)
-    return out
-
-
-def _rows(track: JointTrack, keep: np.ndarray) -> JointTrack:
-    columns = {what: getattr(track, what)[keep] for what in ("stamps", "position", "velocity", "effort", "received")}
-    return replace(track, **columns)
-
-
-FORMS = ("euler", "quaternion", "rotvec", "matrix")
-_ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-_MAX_RAD = 2.0 * np.pi * 1.05  # of an angle of an orientation
-_MIN_LENGTH = 1e-6  # of a quaternion
-_NOT_A_ROTATION = 0.02  # by which an element of RᵀR may be off; exports have three digits and more
-
-
-def orientation(table: Table, reading: Mapping[str, Any], there: np.ndarray, where: str) -> tuple[Array, np.ndarray]:
-    """Rotations (N, 3, 3) of a table as a reading states them, and in which rows there is one (N,).
-
-    there: rows in which the reading has a position. Rows without a rotation are noted; of them it is the identity.
-    """
-    form = next(name for name in FORMS if name in reading)
-    stated = reading[form]
-    values = table.numbers(stated["columns"])
-    there = there & table.present(stated["columns"])
-    rows = np.flatnonzero(there)
-    if form == "quaternion":
-        length = np.linalg.norm(values[rows], axis=1)
-        said = "a quaternion of zeros is not an orientation"
-        rows = _without(table, rows, length > _MIN_LENGTH, stated["columns"][0], said)
-        return _of(len(table), rows, Rotation.from_quat(_signed(values[rows], stated)).as_matrix())
-    if form == "matrix":
-        R = values[rows].reshape(-1, 3, 3)
-        size = np.abs(R).max(axis=(1, 2), initial=0.0)
-        rows, R = (
-            _without(table, rows, size > 0.0, stated["columns"][0], "a matrix of zeros is not an orientation"),
-            R[size > 0.0],
-        )
-        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        proper = (off < _NOT_A_ROTATION) & (np.linalg.det(R) > 0.0)
-        for i in rows[~proper]:
-            said = "the nine numbers are not a rotation"
-            table.bad(int(i), stated["columns"][0], said, said)
-        return _of(len(table), rows[proper], so3.nearest_rotation(R[proper]) if proper.any() else R[proper])
-    scale = _ANGLES[stated["unit"]]
-    angles = scale * values[rows]
-    if stated["unit"] == "rad" and (largest := float(np.abs(angles).max(initial=0.0))) > _MAX_RAD:
-        raise BadTable(where, f"angles reach {largest:.0f} rad: they look like degrees", "state unit: deg")
-    if form == "rotvec":
-        return _of(len(table), rows, Rotation.from_rotvec(angles).as_matrix())
-    sequence = str(stated["sequence"])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return _of(len(table), rows, Rotation.from_euler(sequence, angles).as_matrix())
-    except ValueError as error:
-        raise BadTable(where, f"sequence '{sequence}': {error}", "three axes: XYZ turning along, xyz fixed") from error
-
-
-def _signed(values: Array, stated: Mapping[str, Any]) -> Array:
-    return values * np.array([-1.0, -1.0, -1.0, 1.0]) if stated.get("conjugate") else values
-
-
-def _without(table: Table, rows: np.ndarray, good: np.ndarray, column: object, said: str) -> np.ndarray:
-    """The good ones of these rows; the others are lost readings where those are skipped, else faulty."""
-    for i in rows[~good]:
-        if table.faults.skip:
-            table.lack([int(i)], "the orientation (all zeros)")
-        else:
-            table.bad(int(i), column, said, said)
-    return rows[good]
-
-
-def _of(count: int, rows: np.ndarray, R: Array) -> tuple[Array, np.ndarray]:
-    out, there = np.tile(np.eye(3), (count, 1, 1)), np.zeros(count, bool)
-    out[rows], there[rows] = R, True
-    return out, there
+def _one_track(some: list[ReadingTrack]) -> ReadingTrack:
+    stamps, values = (np.concatenate([getattr(t, name) for t in some]) for name in ("stamps", "values"))
+    none = [np.full((len(t.stamps), 2), np.nan) if t.stated is None else t.stated for t in some]
+    stated = np.concatenate(none) if any(t.stated is not None for t in some) else None
+    return replace(some[-1], stamps=stamps, values=values, received=stamps, stated=stated)

@@ -9,14 +9,14 @@ import numpy as np
 
 from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
-from modcal_msgs_py.tables.candidates import Numbers
-from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, angle_triples, quaternions
+from modcal_msgs_py.tables.columns import Numbers
+from modcal_msgs_py.tables.labels import COMMANDED, MEASURED, grouped
 from modcal_msgs_py.tables.moments import SECONDS, find_time
-from modcal_msgs_py.tables.sniff import sniff
+from modcal_msgs_py.tables.readings import UNITS
+from modcal_msgs_py.tables.sheet import sniff
 
 _FORMS = "x y z, or x y z qx qy qz qw, a time before them or not"
 _WIDTHS = (3, 7)  # of a bare row without its time
-_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 _MISSING = 0.5  # share of the rows that may lack a number
 
 
@@ -95,16 +95,12 @@ def _labelled(path: Path, line: int) -> TextTrack:
         raise BadTable(f"{path}, line {line}", "is not numbers", f"give {_FORMS}, or labels above them") from error
     time = find_time(numbers, set())
     free = {k: label for k, label in numbers.labels.items() if k not in time.columns}
-    places: dict[str, dict[str, int]] = {}
-    for k, label in free.items():
-        if label.axis is not None and label.role in (MEASURED, COMMANDED) and not label.computed:
-            axis, rest = label.axis
-            if axis in places.setdefault(rest, {}):
-                raise BadTable(
-                    str(path), f"has two columns labelled {numbers.shown(k)}", "give each a label of its own"
-                )
-            places[rest][axis] = k
-    named = [(found["x"], found["y"], found["z"]) for found in places.values() if len(found) == 3]
+    read = {k: label for k, label in free.items() if label.role in (MEASURED, COMMANDED) and not label.computed}
+    axes = {k: axis for k, label in read.items() if (axis := label.axis("position")) is not None}
+    if twice := [k for k, axis in axes.items() if list(axes.values()).count(axis) > 1]:
+        said = f"has two columns labelled {numbers.shown(twice[0])}"
+        raise BadTable(str(path), said, "give each a label of its own")
+    named = grouped(read, "position")
     if len(named) != 1:
         shown = ", ".join(numbers.shown(place[0]) for place in named)
         said = "has no columns x, y and z by its labels"
@@ -113,12 +109,12 @@ def _labelled(path: Path, line: int) -> TextTrack:
         raise BadTable(str(path), said, "give one: columns x, y, z, and qx, qy, qz, qw for rotations")
     units = {free[k].unit for k in named[0]}
     unit = units.pop() or "m" if len(units) == 1 else ""
-    if unit not in _METRES:
+    if unit not in ("m", "cm", "mm", "in"):
         raise BadTable(str(path), "has columns of the position in several units, or none of length", "give metres")
-    turns = quaternions(free)
+    turns = grouped(free, "quaternion")
     if len(turns) > 1:
         raise BadTable(str(path), f"has {len(turns)} quaternions by its labels", "give one: qx, qy, qz, qw")
-    values = _METRES[unit] * numbers.values[:, list(named[0])]
+    values = UNITS[unit] * numbers.values[:, list(named[0])]
     if turns:
         values = np.hstack([values, numbers.values[:, list(turns[0])]])
     kept: np.ndarray = np.asarray(np.isfinite(values).all(axis=1))
@@ -130,6 +126,6 @@ def _labelled(path: Path, line: int) -> TextTrack:
     if kept.mean() < _MISSING:
         said = f"has {int((~kept).sum())} of {len(kept)} rows without all numbers of the handle, half is allowed"
         raise BadTable(str(path), said, "record while the handle is seen")
-    angles = [] if turns else angle_triples(free)
-    unread = ", ".join(numbers.shown(k) for k in angles[0]) if angles else ""
+    angles = [] if turns else grouped(free, "angles")
+    unread = numbers.shown(*angles[0]) if angles else ""
     return TextTrack(values[kept], stamps, int((~kept).sum()), unread)

@@ -19,6 +19,7 @@ from modcal_core.camera import (
     BoardView,
     CameraFit,
     CameraImages,
+    CameraProblem,
     CameraWatch,
     ImageMoments,
     Moved,
@@ -86,17 +87,16 @@ def solve_corners(job: CornerJob) -> CameraSolved:
         others = beside(robot.chain, samples, robot.inertias)
     except ModcalError:  # no other instrument, or too little of it
         others = None
+    first = CameraImages(job.q, job.views, job.target, job.size)
     solution = solve_camera(
-        robot.chain,
-        job.q,
-        job.views,
-        job.target,
-        job.size,
+        CameraProblem(
+            robot.chain,
+            (first, *job.further),
+            inertias=robot.inertias,
+            beside=others,
+            look_for_effects=job.effects,
+        ),
         np.random.default_rng(job.seed),
-        inertias=robot.inertias,
-        beside=others,
-        look_for_effects=job.effects,
-        further=job.further,
     )
     report = camera_report(solution, robot, len(job.views), {})
     middle, _, high = solution.in_view.interval

@@ -11,8 +11,9 @@ from typing import cast, get_args
 import numpy as np
 
 from modcal_core.online import SUSPECTED, SampleStream, Supervisor
+from modcal_core.outcome import Outcome
 from modcal_core.recalibrate import ModelComparison
-from modcal_core.report import REMEDY, Report, short_status
+from modcal_core.report import REMEDY, short_status
 from modcal_core.verdict import Status as VerdictStatus
 from modcal_nodes.ros import ERROR, OK, WARN, Status
 
@@ -39,7 +40,7 @@ class Standing:
         return self.status == "at_floor"
 
 
-def standing_of(report: Report) -> Standing:
+def standing_of(report: Outcome) -> Standing:
     """What may be said of a model by its report."""
     judged = report.judged
     because = () if judged is None else judged.open_because or tuple(filter(None, [judged.remedy]))

@@ -16,7 +16,7 @@ from modcal_core.calibration import Calibration
 from modcal_core.errors import ModcalError
 from modcal_core.measurements import Dropped, Samples
 from modcal_core.recalibrate import Job, ModelComparison, Recalibration, SampleMemory, recalibrate
-from modcal_core.report import calibration_files, delta_files
+from modcal_core.report import calibration_files, delta_files, sentence
 from modcal_core.robots import Mechanism, is_serial_arm
 from modcal_nodes.calibrating.diagnostics import Standing, standing_of
 from modcal_nodes.ros import settle_in
@@ -49,7 +49,7 @@ def solve(job: Job, urdf: str, page: bool = True) -> Solved:
         resolved.result.calibration,
         _files(resolved, job, urdf, page),
         resolved.comparison,
-        report.verdict,
+        sentence(report),
         standing_of(report),
         report.story,
         None if size is None else 1e-3 * size.rms,

@@ -11,8 +11,9 @@ from rich.console import Console
 
 from modcal_core.calibration import Calibration, Stated
 from modcal_core.measurements import Samples
+from modcal_core.outcome import Outcome
 from modcal_core.public import evaluate
-from modcal_core.report import Hashes, Particulars, Report, report_files, to_json_data
+from modcal_core.report import Hashes, Particulars, report_files, to_json_data
 from modcal_core.verdict import STATISTICS
 from modcal_msgs_py import Topics
 from modcal_nodes.cli.camera import OPTIONS, by_camera, calibrate_images, split_options
@@ -138,9 +139,9 @@ def calibrate_command(
     camera = split_options(options)
     images = by_camera(ctx, bag, camera)
     said = particulars(options)
-    if images or bag is None:
-        return calibrate_images(camera, options, bag, out, output, said)
     asked = Options(**{name: value for name, value in options.items() if name not in ("certificate", "serial")})
+    if images or bag is None:
+        return calibrate_images(camera, asked, bag, out, output, said)
     with output.working() as watch:
         done = calibrate_bag(bag, asked, more, watch)
         files = dict(done.files)
@@ -160,28 +161,17 @@ def calibrate_command(
 @click.option("--refit-tool", is_flag=True, help="Fit the tool again: it was changed.")
 @with_options((*FROZEN, _SPLITS))
 @speaking
-def evaluate_command(
-    calibration: Path,
-    bag: Path,
-    refit_base: bool,
-    refit_tool: bool,
-    block: int | None,
-    out: Path | None,
-    output: Output,
-    **options: Any,
-) -> int:
+def evaluate_command(calibration: Path, bag: Path, out: Path | None, output: Output, **options: Any) -> int:
     """Score the frozen CALIBRATION (a folder or calibration.yaml) on another BAG."""
     said = particulars(options)
     frozen = Calibration.load(calibration)
-    asked = {name: options[name] for name in ("seed", "tolerance_mm", "tolerance_of")}
+    of_core = ("refit_base", "refit_tool", "block", "seed", "tolerance_mm", "tolerance_of")
     cell = read_cell(options["cell_file"], stated=stated_from(options))
     with output.working() as watch:
         samples = frozen_samples(frozen, bag, options, watch)
         watch("scoring")
         with of_cell(options["cell_file"]):
-            report = evaluate(
-                frozen, samples, refit_base=refit_base, refit_tool=refit_tool, cell=cell, block=block, **asked
-            )
+            report = evaluate(frozen, samples, cell=cell, **{name: options[name] for name in of_core})
         files = report_files(report, calibration=calibration_name(calibration))
         if said is not None:
             watch("writing the certificate")
@@ -205,7 +195,7 @@ def calibration_name(calibration: Path) -> str:
 
 
 def certified(
-    report: Report,
+    report: Outcome,
     samples: Samples,
     options: Mapping[str, Any],
     said: Particulars,
@@ -222,7 +212,7 @@ def certified(
     return {"certificate.html": certificate_html(certificate(report, stated, said, hashes, made_from))}
 
 
-def _say(report: Report, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
+def _say(report: Outcome, arm: str, out: Path, files: Mapping[str, str], output: Output) -> int:
     """Write the files and show the report; returns the exit code."""
 
     def show(console: Console) -> None:

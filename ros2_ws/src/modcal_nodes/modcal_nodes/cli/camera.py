@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,19 +11,18 @@ import click
 import numpy as np
 
 from modcal_core.robot import Robot
-from modcal_nodes.cli.camera_input import read_input, stated_lenses
+from modcal_nodes.cli.camera_input import CameraOptions, CameraSource
 from modcal_nodes.cli.certificate import certified_hashes, exit_code
 from modcal_nodes.cli.console import Output, tell
 from modcal_nodes.cli.inputs import EXISTING, Decimal, arm_line
-from modcal_nodes.io import Watch
+from modcal_nodes.io import Options, Watch
 
 if TYPE_CHECKING:
     from modcal_core.camera import CameraSolution
     from modcal_core.report import Particulars
     from modcal_nodes.vision import ImageFolder
 
-_OF_IMAGES = ("images", "joints", "target", "image_topic", "camera_info", "intrinsics", "arm_mm", "mounting")
-_TOGETHER = (*_OF_IMAGES, "flat_target", "fisheye", "also_camera")
+_TOGETHER = tuple(one.name for one in fields(CameraOptions))
 _OF_ALL = ("urdf", "base", "tip", "fixed", "seed", "geometry_only", "topic", "ignore", "clock_limit")
 _CERTIFIED = ("tolerance_mm", "certificate", "serial", "cell_file")
 _ALSO = (*_OF_ALL, *_CERTIFIED, "out", "as_json", "verbose", "bag")
@@ -67,28 +66,28 @@ OPTIONS = (
 )  # fmt: skip
 
 
-def split_options(options: dict[str, Any]) -> dict[str, Any]:
+def split_options(options: dict[str, Any]) -> CameraOptions:
     """The camera's options, taken out of all."""
-    return {name: options.pop(name) for name in _TOGETHER}
+    return CameraOptions(**{name: options.pop(name) for name in _TOGETHER})
 
 
-def by_camera(ctx: click.Context, bag: Path | None, camera: dict[str, Any]) -> bool:
+def by_camera(ctx: click.Context, bag: Path | None, camera: CameraOptions) -> bool:
     """Whether a call is about images, of a folder or in the bag.
 
     Raises click.UsageError unless there is a bag, or images with all that they need, and nothing that does not go
     with them.
     """
     given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE}
-    if camera["images"] is None and camera["target"] is None:
+    if camera.images is None and camera.target is None:
         if bag is None:
             raise click.UsageError("Missing argument 'BAG'.", ctx)
         if alone := given & set(_TOGETHER):
             raise click.UsageError(f"{_option(min(alone))} needs --images, or --target and a bag with images.", ctx)
         return False
-    if camera["images"] is None:
+    if camera.images is None:
         if bag is None:
             raise click.UsageError("--target needs a bag with images, or --images.", ctx)
-        if camera["joints"] is not None:
+        if camera.joints is not None:
             raise click.UsageError("--joints needs --images: a bag has joint states.", ctx)
     else:
         if missing := [name for name in ("joints", "target", "urdf") if name not in given]:
@@ -105,8 +104,8 @@ def by_camera(ctx: click.Context, bag: Path | None, camera: dict[str, Any]) -> b
 
 
 def calibrate_images(
-    camera: dict[str, Any],
-    options: dict[str, Any],
+    camera: CameraOptions,
+    options: Options,
     bag: Path | None,
     out: Path | None,
     output: Output,
@@ -129,14 +128,14 @@ def calibrate_images(
     with output.working() as watch:
         robot, found, solution = _solved(camera, options, bag, watch)
         images = len(found.views) + len(found.left_out)
-        source = camera["images"] or bag
+        source = camera.images or bag
         assert source is not None
-        met = None if options["tolerance_mm"] is None else camera_tolerance(solution, options["tolerance_mm"])
+        met = None if options.tolerance_mm is None else camera_tolerance(solution, options.tolerance_mm)
         files: dict[str, str] = {**camera_files(solution, robot, images, found.left_out, met=met)}
         if said is not None:
             watch("writing the certificate")
             calibration = str(files["calibration.yaml"])
-            hashes = certified_hashes(options["urdf"] or robot.description, calibration, [source, camera["joints"]])
+            hashes = certified_hashes(options.urdf or robot.description, calibration, [source, camera.joints])
             page = camera_certificate(solution, robot.name or "", met, said, hashes, images)
             files["certificate.html"] = certificate_html(page)
     out = out or Path(f"{source.resolve().stem}_calibration")
@@ -147,20 +146,19 @@ def calibrate_images(
     return exit_code(met)
 
 
-def plan_next_images(
-    camera: dict[str, Any], options: dict[str, Any], count: int, out: Path | None, output: Output
-) -> None:
+def plan_next_images(camera: CameraOptions, options: Options, count: int, out: Path | None, output: Output) -> None:
     """Choose the images to take after those that there are, from a folder or a bag, write them, and say them."""
     from modcal_core.camera import plan_images
 
-    bag = None if camera["joints"] is not None else camera["images"]
-    source: Path = camera["images"]
+    source = camera.images
+    assert source is not None
+    bag = None if camera.joints is not None else source
     if bag is not None:
-        camera = {**camera, "images": None}
+        camera = replace(camera, images=None)
     with output.working() as watch:
         robot, _, solution = _solved(camera, options, bag, watch)
         watch("choosing images")
-        found = plan_images(solution.fit, solution.target, count, np.random.default_rng(options["seed"]))
+        found = plan_images(solution.fit, solution.target, count, np.random.default_rng(options.seed))
     rows = "".join(",".join(f"{v:.9f}" for v in q) + "\n" for q in found.q)
     files = {"stations.csv": ",".join(robot.names) + "\n" + rows}
     out = out or Path(f"{source.resolve().stem}_plan")
@@ -190,36 +188,25 @@ def plan_next_images(
 
 
 def _solved(
-    camera: dict[str, Any], options: dict[str, Any], bag: Path | None, watch: Watch
+    camera: CameraOptions, options: Options, bag: Path | None, watch: Watch
 ) -> tuple[Robot, ImageFolder, CameraSolution]:
-    from modcal_core.camera import read_any_target, solve_camera
+    from modcal_core.camera import CameraProblem, read_any_target, solve_camera
 
-    target = read_any_target(camera["target"])
-    stated = stated_lenses(camera["camera_info"] or ())
-    read = read_input(camera, options, target, bag, watch, stated)
+    assert camera.target is not None
+    target = read_any_target(camera.target)
+    source = CameraSource(camera, options, target, bag, watch)
+    read = source.read()
     robot, found = read.robot, read.found
-    solution = solve_camera(
+    problem = CameraProblem(
         robot.chain,
-        found.q,
-        found.views,
-        target,
-        found.size,
-        np.random.default_rng(options["seed"]),
-        velocity=found.velocity,
-        lens=read.lens,
-        stated=camera["intrinsics"],
-        arm_m=None if camera["arm_mm"] is None else 1e-3 * camera["arm_mm"],
-        camera_on_tip=None if camera["mounting"] is None else camera["mounting"] == "tip",
-        flat=camera["flat_target"],
-        fixed=options["fixed"],
-        progress=watch,
-        moments=found.moments,
+        (source.seen(found, target, read.lens, camera.on_tip), *read.further),
+        arm_m=None if camera.arm_mm is None else 1e-3 * camera.arm_mm,
+        fixed=options.fixed,
         inertias=robot.inertias,
         beside=read.others,
-        look_for_effects=not options["geometry_only"],
-        fisheye=camera["fisheye"],
-        further=read.further,
+        look_for_effects=not options.geometry_only,
     )
+    solution = solve_camera(problem, np.random.default_rng(options.seed), watch)
     return robot, found, replace(solution, notes=(*found.notes, *read.notes))
 
 

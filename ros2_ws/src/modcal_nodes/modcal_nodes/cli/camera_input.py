@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Tree, chain_forward, held_behind, parse, read_chain, rerooted
 from modcal_msgs_py import Topics, read_recording
-from modcal_nodes.io import Watch, opened
+from modcal_nodes.io import Options, Watch, opened
 
 if TYPE_CHECKING:
     from modcal_core.camera import CameraImages, Lens, MarkerBundle, PrintedTarget, ReadingsBeside
@@ -98,6 +99,30 @@ def stated_lenses(given: Sequence[str]) -> dict[str, tuple[Lens, str]]:
 
 
 @dataclass(frozen=True)
+class CameraOptions:
+    """What is asked of a calibration by camera, by the names of the command's options. images: a folder, or a table of
+    corners; None for those in a bag.
+    """
+
+    images: Path | None = None
+    joints: Path | None = None
+    target: Path | None = None
+    image_topic: str | None = None
+    also_camera: tuple[str, ...] = ()
+    camera_info: tuple[str, ...] = ()
+    intrinsics: str = "tolerance"
+    arm_mm: float | None = None
+    mounting: str | None = None
+    fisheye: bool = False
+    flat_target: bool = False
+
+    @property
+    def on_tip(self) -> bool | None:
+        """Whether the arm carries the camera; None where it is not stated."""
+        return None if self.mounting is None else self.mounting == "tip"
+
+
+@dataclass(frozen=True)
 class CameraInput:
     """robot: it. found: the images of the first camera. others: readings of other instruments in the bag, None where it
     has none. further: what further cameras saw. lens: stated of the first camera. notes: on the further ones, and
@@ -112,116 +137,150 @@ class CameraInput:
     notes: tuple[str, ...] = ()
 
 
-def read_input(
-    camera: dict[str, Any],
-    options: dict[str, Any],
-    target: PrintedTarget | MarkerBundle,
-    bag: Path | None,
-    watch: Watch,
-    stated: dict[str, tuple[Lens, str]],
-) -> CameraInput:
-    """The robot, and what was seen of it."""
-    from modcal_core.camera import beside
-    from modcal_nodes.vision import camera_key, read_bag_images, read_corner_tables, read_images, require_size
+@dataclass(frozen=True)
+class CameraSource:
+    """Where images come from: options, the target that they show, and a bag, or None."""
 
-    recording, first, notes, two_arms = None, "", tuple[str, ...](), tuple[str, ...]()
-    further: tuple[CameraImages, ...] = ()
-    if bag is not None:
-        recording = read_recording(bag, topics=Topics.of(options["topic"], options["ignore"]))
-    if camera["images"] is not None:
-        columns = _columns(camera["joints"])
-        robot, two_arms = arm_of_file(camera_urdf(options["urdf"]), options["base"], options["tip"], columns)
-        if camera["images"].is_file():
-            sizes = {name: lens.size for name, (lens, _) in stated.items()}
-            by_name = read_corner_tables(camera["images"], camera["joints"], robot.names, target, sizes)
-            (first, found), *others = by_name.items()
-            on_tip = None if camera["mounting"] is None else camera["mounting"] == "tip"
-            further = tuple(
-                _seen(name or "images", one, target, camera, stated.get(camera_key(name), (None, "")), on_tip)
-                for name, one in others
-            )
-            for name, one in others:
-                out = (f"left out: {image}: {why}." for image, why in one.left_out.items())
-                notes += tuple(f"{name}: {said}" for said in (*one.notes, *out))
+    camera: CameraOptions
+    options: Options
+    target: PrintedTarget | MarkerBundle
+    bag: Path | None
+    watch: Watch
+
+    @cached_property
+    def recording(self) -> Recording | None:
+        """What the bag holds beside images."""
+        topics = Topics.of(self.options.topic, self.options.ignore)
+        return None if self.bag is None else read_recording(self.bag, topics=topics)
+
+    @cached_property
+    def lenses(self) -> dict[str, tuple[Lens, str]]:
+        """Lenses as :func:`stated_lenses` has them."""
+        return stated_lenses(self.camera.camera_info)
+
+    def read(self) -> CameraInput:
+        """The robot, and what was seen of it. Raises ModcalError."""
+        if self.camera.images is None:
+            robot, notes, seen = self._in_bag()
         else:
-            found = read_images(camera["images"], camera["joints"], robot.names, target, watch)
-    else:
-        assert bag is not None
-        assert recording is not None
-        urdf = None if options["urdf"] is None else camera_urdf(options["urdf"])
-        robot, two_arms = arm_recorded(recording, urdf, options["base"], options["tip"])
-        size = stated[""][0].size if "" in stated else None
-        found = read_bag_images(bag, recording, robot.names, target, camera["image_topic"], watch, size)
-    if bag is not None and recording is not None:
-        further += tuple(
-            _further(one, bag, recording, robot, target, camera, stated, watch)
-            for one in camera.get("also_camera") or ()
+            robot, notes, seen = self._in_files(self.camera.images)
+        two_arms = bool(notes)
+        (first, found), *others = seen.items()
+        further = [self._further(name or "images", one, self.target, self.camera.on_tip) for name, one in others]
+        for name, one in others:
+            out = (f"left out: {image}: {why}." for image, why in one.left_out.items())
+            notes += tuple(f"{name}: {said}" for said in (*one.notes, *out))
+        if self.recording is not None:
+            further += [self._also(said, robot) for said in self.camera.also_camera]
+        lens = self._lens(found, [first, *(one.name for one in further)])
+        readings = None
+        told = [] if self.recording is None else [r for r in self.recording.readings if not r.by_type]
+        if told and two_arms:
+            notes += ("Readings of other instruments are left out: where they stand, the chain's first link moves.",)
+        elif told:
+            readings = self._beside(robot)
+        return CameraInput(robot, found, readings, tuple(further), lens, notes)
+
+    def _in_files(self, images: Path) -> tuple[Robot, tuple[str, ...], dict[str, ImageFolder]]:
+        """(The robot, a note on two arms, images by camera) of a folder, or of tables of corners."""
+        from modcal_nodes.vision import read_corner_tables, read_images
+
+        joints, options = self.camera.joints, self.options
+        assert joints is not None
+        assert options.urdf is not None
+        robot, notes = arm_of_file(camera_urdf(options.urdf), options.base, options.tip, _columns(joints))
+        if images.is_dir():
+            return robot, notes, {"": read_images(images, joints, robot.names, self.target, self.watch)}
+        sizes = {name: lens.size for name, (lens, _) in self.lenses.items()}
+        return robot, notes, read_corner_tables(images, joints, robot.names, self.target, sizes)
+
+    def _in_bag(self) -> tuple[Robot, tuple[str, ...], dict[str, ImageFolder]]:
+        """The same of the bag's images."""
+        from modcal_nodes.vision import read_bag_images
+
+        options = self.options
+        assert self.bag is not None
+        assert self.recording is not None
+        urdf = None if options.urdf is None else camera_urdf(options.urdf)
+        robot, notes = arm_recorded(self.recording, urdf, options.base, options.tip)
+        size = self.lenses[""][0].size if "" in self.lenses else None
+        topic = self.camera.image_topic
+        found = read_bag_images(self.bag, self.recording, robot.names, self.target, topic, self.watch, size)
+        return robot, notes, {"": found}
+
+    def _also(self, said: str, robot: Robot) -> CameraImages:
+        """What a further camera of the bag saw. said: its topic, and after = the file of its target, where that is
+        another.
+        """
+        from modcal_core.camera import read_any_target
+        from modcal_nodes.vision import camera_key, read_bag_images
+
+        assert self.bag is not None
+        assert self.recording is not None
+        topic, _, file = said.partition("=")
+        if file and not Path(file).exists():
+            raise BadTable(f"--also-camera {said}", f"names no file {file}", "give TOPIC, or TOPIC=target.yaml")
+        target = read_any_target(Path(file)) if file else self.target
+        lens = self.lenses.get(camera_key(topic))
+        size = None if lens is None else lens[0].size
+        found = read_bag_images(self.bag, self.recording, robot.names, target, topic, self.watch, size)
+        return self._further(topic, found, target, None)
+
+    def _further(
+        self, name: str, found: ImageFolder, target: PrintedTarget | MarkerBundle, on_tip: bool | None
+    ) -> CameraImages:
+        """What a further camera saw. on_tip: whether the arm carries the camera."""
+        from modcal_nodes.vision import camera_key, require_size
+
+        lens, source = self.lenses.get(camera_key(name), (found.lens, found.lens_of))
+        if lens is not None:
+            require_size(lens, found.size, source)
+        return replace(self.seen(found, target, lens, on_tip), name=name)
+
+    def seen(
+        self, found: ImageFolder, target: PrintedTarget | MarkerBundle, lens: Lens | None, on_tip: bool | None
+    ) -> CameraImages:
+        """What a camera saw. lens: where known. on_tip: whether the arm carries the camera, where stated."""
+        from modcal_core.camera import CameraImages
+
+        return CameraImages(
+            *(found.q, found.views, target, found.size, found.velocity, lens, self.camera.intrinsics, on_tip),
+            flat=self.camera.flat_target,
+            moments=found.moments,
+            fisheye=self.camera.fisheye,
         )
-    cameras = [first, *(one.name for one in further)]
-    if strange := set(stated) - {"", *map(camera_key, cameras)}:
-        known = f"they are of {', '.join(cameras)[:200]}" if first else "they have one camera, without a name"
-        raise BadTable(
-            f"--camera-info {min(strange)}=…", "names no camera of these images", f"name it as they do: {known}"
-        )
-    if "" in stated and first and further:
-        said = f"does not say of which camera it is: {', '.join(cameras)[:200]}"
-        raise BadTable(f"--camera-info {stated[''][1]}", said, f"give {first}=FILE, and so on")
-    lens, source = stated.get(camera_key(first)) or stated.get("") or (found.lens, found.lens_of)
-    if lens is not None:
-        require_size(lens, found.size, source)
-    told = [] if recording is None else [r for r in recording.readings if not r.by_type]
-    if two_arms and told:
-        notes += ("Readings of other instruments are left out: where they stand, the chain's first link moves.",)
-    if bag is None or recording is None or not told or two_arms:
-        return CameraInput(robot, found, None, further, lens, (*two_arms, *notes))
-    watch("reading other instruments")
-    # poses that nobody called a tracker's may be made from these very images
-    guessed = [r.topic for r in recording.readings if r.by_type and r.topic not in {t.topic for t in told}]
-    topics = Topics.of(options["topic"], [*options["ignore"], *guessed])
-    samples = opened(bag, watch, topics).samples(robot, options["clock_limit"])
-    readings = beside(robot.chain, samples, robot.inertias)
-    return CameraInput(robot, found, readings, further, lens, notes)
 
+    def _lens(self, found: ImageFolder, cameras: list[str]) -> Lens | None:
+        """The lens of the first camera, as far as it is stated. cameras: names of all, the first may be empty."""
+        from modcal_nodes.vision import camera_key, require_size
 
-def _further(
-    said: str, bag: Path, recording: Recording, robot: Robot, target: PrintedTarget | MarkerBundle,
-    camera: dict[str, Any], stated: dict[str, tuple[Lens, str]], watch: Watch,
-) -> CameraImages:  # fmt: skip
-    """What a further camera saw. said: its topic, and after = the file of its target, where that is another."""
-    from modcal_core.camera import read_any_target
-    from modcal_nodes.vision import camera_key, read_bag_images
+        first, stated = cameras[0], self.lenses
+        if strange := set(stated) - {"", *map(camera_key, cameras)}:
+            known = f"they are of {', '.join(cameras)[:200]}" if first else "they have one camera, without a name"
+            raise BadTable(
+                f"--camera-info {min(strange)}=…", "names no camera of these images", f"name it as they do: {known}"
+            )
+        if "" in stated and first and len(cameras) > 1:
+            said = f"does not say of which camera it is: {', '.join(cameras)[:200]}"
+            raise BadTable(f"--camera-info {stated[''][1]}", said, f"give {first}=FILE, and so on")
+        lens, source = stated.get(camera_key(first)) or stated.get("") or (found.lens, found.lens_of)
+        if lens is not None:
+            require_size(lens, found.size, source)
+        return lens
 
-    topic, _, file = said.partition("=")
-    if file and not Path(file).exists():
-        raise BadTable(f"--also-camera {said}", f"names no file {file}", "give TOPIC, or TOPIC=target.yaml")
-    own = read_any_target(Path(file)) if file else target
-    lens = stated.get(camera_key(topic))
-    size = None if lens is None else lens[0].size
-    found = read_bag_images(bag, recording, robot.names, own, topic, watch, size)
-    return _seen(topic, found, own, camera, lens or (found.lens, found.lens_of), None)
+    def _beside(self, robot: Robot) -> ReadingsBeside:
+        """Readings of other instruments in the bag."""
+        from modcal_core.camera import beside
 
-
-def _seen(
-    name: str,
-    found: ImageFolder,
-    target: PrintedTarget | MarkerBundle,
-    camera: dict[str, Any],
-    lens: tuple[Lens | None, str],
-    on_tip: bool | None,
-) -> CameraImages:
-    """What a further camera saw. lens: where known, and its source. on_tip: whether the arm carries the camera."""
-    from modcal_core.camera import CameraImages
-    from modcal_nodes.vision import require_size
-
-    if lens[0] is not None:
-        require_size(lens[0], found.size, lens[1])
-    return CameraImages(
-        *(found.q, found.views, target, found.size, found.velocity, lens[0], camera["intrinsics"], on_tip),
-        flat=camera["flat_target"],
-        moments=found.moments,
-        fisheye=camera["fisheye"],
-        name=name,
-    )
+        assert self.bag is not None
+        assert self.recording is not None
+        self.watch("reading other instruments")
+        told = {r.topic for r in self.recording.readings if not r.by_type}
+        # poses that nobody called a tracker's may be made from these very images
+        guessed = [r.topic for r in self.recording.readings if r.by_type and r.topic not in told]
+        topics = Topics.of(self.options.topic, [*self.options.ignore, *guessed])
+        samples = opened(self.bag, self.watch, topics).samples(robot, self.options.clock_limit)
+        return beside(robot.chain, samples, robot.inertias)
 
 
 def camera_urdf(path: Path) -> Path:

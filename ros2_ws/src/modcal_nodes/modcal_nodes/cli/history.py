@@ -17,6 +17,7 @@ from modcal_core.checking import Values, series_of, values_of
 from modcal_core.errors import BadTable
 from modcal_core.files import read_json, to_json
 from modcal_core.measurements import require
+from modcal_core.outcome import offsets_of
 from modcal_core.report import (
     History,
     HistoryEntry,
@@ -26,7 +27,6 @@ from modcal_core.report import (
     comparison_summary,
     history_data,
     history_summary,
-    offsets_of,
 )
 from modcal_nodes.cli.certificate import UNMET
 from modcal_nodes.cli.console import Output, speaking

@@ -15,9 +15,9 @@ from modcal_core.errors import BadTable, ModcalError, about
 from modcal_core.files import read_yaml, to_json, write_file
 from modcal_core.measurements import IMPORTED, Recording, remedies_of
 from modcal_core.robot import Robot
-from modcal_core.robots import chain_urdf, from_table
+from modcal_core.robots import chain_urdf, document, from_table
 from modcal_msgs_py import write_recording
-from modcal_msgs_py.tables import Proposal, find, json_schema, proposal, read_tables
+from modcal_msgs_py.tables import Arm, Proposal, find, json_schema, read_tables
 from modcal_nodes.cli.console import Output, speaking, tell
 from modcal_nodes.cli.export import read_table, told
 from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, described
@@ -51,8 +51,8 @@ def proposed(
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
     robot = Robot.from_urdf(urdf, options["base"], options["tip"])
     with output.working() as watch:
-        found = find(tables, robot.chain, watch, robot.inertias)
-        made = proposal(found, os.path.relpath(urdf.resolve(), path.resolve().parent))
+        where = os.path.relpath(urdf.resolve(), path.resolve().parent)
+        made = find(tables, Arm(robot.chain, robot.inertias, _bystanders(robot), where), watch)
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
@@ -68,6 +68,14 @@ def proposed(
     }  # fmt: skip
     output.result(result, partial(tell, lines))
     return made, path
+
+
+def _bystanders(robot: Robot) -> dict[str, bool]:
+    """Joints of the robot description that are not the arm's, each with whether it turns."""
+    kinds = {"revolute": True, "continuous": True, "prismatic": False}
+    joints = document(robot.description or "").iter("joint")
+    found = {str(joint.get("name")): kinds[kind] for joint in joints if (kind := joint.get("type")) in kinds}
+    return {name: turns for name, turns in found.items() if name not in robot.names}
 
 
 _YAML = (".yaml", ".yml")

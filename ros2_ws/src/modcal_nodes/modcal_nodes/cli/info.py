@@ -32,18 +32,10 @@ _MIN_IMAGES = 4  # with the target, that a calibration can be made from
 @click.option("--image-topic", metavar="TOPIC", help="Images. Default: the only ones there are.")
 @with_options(TOPICS)
 @speaking
-def info_command(
-    bag: Path,
-    target: Path | None,
-    image_topic: str | None,
-    topic: tuple[str, ...],
-    ignore: tuple[str, ...],
-    tf: str | None,
-    output: Output,
-    **arm: Any,
-) -> None:
+def info_command(bag: Path, target: Path | None, image_topic: str | None, output: Output, **options: Any) -> None:
     """Show what is in BAG, what it can be used for, and what looks wrong."""
-    recording = read_recording(bag, topics=Topics.of(topic, ignore, tf))
+    arm = {name: options[name] for name in ("urdf", "delta", "base", "tip")}
+    recording = read_recording(bag, topics=Topics.of(options["topic"], options["ignore"], options["tf"]))
     findings: tuple[str, ...] = ()
     try:
         robot: Robot | None = described(recording, **arm)
@@ -91,7 +83,12 @@ def _images(
 
 
 def _show(data: dict[str, Any], most: int, console: Console) -> None:
-    """most: signals that have a line each; of more there is one line."""
+    """What is used first. most: signals that have a line each; of more there is one line."""
+    for use in data["uses"]:
+        console.print(f"can be used for {use}", style="green")
+    if robot := data["robot"]:
+        said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])
+        console.print(said)
     shown = table(dict.fromkeys(("topic", "what", "messages", "Hz", "largest gap"), ""), words=2)
     signals = [track for track in data["topics"] if track["what"].startswith("signal:")]
     few = len(signals) <= most
@@ -105,15 +102,10 @@ def _show(data: dict[str, Any], most: int, console: Console) -> None:
             f"{len(signals)} numbers of {topics} other topics, on which errors may depend: all with --verbose"
         )
     console.print(f"duration: {data['duration_s']:.1f} s")
-    if robot := data["robot"]:
-        said = chain_line(robot["base"], robot["tip"], len(robot["joints"]), robot["other_tips"])
-        console.print(said)
     for one in data["listed"]:
         if one["role"] is None and one["could"]:
             kind = one["type_name"].rpartition("/")[2]
             console.print(f"{one['topic']} ({kind}) could be {' or '.join(map(_said, one['could']))}")
-    for use in data["uses"]:
-        console.print(f"can be used for {use}", style="green")
     for finding in data["findings"]:
         console.print(finding, style="yellow")
 

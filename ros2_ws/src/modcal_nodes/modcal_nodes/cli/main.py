@@ -153,7 +153,7 @@ def _fault() -> int:
 # What a verb may need beyond what is always installed: the extra of the distribution that brings it
 _EXTRAS = {"mujoco": "simulate", "pyarrow": "fleet", "distributed": "fleet"}
 # Beside ROS from apt, which has none of them, or an older one
-_PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2", "lets_plot": "lets-plot"}
+_PACKAGES = {"cv2": "opencv-python-headless", "fpdf": "fpdf2"}
 _ROS = ("rclpy", "ament_index_python", "launch", "launch_ros", "rosidl_runtime_py", "rosgraph_msgs", "lifecycle_msgs")
 
 

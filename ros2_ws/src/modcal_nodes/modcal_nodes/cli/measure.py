@@ -16,22 +16,24 @@ from modcal_core.calibration import errors
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml
 from modcal_core.measurements import POINT, POSE
-from modcal_core.measuring import (
+from modcal_core.outcome import counted, readmitted_note
+from modcal_core.planning import (
     BATCH,
     MAX_STATIONS,
     Advice,
     Advisor,
     FilledTable,
     Goal,
+    Method,
     Session,
+    Site,
     of_recording,
     of_robot,
     require_likely,
+    site_from_data,
     text_of,
     with_table,
 )
-from modcal_core.planning import Site, site_from_data
-from modcal_core.report import counted, readmitted_note
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
@@ -150,8 +152,8 @@ def measure_command(
         began = time.time() if measurer is None else None
         kept = place.begin(StoredSession(Session(arm.names, reading, carried=site.carried), goal, seed, began))
         lot = options["batch"] or (BATCH if measurer is not None else _BY_HAND)
-        effects = not options["geometry_only"]
-        advisor = Advisor(arm.mechanism, pool, goal, seed, cell, arm.inertias, batch=lot, effects=effects)
+        method = Method(seed, batch=lot, effects=not options["geometry_only"])
+        advisor = Advisor(arm.mechanism, pool, goal, method, cell, arm.inertias)
         if measurer is None:
             advice, filled = _by_hand(place, kept, advisor, watch)
         else:

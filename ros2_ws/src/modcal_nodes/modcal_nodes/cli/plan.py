@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,9 +29,10 @@ from modcal_core.planning import (
     undecided_by_posture,
 )
 from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
+from modcal_core.robots import Mechanism
 from modcal_nodes.cli.console import Output, console, say, speaking
 from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, Decimal, Whole, file_line, read_robot, read_stations
-from modcal_nodes.io import read_calibration
+from modcal_nodes.io import Options, read_calibration
 
 
 def decide(report: Path, stations: int, seed: int, out: Path | None, site: Site | None = None) -> None:
@@ -96,6 +98,49 @@ def _data(calibration: Calibration, proposals: list[DecidingStations]) -> dict[s
     }
 
 
+@dataclass(frozen=True)
+class PlanOptions:
+    """What is asked of a plan, by the names of the command's options."""
+
+    base: str | None
+    tip: str | None
+    site: Path | None
+    stations: int | None
+    accuracy_mm: float | None
+    measure: str
+    criterion: str
+    reading: str
+    fixed: tuple[str, ...]
+    besides: Path | None
+    candidates: int | None
+    starts: int | None
+    thorough: bool
+    speed: float
+    dwell: float
+    report: Path | None
+    returns: int
+    camera: Path | None
+    joints: Path | None
+    target: Path | None
+    seed: int
+
+    def request(self, chain: Mechanism) -> PlanRequest:
+        """The same for this arm, as the core has it."""
+        candidates, starts = _THOROUGH if self.thorough else (CANDIDATES, STARTS)
+        return PlanRequest(
+            stations=self.stations,
+            accuracy=None if self.accuracy_mm is None else 1e-3 * self.accuracy_mm,
+            measure=self.measure,
+            criterion=self.criterion,
+            reading=self.reading,
+            fixed=self.fixed,
+            returns=self.returns,
+            starts=self.starts or starts,
+            candidates=self.candidates or candidates,
+            besides=None if self.besides is None else read_stations(self.besides, chain),
+        )
+
+
 _NEXT = 10  # images, where no number is asked for
 _DECIDING = 16  # stations, where none are asked for
 _THOROUGH = 6000, 8  # candidates and starts
@@ -158,62 +203,51 @@ _THOROUGH = 6000, 8  # candidates and starts
 @speaking
 def plan_command(robot: Path | None, out: Path | None, output: Output, **options: Any) -> None:
     """Choose the best stations to calibrate ROBOT (a URDF, or a YAML table), or stations that separate explanations."""
-    stations, accuracy_mm = options["stations"], options["accuracy_mm"]
-    if any(options[name] is not None for name in ("camera", "joints", "target")):
-        _by_camera(robot, options, out, output)
+    asked = PlanOptions(**options)
+    if any(one is not None for one in (asked.camera, asked.joints, asked.target)):
+        _by_camera(robot, asked, out, output)
         return
-    site = None if options["site"] is None else site_from_data(read_yaml(options["site"]), str(options["site"]))
-    if options["report"] is not None:
-        if robot is not None or accuracy_mm is not None:
+    site = None if asked.site is None else site_from_data(read_yaml(asked.site), str(asked.site))
+    if asked.report is not None:
+        if robot is not None or asked.accuracy_mm is not None:
             raise BadTable(
                 "--decide", "cannot be combined with ROBOT or --accuracy-mm", "give REPORT alone: it holds the robot"
             )
-        decide(options["report"], stations or _DECIDING, options["seed"], out, site)
+        decide(asked.report, asked.stations or _DECIDING, asked.seed, out, site)
         return
     if robot is None:
         raise BadTable("modcal plan", "is given neither a ROBOT nor --decide REPORT", "give one of them")
-    if stations is not None and accuracy_mm is not None:
+    if asked.stations is not None and asked.accuracy_mm is not None:
         raise BadTable("--stations", "cannot be combined with --accuracy-mm", "give one of them")
-    chain = read_robot(robot, options["base"], options["tip"])
-    candidates, starts = _THOROUGH if options["thorough"] else (CANDIDATES, STARTS)
-    request = PlanRequest(
-        stations=stations,
-        accuracy=None if accuracy_mm is None else 1e-3 * accuracy_mm,
-        starts=options["starts"] or starts,
-        candidates=options["candidates"] or candidates,
-        besides=None if options["besides"] is None else read_stations(options["besides"], chain),
-        **{name: options[name] for name in ("measure", "criterion", "reading", "fixed", "returns")},
-    )
+    chain = read_robot(robot, asked.base, asked.tip)
+    request = asked.request(chain)
     with output.working() as watch:
         watch("choosing stations")
-        found = plan(chain, site or Site(), request, np.random.default_rng(options["seed"]))
+        found = plan(chain, site or Site(), request, np.random.default_rng(asked.seed))
         watch("writing the plan")
         data = to_plan_data(found)
         files = {
             "plan.yaml": to_yaml(data),
             "stations.csv": to_csv(found),
-            "trajectory.yaml": to_yaml(to_trajectory_data(found, options["speed"], options["dwell"])),
+            "trajectory.yaml": to_yaml(to_trajectory_data(found, asked.speed, asked.dwell)),
             "stations.svg": figure(found),
             "report.html": planning_html(found, robot.stem),
         }
-    said = [file_line(robot, chain, options["tip"]), *plan_sentences(found)]
+    said = [file_line(robot, chain, asked.tip), *plan_sentences(found)]
     out = out or Path(f"{robot.stem}_plan")
     output.saved(data, partial(say, said), out, files, "Stations", "plan.yaml")
 
 
-def _by_camera(robot: Path | None, options: dict[str, Any], out: Path | None, output: Output) -> None:
+def _by_camera(robot: Path | None, asked: PlanOptions, out: Path | None, output: Output) -> None:
     from modcal_nodes.cli.camera import plan_next_images
+    from modcal_nodes.cli.camera_input import CameraOptions
 
-    camera, joints, target = (options[name] for name in ("camera", "joints", "target"))
-    if camera is None or target is None:
-        given = "--joints" if target is None and camera is None else "--camera" if camera is not None else "--target"
+    if asked.camera is None or asked.target is None:
+        joints = asked.target is None and asked.camera is None
+        given = "--joints" if joints else "--camera" if asked.camera is not None else "--target"
         raise BadTable(given, "needs --camera and --target", "give the images so far, and the target that they show")
-    if joints is not None and robot is None:
+    if asked.joints is not None and robot is None:
         raise BadTable("--joints", "needs ROBOT", "give the URDF: a folder of images has none")
-    chosen = {
-        "images": camera, "joints": joints, "target": target, "image_topic": None, "camera_info": None,
-        "intrinsics": "tolerance", "arm_mm": None, "mounting": None, "flat_target": False, "fisheye": False,
-    }  # fmt: skip
-    asked = {name: options[name] for name in ("base", "tip", "fixed", "seed")}
-    asked |= {"urdf": robot, "geometry_only": True, "topic": (), "ignore": (), "clock_limit": 0.5}
-    plan_next_images(chosen, asked, options["stations"] or _NEXT, out, output)
+    images = CameraOptions(asked.camera, asked.joints, asked.target)
+    arm = Options(robot, None, asked.base, asked.tip, asked.fixed, geometry_only=True, seed=asked.seed)
+    plan_next_images(images, arm, asked.stations or _NEXT, out, output)

@@ -19,6 +19,7 @@ from modcal_core.planning import (
     DESIGNS,
     ClosedChain,
     Measured,
+    Studied,
     Study,
     calibration_chain,
     design,
@@ -104,7 +105,8 @@ def sensitivity_command(robot: Path, out: Path | None, output: Output, **options
     out = out or Path(f"{robot.stem}_sensitivity")
     with output.working() as watch:
         watch("moving each parameter")
-        result = study(closed, q, kind, sizes, factor, measured, rng, options["bins"], 4 * ARMS if thorough else ARMS)
+        arms = 4 * ARMS if thorough else ARMS
+        result = study(closed, Studied(kind, q, sizes, factor, measured, options["bins"], arms), rng)
         watch("writing the report")
         data = sensitivity_data(result)
         files = {

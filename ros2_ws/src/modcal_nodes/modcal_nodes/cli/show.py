@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from modcal_core.report import Report, SummaryLine, SummaryTable, Tone, summary
+from modcal_core.outcome import Outcome
+from modcal_core.report import SummaryLine, SummaryTable, Tone, summary
 
 STYLES: dict[Tone, str] = {
     "plain": "",
@@ -20,7 +21,7 @@ STYLES: dict[Tone, str] = {
 }
 
 
-def show_report(report: Report, console: Console) -> None:
+def show_report(report: Outcome, console: Console) -> None:
     """Print before and after, what the data could not tell, and the verdict."""
     show_blocks(summary(report), console)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,29 @@ _LENGTHS = _Pattern(
 )
 
 
+@dataclass(frozen=True)
+class TargetOptions:
+    """What is asked of a target, by the names of the command's options: lengths [m], counts across and down."""
+
+    charuco: tuple[int, int] | None
+    chessboard: tuple[int, int] | None
+    aruco_grid: tuple[int, int] | None
+    tag: int | None
+    square: float | None
+    marker: float | None
+    dictionary: str | None
+    paper: str
+    measured: tuple[float, float] | None
+    measured_to_mm: float | None
+
+    @property
+    def chosen(self) -> list[tuple[str, tuple[int, int]]]:
+        """Kinds of target that are asked for, and their counts."""
+        one = None if self.tag is None else (1, 1)
+        kinds = {"charuco": self.charuco, "chessboard": self.chessboard, "aruco_grid": self.aruco_grid, "tag": one}
+        return [(kind, count) for kind, count in kinds.items() if count is not None]
+
+
 @click.command("target")
 @click.option("--charuco", type=_COUNTS, help="ChArUco board of so many squares, across and down.")
 @click.option("--chessboard", type=_COUNTS, help="Chessboard of so many squares.")
@@ -69,29 +93,18 @@ _LENGTHS = _Pattern(
 )
 @click.option("--out", type=WRITTEN, default=Path("target"), help="Folder of the results.")
 @speaking
-def target_command(
-    tag: int | None,
-    square: float | None,
-    marker: float | None,
-    dictionary: str | None,
-    paper: str,
-    measured: tuple[float, float] | None,
-    measured_to_mm: float | None,
-    out: Path,
-    output: Output,
-    **counts: tuple[int, int] | None,
-) -> None:
+def target_command(out: Path, output: Output, **options: Any) -> None:
     """Write a target to print, as PDF, and its description for calibrate --target.
 
     Print it at 100 %, glue it to something flat, measure both rulers, and state them: modcal target --measured
     209.5x149.8 puts them into target.yaml.
     """
-    counts["tag"] = None if tag is None else (1, 1)
-    chosen = [(kind, count) for kind, count in counts.items() if count is not None]
-    if not chosen and measured is not None:
-        _measured(out, measured, measured_to_mm, output)
+    asked = TargetOptions(**options)
+    measured, square = asked.measured, asked.square
+    if not asked.chosen and measured is not None:
+        _measured(out, measured, asked.measured_to_mm, output)
         return
-    if len(chosen) != 1:
+    if len(asked.chosen) != 1:
         raise click.UsageError(
             "Give one of --charuco, --chessboard, --aruco-grid and --tag.", click.get_current_context()
         )
@@ -101,21 +114,21 @@ def target_command(
     from modcal_core.camera import CHARUCO, CHESSBOARD, TAG, PrintedTarget, target_to_data
     from modcal_nodes.vision import draw_sheet
 
-    kind, (columns, rows) = chosen[0]
+    ((kind, (columns, rows)),) = asked.chosen
     inner = {CHARUCO: _MARKER * square, CHESSBOARD: 0.0, TAG: 0.0}.get(kind, 0.25 * square)
-    if marker is not None:
+    if asked.marker is not None:
         if kind in (CHESSBOARD, TAG):
             raise click.UsageError(f"--marker does not work with --{kind}.", click.get_current_context())
-        inner = marker
-    words = "" if kind == CHESSBOARD else dictionary or "DICT_5X5_100"
-    made = PrintedTarget(kind, columns, rows, square, round(inner, 6), words, tag or 0)
-    sheet = draw_sheet(made, paper)
+        inner = asked.marker
+    words = "" if kind == CHESSBOARD else asked.dictionary or "DICT_5X5_100"
+    made = PrintedTarget(kind, columns, rows, square, round(inner, 6), words, asked.tag or 0)
+    sheet = draw_sheet(made, asked.paper)
     data = target_to_data(made, sheet.rulers_m)
     files: dict[str, str | bytes] = {"target.pdf": sheet.pdf, "target.yaml": to_yaml(data)}
     write_folder(out, files)
     x, y = (1e3 * length for length in sheet.rulers_m)
     said = [
-        f"{made.label}, to be printed at 100 % on {paper}.",
+        f"{made.label}, to be printed at 100 % on {asked.paper}.",
         f"Its rulers should measure {x:.0f} mm (horizontal) and {y:.0f} mm (vertical). What do they measure?",
         f"State what you read, for WIDTH and HEIGHT [mm]: modcal target --measured WIDTHxHEIGHT --out {out}",
     ]
@@ -127,7 +140,7 @@ def target_command(
     if measured is None:
         output.result(data, partial(tell, said), written(out, files, "Target", "target.pdf"))
     else:
-        _measured(out, measured, measured_to_mm, output)
+        _measured(out, measured, asked.measured_to_mm, output)
 
 
 def _measured(out: Path, measured: tuple[float, float], to_mm: float | None, output: Output) -> None:

@@ -39,6 +39,8 @@ def calibrate_bag(bag: Path, options: Options, more: tuple[Path, ...] = (), watc
     first = opened(bag, watch, topics)
     robot = described(first.recording, options.delta, options.urdf, options.base, options.tip)
     samples = first.samples(robot, options.clock_limit)
+    for at in first.recording.tool_changes:
+        cell = cell.with_move(Move(at, "tool"))
     for other in more:
         with about(str(other)):
             added = opened(other, watch, topics).samples(robot, options.clock_limit)

@@ -14,8 +14,9 @@ from modcal_core.errors import BadTable
 from modcal_core.files import read_yaml, to_json, to_yaml, write_file, write_folder
 from modcal_core.geometry import Array, se3, so3
 from modcal_core.measurements import POINT, POSE, Origin, Samples
-from modcal_core.measuring import PROOF, Advice, Goal, Session, Station, from_data, from_side, to_data, to_table
-from modcal_core.report import calibration_files, delta_files, readmitted_note
+from modcal_core.outcome import readmitted_note
+from modcal_core.planning import PROOF, Advice, Goal, Session, Station, from_data, from_side, to_data, to_table
+from modcal_core.report import calibration_files, delta_files
 from modcal_core.robot import Robot
 from modcal_nodes.simulation import Plant
 

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from modcal_core.errors import BadCommand
 from modcal_core.geometry import Array, so3
 from modcal_core.measurements import TRAVEL
-from modcal_core.measuring import UNSEEN, Station, TimedMotion
+from modcal_core.planning import UNSEEN, Station, TimedMotion
 from modcal_msgs_py import JointInput
 
 IDLE, MOVING, SETTLING, READING, HELD = "idle", "moving", "settling", "reading", "held"

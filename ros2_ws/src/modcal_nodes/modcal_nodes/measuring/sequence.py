@@ -19,23 +19,29 @@ from modcal_core.errors import BadCommand, BadRobot, BadTable, ModcalError
 from modcal_core.files import read_yaml
 from modcal_core.geometry import Array
 from modcal_core.measurements import POINT, POSE
-from modcal_core.measuring import (
+from modcal_core.outcome import counted
+from modcal_core.planning import (
     SKIPPED,
     UNSEEN,
     Advice,
     Advisor,
     Goal,
+    Method,
     Pool,
     Session,
+    Site,
+    Spheres,
     Station,
     TimedMotion,
+    clearance,
     free_way,
     from_side,
     of_robot,
+    site_from_data,
+    spheres_of,
     timed,
+    with_limits,
 )
-from modcal_core.planning import Site, Spheres, clearance, site_from_data, spheres_of, with_limits
-from modcal_core.report import counted
 from modcal_core.robot import Robot
 from modcal_core.robots import forward, read_drives
 from modcal_nodes.measuring.collision import CollisionModel, has_shapes
@@ -108,10 +114,8 @@ class Place:
                 Session(self.robot.names, kind, carried=self.site.carried), self.goal, chosen["seed"], time.time()
             )
         )
-        self._advisor = Advisor(
-            self.robot.mechanism, self.pool, self.goal, chosen["seed"], None, self.robot.inertias,
-            effects=not chosen["geometry_only"],
-        )  # fmt: skip
+        method = Method(chosen["seed"], effects=not chosen["geometry_only"])
+        self._advisor = Advisor(self.robot.mechanism, self.pool, self.goal, method, None, self.robot.inertias)
 
     @property
     def session(self) -> Session:

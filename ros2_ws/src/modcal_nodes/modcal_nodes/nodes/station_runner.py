@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from modcal_core.errors import ModcalError
-from modcal_core.measuring import TimedMotion
+from modcal_core.planning import TimedMotion
 from modcal_msgs_py import seconds, set_seconds
 from modcal_nodes import ros
 from modcal_nodes.measuring import StationSequence

@@ -11,7 +11,8 @@ document.documentElement.classList.add("js");
   select.value = ["light", "dark"].includes(kept()) ? kept() : "system";
   show(select.value);
   select.addEventListener("change", () => { kept(select.value); show(select.value); });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => document.dispatchEvent(new Event("recolour")));
+  // paper is light
+  for (const media of ["(prefers-color-scheme: dark)", "print"]) matchMedia(media).addEventListener("change", () => document.dispatchEvent(new Event("recolour")));
 
   for (const button of document.querySelectorAll("button[data-copy]")) {
     button.addEventListener("click", async () => {

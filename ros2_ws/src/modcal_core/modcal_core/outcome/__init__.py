@@ -1,0 +1,22 @@
+"""What a calibration or an evaluation comes to, as data: errors, findings, offsets of joints, notes."""
+
+# ruff: noqa: I001
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from modcal_core.outcome.contents import STAGES, Outcome, Step, Trace, iso_date
+    from modcal_core.outcome.entries import Finding, at_tool, findings, load_findings, parameters
+    from modcal_core.outcome.joint_offsets import offsets_of
+    from modcal_core.outcome.notes import counted, description_note, instrument_notes, load_notes, moved_note
+    from modcal_core.outcome.notes import not_asked_note, readmitted_note, residual_notes, unseen_note
+    from modcal_core.outcome.difference import ToolDifference, tool_difference
+else:
+    from modcal_core.lazy import lazy_face
+
+    __getattr__ = lazy_face(__name__, __file__)
+
+__all__ = ["STAGES", "Finding", "Outcome", "Step", "ToolDifference", "Trace", "at_tool", "counted"]
+__all__ += ["description_note", "findings", "instrument_notes", "iso_date", "load_findings", "load_notes"]
+__all__ += ["moved_note", "not_asked_note", "offsets_of", "parameters", "readmitted_note", "residual_notes"]
+__all__ += ["tool_difference", "unseen_note"]

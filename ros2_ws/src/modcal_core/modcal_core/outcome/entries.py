@@ -1,0 +1,241 @@
+"""What the diagnosis found, as entries of the report: one for each place and driver, with sizes and a sentence.
+
+The story is that of the final model: what an entry is worth is what its removal from that model costs on held-out,
+everything else fitted again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from modcal_core.calibration import REJECT_Z, Errors, Fit, Model, beyond_normal, errors, outlying
+from modcal_core.diagnosis import Diagnosis, Loads, by_weight
+from modcal_core.effects import (
+    ALL,
+    AXIS,
+    Effect,
+    NominalArm,
+    Quantity,
+    ReportEntry,
+    Sizes,
+    claimed,
+    curve_sizes,
+    family_named,
+    is_large_move,
+    is_move,
+    unit_of,
+    with_companions,
+)
+from modcal_core.effects.families import outliers, payload
+from modcal_core.measurements import Samples, spread_rows
+from modcal_core.robots import Mechanism
+from modcal_core.verdict import Case, left_without, resampled
+
+
+def parameters(effects: Sequence[Effect], chain: Mechanism, companions: Sequence[Effect] = ()) -> Sizes:
+    """Named sizes of the effects of one entry; later ones numbered. companions: curves that its first is one with."""
+    out: Sizes = {}
+    curves = [i for i, effect in enumerate(effects) if effect.direction == AXIS and effect.shape.kind == "spline"]
+    for i, effect in enumerate(effects):
+        sizes = family_named(effect.family).sizes(effect, chain)
+        if companions and i in curves[:1]:
+            sizes |= curve_sizes(effect, unit_of(effect, chain), companions)
+        for name, quantity in sizes.items():
+            out[name if i == 0 else f"{name}_{i + 1}"] = quantity
+    return out
+
+
+def at_tool(model: Model, effects: Sequence[int], samples: Samples) -> float:
+    """RMS distance [m] by which the effects of these numbers together move the tool at the samples."""
+    kept = tuple(e for i, e in enumerate(model.effects) if i not in set(effects))
+    gap = model.predict_samples(samples)[:, :3, 3] - model.with_effects(kept).predict_samples(samples)[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
+
+
+MAX_SEEN = 500  # samples at which the size at the tool is taken
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One entry. effects: what it consists of, fitted to all samples (a gear may have several lines). before, after:
+    RMS error on held-out without it and with it [m], all else in the final model. gain_mm2, ci95: mean square that its
+    removal costs on held-out [mm²], with the 95 % interval over stations; None where there is nothing to remove. tool:
+    RMS by which it moves the tool [m]. sampled: sign flips that p_value was compared with.
+    """
+
+    family: str
+    place: str
+    direction: str
+    driver: str
+    parameters: dict[str, Quantity]
+    p_value: float
+    before: float
+    after: float
+    same_as: tuple[str, ...] = ()
+    effects: tuple[Effect, ...] = field(default=())
+    gain_mm2: float | None = None
+    ci95: tuple[float, float] | None = None
+    tool: float | None = None
+    sampled: int = 0
+
+    @property
+    def shown(self) -> bool:
+        """Whether held-out stations show that it brings something."""
+        # large moves were let in by what positions and orientations of unseen stations gain together
+        return self.ci95 is None or self.ci95[0] > 0.0 or any(is_large_move(effect) for effect in self.effects)
+
+    @property
+    def chance(self) -> str:
+        """Chance that noise looks as good, as text: what sampling shows, and what is extrapolated."""
+        least = 1.0 / (self.sampled + 1)
+        if not self.sampled or self.p_value >= least:
+            return f"{self.p_value:.2g}"
+        return f"below 1/{self.sampled + 1} by sampling; extrapolated {self.p_value:.0e}"
+
+    @property
+    def sentence(self) -> str:
+        """What a technician should know of it."""
+        entry = ReportEntry(self.place, self.direction, self.driver, self.parameters, self.same_as)
+        said = family_named(self.family).sentence(entry)
+        moved = f" (it moves the tool by {1e3 * self.tool:.3f} mm RMS)" if self.tool is not None else ""
+        return f"{said}; {self._gain}{moved}."
+
+    @property
+    def _gain(self) -> str:
+        if self.gain_mm2 is None:
+            return f"the error is {1e3 * self.after:.3f} mm without, {1e3 * self.before:.3f} mm with"
+        if not self.shown:
+            return "the held-out stations do not show that it helps"
+        return f"without it the error would be {1e3 * self.before:.3f} instead of {1e3 * self.after:.3f} mm"
+
+
+def findings(diagnosis: Diagnosis, shipped: Model, case: Case) -> tuple[Finding, ...]:
+    """Entries in the order found; the same place and driver found again joins its entry.
+
+    shipped: the model fitted to all samples, its effects in the same order. case: of the scored fit.
+    """
+    samples = case.samples
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for i, effect in enumerate(shipped.effects):
+        if not claimed(effect):
+            continue
+        # each move is an entry of its own
+        key = (*effect.key, effect.shape.settings["at"]) if is_move(effect) else effect.key
+        groups.setdefault(key, []).append(i)
+    few = samples.select(spread_rows(len(samples), MAX_SEEN))
+    entries = []
+    for numbers in groups.values():
+        effects = tuple(shipped.effects[i] for i in numbers)
+        together = with_companions(shipped.effects, numbers)
+        companions = tuple(shipped.effects[i] for i in together[len(numbers) :])
+        causes = [diagnosis.causes[i] for i in numbers]
+        same = dict.fromkeys(
+            name
+            for e, c in zip(effects, causes, strict=True)
+            for name in (*_link_name(e, shipped), *family_named(e.family).same_as(e, samples), *c.same_as)
+        )
+        before, after, gain, interval = _worth(case, together)
+        first = effects[0]
+        entries.append(
+            Finding(
+                *(first.family, first.place, first.direction, first.public_driver),
+                parameters=parameters(effects, shipped.chain, companions),
+                p_value=min(c.p_value for c in causes),
+                before=before,
+                after=after,
+                same_as=tuple(same),
+                effects=(*effects, *companions),
+                gain_mm2=gain,
+                ci95=interval,
+                tool=at_tool(shipped, together, few),
+                sampled=min(c.sampled for c in causes),
+            )
+        )
+    wrong = case.wrong & outlying(shipped, diagnosis.fit.noise, samples) & _certain(shipped, samples)
+    return (*_outliers(diagnosis.fit, samples, wrong), *entries)
+
+
+def _worth(case: Case, numbers: Sequence[int]) -> tuple[float, float, float | None, tuple[float, float] | None]:
+    """(RMS without these effects, with them [m], what removal costs [mm²], its 95 % interval) on the scored samples."""
+    if not len(case.held_out):
+        return float("nan"), float("nan"), None, None
+    with_them = case.errors["final"].position_norm ** 2
+    without_them = left_without(case, numbers).position_norm ** 2
+    cost, interval = resampled(1e6 * (without_them - with_them), case.samples.station[case.held_out])
+    return float(np.sqrt(without_them.mean())), float(np.sqrt(with_them.mean())), cost, interval
+
+
+def _link_name(effect: Effect, model: Model) -> tuple[str, ...]:
+    """What grows or creeps in front of a joint is the link there: its name, where the robot states it."""
+    names, links = model.chain.names, model.chain.links
+    if effect.direction == AXIS or effect.place not in names or not links:
+        return ()
+    return (f"{links[names.index(effect.place)]} {effect.direction} by {effect.public_driver}",)
+
+
+def _certain(model: Model, samples: Samples) -> np.ndarray:
+    """False where it is unknown how an effect acts, (N,), so that a large residual there is no outlier."""
+    drivers = model.drivers(samples)
+    known = [family_named(effect.family).certain(effect, drivers) for effect in model.effects]
+    return np.all([np.ones(len(samples), bool), *known], axis=0)
+
+
+def _outliers(fit: Fit, samples: Samples, wrong: np.ndarray) -> tuple[Finding, ...]:
+    if not wrong.any():
+        return ()
+    count = (float(len(np.unique(samples.station[wrong]))), 0.0, "1")
+    with_them, without_them = (rms(errors(fit.model, s)) for s in (samples, samples.select(np.flatnonzero(~wrong))))
+    by_chance = min(1.0, len(samples) * beyond_normal(REJECT_Z))  # that noise makes any of them
+    return (
+        Finding(outliers.NAME, "tracker", ALL, "constant", {"stations": count}, by_chance, with_them, without_them),
+    )
+
+
+def rms(residuals: Errors) -> float:
+    """RMS of the position errors [m]; NaN where there are none."""
+    return float(np.sqrt(np.mean(residuals.position_norm**2))) if len(residuals.position) else float("nan")
+
+
+def load_findings(loads: Loads | None, model: Model, scored: Samples) -> tuple[Finding, ...]:
+    """The payload as an entry of the report; none where none was found.
+
+    What it is worth is what its removal costs, compliances and all else being kept.
+    """
+    if loads is None or not loads.payloads or loads.relative or not len(scored):
+        return ()
+    sizes: dict[str, Quantity] = {}
+    many = len(loads.payloads) > 1
+    for k, found in enumerate(loads.payloads, 1):
+        number = f"_{k}" if many else ""
+        sizes[f"mass{number}"] = (found.mass, found.mass_std, "kg")
+        if found.place is not None and found.place_std is not None:
+            for axis, at, std in zip("xyz", found.place, found.place_std, strict=True):
+                sizes[f"centre_{axis}{number}"] = (float(at), float(std), "m")
+    bare = replace(model, arm=_unloaded(loads))
+    with_it, without_it = (errors(m, scored).position_norm ** 2 for m in (model, bare))
+    cost, interval = resampled(1e6 * (without_it - with_it), scored.station)
+    sure = max(abs(p.mass) / p.mass_std for p in loads.payloads if p.mass_std > 0.0)
+    driver = next((e.public_driver for e in model.effects if by_weight(e)), "constant")
+    moved = model.predict_samples(scored)[:, :3, 3] - bare.predict_samples(scored)[:, :3, 3]
+    return (
+        Finding(
+            *(payload.NAME, "tool", ALL, driver),
+            parameters=sizes,
+            p_value=max(2.0 * beyond_normal(sure), 1e-300),
+            before=float(np.sqrt(without_it.mean())),
+            after=float(np.sqrt(with_it.mean())),
+            gain_mm2=cost,
+            ci95=interval,
+            tool=float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))),
+        ),
+    )
+
+
+def _unloaded(loads: Loads) -> NominalArm:
+    """The arm without what was found to be carried."""
+    if loads.down is None or loads.before.inertias is None:
+        return loads.before
+    return replace(loads.before, inertias=loads.before.inertias.pulled(loads.down))

@@ -1,0 +1,190 @@
+"""The chooser: of many candidate stations those that are best together, grown one by one and improved by exchange.
+
+A station adds a matrix of rank c, JᵀJ with c = 3 or 6 rows, so what a candidate j is worth follows from small matrices:
+with P = H⁻¹, S_j = 1 + J_j P J_jᵀ and G_j = J_j P Γ P J_jᵀ,
+
+    log det(H + J_jᵀJ_j) = log det H + log det S_j,        tr((H + J_jᵀJ_j)⁻¹ Γ) = tr(P Γ) − tr(S_j⁻¹ G_j)
+
+A station k that comes (+) or goes (−) changes P, and all S and G, by matrices of that rank too (Sherman, Morrison &
+Woodbury): with U = P J_kᵀ, M = (1 ± J_k U)⁻¹, A_j = J_j U and B_j = J_j P Γ U
+
+    P ∓ U M Uᵀ,    S_j ∓ A_j M A_jᵀ,    G_j ∓ A_j M B_jᵀ ∓ B_j M A_jᵀ + A_j M (Uᵀ Γ U) M A_jᵀ
+
+The indices that hang on single eigenvalues have no such form: candidates are ranked by the slope tr(∂/∂H · JᵀJ),
+and the best of these are computed exactly. In Fedorov's exchange one station after the other leaves the set, and the
+candidate that serves best takes its place; the first start grows the set, the others begin at random, and the best end
+is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.geometry import Array
+from modcal_core.planning.criteria import Criterion
+
+_SHORTLIST = 24  # for time: candidates that are tried in full
+_BETTER = 1e-9  # of the criterion, that counts as better
+_AFRESH = 4  # stations added, after which all is computed again: from the prior to what they tell is many decades
+_ROUNDS = 40  # in which a set is grown, at most; up to as many stations are taken one by one
+PASSES = 8  # iterations
+
+
+def information(J: Array) -> Array:
+    """JᵀJ of stations with rows J (N, c, K), in units of the prior, (K, K)."""
+    flat = J.reshape(-1, J.shape[2])
+    return np.asarray(flat.T @ flat)
+
+
+@dataclass(frozen=True)
+class Search:
+    """What every candidate is worth now. J: their rows (N, c, K). H: information (K, K); inverse: P. S, G: (N, c, c);
+    none of the three for criteria of single eigenvalues.
+    """
+
+    criterion: Criterion
+    J: Array
+    H: Array
+    inverse: Array | None = None
+    S: Array | None = None
+    G: Array | None = None
+
+    @property
+    def value(self) -> float:
+        """The criterion of the information that is there."""
+        return float(self.criterion.value(self.H))
+
+    def beside(self, chosen: Sequence[int] | np.ndarray) -> Search:
+        """The same with these candidates there as well."""
+        return Search.of(self.J, self.criterion, self.H + information(self.J[chosen]))
+
+    @classmethod
+    def of(cls, J: Array, criterion: Criterion, H: Array) -> Search:
+        """Candidates J (N, c, K) beside information H (K, K)."""
+        if criterion.spectral:
+            return cls(criterion, J, H)
+        P = np.asarray(np.linalg.inv(H))
+        JP = _times(J, P)
+        S = JP @ J.transpose(0, 2, 1) + np.eye(J.shape[1])
+        G = None if criterion.by_determinant else _times(JP, criterion.gamma) @ JP.transpose(0, 2, 1)
+        return cls(criterion, J, H, P, S, G)
+
+    def changed(self, k: int, sign: float) -> Search:
+        """The same once station k has come (1) or gone (−1)."""
+        own = self.J[k]
+        H = self.H + sign * own.T @ own
+        if self.inverse is None or self.S is None:
+            return replace(self, H=H)
+        c, gamma = len(own), self.criterion.gamma
+        U = self.inverse @ own.T
+        M = sign * np.linalg.inv(np.eye(c) + sign * own @ U)
+        P = self.inverse - U @ M @ U.T
+        if self.G is None:
+            A = _times(self.J, U)
+            return replace(self, H=H, inverse=P, S=self.S - A @ M @ A.transpose(0, 2, 1))
+        AB = _times(self.J, np.hstack([U, self.inverse @ (gamma @ U)]))
+        A, B = AB[..., :c], AB[..., c:]
+        AM = A @ M
+        crossed = AM @ (B - 0.5 * AM @ (U.T @ gamma @ U)).transpose(0, 2, 1)
+        S = self.S - AM @ A.transpose(0, 2, 1)
+        return replace(self, H=H, inverse=P, S=S, G=self.G - crossed - crossed.transpose(0, 2, 1))
+
+    def gains(self, free: np.ndarray) -> Array:
+        """By how much each candidate raises the criterion, (N,); −inf for those that are not free or not tried."""
+        if self.S is not None:
+            if self.G is None:
+                gain = np.linalg.slogdet(self.S)[1]
+            else:
+                gain = np.trace(np.linalg.solve(self.S, self.G), axis1=1, axis2=2)
+            return np.where(free, gain, -np.inf)
+        slope = np.sum(_times(self.J, self.criterion.gradient(self.H)) * self.J, axis=(1, 2))
+        few = np.argsort(np.where(free, -slope, np.inf), kind="stable")[:_SHORTLIST]
+        few = few[free[few]]
+        out = np.full(len(self.J), -np.inf)
+        out[few] = self.criterion.value(self.H + self.J[few].transpose(0, 2, 1) @ self.J[few]) - self.value
+        return out
+
+
+def _times(J: Array, A: Array) -> Array:
+    """J (N, c, K) times A (K, r), as one product rather than N small ones."""
+    return (J.reshape(-1, J.shape[2]) @ A).reshape(*J.shape[:2], A.shape[1])
+
+
+def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
+    """Numbers of the ``count`` candidates that raise the criterion most, each beside those before it.
+
+    chance: of each to be measured, (N,), by which its worth counts; 0 leaves it out. Of many stations several are taken
+    at once, for time.
+    """
+    chance = np.ones(len(base.J)) if chance is None else chance
+    free = chance > 0.0
+    search = base
+    chosen: list[int] = []
+    count = min(count, int(free.sum()))
+    while len(chosen) < count:
+        gains = search.gains(free)
+        gains[free] *= chance[free]
+        more = np.argsort(-gains, kind="stable")[: min(max(1, count // _ROUNDS), count - len(chosen))].tolist()
+        before, free[more] = len(chosen), False
+        chosen += more
+        if before // _AFRESH < len(chosen) // _AFRESH:
+            search = base.beside(chosen)
+        else:
+            for j in more:
+                search = search.changed(j, 1.0)
+    return chosen
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """chosen: numbers of the candidates, sorted, (k,). value: of the criterion. starts: values of all starts."""
+
+    chosen: np.ndarray
+    value: float
+    starts: tuple[float, ...]
+
+
+def exchange(
+    base: Search,
+    count: int,
+    rng: np.random.Generator,
+    starts: int = 4,
+    passes: int = PASSES,
+    begin: np.ndarray | None = None,
+) -> Exchange:
+    """The ``count`` candidates that are best together. begin: numbers to begin from; there is then this one start."""
+    assert 0 < count <= len(base.J), (count, len(base.J))
+    ends = [] if begin is None else [_improved(base, begin, rng, passes)]
+    for start in range(0 if begin is not None else starts):
+        first = np.array(grown(base, count)) if start == 0 else rng.choice(len(base.J), count, replace=False)
+        ends.append(_improved(base, first, rng, passes))
+    chosen, value = max(ends, key=lambda end: end[1])
+    return Exchange(np.sort(chosen), value, tuple(v for _, v in ends))
+
+
+def _improved(base: Search, chosen: np.ndarray, rng: np.random.Generator, passes: int) -> tuple[np.ndarray, float]:
+    chosen = chosen.copy()
+    free = np.ones(len(base.J), dtype=bool)
+    free[chosen] = False
+    search = base.beside(chosen)
+    value = search.value
+    for _ in range(passes):
+        before = value
+        for k in rng.permutation(len(chosen)):
+            out = int(chosen[k])
+            without = search.changed(out, -1.0)
+            free[out] = True
+            gains = without.gains(free)
+            j = int(np.argmax(gains))
+            new = without.value + float(gains[j])
+            if j != out and new > value + _BETTER * abs(value):
+                search, chosen[k], value = without.changed(j, 1.0), j, new
+            free[chosen[k]] = False
+        search = base.beside(chosen)  # again, so that rounding does not add up
+        value = search.value
+        if value <= before + 1e-6 * abs(before):
+            break
+    return chosen, value

@@ -1,0 +1,176 @@
+"""What a station would be worth: how much it lowers the error of the tool that is to be expected, in mm².
+
+The values are those of the claim (:mod:`modcal_core.claim`): the geometry, effects that a fit has, and for each joint
+what effects nobody named may look like, each as large as in usual arms. With H the information of the stations so far,
+the prior's included, and Γ the mean of GᵀG over the postures where accuracy counts, its mean square error is
+tr(H⁻¹ Γ). So a station is worth something where the geometry is known badly, and where an effect that an arm may have
+has not been looked at. Before anything is measured the arm is the nominal one, and the noise that of the site.
+
+Where the instrument lost the tool the same posture is not asked for again: what has been seen and what has not, near
+where a tool would be and face, gives the chance that it is seen (a kernel estimate), by which a station's worth counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration import (
+    Cell,
+    Model,
+    NoiseModel,
+    RowView,
+    View,
+    choose_parameters,
+    linearise,
+)
+from modcal_core.claim import Neighbourhood, arms_near
+from modcal_core.geometry import Array
+from modcal_core.measurements import POSE, Samples
+from modcal_core.planning.closed_chain import readings_at
+from modcal_core.planning.criteria import ACCURACY, criterion
+from modcal_core.planning.exchange import Search, information
+from modcal_core.planning.refit import Refit
+from modcal_core.planning.site import Noise
+
+_NEAR, _FACING = 0.3, 0.7  # m, rad: places and directions that a tracker sees alike
+_SEEN_FIRST = 0.95  # chance that a posture is seen where nothing near was tried; weighs as much as one station
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """about: the arms that this one may be, K values. own: numbers of those that a fit has (P,). noise: of readings,
+    joints left out. scatter: of each number read (6,) [m, rad], of what the arm does not repeat. H: information (K, K)
+    of the stations so far and the priors, in units of these. gamma: Γ in these units [m²]. kind: of reading. like: what
+    the last of the samples so far came with.
+    """
+
+    about: Neighbourhood
+    own: np.ndarray
+    noise: Noise
+    scatter: Array
+    H: Array
+    gamma: Array
+    kind: str
+    like: Samples | None = None
+
+    @property
+    def parameters(self) -> list[str]:
+        """Names of the geometry's parameters that a fit has."""
+        return [self.about.parameters[j].name for j in self.own if j < len(self.about.parameters)]
+
+    def rows(self, q: Array, approach: Array | None = None) -> Array:
+        """Derivatives (N, c, K) of readings at postures q (N, n), over their deviations, per prior's deviation."""
+        samples = self._samples(q, approach, self.kind)
+        J = self._derivatives(samples)
+        distance = np.linalg.norm(samples.reading, axis=1)
+        read = np.full((len(q), J.shape[1]), self.noise.rotation)
+        read[:, :3] = (self.noise.position + self.noise.per_metre * distance)[:, None]
+        return J / np.hypot(read, self.scatter[: J.shape[1]])[..., None]
+
+    def motions(self, q: Array, approach: Array | None = None) -> Array:
+        """How the tool moves per prior's deviation, (N, 3, K) [m]. What scales a reading moves no tool."""
+        J = self._derivatives(self._samples(q, approach, POSE))[:, :3]
+        k = len(self.about.parameters)
+        for effect in self.about.model.effects:
+            if effect.place == "tracker":
+                J[..., k : k + len(effect.values)] = 0.0
+            k += len(effect.values)
+        return J
+
+    def error(self, own: bool = False) -> float:
+        """RMS error of the tool [m] that is to be expected; own: of the values that a fit has alone."""
+        k = np.ix_(*2 * [self.own if own else np.arange(len(self.gamma))])
+        return float(np.sqrt(max(np.sum(np.linalg.inv(self.H[k]) * self.gamma[k]), 0.0)))
+
+    def beside(self, rows: Array) -> Outlook:
+        """The same once stations with these rows (N, c, K) have been read."""
+        return replace(self, H=self.H + information(rows))
+
+    def search(self, rows: Array, which: str = ACCURACY) -> Search:
+        """Candidates with these rows (N, c, K), by a criterion: accuracy counts all values, others the fit's own."""
+        good = criterion(which, self.gamma)
+        if which == ACCURACY:
+            return Search.of(rows, good, self.H)
+        units = np.array([p.prior_std for p in self.about.parameters])[self.own] / self.about.std[self.own]
+        H = (self.H - np.eye(len(self.H)))[np.ix_(self.own, self.own)] * np.outer(units, units)
+        return Search.of(rows[..., self.own] * units, good, H + np.eye(len(units)))
+
+    def _samples(self, q: Array, approach: Array | None, kind: str) -> Samples:
+        """Readings as the geometry makes them; time and signals as they were at the end of the samples so far."""
+        N, like = len(q), self.like
+        exact = readings_at(self.about.model, q, kind)
+        exact = exact if approach is None else replace(exact, approach=approach)
+        if like is None:
+            return exact
+        stamps = np.full(N, float(like.stamps.max()))
+        return replace(exact, effort=np.full(q.shape, np.nan), stamps=stamps, signals=like.signals, clock=like.clock)
+
+    def _derivatives(self, samples: Samples) -> Array:
+        about = self.about
+        J = linearise(about.model, about.parameters, about.values, samples).J
+        return J.reshape(len(J), -1, len(samples)).transpose(2, 1, 0) * about.std
+
+
+def nominal_outlook(
+    model: Model, q: Array, where: Array, kind: str, noise: Noise, fixed: Sequence[str] = ()
+) -> Outlook:
+    """The outlook before anything is measured, on a model with one frame. q: postures to choose from (N, n). where:
+    postures at which accuracy counts. fixed: parameters that are as the drawing has them, by name, place or pattern.
+    """
+    fitted = choose_parameters(model, (View(kind, 0),), fixed).parameters
+    joints = unrepeated(model, q, noise)
+    scatter = np.sqrt(np.repeat([np.mean(joints[:, :3] ** 2), np.mean(joints[:, 3:] ** 2)], 3) * joints.shape[2])
+    planned = readings_at(model, q, kind)
+    size = NoiseModel(noise.position + float(scatter[0]), noise.rotation + float(scatter[3]))
+    about = arms_near(model, model.chain, planned, Cell(fixed=tuple(fixed)), noise=size)
+    names = [p.name for p in about.parameters]
+    own = np.array([names.index(p.name) for p in fitted])
+    eye = np.eye(len(about.std))
+    return _counting(Outlook(about, own, noise, scatter, eye, eye, kind), where, None)
+
+
+def outlook(refitted: Refit, where: Array, cell: Cell, rng: np.random.Generator) -> Outlook:
+    """What further stations would be worth to a fitted model. where: postures (M, n) at which accuracy counts."""
+    calibration, right = refitted.calibration, refitted.samples.select(~refitted.wrong)
+    about = arms_near(calibration.calibrated, calibration.nominal.chain, right, cell)
+    assert calibration.uncertainty is not None
+    fitted = {p.name for p in calibration.uncertainty.parameters}
+    P = len(about.parameters)
+    effects = sum(len(e.values) for e in calibration.calibrated.effects)
+    own = np.r_[[j for j, p in enumerate(about.parameters) if p.name in fitted], P + np.arange(effects)].astype(int)
+    read = float(np.sqrt(np.mean(np.nan_to_num(right.sigma_position) ** 2)))
+    scatter = np.repeat([calibration.noise.position, calibration.noise.rotation], 3)
+    H, _ = about.equations(np.ones(len(about.H)))
+    H = H * np.outer(about.std, about.std) + np.eye(len(about.std))
+    known = Outlook(about, own, Noise(read, 0.0, 0.0), scatter, H, H, str(right.kind[0]), right)
+    return _counting(known, where, rng.choice([-1.0, 1.0], where.shape))
+
+
+def _counting(bare: Outlook, where: Array, approach: Array | None) -> Outlook:
+    G = bare.motions(where, approach)
+    return replace(bare, gamma=information(G) / len(G))
+
+
+def unrepeated(model: Model, q: Array, noise: Noise) -> Array:
+    """How what the joints do not repeat moves the tool at postures q (N, n), by each joint, (N, 6, n) [m, rad]."""
+    samples = readings_at(model, q, POSE)
+    view = RowView.of(model, samples, model.drivers(samples))
+    chain = model.chain
+    sizes = np.where(chain.revolute, noise.joint_turn, noise.joint_slide)
+    moved = [view.unit_column(chain.first_place + k, 5 if chain.revolute[k] else 2) for k in range(chain.n)]
+    return np.stack(moved, axis=1).reshape(6, len(q), chain.n).transpose(1, 0, 2) * sizes
+
+
+def chance_seen(p: Array, facing: Array, tried_p: Array, tried_facing: Array, seen: np.ndarray) -> Array:
+    """Chance (N,) that an instrument sees a tool at p (N, 3) [m] with its z axis along facing (N, 3), from where it did
+    and did not see one: tried_p, tried_facing (M, 3), seen (M,).
+    """
+    if not len(seen) or seen.all():
+        return np.ones(len(p))
+    apart = np.sum((p[:, None] - tried_p) ** 2, axis=2) / _NEAR**2
+    turned = np.sum((facing[:, None] - tried_facing) ** 2, axis=2) / _FACING**2
+    weight = np.exp(-0.5 * (apart + turned))
+    return np.asarray((weight @ seen + _SEEN_FIRST) / (weight.sum(axis=1) + 1.0))

@@ -1,0 +1,171 @@
+"""The score on what no fit has seen, the model to ship, fitted to all of it, and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modcal_core.calibration import (
+    Calibration,
+    Errors,
+    KnownDistance,
+    distances_of,
+    errors,
+    finalise,
+    identifiability,
+    places_of,
+    readmitted,
+    rejected,
+    right_after_all,
+    runs_of,
+)
+from modcal_core.claim import Claim, claim_at_tool, settled
+from modcal_core.diagnosis import located
+from modcal_core.measurements import Samples
+from modcal_core.outcome import (
+    Outcome,
+    Step,
+    description_note,
+    findings,
+    instrument_notes,
+    load_findings,
+    load_notes,
+    not_asked_note,
+    offsets_of,
+    readmitted_note,
+    residual_notes,
+)
+from modcal_core.task import Fits, Task
+from modcal_core.verdict import (
+    TOGETHER,
+    Applied,
+    Grounds,
+    carried_over,
+    contradictions,
+    fitted_case,
+    judge,
+    regimes_of,
+    rejection,
+    too_small,
+    with_places,
+)
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """wrong: samples that were rejected, (N,). accepted: held-out samples without those. errors: of them, by stage."""
+
+    wrong: np.ndarray
+    accepted: Samples
+    errors: dict[str, Errors]
+    distances: tuple[KnownDistance, ...]
+
+
+def scored(task: Task, fits: Fits) -> tuple[Outcome, Calibration]:
+    """The outcome on held-out samples, and the calibration to ship."""
+    samples, sets, cell, final = task.samples, task.sets, task.cell, fits.final
+    wrong = rejected(final, samples, sets.train, cell.distances)
+    if wrong[sets.held_out].all():  # then it is the model that misses them
+        wrong[sets.held_out] = False
+    accepted = task.held_out.select(~wrong[sets.held_out])
+    shipped, claim, again, carried = _shipped(task, fits, wrong)
+    taken_in = readmitted(shipped.calibrated, samples, again, wrong)
+    bare = {"nominal": fits.nominal.model.with_effects(()), "geometric": fits.geometric.model.with_effects(())}
+    left = {stage: errors(model, accepted) for stage, model in {**bare, "final": final.model}.items()}
+    seen = _Scored(wrong, accepted, left, distances_of(final, task.train, cell.distances))
+    grounds = replace(_grounds(task, fits, seen), not_applied=carried.not_applied)
+    if not shipped.converged:
+        grounds = replace(grounds, converged=False)
+    case = fitted_case(final, samples, sets, wrong, left, cell.distances)
+    judged = with_places(judge(case, grounds, cell.stated), case, described=task.chain)
+    outcome = Outcome(
+        samples=samples,
+        sets=sets,
+        scored=accepted,
+        rejected=int(wrong.sum()),
+        errors=left,
+        effects=(
+            *findings(replace(fits.diagnosis, fit=final), shipped.calibrated, case),
+            *load_findings(fits.loads, final.model, accepted),
+        ),
+        left=fits.diagnosis.left or (located(final, samples) if judged.status == "open" else None),
+        identifiability=identifiability(final),
+        parameters=shipped.parameters,
+        offsets=offsets_of(shipped),
+        left_out=fits.chosen.left_out,
+        notes=(
+            *description_note(left["nominal"], task.chain),
+            *instrument_notes(final),
+            *load_notes(fits.loads),
+            *readmitted_note(taken_in),
+            *residual_notes(case),
+            *carried.notes,
+            *not_asked_note(judged),
+        ),
+        readmitted=taken_in,
+        steps=_steps(fits, left, accepted),
+        evidence=fits.diagnosis.maps,
+        model=final.model,
+        residuals=case.residuals.position_norm,
+        wrong=wrong,
+        rejection=rejection(errors(final.model, task.held_out), wrong, samples, sets.held_out),
+        distances=seen.distances,
+        grounds=grounds,
+        judged=judged,
+        loads=fits.loads,
+        claim=claim,
+    )
+    return outcome, shipped
+
+
+def _shipped(task: Task, fits: Fits, wrong: np.ndarray) -> tuple[Calibration, Claim, np.ndarray, Applied]:
+    """(The model fitted to all accepted samples, its claim, rejected samples taken in, how it is carried over)."""
+    samples, cell, parameters = task.samples, task.cell, fits.chosen.parameters
+    again, whole = right_after_all(fits.final, samples, parameters, cell.distances, wrong)
+    shipped = finalise(
+        samples, task.chain, fits.chosen, cell, task.inertias, fits.final, wrong & ~again, task.regimes, fits.geometric,
+        whole,
+    )  # fmt: skip
+    if fits.diagnosis.again is not None:
+        again[task.sets.train] |= fits.diagnosis.again
+    kept = samples.select(~wrong | again)
+    shipped = settled(shipped, kept, cell)
+    carried = carried_over(shipped, kept)
+    claim = claim_at_tool(shipped, kept, cell, carried=carried.model if carried.not_applied else None)
+    shipped = replace(
+        shipped,
+        uncertainty=claim.known or shipped.uncertainty,
+        claim_mm=claim.mm["p95"].ci95[1],
+        rivals=tuple(cause.rivals for cause in fits.diagnosis.causes),
+    )
+    return shipped, claim, again, carried
+
+
+def _steps(fits: Fits, left: dict[str, Errors], accepted: Samples) -> tuple[Step, ...]:
+    """What each thing that was added leaves of the accepted samples."""
+    added = [Step(cause.effect.label, errors(cause.fit.model, accepted)) for cause in fits.diagnosis.causes]
+    if fits.together:
+        added.append(Step(TOGETHER, left["final"]))
+    elif added:
+        added[-1] = replace(added[-1], errors=left["final"])  # what the final model leaves, its moments sharpened
+    return (Step("geometry", left["geometric"]), *added)
+
+
+def _grounds(task: Task, fits: Fits, seen: _Scored) -> Grounds:
+    """What the verdict stands on beside the errors."""
+    samples, cell, chain, final = task.samples, task.cell, task.chain, fits.final
+    small = too_small(seen.errors, seen.accepted, samples, chain, cell.stated)
+    against = contradictions(
+        final, task.train, samples, seen.accepted, seen.wrong, seen.errors, seen.distances, cell, chain
+    )
+    return Grounds(
+        converged=all(fit.converged for fit in (fits.nominal, fits.geometric, final)),
+        regimes=regimes_of(final.model, samples),
+        contradictions=(*small.contradictions, *against, *task.absurd),
+        unproven=small.unproven,
+        not_asked=small.not_asked,
+        convention=task.convention,
+        rejected_runs=runs_of(samples, seen.wrong),
+        rejected_places=places_of(samples, seen.wrong),
+    )

@@ -1,0 +1,239 @@
+"""One place of columns with what it may mean, best first, in words and as a mapping states it.
+
+A table may hold a goal and the deviation from it. The goal is what the nominal arm says of the joints, and no reading;
+the reading is the goal plus the deviation or minus it, as *deviation* is understood. To first order every error of the
+model explains both alike, with its sign reversed: no fit tells which it is. So it is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry import Array
+from modcal_core.robots import Chain
+from modcal_msgs_py.tables.columns import Body, JointColumns, Numbers
+from modcal_msgs_py.tables.proof import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, JointCounting, Judged
+
+_COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
+_GOAL = 0.1  # of what goal plus or minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be
+MAX_RAD = 2.0 * np.pi * 1.05  # an angle of a joint beyond it is in degrees
+
+
+@dataclass(frozen=True)
+class JointChoice:
+    """What the joints' columns are taken for. angle, length: unit of turning joints, and of sliding ones. counted: how
+    the table counts them.
+    """
+
+    joints: JointColumns
+    angle: str
+    length: str
+    counted: JointCounting = field(default_factory=lambda: JointCounting({}, ""))
+
+    def scales(self, chain: Chain) -> Array:
+        """What a unit of each joint is in rad or m, (n,)."""
+        angle = np.pi / 180.0 if self.angle == "deg" else 1.0
+        return np.where(np.asarray(chain.revolute, bool), angle, LENGTHS[self.length])
+
+    def postures(self, chain: Chain, values: Array) -> Array:
+        """Joint positions (N, n) [rad, m] of rows of all columns."""
+        return self.counted.applied(self.scales(chain) * values[:, list(self.joints.columns)], chain.names)
+
+    def units(self, chain: Chain) -> str:
+        """The unit of the joints, of turning ones where there are such."""
+        return self.angle if np.any(chain.revolute) else self.length
+
+    def entry(self, numbers: Numbers, chain: Chain) -> dict[str, Any]:
+        """The joints as a mapping states them."""
+        out: dict[str, Any] = {"unit": self.units(chain)}
+        sliding = [name for name, turns in zip(chain.names, chain.revolute, strict=True) if not turns]
+        if 0 < len(sliding) < chain.n:
+            out["units"] = dict.fromkeys(sliding, self.length)
+        keys = numbers.keys(self.joints.columns)
+        out["columns"] = dict(zip(chain.names, keys, strict=True))
+        for key, value in self.counted.stated.items():
+            degrees = key == "offset" and self.angle == "deg"
+            out[key] = {name: round(float(np.degrees(x)), 6) if degrees else x for name, x in value.items()}
+        return out
+
+
+def choices_of(chain: Chain, joints: JointColumns, values: Array) -> list[JointChoice]:
+    """Units that the joints may be in, of turning and of sliding ones."""
+    turning = np.asarray(chain.revolute, bool)
+    largest = float(np.abs(values[:, list(joints.columns)][:, turning]).max(initial=0.0))
+    angles = ["deg"] if largest > MAX_RAD else ["rad", "deg"]
+    lengths = ["m"] if turning.all() else list(LENGTHS)
+    return [JointChoice(joints, *units) for units in product(angles if turning.any() else ["rad"], lengths)]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One place of columns with its meanings, best first. target: the column that tells which target was measured."""
+
+    body: Body
+    choices: tuple[JointChoice, ...]
+    found: tuple[Judged, ...]
+    rows: np.ndarray
+    target: int | None = None
+
+    @property
+    def best(self) -> Judged:
+        """The likeliest meaning."""
+        return self.found[0]
+
+    @property
+    def choice(self) -> JointChoice:
+        """What it takes the joints for."""
+        return self.choices[self.best.meaning.postures]
+
+    @property
+    def computed(self) -> bool:
+        """Whether the nominal arm says the same to some micrometres: then nobody measured it."""
+        return self.best.match.typical < _COMPUTED
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Columns of the readings."""
+        return (*self.body.columns, *(() if self.target is None else (self.target,)))
+
+    @property
+    def zeros(self) -> tuple[int, ...]:
+        """Columns that are all zero where nothing was read."""
+        return self.body.zeros
+
+    def entry(self, numbers: Numbers) -> dict[str, Any]:
+        """The readings as a mapping states them: pose, point or targets."""
+        meaning, body = self.best.meaning, self.body
+        reading: dict[str, Any] = {"frame": "tracker", "unit": meaning.unit}
+        if body.points:
+            return {"targets": {**reading, "points": {name: numbers.keys(triple) for name, triple in body.points}}}
+        reading["position"] = numbers.keys(body.position)
+        if body.away:
+            reading["plus" if body.sign > 0.0 else "minus"] = numbers.keys(body.away)
+        if self.target is not None:
+            reading["target"] = numbers.key(self.target)
+        turning = meaning.turning
+        if turning is None or body.turned is None:
+            return {"point": reading}
+        stated: dict[str, Any] = {"columns": numbers.keys([body.turned[i] for i in turning.order])}
+        if turning.form == EULER:
+            stated["sequence"] = turning.sequence
+        if turning.form not in (QUATERNION, MATRIX):
+            stated["unit"] = "deg" if turning.degrees else "rad"
+        if turning.conjugate:
+            stated["conjugate"] = True
+        return {"pose": {**reading, turning.form: stated, **({"inverse": True} if meaning.inverse else {})}}
+
+    def proved(self, numbers: Numbers, chain: Chain) -> list[str]:
+        """What the data shows, with what came second."""
+        best, body = self.best, self.body
+        direction = "the tracker in the tool (inverse)" if best.meaning.inverse else "the tool in the tracker"
+        if best.meaning.turning is None:
+            direction = "points of the tool in the tracker"
+            direction += f", {sum_in_words(numbers, body)}" if body.away else ""
+            direction += f", of the targets that {numbers.shown(self.target)} tells" if self.target is not None else ""
+        said = "; ".join((_turning_words(numbers, body, best), direction, _positions(best)))
+        rows = f"the nominal arm misses {len(self.rows)} rows by {missed(best)} (median)"
+        out = [f"{said}; joints in {self.choice.units(chain)}: {rows}"]
+        if self.choice.counted.words:
+            out.append(f"joints are counted otherwise than the robot description does: {self.choice.counted.words}")
+        for other in self.found[1:2]:
+            pairs = differences(numbers, self, best, other)
+            instead = "; ".join(f"{two} instead of {one}" for one, two in pairs)
+            out.append(f"second best, {worse(best, other)}: {instead}")
+        return out
+
+
+def sum_in_words(numbers: Numbers, body: Body) -> str:
+    """Columns of a position and of the deviation that is added to it: ``X, Y, Z minus dx, dy, dz``."""
+    sign = "plus" if body.sign > 0.0 else "minus"
+    return f"{numbers.shown(*body.position)} {sign} {numbers.shown(*body.away)}"
+
+
+def missed(judged: Judged) -> str:
+    """What a meaning leaves, in words."""
+    turn = f" and {np.degrees(judged.match.typical_angle):.2g}°" if judged.meaning.turning is not None else ""
+    return f"{1e3 * judged.match.typical:.3g} mm{turn}"
+
+
+def _turning_words(numbers: Numbers, body: Body, judged: Judged) -> str:
+    """How orientations are read, in words."""
+    turning = judged.meaning.turning
+    if body.points:
+        return f"the body of {len(body.points)} targets ({', '.join(name for name, _ in body.points)})"
+    if turning is None or body.turned is None:
+        return "positions only"
+    if turning.form == QUATERNION:
+        order = "x y z w" if turning.order == (0, 1, 2, 3) else "w x y z"
+        return f"quaternions {order}{', conjugated' if turning.conjugate else ''}"
+    if turning.form == MATRIX:
+        return f"a rotation matrix, {'row by row' if turning.order[1] == 1 else 'column by column'}"
+    columns = numbers.shown(*(body.turned[i] for i in turning.order))
+    unit = "degrees" if turning.degrees else "radians"
+    if turning.form != EULER:
+        return f"a rotation vector in {unit} ({columns})"
+    fixed = turning.sequence[::-1].lower()
+    return f"Euler angles {turning.sequence} turning along (= {fixed} about fixed axes) in {unit} ({columns})"
+
+
+def _positions(judged: Judged) -> str:
+    unit = judged.meaning.unit
+    return f"positions in {'inches' if unit == 'in' else unit}"
+
+
+def differences(numbers: Numbers, chosen: Fitted, best: Judged, other: Judged) -> list[tuple[str, str]]:
+    """Differences between the best meaning and another: pairs of words for the best and for the other."""
+    directions = ("the tool in the tracker", "the tracker in the tool")
+
+    def words(judged: Judged) -> Iterator[str]:
+        choice = chosen.choices[judged.meaning.postures]
+        yield _turning_words(numbers, chosen.body, judged)
+        yield _positions(judged)
+        yield directions[judged.meaning.inverse]
+        yield f"joints {numbers.shown(*choice.joints.columns)}"
+        yield f"joints in {choice.angle} and {choice.length}"
+        yield choice.counted.words or "joints as they are counted in the robot description"
+
+    return [(one, two) for one, two in zip(words(best), words(other), strict=True) if one != two]
+
+
+def worse(best: Judged, other: Judged) -> str:
+    """By how much another meaning fits worse than the best, in words."""
+    gap = best.match.score - other.match.score
+    return f"worse by {gap:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides; it leaves {missed(other)}"
+
+
+# --- Readings that a table holds as a goal and a deviation from it, as reports of accuracy tests do
+
+
+def with_deviations(numbers: Numbers, places: Sequence[Body], away: tuple[int, ...]) -> list[Body]:
+    """The same places, behind each labelled position in the deviation's unit its sum with the deviation, both ways."""
+    out: list[Body] = []
+    for body in places:
+        out.append(body)
+        alike = away and numbers.labels[away[0]].unit in (None, numbers.labels[body.position[0]].unit)
+        if alike and body.named and body.turned is None and not body.points:
+            out += [replace(body, away=away, sign=sign, computed=False) for sign in (-1.0, 1.0)]
+    return out
+
+
+def decided(numbers: Numbers, fits: Sequence[Fitted]) -> tuple[list[Fitted], tuple[str, ...]]:
+    """Fits without the goals of deviations, or without deviations where nothing is a goal; and what is to be asked."""
+    out = [f for f in fits if not f.body.away]
+    for plain in [f for f in out if f.body.turned is None]:
+        sums = [f for f in fits if f.body.away and f.body.position == plain.body.position]
+        if len(sums) == 2 and plain.best.match.typical < _GOAL * min(f.best.match.typical for f in sums):
+            minus = min(sums, key=lambda f: f.body.sign)
+            question = (
+                f"{numbers.shown(*plain.body.position)} are goals, for the nominal arm reproduces them; what was "
+                f"reached is {sum_in_words(numbers, minus.body)}, or plus it, which no fit can tell: keep minus, or "
+                "write plus (the wrong one doubles every error)"
+            )
+            rest = [f for f in out if set(f.body.position) != set(plain.body.position)]
+            return [minus, *(f for f in rest if f.computed)], (question,)
+    return out, ()

@@ -1,0 +1,215 @@
+"""Columns of distances, directions and heights: which they are by their labels, and what they mean by what fits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from modcal_core.geometry import Array
+from modcal_core.measurements import BEARING, RANGE, TOUCH
+from modcal_core.robots import Chain
+from modcal_msgs_py.tables.columns import JointColumns, Numbers
+from modcal_msgs_py.tables.fits import JointChoice, choices_of
+from modcal_msgs_py.tables.labels import grouped, words
+from modcal_msgs_py.tables.proof import BEYOND_DOUBT, LENGTHS, MIN_ROWS, Sighting, SightMatch, sights_match
+from modcal_msgs_py.tables.readings import UNITS, direction
+
+_ANGLES = ("deg", "rad", "gon")
+_MAX_RAD = 2.0 * np.pi * 1.05  # an angle beyond it is in degrees or gon
+_VECTOR = 2e-3  # by which a direction's length may be off: exports have three digits
+_WORDS = {RANGE: "distances", BEARING: "directions", TOUCH: "heights above a plane"}
+_FRAMES = {RANGE: "anchor", BEARING: "station", TOUCH: "plane"}
+_EMPTY = words("angle to sensor reading above x ux dx nx direction dir u unit vector")  # of an instrument
+
+
+@dataclass(frozen=True)
+class SightColumns:
+    """Columns of one instrument. columns: one of a length; azimuth and the second angle, or a vector's three."""
+
+    frame: str
+    kind: str
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Way:
+    """One reading of the columns of a kind. unit: of lengths or angles, "" of vectors. zenith: the second angle is from
+    above. clockwise: the azimuth grows so.
+    """
+
+    choice: int
+    unit: str
+    zenith: bool = False
+    clockwise: bool = False
+
+    def words(self, choices: Sequence[JointChoice]) -> str:
+        """Description in words."""
+        said = f"in {self.unit}" if self.unit else "as unit vectors"
+        if self.unit in _ANGLES:
+            turn = "clockwise" if self.clockwise else "from x to y"
+            said += f", {'zenith angles' if self.zenith else 'elevations'}, azimuths {turn}"
+        return f"{said}; joints in {choices[self.choice].angle}"
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """Readings that are no positions, with what they mean: for each kind its ways, best first."""
+
+    choices: tuple[JointChoice, ...]
+    rows: np.ndarray
+    found: dict[str, list[tuple[Way, SightMatch]]]
+    instruments: tuple[SightColumns, ...]
+    questions: tuple[str, ...] = field(default=())
+    zeros: tuple[int, ...] = ()
+
+    @property
+    def choice(self) -> JointChoice:
+        """What the joints' columns are taken for."""
+        return self.choices[next(iter(self.found.values()))[0][0].choice]
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Columns of the readings."""
+        return tuple(k for i in self.instruments for k in i.columns)
+
+    def entry(self, numbers: Numbers) -> dict[str, Any]:
+        """The readings as a mapping states them."""
+        out: dict[str, Any] = {}
+        for one in self.instruments:
+            way = self.found[one.kind][0][0]
+            keys = numbers.keys(one.columns)
+            stated: dict[str, Any] = {"frame": one.frame}
+            if one.kind != BEARING:
+                stated |= {"unit": way.unit, "column": keys[0]}
+            elif len(keys) == 3:
+                stated |= {"vector": keys}
+            else:
+                stated |= {"unit": way.unit, "azimuth": keys[0], "zenith" if way.zenith else "elevation": keys[1]}
+                stated |= {"clockwise": True} if way.clockwise else {}
+            out.setdefault("plane" if one.kind == TOUCH else one.kind, []).append(stated)
+        return {key: stated[0] if len(stated) == 1 else stated for key, stated in out.items()}
+
+    def proved(self, numbers: Numbers, chain: Chain) -> list[str]:
+        """What the data shows, with what came second."""
+        out = []
+        for kind, ways in self.found.items():
+            (way, match), *rest = ways
+            said = f"{_WORDS[kind]} {way.words(self.choices)}: the nominal arm misses {len(self.rows)} rows by "
+            out.append(f"{said}{1e3 * match.typical:.3g} mm (median)")
+            for other, worse in rest[:1]:
+                gap = match.score - worse.score
+                out.append(f"second best, worse by {gap:.0f} in log-likelihood: {other.words(self.choices)}")
+        return out
+
+
+def sight_columns(numbers: Numbers, taken: set[int]) -> list[SightColumns]:
+    """Columns that labels call distances, directions or heights; directions by three columns also by their numbers."""
+    free = {k: numbers.labels[k] for k in numbers.usable if k not in taken}
+    found = [(BEARING, columns) for columns in grouped(free, BEARING)]
+    used = {k for _, columns in found for k in columns}
+    for first in free:
+        triple, around = tuple(range(first, first + 3)), {first - 1, first + 3}  # a quaternion's would be among these
+        if set(triple) <= set(free) - used and not around & used:
+            length = np.linalg.norm(numbers.whole(triple), axis=1)
+            if len(length) >= MIN_ROWS and (np.abs(length - 1.0) < _VECTOR).mean() > 0.9:
+                found.append((BEARING, triple))
+                used |= set(triple)
+    for kind in (RANGE, TOUCH):
+        found += [(kind, columns) for columns in grouped({k: free[k] for k in free if k not in used}, kind)]
+    return list(_framed(numbers, found))
+
+
+def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> Iterator[SightColumns]:
+    """Instruments by what their labels say besides; no two of a kind share a name, a range and a bearing may."""
+    seen: set[tuple[str, str]] = set()
+    for kind, columns in found:
+        axis = numbers.labels[columns[0]].axis(kind)
+        words = (axis[1] if axis is not None else numbers.labels[columns[0]].name).split()
+        stem = "_".join(w for w in words if w not in _EMPTY)
+        anonymous = not stem or (kind != BEARING and (stem[0].isdigit() or len(stem) == 1))
+        shared = kind == RANGE and ((stem or "station"), BEARING) in seen
+        first = f"{_FRAMES[kind]}_{stem}".rstrip("_") if anonymous and not shared else stem or "station"
+        name = first
+        count = 2
+        while (name, kind) in seen:
+            name, count = f"{first}_{count}", count + 1
+        seen.add((name, kind))
+        yield SightColumns(name, kind, columns)
+
+
+def find_sights(
+    numbers: Numbers, chain: Chain, joints: Sequence[JointColumns], instruments: Sequence[SightColumns]
+) -> Sighted | None:
+    """What columns of distances, directions and heights mean; None where no reading of any of them fits the arm."""
+    used = [k for columns in (*(i.columns for i in instruments), *(j.columns for j in joints)) for k in columns]
+    rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
+    if len(rows) < MIN_ROWS:
+        return None
+    values = numbers.values[rows]
+    choices = [choice for one in joints for choice in choices_of(chain, one, values)]
+    postures = [choice.postures(chain, values) for choice in choices]
+    found: dict[str, list[tuple[Way, SightMatch]]] = {}
+    questions: list[str] = []
+    for kind in dict.fromkeys(one.kind for one in instruments):
+        mine = [one for one in instruments if one.kind == kind]
+        ways = [
+            (Way(c, *way), _judged(chain, q, values, mine, way))
+            for c, q in enumerate(postures)
+            for way in _ways(values, mine)
+        ]
+        told = [pair for pair in ways if {pair[0].unit} == {numbers.labels[one.columns[0]].unit for one in mine}]
+        ways = told if any(match.explained(chain) for _, match in told) else ways
+        ways.sort(key=lambda pair: (not pair[1].explained(chain), -pair[1].score))
+        names = numbers.shown(*(k for one in mine for k in one.columns))
+        if not ways[0][1].explained(chain):
+            said = f"{names}: labels call them {_WORDS[kind]}, and no reading of them fits the arm; the best leaves "
+            questions.append(f"{said}{1e3 * ways[0][1].typical:.3g} mm: they are left out")
+            continue
+        found[kind] = ways
+        alike = [way for way, match in ways[1:] if not ways[0][1].beyond(match)]
+        questions += [
+            f"cannot tell {names}: {ways[0][0].words(choices)} from {other.words(choices)} (less than "
+            f"{BEYOND_DOUBT:.0f} in log-likelihood apart)"
+            for other in alike[:3]
+        ]
+    if not found:
+        return None
+    if len({ways[0][0].choice for ways in found.values()}) > 1:
+        questions.append("the readings contradict each other about the joints' columns or their unit")
+    kept = tuple(one for one in instruments if one.kind in found)
+    return Sighted(tuple(choices), rows, found, kept, tuple(questions))
+
+
+_Way = tuple[str, bool, bool]
+
+
+def _ways(values: Array, instruments: Sequence[SightColumns]) -> Iterator[_Way]:
+    if instruments[0].kind != BEARING:
+        yield from ((unit, False, False) for unit in LENGTHS)
+        return
+    angles = [one for one in instruments if len(one.columns) == 2]
+    if not angles:
+        yield ("", False, False)
+        return
+    largest = max(float(np.abs(values[:, list(one.columns)]).max()) for one in angles)
+    some = [unit for unit in _ANGLES if unit != "rad" or largest < _MAX_RAD]
+    yield from product(some, (False, True), (False, True))
+
+
+def _judged(chain: Chain, q: Array, values: Array, instruments: Sequence[SightColumns], way: _Way) -> SightMatch:
+    unit, zenith, clockwise = way
+    sightings, volume = [], 0.0
+    for one in instruments:
+        x = values[:, list(one.columns)]
+        if len(one.columns) == 3:
+            x = x / np.linalg.norm(x, axis=1, keepdims=True)
+        else:
+            x = UNITS[unit] * x
+            volume += len(one.columns) * float(np.log(UNITS[unit]))
+            x = direction(x, zenith, clockwise) if one.kind == BEARING else x
+        sightings.append(Sighting(one.frame, one.kind, x))
+    return sights_match(chain, q, sightings, volume)
