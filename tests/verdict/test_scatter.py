@@ -68,25 +68,6 @@ def test_a_target_that_is_loose_in_its_seat(made: Recorded) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scatter", [1e-5, 3e-4])
-def test_joints_that_scatter_alike_are_neither(made: Recorded, scatter: float) -> None:
-    q = made.samples.q + scatter * np.random.default_rng(4).normal(size=made.samples.q.shape)
-    out = samples_of(ur10(), made.samples.q, made.world.tool_in_tracker(q))
-    text = said(replace(out, reading=out.reading + made.samples.reading - made.exact.reading))
-    assert STAND not in text
-    assert SEAT not in text
-    assert "readings scatter" not in text
-
-
-def test_a_tracker_that_scatters_by_its_angles_is_neither(made: Recorded) -> None:
-    p = made.samples.reading
-    off = np.cross(3e-4 * np.random.default_rng(5).normal(size=(len(p), 3)), p)
-    text = said(replace(made.samples, reading=p + off))
-    assert STAND not in text
-    assert SEAT not in text
-
-
-@pytest.mark.slow
 def test_a_while_in_which_something_shook(made: Recorded) -> None:
     shaken = (np.arange(140) >= 60) & (np.arange(140) < 85)
     off = np.where(shaken, 4.0, 0.0)[:, None] * (made.samples.reading - made.exact.reading)

@@ -93,6 +93,7 @@ class PlaceDrivers:
         self.rank = station_numbers(rest.samples) / max(rest.samples.stations - 1, 1)
         self.axes = [rest.axis(j) for j in range(self.chain.n)]
         self.base, self.tool = rest.body(0), rest.body(self.chain.tool_place)
+        self.ends = ("the tool", self.tool), ("the base", self.base)
         step, approach = last_moves(self.samples), self.samples.approach
         self.came = np.where(approach.any(axis=1, keepdims=True), approach, np.sign(step)).T
         self.step = _standard(step.T)
@@ -123,8 +124,7 @@ class PlaceDrivers:
             for how, number in sizes.items():
                 k, wave = self._loudest(j, number)
                 yield _part("", who, f"{own}, {k} times a turn (a gear){how}", [self.axes[j]], wave)
-        ends = [("the tool", self.tool), ("the base", self.base)]
-        for who, body in ends if constant else ():
+        for who, body in self.ends if constant else ():
             yield _part("", who, CONSTANT, body, self.one)
         moved = np.stack([u * x for j, u in enumerate(self.axes) for x in (self.came[j], self.step[j])])
         yield Part("", "all joints, or the readings' time (a filter, an average, a late clock)", "the last move", moved)
@@ -218,7 +218,7 @@ class PlaceDrivers:
         if np.ptp(stamps) > 0.0:
             slow += [stamps / np.ptp(stamps), np.exp(-10.0 * stamps / np.ptp(stamps))]
         number = np.stack(slow)
-        for who, body in (("the tool", self.tool), ("the base", self.base)):
+        for who, body in self.ends:
             yield _part(order, who, order, body, number)
         for name, axis in zip(self.chain.names, self.axes, strict=True):
             yield _part(order, f"joint {name}", f"{order}: {name} changed on the way", [axis], number)
@@ -228,7 +228,7 @@ class PlaceDrivers:
         if len(waves) > _SLOW:
             yield _part(f"fast waves over {order}", "the base", order, self.base, waves[_SLOW:])
         hats = np.concatenate([_hats(self.rank), self.rank > np.arange(1, 10)[:, None] / 10.0])
-        for who, body in (("the tool", self.tool), ("the base", self.base)):
+        for who, body in self.ends:
             yield _part(f"stretches and steps of {order}", who, order, body, hats)
 
     def _history(self) -> Iterator[Part]:
@@ -245,7 +245,7 @@ class PlaceDrivers:
             driver = f"how {name} arrived (backlash, friction, hysteresis)"
             yield _part(group, f"joint {name}", driver, [self.axes[j]], number)
             yield _part(group, "", "", [self.axes[j]], self.came)
-        for who, body in (("the tool", self.tool), ("the base", self.base)):
+        for who, body in self.ends:
             yield _part(group, who, "how the joints arrived", body, self.came)
         if not s.moving.any():
             driver = "the previous moment of the arm's weight on it (slip)"
@@ -273,11 +273,10 @@ class PlaceDrivers:
         beyond = x - (x @ np.linalg.pinv(design)) @ design
         beyond[beyond.std(axis=1) < 1e-9 * np.maximum(np.abs(x).max(axis=1), 1e-300)] = 0.0
         group = f"what was recorded of {_listed([spoken_name(name) for name in names])}"
-        where = [("the tool", self.tool), ("the base", self.base)]
-        where += [(f"joint {name}", axis[None]) for name, axis in zip(self.chain.names, self.axes, strict=True)]
+        joints = [(f"joint {name}", axis[None]) for name, axis in zip(self.chain.names, self.axes, strict=True)]
         for name, value, rest in zip(names, x, beyond, strict=True):
             number = _standard(np.stack([value, rest, np.sin(value), np.cos(value), _standard(value[None])[0] ** 2]))
-            for who, body in where:
+            for who, body in (*self.ends, *joints):
                 yield _part(group, who, f"what was recorded of {spoken_name(name)}", body, number)
 
     def _instrument(self) -> Iterator[Part]:

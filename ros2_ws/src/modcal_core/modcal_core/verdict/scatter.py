@@ -46,19 +46,21 @@ _ORDERS = 400  # random ones
 @dataclass(frozen=True)
 class _Part:
     """What may scatter. Z: motions in units of the noise, of unit size in the mean, (N, 6, d). size: what they were
-    divided by, (d,). unit: of a thousandth of an amplitude, as text; empty of bodies.
+    divided by, (d,). unit: of a thousandth of an amplitude, as text; empty of bodies. full: whether it has a covariance
+    of all its directions, and not one variance.
     """
 
     who: str
     Z: Array
     size: Array
     unit: str = ""
+    full: bool = False
 
     @classmethod
-    def of(cls, who: str, columns: Array, unit: str = "") -> _Part:
+    def of(cls, who: str, columns: Array, unit: str = "", full: bool = False) -> _Part:
         """Of columns (d, 6, N)."""
         size = np.maximum(np.sqrt(np.mean(np.sum(columns**2, axis=1), axis=1)), 1e-300)
-        return cls(who, (columns / size[:, None, None]).transpose(2, 1, 0), size, unit)
+        return cls(who, (columns / size[:, None, None]).transpose(2, 1, 0), size, unit, full)
 
     @property
     def columns(self) -> Array:
@@ -237,7 +239,7 @@ def _bodies(rest: Rest, every: bool = False) -> list[_Part]:
     names = ("the tool (or the target on it)", "the base (or the tracker)")
     bodies = [rest.body(place) for place in (rest.chain.tool_place, 0)]
     shown = [body[np.abs(body).max(axis=(1, 2)) > 0.0] for body in bodies]
-    return [_Part.of(who, body) for who, body in zip(names, shown, strict=True)]
+    return [_Part.of(who, body, full=True) for who, body in zip(names, shown, strict=True)]
 
 
 def _way(rest: Rest) -> _Part:
@@ -253,8 +255,9 @@ def _of_instrument(rest: Rest) -> list[_Part]:
     x = x / max(float(np.abs(x).max()), 1e-9)
     every = np.broadcast_to(np.eye(3)[..., None], (3, 3, N))
     across = np.stack([np.cross(x.T, axis).T for axis in np.eye(3)])
-    columns = [rest.read(x)[None], rest.read(across), rest.read(every), rest.turned(every)]
-    return [_Part.of("", c) for c in columns if c.any()]
+    sights = [_Part.of("", columns) for columns in (rest.read(x)[None], rest.read(across))]
+    alone = [_Part.of("", columns, full=True) for columns in (rest.read(every), rest.turned(every)) if columns.any()]
+    return [*sights, *alone]
 
 
 def _candidates(left: Array, parts: list[_Part]) -> list[_Part]:
@@ -318,8 +321,9 @@ def _likelihood(left: Array, usual: Sequence[_Part], named: Sequence[_Part] = ()
 
     Each begins from above, with all that lies along it: from below, the algorithm stalls.
     """
-    Z, N = np.concatenate([part.Z for part in (*usual, *named)], axis=2), len(left)
-    ends = np.cumsum([0, *(part.Z.shape[2] for part in (*usual, *named))])
+    parts = (*usual, *named)
+    Z, N = np.concatenate([part.Z for part in parts], axis=2), len(left)
+    ends = np.cumsum([0, *(part.Z.shape[2] for part in parts)])
     blocks = [slice(a, b) for a, b in pairwise(ends.tolist())]
     C = np.zeros((Z.shape[2], Z.shape[2]))
     for block in blocks:
@@ -336,8 +340,8 @@ def _likelihood(left: Array, usual: Sequence[_Part], named: Sequence[_Part] = ()
         b, A = np.einsum("nid,ni->nd", Z, u), inverse @ Z
         seen, expected = np.sum(b**2, axis=0), np.sum(A * Z, axis=(0, 1))
         C = np.zeros_like(C)
-        for k, (block, old) in enumerate(zip(blocks, best.free, strict=True)):
-            if k < len(usual) or len(old) == 1:  # one variance: by the square root of the ratio, which is quicker
+        for one, block, old in zip((not p.full for p in parts), blocks, best.free, strict=True):
+            if one:  # one variance: by the square root of the ratio, which is quicker
                 C[block, block] = old * np.sqrt(seen[block].sum() / max(float(expected[block].sum()), 1e-300))
             else:
                 inner = np.tensordot(Z[..., block], A[..., block], axes=([0, 1], [0, 1]))
