@@ -148,7 +148,7 @@ def _list(count: int, items: dict[str, Any]) -> dict[str, Any]:
 
 
 _NUMBER, _SIZE = {"type": "number"}, {"type": "number", "minimum": 0}
-_POINT, _PAIR = _list(3, _NUMBER), _list(2, _NUMBER)
+_POINT, _PAIR = _list(3, _NUMBER), _list(2, _NUMBER)  # x y z; two ends
 _CONE = {"axis": _POINT, "half_angle_deg": {"type": "number", "exclusiveMinimum": 0, "maximum": 180}}
 _BALL = {"center_m": _POINT, "radius_m": _SIZE}
 _BALLS = {"type": "array", "items": _object(("center_m",), **_BALL)}
