@@ -12,7 +12,9 @@ robot = modcal.Robot.from_urdf(URDF, tip="tool0")
 plan = modcal.plan(robot, stations=20, reading="pose", seed=0)
 
 print(f"{plan.distinct} stations, {len(plan.q) - plan.distinct} of them visited twice")
-print(f"to be claimed after calibration: at most {plan.expected.claim.mm['p95'].ci95[1]:.3f} mm (95 % of the workspace)")
-at_random = np.median([one.model for one in plan.random])
-print(f"the fit leaves {1e3 * plan.accuracy.model:.3f} mm RMS, of as many stations at random {1e3 * at_random:.3f} mm")
+print(
+    f"to be claimed after calibration: at most {plan.expected.claim.mm['p95'].ci95[1]:.3f} mm (95 % of the workspace)"
+)
+left, at_random = plan.expected.left, plan.expected.at_random
+print(f"the fit leaves {1e3 * left:.3f} mm RMS, of as many stations at random {1e3 * at_random:.3f} mm")
 np.savetxt("stations.csv", plan.q, delimiter=",", header=",".join(robot.names))

@@ -79,9 +79,11 @@ def test_an_arm_on_a_wall_shows_which_way_weight_pulls(rng: np.random.Generator)
     assert off < 3.0 * loads.down_std < np.radians(3.0)
     assert loads.turned == pytest.approx(np.arccos(WALL @ DOWN), abs=0.02)
     assert left(done) < 1.25 * np.sqrt(3.0) * 0.02
-    assert {e.place for e in done.report.effects if e.family == "compliance"} == {
-        "shoulder_lift_joint", "elbow_joint", "wrist_1_joint",
-    }  # fmt: skip
+    places = [
+        {e.place for e in some if e.family == "compliance"} for some in (done.report.effects, done.report.unproved)
+    ]
+    assert {"shoulder_lift_joint", "elbow_joint"} <= places[0]
+    assert places[0] | places[1] == {"shoulder_lift_joint", "elbow_joint", "wrist_1_joint"}
     assert any("Weight pulls along" in note and "state gravity" in note for note in done.report.notes)
     assert to_json_data(done.report)["loads"]["gravity"]["turned_deg"] == pytest.approx(np.degrees(loads.turned))
     kept = from_data(to_data(done.calibration))

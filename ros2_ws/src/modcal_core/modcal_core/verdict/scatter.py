@@ -327,7 +327,8 @@ def _likelihood(left: Array, usual: Sequence[_Part], named: Sequence[_Part] = ()
     blocks = [slice(a, b) for a, b in pairwise(ends.tolist())]
     C = np.zeros((Z.shape[2], Z.shape[2]))
     for block in blocks:
-        C[block, block] = np.eye(block.stop - block.start) * np.sum(left**2) / np.sum(Z[..., block] ** 2)
+        moved = float(np.sum(Z[..., block] ** 2))  # nothing of a joint that does not move what is read
+        C[block, block] = np.eye(block.stop - block.start) * (np.sum(left**2) / moved if moved > 0.0 else 0.0)
     best = _Fit(-np.inf, [])
     for _ in range(_ROUNDS):
         S = Z @ C @ Z.transpose(0, 2, 1) + 1e-9 * np.eye(Z.shape[1])
