@@ -59,7 +59,7 @@ def test_what_is_chosen_lowers_the_claim() -> None:
 
 @pytest.mark.slow
 def test_as_many_stations_as_the_accuracy_needs_and_fewer_with_a_better_tracker() -> None:
-    counts, wished = [], 1.6e-4
+    counts, wished = [], 1.3e-4
     for size in (2e-5, 3e-5):
         site = site_from_data({**HALL, "noise": {**HALL["noise"], "position_m": size}}, "hall")
         found = plan(ur10(), site, PlanRequest(accuracy=wished, candidates=100, starts=1), np.random.default_rng(3))

@@ -35,7 +35,11 @@ PREDICTABLE = Verdict("open", (Reason("predictable", "About 20 % can be predicte
 
 
 def report(judged: Verdict, mm: float = 1.0) -> Outcome:
-    return replace(points(), judged=judged, searched=None).with_tolerance(Asked(mm))
+    """Points whose claim rests on readings alone."""
+    made = points()
+    assert made.claim is not None
+    shown = replace(made.claim, unshown_mm=0.0)
+    return replace(made, judged=judged, searched=None, claim=shown).with_tolerance(Asked(mm))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,8 @@ def paths(data: Any, at: str = "") -> set[str]:
         if at.endswith((".parameters", ".dropped", "apply_within")):
             return {path for value in data.values() for path in paths(value, f"{at}.NAME")}
         return {path for key, value in data.items() for path in paths(value, f"{at}.{key}" if at else key)}
+    if at == "unproved" and data:  # entries as in effects
+        return {"unproved[]"}
     if isinstance(data, list):
         return {path for value in data for path in paths(value, f"{at}[]")}
     return {re.sub(rf"\.({'|'.join(STAGES)})\b", ".STAGE", at)} if data is not None else set()

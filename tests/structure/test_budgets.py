@@ -60,7 +60,7 @@ CEILINGS: dict[str, tuple[int, int]] = {
     "tests": (53550, 37250),
 }
 SOURCE = (93650, 61300)
-TEXT = 183600  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
+TEXT = 183700  # lines of all tracked text but the bags, so that nothing hides in examples, scripts, templates or YAML
 FORMAT_SKIPS = 104
 LOADED = 225  # modules, to calibrate a bag
 SLACK = 1.03  # a ceiling may stand so far above what there is
