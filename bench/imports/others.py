@@ -30,7 +30,7 @@ def draw(seed: int, folder: Path) -> Written:
             T[row] = T[row - 1] if rng.random() < 0.5 else T[int(rng.integers(N))]
     if fault in ("zero", "two faults"):
         told[:, j] += np.radians(rng.uniform(1.5, 5.0)) * rng.choice([-1.0, 1.0])
-        recorded = replace(recorded, q=told.copy())  # the table is right; the arm is not as it was drawn
+        recorded = replace(recorded, q=told.copy())  # the table is right; the arm differs from its drawing
     if fault == "coupled":
         told[:, j + 1 if j + 1 < n else 1] -= rng.choice([-1.0, 1.0]) * told[:, j]
     if fault == "reversed":

@@ -186,7 +186,7 @@ def plan(
 
 
 def tolerance_asked(mm: float | None, of: str) -> Asked | None:
-    """The tolerance that is asked for; None where none is. Raises BadTable."""
+    """The tolerance that is asked for; None if none is. Raises BadTable."""
     if mm is None:
         return None
     if of not in STATISTICS:

@@ -115,7 +115,7 @@ class _Change:
 
 
 def find_change(fit: CameraFit) -> FoundChange | None:
-    """The likeliest change among the images of a fit, None where none is beyond doubt."""
+    """The likeliest change among the images of a fit, None if none is beyond doubt."""
     T = fit.tool
     N = len(T)
     if N < 2 * _EDGE:

@@ -51,7 +51,7 @@ _PLAIN = {"fx": "focal length", "fy": "focal length", "cx": "centre", "cy": "cen
 
 @dataclass(frozen=True)
 class StatedCamera:
-    """What is stated of lens and print. became: what becomes of the lens's values, None where nobody stated any."""
+    """What is stated of lens and print. became: what becomes of the lens's values, None if nobody stated any."""
 
     lens: Lens
     became: str | None

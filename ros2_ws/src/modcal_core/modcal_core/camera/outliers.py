@@ -221,7 +221,7 @@ def first_fit(ready: PreparedImages) -> tuple[CameraFit, PreparedImages]:
 
 
 def _without(ready: PreparedImages, out: np.ndarray, fit: CameraFit | None = None) -> PreparedImages | None:
-    """The images without these points (M,) and without those most of whose points they are; None where nothing changes,
+    """The images without these points (M,) and without those most of whose points they are; None if nothing changes,
     or too little is left. fit: where points are as they were, without images that are elsewhere by it.
     """
     weight = np.where(out, 0.0, 1.0)

@@ -54,7 +54,7 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Claim:
-    """mm, deg: by the statistic's name; deg None where no reading shows an orientation. over: which postures.
+    """mm, deg: by the statistic's name; deg None if no reading shows an orientation. over: which postures.
 
     shown_mm, unshown_mm: upper ends of the 95th percentile with what the readings show alone, and with what only the
     usual size of errors holds. open: what those directions are, and what shows them. nominal_p95: of the nominal arm

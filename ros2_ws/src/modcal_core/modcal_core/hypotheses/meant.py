@@ -126,7 +126,7 @@ class ArmMiss:
 
 @dataclass(frozen=True)
 class Recognised:
-    """samples: with an inverse pose undone. undone: what was, None where nothing was. doubt: the refusal of readings
+    """samples: with an inverse pose undone. undone: what was, None if nothing was. doubt: the refusal of readings
     that base and tool fitted again leave far from the arm, unless changes of a joint or two account for them; None
     where they are near.
     """

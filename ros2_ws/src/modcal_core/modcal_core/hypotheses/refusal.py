@@ -63,7 +63,7 @@ def require_plausible(
 
 
 def disagreement(samples: Samples, chain: Mechanism, joints_only: bool = False) -> Disagreement | None:
-    """What looks wrong with readings that do not agree with the arm, None where nothing is sure.
+    """What looks wrong with readings that do not agree with the arm, None if nothing is sure.
 
     joints_only: ask only what a fit can come to terms with: joints under other names, signs or together with others.
     """

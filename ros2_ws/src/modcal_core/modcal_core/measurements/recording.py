@@ -86,7 +86,7 @@ class SignalTrack:
 
 @dataclass(frozen=True)
 class Listed:
-    """A topic of a recording. count: messages, None where nobody counted. role: what it is used as.
+    """A topic of a recording. count: messages, None if nobody counted. role: what it is used as.
 
     could: roles that it could play if somebody said so.
     """

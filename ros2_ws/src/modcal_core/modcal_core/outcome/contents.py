@@ -119,7 +119,7 @@ class Outcome:
     - distances: known distances as fitted. loads: gravity and payloads that the data showed.
     - grounds: further input of the verdict. judged: the verdict, None until there is one.
     - offsets: joint offsets of the calibration that is written or judged; None where they do not apply.
-    - notes: sentences on the recording. claim: what may be said of the tool; None where nothing was calibrated.
+    - notes: sentences on the recording. claim: what may be said of the tool; None if nothing was calibrated.
     """
 
     samples: Samples
@@ -236,7 +236,7 @@ class Outcome:
 
     @property
     def unexplained_mm(self) -> float | None:
-        """RMS of what is left beyond the floor [mm]; None where nothing shows that there is any.
+        """RMS of what is left beyond the floor [mm]; None if nothing shows that there is any.
 
         The larger of what exceeds a known floor and what a regressor without physics predicts, where the verdict is
         open for it; else what one more effect would take away.

@@ -116,7 +116,7 @@ def _taken_up(calibration: Calibration, model: Model, q: Array, taken: Array) ->
 
 
 def _drawn(calibration: Calibration, model: Model, q: Array, rng: np.random.Generator) -> Array | None:
-    """Twists at the tool (draws, N, 6) for parameters drawn from the covariance; None where none is kept."""
+    """Twists at the tool (draws, N, 6) for parameters drawn from the covariance; None if none is kept."""
     known = calibration.uncertainty
     if known is None:
         return None

@@ -55,7 +55,7 @@ class Roadmap:
         self._looked_at = np.zeros(len(self._edges), dtype=bool)
 
     def way(self, a: int, b: int) -> Array | None:
-        """Postures between two of the map, (m, n): none where the straight way is free; None where no way is."""
+        """Postures between two of the map, (m, n): none where the straight way is free; None if no way is."""
         if is_free(self._q[a], self._q[b], self._free):
             return self._q[:0]
         if not len(self._open):
@@ -92,7 +92,7 @@ class Roadmap:
 
 
 def free_way(start: Array, goal: Array, free: Free, over: Array) -> list[Array] | None:
-    """Postures from the start to the goal (n,), straight ways between them being free; None where none is found.
+    """Postures from the start to the goal (n,), straight ways between them being free; None if none is found.
 
     over: free postures (m, n) that the way may lead over where it cannot be straight.
     """

@@ -43,7 +43,7 @@ from modcal_core.verdict import Tolerance
 
 
 def moved_data(solution: CameraSolution) -> dict[str, Any] | None:
-    """What was moved among the images, None where nothing was."""
+    """What was moved among the images, None if nothing was."""
     moved = solution.moved
     if moved is None:
         return None

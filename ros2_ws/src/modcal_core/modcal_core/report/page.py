@@ -249,7 +249,7 @@ FILES = (
 
 
 def files_section(names: Iterable[str], *more: File) -> Section | None:
-    """What the files of these names beside the page are for; others are passed over. None where none is left."""
+    """What the files of these names beside the page are for; others are passed over. None if none is left."""
     beside = set(names)
     files = [*(file for file in FILES if file.name in beside), *more]
     if not files:

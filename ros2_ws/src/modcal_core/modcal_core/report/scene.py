@@ -120,7 +120,7 @@ _MAX_STAGES = 7
 
 
 def scene(report: Outcome) -> Scene3D | None:
-    """The arm and what each held-out sample misses by; None where no model or no sample is at hand."""
+    """The arm and what each held-out sample misses by; None if no model or no sample is at hand."""
     model, scored = report.model, report.scored
     if model is None or not len(scored):
         return None

@@ -152,7 +152,7 @@ def _velocity(out: OtherColumns, around: Surroundings, some: Sequence[JointColum
 
 
 def _slope(values: Array, q: Array, stamps: Array) -> float | None:
-    """By how much speeds are larger than the slopes of the joints [rad/s]; None where nothing moves as one motion."""
+    """By how much speeds are larger than the slopes of the joints [rad/s]; None if nothing moves as one motion."""
     step = stamps[2:] - stamps[:-2]
     with np.errstate(invalid="ignore", divide="ignore"):
         slopes = (q[2:] - q[:-2]) / step[:, None]

@@ -144,7 +144,7 @@ def _framed(numbers: Numbers, found: Sequence[tuple[str, tuple[int, ...]]]) -> I
 def find_sights(
     numbers: Numbers, chain: Chain, joints: Sequence[JointColumns], instruments: Sequence[SightColumns]
 ) -> Sighted | None:
-    """What columns of distances, directions and heights mean; None where no reading of any of them fits the arm."""
+    """What columns of distances, directions and heights mean; None if no reading of any of them fits the arm."""
     used = [k for columns in (*(i.columns for i in instruments), *(j.columns for j in joints)) for k in columns]
     rows = np.flatnonzero(np.isfinite(numbers.values[:, used]).all(axis=1))
     if len(rows) < MIN_ROWS:

@@ -139,7 +139,7 @@ class CornerIntake:
 
     @classmethod
     def of(cls, chosen: Mapping[str, Any]) -> CornerIntake | None:
-        """By a node's parameters; None where no target is stated. Raises BadTable."""
+        """By a node's parameters; None if no target is stated. Raises BadTable."""
         if not chosen["target"]:
             return None
         return cls(Path(chosen["target"]), [topic for topic in chosen["also_corners"] if topic])

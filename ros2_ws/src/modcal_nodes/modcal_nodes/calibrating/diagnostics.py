@@ -24,7 +24,7 @@ _MAX_SAID = 2  # reasons in a message; the report has all of them
 class Standing:
     """The verdict of a model. because: the reasons of an open one, the remedy where it cannot be told, else nothing.
 
-    line: both in one sentence or two. claim_mm: upper end of the tool's 95th percentile, None where nothing is claimed.
+    line: both in one sentence or two. claim_mm: upper end of the tool's 95th percentile, None if nothing is claimed.
     apply: whether the model is surely better than the nominal arm.
     """
 

@@ -113,7 +113,7 @@ def calibrate_images(
 ) -> int:
     """Calibrate the arm from images, of a folder or in the bag, write the results, and say them.
 
-    said: what is stated for a certificate, None where none is asked for. Returns the exit code.
+    said: what is stated for a certificate, None if none is asked for. Returns the exit code.
     """
     # OpenCV, which other verbs can do without
     from modcal_core.report import (

@@ -26,7 +26,7 @@ _FEWEST_SCORED = 2  # proof stations, from which a report is theirs
 
 @dataclass(frozen=True)
 class StoredSession:
-    """A session and what it was begun with. began: [s]; None where nobody's clock counts."""
+    """A session and what it was begun with. began: [s]; None if nobody's clock counts."""
 
     session: Session
     goal: Goal
