@@ -51,7 +51,8 @@ def proved(samples: Samples, chain: Mechanism, stated: str | None = None) -> tup
         answer = _meant(thinned(samples.select(different), _MAX), chain, stated)
         if answer is None:
             continue
-        if len(answer.said) == 1 and answer.said[0].what == conventions.INVERSE:
+        # what nobody is told of is undone only where nothing else is nearly as likely
+        if len(answer.said) == 1 and answer.said[0].what == conventions.INVERSE and not answer.rivals:
             samples, undone = inverted(samples, rows), INVERTED
             continue
         gain = f"better by {answer.gain:.0f} in log-likelihood, {BEYOND_DOUBT:.0f} decides"
@@ -176,7 +177,7 @@ def _mistaken(chain: Chain, part: Samples, frame: str) -> Hypothesis | BadRecord
     answer = explain(case, conventions.of_recording(case), depth=1)
     left = ArmMiss.of(answer.after)
     if answer.said and left.size(reach) < MISREAD * reach and _throughout(answer):
-        if answer.said[0].what == conventions.INVERSE:
+        if answer.said[0].what == conventions.INVERSE and not answer.rivals:
             return answer.said[0]
         said = (
             f"the calibrated arm misses by {1e3 * as_is.position:.3g} mm and {np.degrees(as_is.rotation):.3g}° with "

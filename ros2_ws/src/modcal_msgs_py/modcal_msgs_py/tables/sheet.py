@@ -18,7 +18,7 @@ from modcal_core.geometry import Array
 from modcal_msgs_py.tables.labels import words
 
 BLANKS = " "  # as a delimiter: any run of blanks and tabs
-# What exports write where there is no number, in small letters
+# What exports write for a missing number, in small letters
 MISSING = words(
     "nan na n/a #n/a #na null none nil - -- --- missing inf -inf -nan 1.#qnan -1.#ind -nan(ind) nan(ind) #value! #num!"
 ) | {""}
