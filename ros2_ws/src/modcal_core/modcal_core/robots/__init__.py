@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from modcal_core.robots.acceleration import Drives, Window, bias_torque, read_drives, torque
     from modcal_core.robots.bodies import DOWN, STANDARD_GRAVITY, HeldWeight, Payload, chain_gravity_wrench
     from modcal_core.robots.bodies import equivalent_inertia, mass_matrix, with_payload
-    from modcal_core.robots.chain import Chain
+    from modcal_core.robots.chain import Chain, Follower
     from modcal_core.robots.delta import ARMS, AZIMUTH, CONSTANTS, DELTA_UNITS, DISTAL, OFFSET, PARAMETERS, PROXIMAL
     from modcal_core.robots.delta import RATIO, ZERO, Delta, delta_from_data, delta_to_data
     from modcal_core.robots.delta_kinematics import delta_inverse, position_jacobians, reachable, tool_pose
@@ -37,7 +37,7 @@ else:
 
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
-__all__ += ["Drives", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath", "LoadedArm"]
+__all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath", "LoadedArm"]
 __all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
 __all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
 __all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward"]

@@ -7,14 +7,14 @@ The frame of a joint is the frame of its child link, so joint k of the chain mov
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modcal_core.errors import BadRobot
 from modcal_core.geometry import Array
-from modcal_core.robots.chain import Chain
+from modcal_core.robots.chain import Chain, Follower
 from modcal_core.robots.urdf_tree import FIX, TURNS, Joint, Tree, parse
 
 # --- Where an arm ends when nobody says so: past its joints and its flange, short of a gripper's fingers
@@ -51,14 +51,14 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
     been meant as well.
 
     Among several, one with a tool's usual name (tool0, tcp, ee, flange), then the one with the longest way, then the
-    first by name. The way ends before joints that mimic, before those that others mimic unless the arm goes on behind
-    them (a cylinder that balances a link mimics its joint), before those that a chain cannot hold, before a gripper's
-    own, and where it forks into a hand. recorded: names of the joints that were recorded; of arms whose
+    first by name. The way ends before joints that mimic or that others mimic, unless the arm goes on behind them (a
+    cylinder that balances a link mimics its joint, a parallelogram's joint is on the way), before those that a chain
+    cannot hold, before a gripper's own, and where it forks into a hand. recorded: names of the joints that were recorded; of arms whose
     joints were all recorded the longest is taken, and where there is none the longest at all, so that the missing
     joints can be named. Raises BadRobot when nothing moves.
     """
     led = {joint.mimics for joint in tree.joints if joint.mimics is not None}
-    led -= {joint.name for joint in tree.joints if joint.name in led and _goes_on(tree, joint, led)}
+    ended = {j.name for j in tree.joints if (j.mimics is not None or j.name in led) and not _goes_on(tree, j, led)}
     ends: list[_End] = []
 
     def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool) -> None:
@@ -66,13 +66,14 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
         further = [
             j
             for j in tree.below[link]
-            if not j.moves or (j.kind in TURNS and j.mimics is None and j.name not in led | fingers)
+            if not j.moves or (j.kind in TURNS and j.name not in ended | fingers)
         ]
         if moving and not further:
             ends.append(_End(link, unknown, moving, length))
         for joint in further:
-            missing = joint.moves and recorded is not None and joint.name not in recorded
-            follow(joint.child, (*moving, joint.name) if joint.moves else moving, length + 1, unknown or missing)
+            own = joint.moves and joint.mimics is None
+            missing = own and recorded is not None and joint.name not in recorded
+            follow(joint.child, (*moving, joint.name) if own else moving, length + 1, unknown or missing)
 
     follow(base, (), 0, False)
     if not ends:
@@ -92,7 +93,6 @@ def _goes_on(tree: Tree, joint: Joint, led: Collection[str | None]) -> bool:
     return any(
         (j.moves and j.mimics is None and j.name not in led) or _goes_on(tree, j, led)
         for j in tree.below[joint.child]
-        if j.mimics is None
     )
 
 
@@ -148,8 +148,6 @@ def read_chain(
         if joint.kind not in TURNS:
             said = f"is {joint.kind}, which a chain cannot hold"
             raise BadRobot(f"joint {joint.name}", said, "give another --base or --tip")
-        if joint.mimics is not None:
-            raise BadRobot(f"joint {joint.name}", f"mimics {joint.mimics}", "give a --tip before it")
         if not joint.lower <= joint.upper:
             raise BadRobot(f"joint {joint.name}", f"its limits run from {joint.lower:g} to {joint.upper:g}", FIX)
         moving.append(joint)
@@ -168,7 +166,22 @@ def read_chain(
     if chain.revolute.any() and long > _FARTHEST:
         said = f"its links add up to {long:.0f} m, {_FARTHEST:g} m is the limit: it looks like millimetres"
         raise BadRobot(f"robot '{tree.name}'", said, "give <origin xyz> in metres")
-    return replace(chain, links=tuple(joint.parent for joint in moving))
+    return replace(chain, links=tuple(joint.parent for joint in moving), follows=tuple(_follows(tree, moving)))
+
+
+def _follows(tree: Tree, moving: Sequence[Joint]) -> Iterator[Follower]:
+    """Which of these joints follow another one. Raises BadRobot where nothing leads it."""
+    joints = {joint.name: joint for joint in tree.joints}
+    for k, joint in enumerate(moving):
+        leader, factor, offset, met = joint, 1.0, 0.0, set[str]()
+        while leader.mimics is not None:  # of one that mimics itself, the first one leads
+            factor, offset = factor * leader.mimic_factor, offset + factor * leader.mimic_offset
+            if leader.mimics not in joints or leader.name in met:
+                raise BadRobot(f"joint {joint.name}", f"mimics {leader.mimics}, which leads nothing", FIX)
+            met.add(leader.name)
+            leader = joints[leader.mimics]
+        if leader is not joint:
+            yield Follower(k, leader.name, factor, offset)
 
 
 def other_tips(urdf_xml: str, base: str, recorded: Collection[str] | None = None) -> tuple[str, ...]:

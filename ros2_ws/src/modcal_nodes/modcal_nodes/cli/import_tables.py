@@ -37,7 +37,7 @@ def is_kinematic(path: Path) -> bool:
 
 
 def proposed(
-    tables: Sequence[Path], urdf: Path, options: dict[str, Any], out: Path | None, output: Output
+    tables: Sequence[Path], options: dict[str, Any], out: Path | None, output: Output
 ) -> tuple[Proposal, Path]:
     """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way.
 
@@ -49,10 +49,11 @@ def proposed(
     folders = {table.resolve().parent for table in tables}
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
-    robot = Robot.from_urdf(urdf, options["base"], options["tip"])
+    urdf, ends = options["urdf"], {end: options[end] for end in ("base", "tip") if options[end] is not None}
+    robot = Robot.from_urdf(urdf, **ends)
     with output.working() as watch:
         where = os.path.relpath(urdf.resolve(), path.resolve().parent)
-        made = find(tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), where), watch)
+        made = find(tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), {"urdf": where, **ends}), watch)
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
@@ -75,7 +76,7 @@ def _bystanders(robot: Robot) -> dict[str, bool]:
     kinds = {"revolute": True, "continuous": True, "prismatic": False}
     joints = document(robot.description or "").iter("joint")
     found = {str(joint.get("name")): kinds[kind] for joint in joints if (kind := joint.get("type")) in kinds}
-    return {name: turns for name, turns in found.items() if name not in robot.names}
+    return {name: turns for name, turns in found.items() if name not in robot.chain.own_names}
 
 
 _YAML = (".yaml", ".yml")
@@ -111,7 +112,7 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
 )
 @speaking
 def import_command(
-    sources: tuple[Path, ...], data: Path | None, urdf: Path | None, out: Path | None, output: Output, **options: Any
+    sources: tuple[Path, ...], out: Path | None, output: Output, **options: Any
 ) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
@@ -123,12 +124,12 @@ def import_command(
     takes.
     """  # fmt: skip
     first = sources[0]
-    if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
-        made, path = proposed(sources, urdf, options, out, output)
+    if first.suffix.lower() not in _YAML and options["urdf"] is not None and not is_kinematic(first):
+        made, path = proposed(sources, options, out, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
-            _import(path, data or first.parent, urdf, out, output)
+            _import(path, {**options, "data": options["data"] or first.parent}, out, output)
         return
     if len(sources) > 1:
         raise BadTable(str(sources[1]), "stands beside a mapping", "name all files in the mapping, or give tables only")
@@ -140,7 +141,7 @@ def import_command(
         write_file(out, chain_urdf(chain))
         output.result(*told(out, chain))
         return
-    _import(first, data or first.parent, urdf, out or Path(first.stem), output)
+    _import(first, options, out or Path(first.stem), output)
 
 
 def _kinematic_table(path: Path) -> dict[str, Any] | None:
@@ -153,8 +154,8 @@ def _kinematic_table(path: Path) -> dict[str, Any] | None:
         raise BadTable(error.offender, error.limit, f"{remedy}; or {error.remedy}") from error
 
 
-def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: Output) -> None:
-    stated = read_yaml(mapping)
+def _import(mapping: Path, options: dict[str, Any], out: Path, output: Output) -> None:
+    stated, folder, urdf = read_yaml(mapping), options["data"] or mapping.parent, options["urdf"]
     with output.working() as watch:
         tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
         recording = tables.recording
@@ -162,9 +163,10 @@ def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: O
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
             recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
+            arm = options["base"] or stated.get("base"), options["tip"] or stated.get("tip")
             watch("comparing conventions")
             with remedies_of(recording.warnings):
-                recording = _proved(recording, stated)
+                recording = _proved(recording, stated, arm)
         write_recording(recording, out, partial(watch, f"writing {out.name}"), tables.commanded)
     frames = list(recording.frames)
     stations = sum(len(r.stamps) for r in recording.readings)
@@ -174,17 +176,20 @@ def _import(mapping: Path, folder: Path, urdf: Path | None, out: Path, output: O
     output.result(found, partial(tell, [*left_out, line]))
 
 
-def _proved(recording: Recording, stated: Mapping[str, Any]) -> Recording:
-    """The recording with a note where its poses are inverse.
+def _proved(recording: Recording, stated: Mapping[str, Any], arm: tuple[str | None, str | None]) -> Recording:
+    """The recording with a note where its poses are inverse, and of the arm where its base or tip is stated.
 
-    Raises BadRecording where another convention than the stated one fits the robot better beyond doubt.
+    Raises BadRobot where these are no links of the robot, and BadRecording where another convention than the stated one fits the robot better beyond doubt.
     """
     from modcal_core.hypotheses import proved  # brings SciPy along, which kinematic tables do without
-    from modcal_core.measurements import cut_stations
+    from modcal_core.measurements import cleaned, cut_stations
 
+    if any(arm):
+        robot = described(recording, None, None, *arm)
+        recording = recording.of_arm(robot.base, robot.tip)
     try:
-        chain = described(recording, None, None, None, None).mechanism
-        samples = cut_stations(recording, chain.names)
+        chain = described(recording, None, None, *arm).mechanism
+        samples = cut_stations(cleaned(recording, chain.names, chain).recording, chain.names)
     except ModcalError:  # of another robot, or with nothing in common: `modcal calibrate` says so where it matters
         return recording
     poses = [
