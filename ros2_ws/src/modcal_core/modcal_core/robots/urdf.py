@@ -61,8 +61,9 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
     ended = {j.name for j in tree.joints if (j.mimics is not None or j.name in led) and not _goes_on(tree, j, led)}
     ends: list[_End] = []
 
-    def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool) -> None:
-        fingers = _fingers(tree, link, len(moving))
+    def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool, tooled: bool) -> None:
+        tooled = tooled or any(_is_tool(name) for name in (link, *(j.child for j in tree.below[link] if not j.moves)))
+        fingers = _fingers(tree, link, len(moving), tooled)
         further = [
             j
             for j in tree.below[link]
@@ -73,9 +74,9 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
         for joint in further:
             own = joint.moves and joint.mimics is None
             missing = own and recorded is not None and joint.name not in recorded
-            follow(joint.child, (*moving, joint.name) if own else moving, length + 1, unknown or missing)
+            follow(joint.child, (*moving, joint.name) if own else moving, length + 1, unknown or missing, tooled)
 
-    follow(base, (), 0, False)
+    follow(base, (), 0, False, False)
     if not ends:
         raise BadRobot(f"link '{base}'", "no moving joint behind it", "give the --base of an arm")
     best = min(ends, key=lambda end: end.order)
@@ -86,9 +87,13 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
     return best.link, tuple(end.link for end in rivals.values())
 
 
+def _is_tool(link: str) -> bool:
+    return any(pattern.search(link.lower()) for pattern in _TOOL_NAMES)
+
+
 def _goes_on(tree: Tree, joint: Joint, led: Collection[str | None]) -> bool:
     """Whether joints that nothing leads, or a tool's frame, are behind a joint."""
-    if any(pattern.search(joint.child.lower()) for pattern in _TOOL_NAMES):
+    if _is_tool(joint.child):
         return True
     return any(
         (j.moves and j.mimics is None and j.name not in led) or _goes_on(tree, j, led)
@@ -96,8 +101,9 @@ def _goes_on(tree: Tree, joint: Joint, led: Collection[str | None]) -> bool:
     )
 
 
-def _fingers(tree: Tree, link: str, before: int) -> set[str]:
+def _fingers(tree: Tree, link: str, before: int, tooled: bool) -> set[str]:
     """The joints of a hand's fingers on a link, behind so many joints; none of them is the arm's continuation.
+    tooled: whether a tool's frame stands here or before.
 
     They are known by two or more branches that are the longest, and shorter than the arm before; the two arms of a
     torso are longer than what carries them. A single one is known by its name, or by that of the link that it moves.
@@ -109,17 +115,18 @@ def _fingers(tree: Tree, link: str, before: int) -> set[str]:
     return {
         joint.name
         for joint in tree.below[link]
-        if joint.moves and depth[joint.name] < before and _named_as_finger(joint, len(depth))
+        if joint.moves and depth[joint.name] < before and _named_as_finger(joint, tooled or len(depth) > 1)
     }
 
 
-def _named_as_finger(joint: Joint, beside: int) -> bool:
-    """Whether a joint's names are a gripper's; beside: how many joints its parent carries.
+def _named_as_finger(joint: Joint, behind: bool) -> bool:
+    """Whether a joint's names are a gripper's. behind: whether it stands behind the arm's end.
 
-    The joint before a whole hand may be named after it as well: a gripper's own stands on a palm, which carries more.
+    The joint before a whole hand may be named after it as well: a gripper's own stands on a palm, which carries more,
+    or behind a tool's frame.
     """
     names = f"{joint.name} {joint.child}".lower()
-    return bool(_FINGER.search(names)) or (beside > 1 and bool(_GRIPPER.search(names)))
+    return bool(_FINGER.search(names)) or (behind and bool(_GRIPPER.search(names)))
 
 
 def _depth(tree: Tree, joint: Joint) -> int:
