@@ -32,7 +32,9 @@ def rng() -> np.random.Generator:
 @PINHOLES
 def test_projection_is_opencv_s(rng: np.random.Generator, lens: Lens) -> None:
     X = np.c_[rng.uniform(-0.2, 0.2, (50, 2)), rng.uniform(0.3, 0.6, 50)]
-    expected = cv2.projectPoints(X, np.zeros(3), np.zeros(3), lens.K, np.r_[lens.values[4:], lens.below])[0].reshape(-1, 2)
+    expected = cv2.projectPoints(X, np.zeros(3), np.zeros(3), lens.K, np.r_[lens.values[4:], lens.below])[0].reshape(
+        -1, 2
+    )
     assert np.abs(lens.project(X) - expected).max() < 1e-9
 
 

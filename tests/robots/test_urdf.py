@@ -145,7 +145,7 @@ def test_a_joint_that_mimics_inside_the_chain_follows() -> None:
 def test_a_mass_without_a_value_is_noted() -> None:
     text = urdf("ur10").replace('mass value="7.1"', "mass", 1)
     (note,) = Robot.from_urdf(text).notes
-    assert note.endswith("has an <inertial> without a mass: it counts as none.")
+    assert note.endswith("has an <inertial> without mass: it weighs nothing.")
 
 
 # -- the chain --------------------------------------------------------------------------------------------------------

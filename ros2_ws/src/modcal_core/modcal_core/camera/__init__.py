@@ -29,7 +29,17 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
-__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE", "STATED"]
+__all__ += [
+    "DISTORTIONS",
+    "FISHEYE",
+    "MARKER_CORNERS",
+    "MIN_CORNERS",
+    "MIN_VIEWS",
+    "NOTHING_KNOWN",
+    "PINHOLE",
+    "POSE",
+    "STATED",
+]
 __all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
 __all__ += [
     "CameraImages",

@@ -6,7 +6,8 @@ Pinhole: with x = X / Z, y = Y / Z, r² = x² + y² and D = 1 + k1 r² + k2 r⁴
     y_d = y D + p1 (r² + 2 y²) + 2 p2 x y        v = fy y_d + cy
 
 (Brown 1971, in the order of OpenCV). A rational polynomial divides D by 1 + k4 r² + k5 r⁴ + k6 r⁶, whose three numbers
-stay as stated: images show no difference between them and the others. Fisheye: with θ the angle between ray and axis and r = tan θ,
+stay as stated: images show no difference between them and the others. Fisheye: with θ the angle between ray and axis
+and r = tan θ,
 
     x_d = x / r · θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)          and y_d likewise
 
@@ -57,8 +58,7 @@ class Lens:
 
     @classmethod
     def of(cls, K: ArrayLike, distortion: ArrayLike, size: tuple[int, int], model: str = PINHOLE) -> Lens:
-        """From a camera matrix (3, 3) and coefficients: up to eight k1 k2 p1 p2 k3 k4 k5 k6, of a fisheye up to four k1 … k4.
-        """
+        """From a camera matrix (3, 3) and up to eight coefficients k1 k2 p1 p2 k3 … k6, of a fisheye four k1 … k4."""
         K = np.asarray(K, dtype=float)
         d = np.zeros(8)
         given = np.asarray(distortion, dtype=float).ravel()

@@ -125,9 +125,7 @@ def _fitted(
             seen.append(_PlacedResidual(sight.residual, sight.lever, samples.reading[mine], kind.unit, kind.dimensions))
             through = np.moveaxis(sight.through, 2, 0)
             own = np.moveaxis(sight.constants, (0, 2), (2, 0))
-            J = np.concatenate(
-                [through @ tool[:, :3, :3], through, -through @ so3.hat(scene.target.T), own], axis=2
-            )
+            J = np.concatenate([through @ tool[:, :3, :3], through, -through @ so3.hat(scene.target.T), own], axis=2)
             derivatives.append(J * sight.lever[:, None, None])
         return seen, derivatives
 
@@ -142,13 +140,13 @@ def _fitted(
     seen, derivatives = see(*state)
     now, damping = cost(seen), 1e-3
     for _ in range(_STEPS):
-        A, g = np.zeros((ends[-1], ends[-1])), np.zeros(ends[-1])
+        A, g = np.zeros((int(ends[-1]), int(ends[-1]))), np.zeros(int(ends[-1]))
         for one, J, own in zip(seen, derivatives, columns, strict=True):  # instruments share the tool alone
             r = (one.residual * one.lever).T
             weighted = J / (1.0 + np.sum(r**2, axis=1) / _SOFT)[:, None, None]
             A[np.ix_(own, own)] += np.tensordot(weighted, J, ([0, 1], [0, 1]))
             g[own] += np.tensordot(weighted, r, ([0, 1], [0, 1]))
-        step = np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0]
+        step: Array = np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0]
         moved = _moved(state, step, samples)
         new, their = see(*moved)
         after = cost(new)

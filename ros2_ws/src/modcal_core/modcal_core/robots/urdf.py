@@ -52,10 +52,10 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
 
     Among several, one with a tool's usual name (tool0, tcp, ee, flange), then the one with the longest way, then the
     first by name. The way ends before joints that mimic or that others mimic, unless the arm goes on behind them (a
-    cylinder that balances a link mimics its joint, a parallelogram's joint is on the way), before those that a chain
-    cannot hold, before a gripper's own, and where it forks into a hand. recorded: names of the joints that were recorded; of arms whose
-    joints were all recorded the longest is taken, and where there is none the longest at all, so that the missing
-    joints can be named. Raises BadRobot when nothing moves.
+    cylinder that balances a link mimics its joint; a parallelogram's joint is on the way), before those that a chain
+    cannot hold, before a gripper's own, and where it forks into a hand. recorded: names of the joints that were
+    recorded; of arms whose joints were all recorded the longest is taken, and where there is none the longest at all,
+    so that the missing joints can be named. Raises BadRobot when nothing moves.
     """
     led = {joint.mimics for joint in tree.joints if joint.mimics is not None}
     ended = {j.name for j in tree.joints if (j.mimics is not None or j.name in led) and not _goes_on(tree, j, led)}
@@ -64,11 +64,7 @@ def tips(tree: Tree, base: str, recorded: Collection[str] | None = None) -> tupl
     def follow(link: str, moving: tuple[str, ...], length: int, unknown: bool, tooled: bool) -> None:
         tooled = tooled or any(_is_tool(name) for name in (link, *(j.child for j in tree.below[link] if not j.moves)))
         fingers = _fingers(tree, link, len(moving), tooled)
-        further = [
-            j
-            for j in tree.below[link]
-            if not j.moves or (j.kind in TURNS and j.name not in ended | fingers)
-        ]
+        further = [j for j in tree.below[link] if not j.moves or (j.kind in TURNS and j.name not in ended | fingers)]
         if moving and not further:
             ends.append(_End(link, unknown, moving, length))
         for joint in further:
@@ -96,8 +92,7 @@ def _goes_on(tree: Tree, joint: Joint, led: Collection[str | None]) -> bool:
     if _is_tool(joint.child):
         return True
     return any(
-        (j.moves and j.mimics is None and j.name not in led) or _goes_on(tree, j, led)
-        for j in tree.below[joint.child]
+        (j.moves and j.mimics is None and j.name not in led) or _goes_on(tree, j, led) for j in tree.below[joint.child]
     )
 
 

@@ -164,7 +164,7 @@ def parse(urdf_xml: str) -> Tree:
 def _notes(root: Any, joints: Sequence[Joint]) -> Iterator[str]:
     for link in (e for e in root if _local(e) == "link" and e.find("inertial") is not None):
         if not _weighs(link.find("inertial")):
-            yield f"Link {link.get('name')} of the robot description has an <inertial> without a mass: it counts as none."
+            yield f"Link {link.get('name')} of the robot description has an <inertial> without mass: it weighs nothing."
     for joint in joints:
         if not joint.lower <= joint.upper:
             yield f"Joint {joint.name} of the robot description has limits from {joint.lower:g} to {joint.upper:g}."

@@ -15,7 +15,7 @@ from modcal_core.errors import BadTable, ModcalError, about
 from modcal_core.files import read_yaml, to_json, write_file
 from modcal_core.measurements import IMPORTED, Recording, remedies_of
 from modcal_core.robot import Robot
-from modcal_core.robots import chain_urdf, document, from_table
+from modcal_core.robots import Chain, chain_urdf, document, from_table, from_ur_conf
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
 from modcal_nodes.cli.console import Output, speaking, tell
@@ -53,7 +53,9 @@ def proposed(
     robot = Robot.from_urdf(urdf, **ends)
     with output.working() as watch:
         where = os.path.relpath(urdf.resolve(), path.resolve().parent)
-        made = find(tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), {"urdf": where, **ends}), watch)
+        made = find(
+            tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), {"urdf": where, **ends}), watch
+        )
     write_file(path, made.text(", ".join(table.name for table in tables)))
     data = "" if folders == {path.resolve().parent} else f" --data {tables[0].parent}"
     again = f"modcal import {path}{data}" + (f" --out {out}" if out else "")
@@ -111,9 +113,7 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
     help="Print the JSON schema of MAPPING, for editors.",
 )
 @speaking
-def import_command(
-    sources: tuple[Path, ...], out: Path | None, output: Output, **options: Any
-) -> None:
+def import_command(sources: tuple[Path, ...], out: Path | None, output: Output, **options: Any) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
     Without a mapping, FILE.csv and the robot's --urdf are enough: separator, units, columns and conventions are found
@@ -121,9 +121,12 @@ def import_command(
     with exit code 3. Further files are joined by a column that they share.
 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
-    takes.
+    takes; so does UR's calibration.conf, beside the --urdf of its model.
     """  # fmt: skip
     first = sources[0]
+    if first.suffix.lower() == ".conf":
+        _write_arm(first, _of_conf(first, options["urdf"]), out, output)
+        return
     if first.suffix.lower() not in _YAML and options["urdf"] is not None and not is_kinematic(first):
         made, path = proposed(sources, options, out, output)
         if made.open:
@@ -137,11 +140,23 @@ def import_command(
     if table is not None:
         with about(str(first)):
             chain = from_table(table)
-        out = out or Path(f"{first.stem}.urdf")
-        write_file(out, chain_urdf(chain))
-        output.result(*told(out, chain))
+        _write_arm(first, chain, out, output)
         return
     _import(first, options, out or Path(first.stem), output)
+
+
+def _write_arm(source: Path, chain: Chain, out: Path | None, output: Output) -> None:
+    out = out or Path(f"{source.stem}.urdf")
+    write_file(out, chain_urdf(chain))
+    output.result(*told(out, chain))
+
+
+def _of_conf(path: Path, urdf: Path | None) -> Chain:
+    """The arm of a UR controller's calibration.conf."""
+    if urdf is None:
+        raise BadTable(str(path), "holds only differences from the model's DH numbers", "give --urdf of this UR model")
+    with about(str(path)):
+        return from_ur_conf(path.read_text(encoding="utf-8", errors="replace"), Robot.from_urdf(urdf).chain)
 
 
 def _kinematic_table(path: Path) -> dict[str, Any] | None:
@@ -179,7 +194,8 @@ def _import(mapping: Path, options: dict[str, Any], out: Path, output: Output) -
 def _proved(recording: Recording, stated: Mapping[str, Any], arm: tuple[str | None, str | None]) -> Recording:
     """The recording with a note where its poses are inverse, and of the arm where its base or tip is stated.
 
-    Raises BadRobot where these are no links of the robot, and BadRecording where another convention than the stated one fits the robot better beyond doubt.
+    Raises BadRobot where these are no links of the robot, and BadRecording where another convention than the stated one
+    fits the robot better beyond doubt.
     """
     from modcal_core.hypotheses import proved  # brings SciPy along, which kinematic tables do without
     from modcal_core.measurements import cleaned, cut_stations

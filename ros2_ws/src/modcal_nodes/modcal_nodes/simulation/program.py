@@ -18,12 +18,12 @@ from modcal_core.errors import BadCommand, ModcalError
 from modcal_core.geometry import Array
 from modcal_core.planning import with_returns
 from modcal_core.robots import (
-    is_serial_arm,
     Chain,
     Drives,
     Mechanism,
     Payload,
     bias_torque,
+    is_serial_arm,
     passable,
     read_drives,
     read_inertias,

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 
 from modcal_core.camera import (
-    STATED,
     FISHEYE,
     NOTHING_KNOWN,
     PINHOLE,
+    STATED,
     BoardView,
     ImageMoments,
     Lens,
