@@ -146,7 +146,7 @@ def _fitted(
             weighted = J / (1.0 + np.sum(r**2, axis=1) / _SOFT)[:, None, None]
             A[np.ix_(own, own)] += np.tensordot(weighted, J, ([0, 1], [0, 1]))
             g[own] += np.tensordot(weighted, r, ([0, 1], [0, 1]))
-        step: Array = np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0]
+        step = np.asarray(np.linalg.lstsq(A + damping * np.diag(np.diag(A) + 1e-9), g, rcond=None)[0], dtype=float)
         moved = _moved(state, step, samples)
         new, their = see(*moved)
         after = cost(new)
