@@ -83,7 +83,7 @@ def test_how_wild_the_offset_is_said_to_be() -> None:
 
 def test_a_table_that_lost_something_is_not_written() -> None:
     """Axes so nearly parallel that DH takes them for it, and a tool so far away that this shows."""
-    origins = np.stack([np.eye(4), se3.exp([0.3, 0, 0, 9e-12, 0, 0]), se3.transform(p=[0.0, 0.0, 50.0])])
+    origins = np.stack([np.eye(4), se3.exp([0.3, 0, 0, 9e-12, 0, 0]), se3.transform(p=[0.0, 0.0, 5.0])])
     chain = Chain.build(["a", "b"], origins)
     with pytest.raises(NotRepresentable, match=r"dh table: read back, it is off by .* 1e-10 is the limit"):
         to_table(chain, "dh")
@@ -171,3 +171,10 @@ def bent_elbow(angle: float) -> Chain:
 def test_an_unknown_convention() -> None:
     with pytest.raises(BadTable, match="convention 'dhh': is unknown: choose cpc, dh, mdh"):
         to_table(ur10(), "dhh")
+
+
+@pytest.mark.parametrize(("row", "said"), [({"alpha": 90.0}, "alpha: is 90"), ({"d": 300.0, "a": 250.0}, "d: is 300")])
+def test_a_table_in_other_units_is_refused_in_whatever_file(row: dict[str, float], said: str) -> None:
+    table = {"convention": "dh", "joints": [{"theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, **row}] * 2}
+    with pytest.raises(BadTable, match=f"{said}, in the unit m rad"):
+        from_table(table)

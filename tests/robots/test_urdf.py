@@ -232,6 +232,7 @@ BAD = {
     "is not XML (Couldn't find end": "<robot",
     "is <sdf>, not <robot>": "<sdf/>",
     "holds xacro commands": '<robot name="x" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="y"/></robot>',
+    "holds xacro commands: expand": '<robot name="x" xmlns:xacro="http://other.org/x"><xacro:macro name="y"/></robot>',
     "holds xacro commands: expand it": '<robot name="x"><xacro:include filename="y"/></robot>',
     "holds xacro commands: expand it first": robot(TWO, joint("j", "a", "b", inside='<origin xyz="${d} 0 0"/>')),
     "robot description: <robot>: has no name": '<robot><link name="a"/></robot>',

@@ -11,6 +11,7 @@ behind a link <joint>_frame.
 from __future__ import annotations
 
 import difflib
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -171,7 +172,7 @@ def document(urdf_xml: str) -> Any:
         raise BadRobot("robot description", f"is not XML ({said})", remedy) from error
     if _local(root) != "robot":
         raise BadRobot("robot description", f"is <{_local(root)}>, not <robot>", "give a URDF file")
-    if any(isinstance(e.tag, str) and ("xacro" in e.tag.partition("}")[0] or "xacro:" in e.tag) for e in root.iter()):
+    if any(isinstance(e.tag, str) and "xacro" in (e.prefix, *re.split("[}/:]", e.tag)[:-1]) for e in root.iter()):
         raise _unexpanded()
     return root
 
