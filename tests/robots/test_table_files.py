@@ -83,7 +83,7 @@ def test_how_wild_the_offset_is_said_to_be() -> None:
 
 def test_a_table_that_lost_something_is_not_written() -> None:
     """Axes so nearly parallel that DH takes them for it, and a tool so far away that this shows."""
-    origins = np.stack([np.eye(4), se3.exp([0.3, 0, 0, 9e-12, 0, 0]), se3.transform(p=[0.0, 0.0, 5.0])])
+    origins = np.stack([np.eye(4), se3.exp([0.3, 0, 0, 9e-12, 0, 0]), se3.transform(p=[0.0, 0.0, 50.0])])
     chain = Chain.build(["a", "b"], origins)
     with pytest.raises(NotRepresentable, match=r"dh table: read back, it is off by .* 1e-10 is the limit"):
         to_table(chain, "dh")

@@ -190,7 +190,8 @@ def to_table(chain: Chain, convention: str, largest_offset: float = 10.0) -> dic
 def loss(chain: Chain, table: dict[str, Any]) -> float:
     """The largest difference [m, and of rotations] of the tip's pose between a chain and its table, over postures."""
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (_POSTURES, chain.n)) * np.where(chain.revolute, _SPAN, _SLIDE)
-    return float(np.abs(chain_forward(from_table(table), q) - chain_forward(chain, q)).max())
+    again = _READERS[table["convention"]](table)
+    return float(np.abs(chain_forward(again, q) - chain_forward(chain, q)).max())
 
 
 # --- Kinematic tables as CSV, one row a joint; what is not of a joint stands in comment lines before them
