@@ -29,29 +29,11 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
-__all__ += [
-    "DISTORTIONS",
-    "FISHEYE",
-    "MARKER_CORNERS",
-    "MIN_CORNERS",
-    "MIN_VIEWS",
-    "NOTHING_KNOWN",
-    "PINHOLE",
-    "POSE",
-    "STATED",
-]
-__all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
-__all__ += [
-    "CameraImages",
-    "CameraProblem",
-    "CameraSolution",
-    "CameraWatch",
-    "CornerTable",
-    "FurtherSeen",
-    "ImageMoments",
-    "Lens",
-]
-__all__ += ["MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside", "ToolError", "at_flange", "beside"]
-__all__ += ["board_poses", "corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens"]
-__all__ += ["flange_in_tool", "grams", "homography", "plan_images", "read_any_target", "read_target", "solve_camera"]
-__all__ += ["target_from_data", "target_to_data", "tilt_and_distance", "uncertainty_about"]
+__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE"]
+__all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "STATED", "TAG", "BoardView", "BundleMarker", "CameraCause"]
+__all__ += ["CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraWatch", "CornerTable"]
+__all__ += ["FurtherSeen", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside"]
+__all__ += ["ToolError", "at_flange", "beside", "board_poses", "corner_rows", "covered", "distances_of_views"]
+__all__ += ["enough_corners", "first_lens", "fit_lens", "flange_in_tool", "grams", "homography", "plan_images"]
+__all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
+__all__ += ["tilt_and_distance", "uncertainty_about"]
