@@ -82,7 +82,7 @@ def test_a_frame_there_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(again) == [*joints, "stamp", "station", "frame", "kind", "x", "y", "z", "qx", "qy", "qz", "qw"]
     assert np.array_equal(np.stack([again[k] for k in joints], axis=1), Q)
     assert np.allclose(np.abs(again["qy"]), 0.6, atol=1e-12)
-    with pytest.raises(BadRecording, match="column d: is not in the frame: choose among a, b"):
+    with pytest.raises(BadRecording, match="column 'd': is not in the frame: choose among a, b"):
         modcal.Samples.from_frame(table, ["d"], pose)
 
 

@@ -179,29 +179,24 @@ class Samples:
         readings: columns x y z [m], or x y z qx qy qz qw. more: as of :meth:`from_arrays`, stamps and sigma also by the
         name of a column. Raises BadRecording.
         """
-        missing = [name for name in (*joints, *readings) if name not in table.columns]
-        if missing:
+        by_name = {key: [name] for key, name in more.items() if isinstance(name, str) and key != "frame"}
+        try:
+            q, values = (table[list(names)].to_numpy(float) for names in (joints, readings))
+            more |= {key: table[name].to_numpy(float)[:, 0] for key, name in by_name.items()}
+        except KeyError as error:
             there = ", ".join(map(str, table.columns))
-            raise BadRecording(f"column {missing[0]}", "is not in the frame", f"choose among {there}")
-        more = {
-            key: table[value].to_numpy(float) if isinstance(value, str) and key != "frame" else value
-            for key, value in more.items()
-        }
-        values = table[list(readings)].to_numpy(float)
-        read = {"points" if values.shape[1] == 3 else "poses": values}
-        return cls.from_arrays(table[list(joints)].to_numpy(float), **read, names=tuple(joints), **more)
+            raise BadRecording(f"column {error}", "is not in the frame", f"choose among {there}") from error
+        more["points" if values.shape[1] == 3 else "poses"] = values
+        return cls.from_arrays(q, names=tuple(joints), **more)
 
     def to_frame(self) -> Any:
-        """The samples as a pandas DataFrame, a row each: joints by name, stamp, station, frame, kind, x y z and, of
-        poses, qx qy qz qw. Raises ImportError without pandas.
-        """
-        pandas = import_module("pandas")
+        """As a pandas DataFrame: joints by name, stamp, station, frame, kind, x y z and, of poses, qx qy qz qw."""
         names = self.names or tuple(f"q{k}" for k in range(self.q.shape[1]))
         turns = np.where((self.kind == POSE)[:, None], so3.to_quaternion(self.R), np.nan)
         columns = {**dict(zip(names, self.q.T, strict=True)), "stamp": self.stamps, "station": self.station}
         columns |= {"frame": np.array(self.frames)[self.frame], "kind": self.kind.astype(str)}
         columns |= dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), np.c_[self.reading, turns].T, strict=True))
-        return pandas.DataFrame(columns)
+        return import_module("pandas").DataFrame(columns)
 
     def of_joints(self, names: tuple[str, ...]) -> Samples:
         """The samples with the columns of these joints, in this order.
