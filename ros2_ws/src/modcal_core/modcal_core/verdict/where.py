@@ -23,6 +23,7 @@ _MOSTLY = 0.6  # of what is predictable at all; who predicts as much of it is na
 _MIN_NAMED = 0.05  # share of the squares; what is predictable by less does not make a verdict open
 _HALF = 0.5  # of what lies along one joint's motion, that a driver must predict to be named before that
 _SURELY = 0.5  # of the floor; what is less beyond it is not told from it
+_BEFORE = 1  # reasons that stand before where to look; a sentence for a person has two
 _MIN_LEVER = 0.1  # of the reach; what turns the tool from farther away moves it by its angle times this, at least
 
 
@@ -38,9 +39,12 @@ def with_places(
     if judged.status != "open":
         return judged
     named = " ".join(judged.open_because)
-    said = [*(sentence for sentence in outside if sentence not in named), *_apart(case, described or case.model.chain)]
-    said += [*_goes_with(judged, case), *_only_one_kind(judged, case)]
-    return replace(judged, reasons=(*judged.reasons, *(Reason("predictable", sentence) for sentence in said)))
+    there = [*_goes_with(judged, case)]
+    beside = [sentence for sentence in outside if sentence not in named]
+    beside += [*_apart(case, described or case.model.chain), *_only_one_kind(judged, case)]
+    where, rest = ([Reason("predictable", sentence) for sentence in said] for said in (there, beside))
+    first, others = judged.reasons[:_BEFORE], judged.reasons[_BEFORE:]
+    return replace(judged, reasons=(*first, *where, *others, *rest))
 
 
 def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
@@ -52,10 +56,7 @@ def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
     many = case.samples.select(rows).stations >= MIN_STATIONS
     along = along_joint(Rest.of(case, rows)) if many else None
     if along is not None and (found is None or found.share < _HALF * along[1]):
-        yield (
-            f"The residual correlates with nothing that was recorded, as an error of joint {along[0]} "
-            f"({along[1]:.0%} of it)."
-        )
+        yield f"{along[1]:.0%} of what is left lies along the motion of joint {along[0]}, station by station."
     elif found is not None:
         yield f"The residual {found.sentence}."
 
