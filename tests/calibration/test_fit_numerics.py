@@ -177,3 +177,11 @@ def test_derivatives_of_a_move_by_any_angle(place: str) -> None:
     view = RowView.of(model, samples, around)
     J = np.stack([view.moved_by(terms)[: 3 * len(samples)] for terms in all_columns(model.effects, around)], axis=1)
     assert_jacobian(predicted, J, x)
+
+
+def test_a_kind_that_the_fit_follows_has_some_noise() -> None:
+    """Ten poses for 40 parameters, whose positions the fit takes up: nothing left is not nothing wrong."""
+    square, known, weight = np.full(10, 1e-20), np.zeros(10), np.ones(10)
+    assert 5e-6 < excess_sigma(square, known, weight, 20.0) < 5e-5
+    assert excess_sigma(square, known, weight, 0.0) < 2e-9  # where nothing was fitted, exact readings are exact
+    assert 5e-6 < excess_sigma(square, np.full(10, 1e-6), weight, 20.0) < 5e-5

@@ -26,7 +26,7 @@ from modcal_core.calibration import (
 from modcal_core.claim.beyond import growth
 from modcal_core.claim.evidence import Drawn, draw
 from modcal_core.claim.known import known, with_carried
-from modcal_core.claim.neighbourhood import SHARES, Neighbourhood, arms_near, joint_motion, shows_base
+from modcal_core.claim.neighbourhood import FREE, SHARES, Neighbourhood, arms_near, joint_motion, shows_base
 from modcal_core.claim.remedy import OpenDirection, open_direction
 from modcal_core.effects import STEPS, NominalArm
 from modcal_core.geometry import Array, so3
@@ -41,7 +41,7 @@ _DRAWS, _POSTURES = 400, 200
 _TRIES = 50  # for each posture of a robot that cannot take all of them
 _SURE = 0.95
 _MOSTLY = 0.5  # of the claim, from which what no reading shows is told
-_UNKNOWN_M = 5e-3  # of a tool that is known no better, nothing is claimed along that direction
+_UNKNOWN_M = 1e-3  # a ruler's; of a tool that readings of a known arm show no better, nothing is claimed along there
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def _claim(
     M = len(at.samples)
     joints = _joints(about, at.samples, drawn, cell, rng)
     if about.g.any():  # there are readings
-        joints = joints * np.tile(growth(about.model, samples, at.samples.q, rng.standard_normal(len(joints))), 6)
+        joints = joints * np.tile(growth(about, drawn.values, samples, at.samples.q, rng), 6)
     at = replace(at, calibrated=at.calibrated + joints[:, : 3 * M], turned=at.turned + joints[:, 3 * M :])
     shown, deg = at.norms(at.calibrated - at.open), None
     if samples.is_pose.any():
@@ -299,7 +299,11 @@ def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, place
             out += [np.repeat(axis, len(asked)), so3.cross(np.repeat(axis[:, None], len(asked), axis=1), p).ravel()]
     tool = [j for j, parameter in enumerate(about.parameters) if parameter.name in ("tool/x", "tool/y", "tool/z")]
     if tool:
-        size, directions = np.linalg.eigh(np.cov(drawn.values[:, tool].T).reshape(len(tool), -1))
+        free = np.flatnonzero(about.sort == FREE)
+        std = drawn.std[free]
+        C = np.linalg.inv(about.equations(drawn.noise)[0][np.ix_(free, free)] * np.outer(std, std) + np.eye(len(free)))
+        own = np.searchsorted(free, tool)
+        size, directions = np.linalg.eigh(C[np.ix_(own, own)] * np.outer(std[own], std[own]))
         out += list(directions[:, size > _UNKNOWN_M**2].T @ J[tool])
     return np.linalg.qr(np.array(out).T)[0] if out else None
 
