@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
-    from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
+    from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, STATED, Lens
     from modcal_core.camera.mounting import MIN_VIEWS
     from modcal_core.camera.other_readings import ReadingsBeside, beside
     from modcal_core.camera.plan import plan_images
@@ -29,7 +29,17 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
-__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE"]
+__all__ += [
+    "DISTORTIONS",
+    "FISHEYE",
+    "MARKER_CORNERS",
+    "MIN_CORNERS",
+    "MIN_VIEWS",
+    "NOTHING_KNOWN",
+    "PINHOLE",
+    "POSE",
+    "STATED",
+]
 __all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
 __all__ += [
     "CameraImages",

@@ -234,15 +234,16 @@ def camera_files(
 def camera_info(lens: Lens, name: str = "camera") -> dict[str, Any]:
     """A lens in the form of ROS's camera_info files. name: of the camera."""
     fx, fy, cx, cy = (float(x) for x in lens.values[:4])
-    count = DISTORTIONS[lens.model]
+    rational = bool(lens.below.any())
+    d = [*lens.values[4 : 4 + DISTORTIONS[lens.model]], *(lens.below if rational else ())]
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     return {
         "image_width": lens.size[0],
         "image_height": lens.size[1],
         "camera_name": name,
         "camera_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in lens.K.ravel()]},
-        "distortion_model": lens.model,
-        "distortion_coefficients": {"rows": 1, "cols": count, "data": [float(x) for x in lens.values[4 : 4 + count]]},
+        "distortion_model": "rational_polynomial" if rational else lens.model,
+        "distortion_coefficients": {"rows": 1, "cols": len(d), "data": [float(x) for x in d]},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": [float(x) for x in np.eye(3).ravel()]},
         "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }

@@ -79,7 +79,7 @@ def inverse(
 
 def _starts(chain: Chain, seed: Array, rng: np.random.Generator | None, restarts: int) -> Iterator[Array]:
     """The seed, put within the limits, then random postures."""
-    yield np.clip(seed, chain.lower, chain.upper)
+    yield chain.followed(np.clip(seed, chain.lower, chain.upper))
     if rng is not None:
         span = np.where(chain.revolute, _FREE_TURN, _FREE_SLIDE)
         low = np.maximum(chain.lower, np.where(np.isfinite(chain.upper), chain.upper - 2.0 * span, -span))
@@ -87,7 +87,7 @@ def _starts(chain: Chain, seed: Array, rng: np.random.Generator | None, restarts
         middle = 0.5 * (np.maximum(chain.lower, -span) + np.minimum(chain.upper, span))
         low, high = np.where(low < high, low, middle), np.where(low < high, high, middle)
         for _ in range(restarts):
-            yield rng.uniform(low, high)
+            yield chain.followed(rng.uniform(low, high))
 
 
 def _descend(
@@ -102,7 +102,7 @@ def _descend(
         cost = float(r @ r)
         damping = DAMPING * cost + 1e-14
         for _ in range(6):
-            new = q + _step(chain, q, A, r, damping)
+            new = chain.followed(q + _step(chain, q, A, r, damping))
             e_new, J_new = _linearised(chain, goal, new)
             left = weight * e_new[wanted]
             if float(left @ left) < cost:
@@ -127,7 +127,7 @@ def _linearised(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     J = np.empty((6, chain.n))
     J[:3] = (v - crossed_rows(e[None, :3], w)).T
     J[3:] = so3.left_jacobian_inverse(e[3:]) @ w.T
-    return e, J
+    return e, chain.by_leaders(J)
 
 
 def _step(chain: Chain, q: Array, A: Array, r: Array, damping: float) -> Array:
@@ -153,7 +153,7 @@ def _unwound(chain: Chain, q: Array, seed: Array) -> Array:
     """The same posture with whole turns taken off where that is closer to the seed and within the limits."""
     turns = np.where(chain.revolute, np.round((q - seed) / (2.0 * np.pi)), 0.0)
     nearer = q - 2.0 * np.pi * turns
-    return np.where((nearer >= chain.lower) & (nearer <= chain.upper), nearer, q)
+    return chain.followed(np.where((nearer >= chain.lower) & (nearer <= chain.upper), nearer, q))
 
 
 # --- Inverse kinematics from many starts, for many poses, at once
@@ -209,6 +209,7 @@ def inverse_batch(
     shape = np.broadcast_shapes(goal.shape[:-2], start.shape[:-1])
     goal = np.broadcast_to(goal, (*shape, 4, 4)).reshape(-1, 4, 4)
     q = np.clip(np.broadcast_to(start, (*shape, chain.n)).reshape(-1, chain.n), chain.lower, chain.upper)
+    q = chain.followed(q)
     wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
     q, error = _descend_all(chain, goal, q, wanted, tolerance)
     out = np.zeros((len(q), 6))
@@ -230,7 +231,7 @@ def _descend_all(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolera
         if not len(rows):
             break
         A, r = J[rows][:, wanted], e[rows][:, wanted]
-        new = q[rows] + _steps(chain, q[rows], A, r, damping[rows])
+        new = chain.followed(q[rows] + _steps(chain, q[rows], A, r, damping[rows]))
         e_new, J_new = _linearised_all(chain, goal[rows], new)
         cost_new = np.sum(e_new[:, wanted] ** 2, axis=1)
         better = cost_new < cost[rows]
@@ -252,7 +253,7 @@ def _linearised_all(chain: Chain, goal: Array, q: Array) -> tuple[Array, Array]:
     J = np.empty((len(q), 6, chain.n))
     J[:, :3] = np.swapaxes(v - np.cross(e[:, None, :3], w), 1, 2)
     J[:, 3:] = so3.left_jacobian_inverse(e[:, 3:]) @ np.swapaxes(w, 1, 2)
-    return e, J
+    return e, chain.by_leaders(J)
 
 
 def _steps(chain: Chain, q: Array, A: Array, r: Array, damping: Array) -> Array:

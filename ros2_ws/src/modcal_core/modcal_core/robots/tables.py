@@ -58,7 +58,7 @@ from modcal_core.geometry import Array, se3, so3
 from modcal_core.robots.chain import Chain
 from modcal_core.robots.dh import from_dh, from_mdh, plain, read_rows, to_dh, to_mdh, vector, write_rows
 from modcal_core.robots.kinematics import chain_forward
-from modcal_core.robots.makers import from_ur_kinematics
+from modcal_core.robots.makers import from_ur_kinematics, laid_out_as, ur_conf_table
 
 # --- Complete and parametrically continuous (CPC) tables, to and from chains
 
@@ -148,6 +148,13 @@ def from_table(table: Mapping[str, Any]) -> Chain:
         raise BadTable("kinematic table", said, f"write convention: {', '.join(_READERS)}")
     chain = _READERS[convention](table)
     return from_cpc(to_cpc(chain)) if _longest(chain) > _LONGEST_M else chain
+
+
+def from_ur_conf(text: str, nominal: Chain) -> Chain:
+    """The arm of a UR controller's calibration.conf. nominal: its model as UR's description lays it out, from base_link
+    to tool0, whose frames it keeps as far as its axes let it. Raises BadTable.
+    """
+    return laid_out_as(from_table(ur_conf_table(text, nominal)), nominal)
 
 
 def _longest(chain: Chain) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -94,12 +94,13 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Tree:
-    """Links and joints of one robot, connected and free of doubles."""
+    """Links and joints of one robot, connected and free of doubles. notes: a sentence for each thing that it lacks."""
 
     name: str
     links: tuple[str, ...]
     joints: tuple[Joint, ...]
     inertials: Mapping[str, Inertial]
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def above(self) -> dict[str, Joint]:
@@ -151,13 +152,26 @@ def parse(urdf_xml: str) -> Tree:
     joints = tuple(_joint(joint) for joint in robot.joints)
     links = tuple(link.name for link in robot.links)
     inertials = {link.name: _inertial(link) for link in robot.links if link.inertial is not None}
-    tree = Tree(robot.name, links, joints, inertials)
+    tree = Tree(robot.name, links, joints, inertials, tuple(_notes(root, joints)))
     _check(tree)
     for array in (a for joint in joints for a in (joint.T_parent_joint, joint.axis)):
         array.flags.writeable = False
     for array in (a for inertial in inertials.values() for a in (inertial.centre, inertial.inertia)):
         array.flags.writeable = False
     return tree
+
+
+def _notes(root: Any, joints: Sequence[Joint]) -> Iterator[str]:
+    for link in (e for e in root if _local(e) == "link" and e.find("inertial") is not None):
+        if not _weighs(link.find("inertial")):
+            yield f"Link {link.get('name')} of the robot description has an <inertial> without mass: it weighs nothing."
+    for joint in joints:
+        if not joint.lower <= joint.upper:
+            yield f"Joint {joint.name} of the robot description has limits from {joint.lower:g} to {joint.upper:g}."
+
+
+def _weighs(inertial: Any) -> bool:
+    return any(_local(e) == "mass" and e.get("value") for e in inertial)
 
 
 def document(urdf_xml: str) -> Any:
@@ -227,8 +241,8 @@ def _essential(element: Any) -> Any:
             continue  # it states effort and speed only; the parser would read a range of 0 to 0
         if name == "axis" and element.get("type") == "fixed":
             continue
-        if name == "inertial" and not any(_local(e) == "mass" and e.get("value") for e in child):
-            continue  # it weighs nothing
+        if name == "inertial" and not _weighs(child):
+            continue
         if (needed := _NEEDED.get(name)) and not child.get(needed):
             raise BadRobot(f"{tag} {element.get('name')}: <{name}>", f"has no {needed}", FIX)
         if name in _CHILDREN.get(tag, ()) and (tag == "robot" or copy.find(name) is None):

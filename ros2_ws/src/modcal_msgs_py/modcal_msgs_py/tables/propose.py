@@ -102,13 +102,14 @@ def _folded(text: str) -> list[str]:
 @dataclass(frozen=True)
 class MeasuredArm:
     """The robot that is measured. inertias: of the chain's bodies, by which the sign of efforts is told. bystanders:
-    other joints of the robot description, each with whether it turns. urdf: its file, as a mapping states it.
+    other joints of the robot description, each with whether it turns. stated: its file, and base and tip where somebody
+    named them, as a mapping states them.
     """
 
     chain: Chain
     inertias: Inertias | None = None
     bystanders: Mapping[str, bool] = field(default_factory=dict)
-    urdf: str | None = None
+    stated: Mapping[str, str] = field(default_factory=dict)
 
 
 def find(paths: Sequence[Path], arm: MeasuredArm | Chain, watch: Watch = lambda stage: None) -> Proposal:
@@ -141,7 +142,7 @@ def _found(way: Together, arm: MeasuredArm, watch: Watch) -> Proposal:
     sure = orthonormal(numbers)
     labelled = [
         j
-        for j in joint_columns(numbers, chain.names)
+        for j in joint_columns(numbers, chain.own_names)
         if not set(j.columns) & sure and not all(numbers.labels[k].of_instrument for k in j.columns)
     ]
     taken = {k for j in labelled for k in j.columns}
@@ -260,7 +261,7 @@ class _Search:
         columns = pool(numbers, taken)
         used = sorted({*columns, *(k for triple in triples for k in triple)})
         whole = np.isfinite(numbers.values[:, used]).all(axis=1)
-        if not triples or not whole.any():
+        if not triples or not whole.any() or chain.led:  # a joint that follows has no column
             return []
         values = np.where(np.isfinite(numbers.values), numbers.values, 0.0)[whole]
         largest = float(np.median(np.abs(values[:, columns]).max(axis=0))) if columns else 0.0
@@ -436,7 +437,8 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
     entry: dict[str, Any] = {"files": sheet.path.name, **sheet.form.entry()}
     used = {*choice.joints.columns, *read.columns, *beside.used}
     said = [f"the arm ends at {chain.tip}, and begins at {chain.base}", found.time.said]
-    shown = ", ".join(f"{n} = {numbers.shown(k)}" for n, k in zip(chain.names, choice.joints.columns, strict=True))
+    pairs = zip(chain.own_names, choice.joints.columns, strict=True)
+    shown = ", ".join(f"{name} = {numbers.shown(k)}" for name, k in pairs)
     said += [f"the joints' columns by {choice.joints.how}: {shown}", *way.said]
     if not sheet.sure:
         said.append(f"the text is not UTF-8 and is read as {sheet.form.encoding}")
@@ -465,7 +467,7 @@ def _made(found: _Findings, arm: MeasuredArm) -> Proposal:
             entry[key] = stated
     said += [*found.assumed, *beside.said, *_unused(numbers, {*used, *found.time.columns})]
     mapping: dict[str, Any] = {"undecided": list(found.questions)} if found.questions else {}
-    mapping |= {**({"urdf": arm.urdf} if arm.urdf else {}), "tables": [entry]}
+    mapping |= {**arm.stated, "tables": [entry]}
     return Proposal(mapping, (*read.proved(numbers, chain), *beside.proved), tuple(said), found.questions)
 
 

@@ -32,6 +32,7 @@ from modcal_core.robots import (
     nearest_dh,
     read_chain,
     read_path,
+    ros2_control_offsets,
     to_csv,
     to_table,
     xacro_origins,
@@ -42,6 +43,8 @@ from modcal_nodes.io import read_calibration
 
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
+_OFFSETS = "ros2_control"
+_FORMS = (*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS)
 
 
 _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can hold
@@ -50,7 +53,11 @@ _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can h
 @click.command("export")
 @click.argument("source", type=EXISTING)
 @click.option(
-    "--to", "form", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF]), required=True, help="Format to write."
+    "--to",
+    "form",
+    type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS]),
+    required=True,
+    help="Format to write.",
 )
 @click.option("--which", type=click.Choice(_MODELS), default="calibrated", help="Model of a calibration.")
 @click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
@@ -76,13 +83,17 @@ def export_command(source: Path, form: str, out: Path | None, output: Output, **
 
     kinematics and xacro take the joints' origins of a URDF, or of the calibrated.urdf in the folder of a calibration:
     kinematics as the makers' descriptions (Universal Robots, Franka) or xacro.load_yaml read them, xacro as a property
-    for a description of your own.
+    for a description of your own. ros2_control takes the joint offsets of a calibration: transmissions for the
+    <ros2_control> block of an arm whose controller can take nothing else.
     """
     largest_offset, nearest, unit = options["largest_offset"], options["nearest"], options["unit"]
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
     if form in _OF_URDF:
         output.result(*_written_origins(source, form, options, out))
+        return
+    if form == _OFFSETS:
+        output.result(*_written_offsets(source, out))
         return
     chain, left_out = _read(source, options)
     if form == "urdf":
@@ -184,6 +195,26 @@ def _written_origins(
     )
     write_file(out, written)
     return told(out, chain, None, left_out)
+
+
+def _written_offsets(source: Path, out: Path | None) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """Write the joint offsets of a calibration for ros2_control, and say so."""
+    from modcal_core.outcome import offsets_of  # the fit's parameters, which tables do without
+
+    calibration = read_calibration(source)
+    found = offsets_of(calibration)
+    if found is None or not found.found:
+        raise BadTable(str(source), "determines no joint offset", "give the calibration of a serial arm")
+    chain, offsets = calibration.nominal.serial, {one.joint: one.value for one in found.found}
+    notes = [
+        f"all but joint offsets, which leave {found.left_mm:.3g} mm RMS of the {found.nominal_mm:.3g} mm corrected",
+    ]
+    if open_ones := [name for name in chain.names if name not in offsets]:
+        notes.append(f"offsets that base or tool take up: {', '.join(open_ones)}")
+    said = ["Add these to offsets that are there already.", *(f"left out: {note}" for note in notes)]
+    out = out or Path(f"{source.resolve().stem}_{_OFFSETS}.xml")
+    write_file(out, ros2_control_offsets(offsets, said))
+    return told(out, chain, None, notes)
 
 
 def _read(source: Path, options: dict[str, Any]) -> _Source:

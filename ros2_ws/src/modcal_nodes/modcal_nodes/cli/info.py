@@ -45,7 +45,7 @@ def info_command(bag: Path, target: Path | None, image_topic: str | None, output
         robot, findings = None, (f"No robot: {error}.",)
     seen = inspect(recording, None if robot is None else robot.mechanism)
     images, uses = _images(bag, recording, target, image_topic, () if robot is None else robot.names)
-    findings = (*findings, *images.get("findings", ()))
+    findings = (*findings, *(() if robot is None else robot.notes), *images.get("findings", ()))
     data = {
         "bag": str(bag),
         "duration_s": recording.duration,
