@@ -36,13 +36,12 @@ from harness import median, over, share
 from scipy.spatial.transform import Rotation
 
 from modcal_core.camera.bundle import BoardView
-from modcal_core.camera.causes import flange_in_tool
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.intrinsics import first_lens, fit_lens
 from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
 from modcal_core.camera.target_file import RULER_STD_M
-from modcal_core.camera.tool_error import postures_anywhere, postures_in_view
+from modcal_core.camera.views import postures_anywhere, postures_in_view
 from modcal_core.camera.watching import CameraWatch
 from modcal_core.errors import ModcalError
 from modcal_core.geometry import Array, se3
@@ -89,16 +88,12 @@ def true_error(s: CameraScene, fit: CameraFit, tip: Array, q: Array, arm_alone: 
     return apart(se3.apply(T, tip), se3.apply(s.truth(q), tip), arm_alone)
 
 
-def flange(fit: CameraFit) -> Array:
-    return se3.inverse(fit.poses.model_at(fit.state.values).T_tip_tool)[:3, 3]
-
-
 def arms(task: harness.Task) -> harness.Result:
     seed = task["seed"]
     s = cells.arm(seed, task["rendered"], task["faults"], 1e-3 * task["measured_to_mm"])
     began = time.process_time()
     r = solved(s, np.random.default_rng(seed))
-    tip, (near, _) = flange(r.fit), postures_in_view(r.fit, np.random.default_rng(seed + 1))
+    tip, (near, _) = r.fit.flange, postures_in_view(r.fit, np.random.default_rng(seed + 1))
     far = postures_anywhere(s.chain, np.random.default_rng(seed + 1))
     z = (r.fit.state.lens.values - s.lens.values) / np.sqrt(np.diag(r.fit.covariance))[r.fit.poses.count + 1 :][:9]
     out = {"opencv": against_opencv(s), "effects": [f"{c.effect.family} {c.effect.label}" for c in r.causes]}
@@ -133,7 +128,7 @@ def size(task: harness.Task) -> harness.Result:
     r = solved(s, np.random.default_rng(3))
     q, _ = postures_in_view(r.fit, np.random.default_rng(1))
     out = {"named": any("off its stated size" in words for words in r.decision.problems), **said(r)}
-    out |= {key: true_error(s, fit, flange(fit), q) for key, fit in (("true", r.fit), ("nominal", r.nominal))}
+    out |= {key: true_error(s, fit, fit.flange, q) for key, fit in (("true", r.fit), ("nominal", r.nominal))}
     return {**out, "if_wrong": None if r.rests_on is None else 1e3 * r.rests_on.if_wrong_m}
 
 
@@ -191,7 +186,7 @@ def bodies(task: harness.Task) -> harness.Result:
     spent, (q, _) = time.process_time() - began, postures_in_view(r.fit, np.random.default_rng(1))
     out = {**what, "seconds": spent, **said(r), "px": list(r.held_out_px)}
     for name, fit in (("", r.fit), ("nominal_", r.nominal)):
-        out |= {name + key: value for key, value in of_body(s, fit, flange_in_tool(r.fit), q).items()}
+        out |= {name + key: value for key, value in of_body(s, fit, r.fit.flange, q).items()}
     out["effects"], out["findings"] = (
         [c.effect.label for c in r.causes],
         [f"{f.family} {f.direction}" for f in r.findings],

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from modcal_core.camera.claim import AS_STATED, DrawnErrors, ToolError
 from modcal_core.camera.problems import APPLY, DO_NOT_APPLY, decide
-from modcal_core.camera.tool_error import ToolError
 from modcal_core.geometry.so3 import Array
 
 COUNT = 2000
 
 
 def error(calibrated: Array, nominal: Array) -> ToolError:
-    return ToolError(calibrated, nominal, np.full(COUNT, 1.0 / COUNT), np.full(COUNT, -1))
+    return ToolError({AS_STATED: DrawnErrors(calibrated, calibrated, nominal)})
 
 
 def test_what_is_open_of_both_arms_hides_no_gain(rng: np.random.Generator) -> None:
@@ -24,7 +24,7 @@ def test_what_is_open_of_both_arms_hides_no_gain(rng: np.random.Generator) -> No
     assert found.word == APPLY
     assert "moves both alike" in found.because[0]
     # the same two intervals where nothing is shared
-    apart = error(both.calibrated, rng.permutation(both.nominal))
+    apart = error(both.by[AS_STATED].calibrated, rng.permutation(both.by[AS_STATED].nominal))
     assert apart.interval == both.interval
     assert apart.nominal_interval == both.nominal_interval
     assert decide(apart, True, ()).word == DO_NOT_APPLY

@@ -17,7 +17,7 @@ from modcal_core.camera.fit import fit_camera
 from modcal_core.camera.other_readings import ReadingsBeside, beside
 from modcal_core.camera.problems import APPLY, CANNOT_TELL
 from modcal_core.camera.solve import CameraSolution
-from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.views import postures_in_view
 from modcal_core.effects.effect import Effect
 from modcal_core.effects.shapes import Shape
 from modcal_core.errors import NotEnoughData

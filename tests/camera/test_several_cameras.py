@@ -17,7 +17,7 @@ from modcal_core.camera.lens import Lens
 from modcal_core.camera.prepared import CameraImages, prepare_images
 from modcal_core.camera.problems import APPLY
 from modcal_core.camera.solve import CameraProblem, CameraSolution, further_of, solve_camera
-from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.views import postures_in_view
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import se3
 from modcal_core.geometry.so3 import Array

@@ -14,7 +14,7 @@ from camera.scenes import scene
 from modcal_core.camera.bundle import PrintedTarget
 from modcal_core.camera.problems import APPLY, CANNOT_TELL, DO_NOT_APPLY
 from modcal_core.camera.target_file import RULER_STD_M, scale_of_rulers
-from modcal_core.camera.tool_error import postures_in_view
+from modcal_core.camera.views import postures_in_view
 from modcal_core.geometry import se3
 
 
@@ -81,6 +81,6 @@ def test_rulers_of_which_nobody_says_how_well_they_were_read_count_as_any_statem
     for std in (None, RULER_STD_M):
         board = replace(BOARD, scale=scale_of_rulers((0.2, 0.12), (0.2008, 0.1205), "rulers", std))
         error = solved(replace(s, board=board), look_for_effects=False).in_view
-        chance[std] = float(error.weight[error.of == error.wrong.index("size")].sum())
+        chance[std] = error.by["size"].chance
     assert chance[None] >= 0.0499
     assert chance[RULER_STD_M] < 0.03

@@ -21,7 +21,6 @@ import numpy as np
 
 from modcal_core.calibration import beyond_chi2
 from modcal_core.camera.bundle import PrintScale
-from modcal_core.camera.causes import flange_motions
 from modcal_core.camera.corners import BOW as BENT
 from modcal_core.camera.corners import READOUT, SCALE, SHAPE, CommonPrior, common_prior
 from modcal_core.camera.equations import Equations, Sizes, SolvedEquations
@@ -240,7 +239,7 @@ def findings(fit: CameraFit, scale: PrintScale, other_length: bool, q: Array) ->
     }
     if scale.measured:  # somebody's ruler against the images: see contradictions
         groups.pop("scale")
-    J = flange_motions(fit, q)
+    J = fit.flange_motions(q)
     out = []
     for what, (rows, stated) in groups.items():
         if not fit.equations.free[rows].all():

@@ -14,11 +14,11 @@ import numpy as np
 
 from modcal_core.camera.bundle import CalibrationTarget, PrintedTarget
 from modcal_core.camera.changes import FoundChange
+from modcal_core.camera.claim import ToolError
 from modcal_core.camera.contradicted import SIZE, DoubtedStatement
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
 from modcal_core.camera.other_readings import ReadingsBeside
-from modcal_core.camera.tool_error import ToolError
 
 APPLY, DO_NOT_APPLY, CANNOT_TELL = "apply", "do not apply", "cannot tell"
 # Chance of an arm made worse that may be taken. Few calibrations come near it: with 1 %, the chances of a hundred of

@@ -17,6 +17,7 @@ from modcal_core.camera.arm_poses import FurtherCamera, with_stated
 from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
 from modcal_core.camera.changes import FoundChange, find_change
+from modcal_core.camera.claim import RestsOn, ToolError, arm_draws, rests_on, shares, tool_error
 from modcal_core.camera.contradicted import (
     SIZE,
     CameraFinding,
@@ -43,17 +44,7 @@ from modcal_core.camera.problems import (
     problems,
     size_open,
 )
-from modcal_core.camera.tool_error import (
-    RestsOn,
-    ToolError,
-    parameter_draws,
-    postures_anywhere,
-    postures_in_view,
-    rests_on,
-    shares,
-    tool_error,
-    weak_directions,
-)
+from modcal_core.camera.views import postures_anywhere, postures_in_view, weak_directions
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
 from modcal_core.geometry import Array
@@ -182,7 +173,7 @@ class CameraSolution:
     """fit: of everything. geometric: the same without effects. nominal: the same images, the nominal arm. mounting:
     found first. lens_fit: from the images alone. left_out: images by reason. corners_out: share of corners left out.
     in_view, anywhere: error at the tool over the joint ranges of the images where the target is in view, and over all
-    joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: of tool_error.
+    joint limits. decision: of the former. moved: what was moved between images. weak: sentences. shares: of claim.
     held_out_px: (nominal, calibrated) RMS on images that neither fit has seen [px]. findings: what target and
     camera are not as stated. causes: effects beyond geometry.
     left: what is significant and could not be turned into one. notes: what was done to the images, in sentences.
@@ -270,9 +261,9 @@ def solve_camera(
     became = images.stated if images.lens is not None and images.stated != FREE else None
     stated = StatedCamera(lens, became, target.scale)
     doubted = doubts(fit, stated)
-    draws = parameter_draws(fit, rng, doubted)
+    draws = arm_draws(fit, rng, doubted)
     in_view = tool_error(fit, nominal, near, draws)
-    anywhere = tool_error(fit, nominal, postures_anywhere(problem.chain, rng), draws, both_ends=True)
+    anywhere = tool_error(fit, nominal, postures_anywhere(problem.chain, rng), draws)
     alone = tool_error(fit, nominal, near, draws, arm_alone=True)
     change = find_change(fit)
     wrong = contradictions(fit, doubted, stated)

@@ -28,8 +28,6 @@ from modcal_core.camera import (
     Lens,
     MarkerBundle,
     ToolError,
-    at_flange,
-    flange_in_tool,
     uncertainty_about,
 )
 from modcal_core.effects import ReportEntry, family_named
@@ -451,7 +449,7 @@ def _throw(solution: CameraSolution) -> float:
     """RMS distance at the flange per radian (or metre) that each joint is off by itself [m]."""
     poses, values = solution.fit.poses, solution.fit.state.values
     T = poses.tool_at(values)
-    moved = at_flange(T, flange_in_tool(solution.fit), poses.joint_motions(values, T))
+    moved = solution.fit.at_flange(T, poses.joint_motions(values, T))
     return float(np.sqrt((moved**2).sum() / len(T)))
 
 
