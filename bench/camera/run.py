@@ -136,7 +136,7 @@ def named(task: harness.Task) -> harness.Result:
     """Target and camera: what is named, and what else is blamed."""
     s, told = cells.faulty(task["seed"], task["kind"])
     r = solved(s, np.random.default_rng(task["seed"]), **told)
-    right = [(f.family, f.driver, f.direction) == EXPECTED.get(task["kind"]) for f in r.findings]
+    right = [(f.family, f.entry.driver, f.entry.direction) == EXPECTED.get(task["kind"]) for f in r.findings]
     blamed = [f.sentence for f, good in zip(r.findings, right, strict=True) if not good]
     found = any(right) if task["kind"] in EXPECTED else None
     return {"named": found, "blamed": blamed, "effects": [c.effect.label for c in r.causes]}
@@ -189,7 +189,7 @@ def bodies(task: harness.Task) -> harness.Result:
         out |= {name + key: value for key, value in of_body(s, fit, r.fit.flange, q).items()}
     out["effects"], out["findings"] = (
         [c.effect.label for c in r.causes],
-        [f"{f.family} {f.direction}" for f in r.findings],
+        [f"{f.family} {f.entry.direction}" for f in r.findings],
     )
     return {**out, "out": len(r.left_out), "corners_out": r.corners_out}
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.plan import plan_images
     from modcal_core.camera.outliers import MIN_CORNERS, distances_of_views, enough_corners
     from modcal_core.camera.prepared import CameraImages
-    from modcal_core.camera.problems import APPLY, CANNOT_TELL
+    from modcal_core.camera.decision import APPLY, CANNOT_TELL
     from modcal_core.camera.solve import CameraProblem, CameraSolution, FurtherSeen, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
     from modcal_core.camera.views import covered, tilt_and_distance

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from modcal_core.camera.contradicted import IN_DOUBT, SIZE, DoubtedStatement
 from modcal_core.camera.corners import COMMON, POSE, READOUT
 from modcal_core.camera.equations import Equations, Sizes
 from modcal_core.camera.fit import CameraFit
 from modcal_core.camera.lens import COUNT as LENS
+from modcal_core.camera.statements import IN_DOUBT, SIZE, DoubtedStatement
 from modcal_core.claim import ANGLE, FREE, LENGTH, ArmEvidence, draw
 from modcal_core.geometry import Array, se3, so3
 

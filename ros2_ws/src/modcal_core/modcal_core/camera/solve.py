@@ -18,16 +18,19 @@ from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
 from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
 from modcal_core.camera.changes import FoundChange, find_change
 from modcal_core.camera.claim import RestsOn, ToolError, arm_draws, rests_on, shares, tool_error
-from modcal_core.camera.contradicted import (
-    SIZE,
-    CameraFinding,
-    StatedCamera,
-    contradictions,
-    doubts,
-    findings,
-    in_doubt,
-)
 from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE, CameraState
+from modcal_core.camera.decision import (
+    CANNOT_TELL,
+    Decision,
+    Grounds,
+    contradictions,
+    decide,
+    in_doubt,
+    left_out_images,
+    metric_of,
+    problems,
+    size_open,
+)
 from modcal_core.camera.equations import numbered
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.intrinsics import LensFit
@@ -35,15 +38,7 @@ from modcal_core.camera.mounting import Mounting, held_out
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.outliers import LeftOutPoints, PreparedImages, first_fit, left_out_points
 from modcal_core.camera.prepared import CameraImages, prepare_images
-from modcal_core.camera.problems import (
-    CANNOT_TELL,
-    Decision,
-    decide,
-    left_out_images,
-    metric_of,
-    problems,
-    size_open,
-)
+from modcal_core.camera.statements import SIZE, CameraFinding, StatedCamera, doubts, findings
 from modcal_core.camera.views import postures_anywhere, postures_in_view, weak_directions
 from modcal_core.diagnosis import EffectChoice
 from modcal_core.errors import BadRecording
@@ -281,12 +276,13 @@ def solve_camera(
     doubtful = in_doubt(fit, doubted, target.scale)
     doubtful += () if rests is None else (rests.sentence(in_view.nominal_interval[0], body),)
     judged = alone if body else in_view
-    open_size = size_open(target, doubted, judged, shared, problem.arm_m)
-    decision = decide(judged, bool(metric), against, problem.arm_m, doubtful, open_size, body)
+    size = size_open(target, doubted, judged, shared, problem.arm_m)
+    grounds = Grounds(bool(metric), against, problem.arm_m, doubtful, size, body)
+    decision = decide(judged, grounds)
     # the size decides: what is said holds either way
     if metric and decision.word == CANNOT_TELL and target.scale.measured:
         in_view, anywhere, alone = (error.either_way(SIZE) for error in (in_view, anywhere, alone))
-        decision = decide(alone if body else in_view, True, against, problem.arm_m, doubtful, open_size, body)
+        decision = decide(alone if body else in_view, grounds)
     other_length = problem.arm_m is not None or (problem.beside is not None and problem.beside.metric)
     return CameraSolution(
         *(fit, geometric, nominal, ready.mounting, ready.lens_fit, target, ready.left_out, fit.table.left_out),

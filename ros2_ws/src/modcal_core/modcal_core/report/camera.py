@@ -408,9 +408,8 @@ def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
         out.append(_entry(cause.effect.family, entry, cause.p_value, rms, _sentence(cause.effect.family, entry)))
     scatter = throw * solution.fit.sizes.joint
     for found in solution.findings:
-        entry = ReportEntry(found.place, found.direction, found.driver, found.values, found.same_as)
         rms = (float(np.hypot(scatter, found.at_tool_m)), scatter, found.at_tool_m)
-        out.append(_entry(found.family, entry, found.p_value, rms, found.sentence))
+        out.append(_entry(found.family, found.entry, found.p_value, rms, found.sentence))
     return out
 
 
