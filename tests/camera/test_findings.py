@@ -32,11 +32,11 @@ def on_sheet(s: CameraScene, points: Array) -> CameraScene:
 def test_a_print_of_another_size(on_tip: bool) -> None:
     """1 % too large and nobody measured it: named where the arm is known; else it may be the arm's scale as well."""
     s = on_sheet(known_arm(on_tip), 1.01 * BOARD.points)
-    (found,) = solved(s, arm_m=ARM_M).findings
+    (found,) = solved(s, arm_m=ARM_M).evidence.findings
     assert (found.family, found.entry.direction, found.entry.same_as) == (TARGET, "size", ())
     assert found.entry.sizes["size_x"][0] == pytest.approx(0.01, abs=2e-3)
     assert found.at_tool_m > 3e-3
-    alone = [f for f in solved(s).findings if f.entry.direction == "size"]
+    alone = [f for f in solved(s).evidence.findings if f.entry.direction == "size"]
     assert all(f.entry.same_as for f in alone)
 
 
@@ -58,11 +58,11 @@ def test_late_images_and_a_rolling_shutter(delay_s: float, readout_s: float) -> 
     rng = np.random.default_rng(2)
     velocity = 0.3 * rng.choice([-1.0, 1.0], s.q.shape)
     r = solved(rolling_views(s, velocity, delay_s, readout_s, rng), velocity=velocity, arm_m=ARM_M)
-    found = {f.entry.driver: f for f in r.findings}
+    found = {f.entry.driver: f for f in r.evidence.findings}
     assert set(found) == {d for d, x in (("velocity", delay_s), ("line", readout_s)) if x}
     assert all(f.family == CLOCK for f in found.values())
     if delay_s:
         assert found["velocity"].entry.sizes["delay_s"][0] == pytest.approx(delay_s, abs=5e-4)
     if readout_s:
         assert found["line"].entry.sizes["line_s"][0] == pytest.approx(readout_s / 720, rel=0.03)
-    assert not r.causes
+    assert not r.evidence.causes

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
     from modcal_core.camera.causes import CameraCause
     from modcal_core.camera.claim import ALL_BUT_IMAGES, ToolError
-    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, CornerTable, corner_rows, grams
+    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE
+    from modcal_core.camera.corners import CameraState, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
     from modcal_core.camera.lens import DISTORTIONS, FISHEYE, PINHOLE, Lens
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
     from modcal_core.camera.other_readings import ReadingsBeside, beside
     from modcal_core.camera.plan import plan_images
     from modcal_core.camera.outliers import MIN_CORNERS, distances_of_views, enough_corners
-    from modcal_core.camera.prepared import CameraImages
+    from modcal_core.camera.images import CameraImages, PreparedImages
     from modcal_core.camera.decision import APPLY, CANNOT_TELL
-    from modcal_core.camera.solve import CameraProblem, CameraSolution, FurtherSeen, solve_camera
+    from modcal_core.camera.solve import CameraProblem, CameraSolution, solve_camera
     from modcal_core.camera.target_file import read_any_target, read_target, target_from_data, target_to_data
     from modcal_core.camera.views import covered, tilt_and_distance
     from modcal_core.camera.watching import CameraWatch, Moved
@@ -36,13 +37,13 @@ __all__ += [
     "CameraImages",
     "CameraProblem",
     "CameraSolution",
+    "CameraState",
     "CameraWatch",
     "CornerTable",
-    "FurtherSeen",
     "ImageMoments",
     "Lens",
 ]
-__all__ += ["MarkerBundle", "Moved", "PrintedTarget", "ReadingsBeside", "ToolError", "beside"]
+__all__ += ["MarkerBundle", "Moved", "PreparedImages", "PrintedTarget", "ReadingsBeside", "ToolError", "beside"]
 __all__ += ["board_poses", "corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens"]
 __all__ += ["grams", "homography", "plan_images", "read_any_target", "read_target", "solve_camera"]
 __all__ += ["target_from_data", "target_to_data", "tilt_and_distance", "uncertainty_about"]

@@ -175,6 +175,11 @@ class ArmPoses:
         return replace(self, model=self.model.with_effects(tuple(effects)))
 
     @property
+    def placed(self) -> tuple[ModelParameter, ...]:
+        """Parameters of base and tool alone."""
+        return tuple(p for p in self.parameters if not p.of_arm)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the P values."""
         effects = [f"{e.label}/{i}" for e in self.model.effects for i in range(len(e.values))]
@@ -334,14 +339,12 @@ def arm_poses(
     T_tip_tool: Array,
     camera_on_tip: bool,
     fixed: Sequence[str] = (),
-    hand_eye_only: bool = False,
     moments: ImageMoments = NOTHING_KNOWN,
     inertias: Inertias | None = None,
 ) -> ArmPoses:
     """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.
 
-    fixed: names, places or patterns that stay as they are. hand_eye_only: of base and tool alone. moments, inertias:
-    for effects.
+    fixed: names, places or patterns that stay as they are. moments, inertias: for effects.
     """
     frame = "target" if camera_on_tip else "camera"
     arm_drawn = NominalArm(chain, inertias)
@@ -350,7 +353,7 @@ def arm_poses(
     # All of base and tool, and beside them all of the arm, though some of it is the same motion: a shift along the
     # first joint is base or arm. Were it the arm's alone, its prior would hold the base where it was found first.
     placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
-    arm = () if hand_eye_only else choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
+    arm = choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
     parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
     faults = arm_faults(model, [p for p in parameters if p.of_arm], views, fixed) if arm else None
     return ArmPoses(

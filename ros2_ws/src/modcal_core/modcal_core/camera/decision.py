@@ -118,10 +118,9 @@ def problems(
     nominal: CameraFit,
     change: FoundChange | None,
     wrong: tuple[str, ...],
-    left_out: tuple[str, ...],
     target: CalibrationTarget,
 ) -> tuple[str, ...]:
-    """What contradicts the fit, in sentences. wrong: statements that images contradict. left_out: of images."""
+    """What contradicts the fit, in sentences. wrong: statements that images contradict."""
     out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
     if change is not None:
         out.append(change.sentence(fit))
@@ -131,7 +130,6 @@ def problems(
             f"Images are {1e3 * fit.sizes.joint:.1f} mrad a joint off any arm of this form, each by itself: check that "
             "the arm stood still, that joints and images are of the same moment, and that nothing is loose."
         )
-    out += left_out
     if fit.table.places:  # of a body points are misread, and the places of its markers say what is wrong of its size
         return tuple(out)
     if fit.table.left_out > _CORNERS_OUT:

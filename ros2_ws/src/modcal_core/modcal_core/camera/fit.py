@@ -167,6 +167,17 @@ class CameraFit:
         some = self.table.select(rows), self.poses.select(rows)
         return fit_camera(*some, self.prior, self.state, self.sizes, fixed_sizes=True)
 
+    def of_further(self) -> list[tuple[CameraState, Array, float]]:
+        """(state; standard deviations of lens, shape, readout and places, (15 + Z,), those of the first camera as in
+        this fit; RMS of its corners [px]) of each further camera.
+        """
+        out, std = [], np.sqrt(np.diag(self.covariance))
+        every = zip(self.poses.further_at(self.state), self.equations.cameras[1:], strict=True)
+        for (camera, columns, state), rows in every:
+            own = columns[len(state.values) + 1 :]
+            out.append((state, np.where(own >= 0, std[own], 0.0), camera.table.rms(rows.pixels)))
+        return out
+
     def weighed(
         self,
         equations: Equations | None = None,
