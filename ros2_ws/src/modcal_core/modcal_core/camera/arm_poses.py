@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -45,18 +46,27 @@ from modcal_core.robots import Chain, Inertias, body_jacobian
 
 @dataclass(frozen=True)
 class ArmFaults:
-    """Covariance of an arm's A parameters by faults of lengths, and by faults of angles, of size 1, (A, A) each.
-    stated: their size, where somebody states it.
+    """What E faults of an arm, all of usual size, do to the A parameters of a fit, (A, E). place, turns: of each fault,
+    (E,). stated: their size, where somebody states it.
     """
 
-    lengths: Array
-    angles: Array
+    moves: Array
+    place: np.ndarray
+    turns: np.ndarray
     stated: float | None = None
 
+    @cached_property
+    def lengths(self) -> Array:
+        """Covariance of the parameters by faults of lengths, (A, A)."""
+        return np.asarray(self.moves[:, ~self.turns] @ self.moves[:, ~self.turns].T)
+
+    @cached_property
+    def angles(self) -> Array:
+        """Covariance of the parameters by faults of angles, (A, A)."""
+        return np.asarray(self.moves[:, self.turns] @ self.moves[:, self.turns].T)
+
     def covariance(self, ratio: float = 1.0) -> Array:
-        """Prior covariance of the arm's faults, (A, A). ratio: scale of the length faults over that of the angle
-        faults.
-        """
+        """Prior covariance of the parameters, (A, A). ratio: scale of length faults over that of angle faults."""
         return ratio**2 * self.lengths + self.angles
 
     def information(self, size: float, ratio: float) -> Array:
@@ -75,9 +85,8 @@ def arm_faults(
     J = linearise(model, every, np.zeros(len(every)), samples).J.T
     at = {p.name: i for i, p in enumerate(every)}
     kept = J[:, [at[p.name] for p in parameters]]
-    M = np.linalg.lstsq(kept, J, rcond=None)[0] * np.array([p.prior_std for p in every])
-    turns = np.array([p.turns for p in every])
-    return ArmFaults(M[:, ~turns] @ M[:, ~turns].T, M[:, turns] @ M[:, turns].T)
+    moves = np.linalg.lstsq(kept, J, rcond=None)[0] * np.array([p.prior_std for p in every])
+    return ArmFaults(moves, np.array([p.place for p in every]), np.array([p.turns for p in every]))
 
 
 @dataclass(frozen=True)
@@ -164,6 +173,11 @@ class ArmPoses:
     def with_effects(self, effects: Sequence[Effect]) -> ArmPoses:
         """The same arm with these effects in place of those it has."""
         return replace(self, model=self.model.with_effects(tuple(effects)))
+
+    @property
+    def placed(self) -> tuple[ModelParameter, ...]:
+        """Parameters of base and tool alone."""
+        return tuple(p for p in self.parameters if not p.of_arm)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -325,14 +339,12 @@ def arm_poses(
     T_tip_tool: Array,
     camera_on_tip: bool,
     fixed: Sequence[str] = (),
-    hand_eye_only: bool = False,
     moments: ImageMoments = NOTHING_KNOWN,
     inertias: Inertias | None = None,
 ) -> ArmPoses:
     """The nominal arm, base and tool where they were found first, with the parameters that a fit may change.
 
-    fixed: names, places or patterns that stay as they are. hand_eye_only: of base and tool alone. moments, inertias:
-    for effects.
+    fixed: names, places or patterns that stay as they are. moments, inertias: for effects.
     """
     frame = "target" if camera_on_tip else "camera"
     arm_drawn = NominalArm(chain, inertias)
@@ -341,7 +353,7 @@ def arm_poses(
     # All of base and tool, and beside them all of the arm, though some of it is the same motion: a shift along the
     # first joint is base or arm. Were it the arm's alone, its prior would hold the base where it was found first.
     placed = choose_parameters(model, views, fixed, among=lambda p: not p.of_arm).parameters
-    arm = () if hand_eye_only else choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
+    arm = choose_parameters(model, views, fixed, among=lambda p: p.of_arm).parameters
     parameters = sorted((*placed, *arm), key=lambda p: (p.place, p.direction))
     faults = arm_faults(model, [p for p in parameters if p.of_arm], views, fixed) if arm else None
     return ArmPoses(

@@ -30,7 +30,7 @@ from modcal_core.camera.corners import (
 from modcal_core.camera.descent import damped, downhill
 from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
 from modcal_core.camera.lens import Lens
-from modcal_core.geometry import Array
+from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
 
 START = Sizes(1.0, 1e-4, 1e-4, 0.1)  # to begin with: an arm that repeats to 0.1 mrad and is 1 mm off a parameter
@@ -144,6 +144,20 @@ class CameraFit:
         return self.poses.tool_motions(self.state.values, self.state.offset_s)[0]
 
     @property
+    def flange(self) -> Array:
+        """The flange in the frame of whatever the arm carries, (3,) [m]."""
+        return np.asarray(se3.inverse(self.poses.model_at(self.state.values).T_tip_tool)[:3, 3])
+
+    def at_flange(self, T: Array, motions: Array) -> Array:
+        """Motion of the flange along the frame, (M, 3, K), for motions (M, 6, K) of the tool at poses T (M, 4, 4)."""
+        away = T[:, :3, :3] @ self.flange
+        return np.asarray(motions[:, :3] - np.cross(away[:, :, None], motions[:, 3:], axisa=1, axisb=1, axisc=1))
+
+    def flange_motions(self, q: Array) -> Array:
+        """Motion of the flange at postures q (M, n) per parameter of arm, effects and other instruments, (M, 3, P)."""
+        return self.at_flange(*self.poses.at_postures(q).tool_motions(self.state.values))
+
+    @property
     def arm_stated(self) -> bool:
         """Whether the size of the arm's faults is stated."""
         return self.poses.faults is not None and self.poses.faults.stated is not None
@@ -152,6 +166,17 @@ class CameraFit:
         """A fit of these images only (mask (N,)), with the same sizes of errors."""
         some = self.table.select(rows), self.poses.select(rows)
         return fit_camera(*some, self.prior, self.state, self.sizes, fixed_sizes=True)
+
+    def of_further(self) -> list[tuple[CameraState, Array, float]]:
+        """(state; standard deviations of lens, shape, readout and places, (15 + Z,), those of the first camera as in
+        this fit; RMS of its corners [px]) of each further camera.
+        """
+        out, std = [], np.sqrt(np.diag(self.covariance))
+        every = zip(self.poses.further_at(self.state), self.equations.cameras[1:], strict=True)
+        for (camera, columns, state), rows in every:
+            own = columns[len(state.values) + 1 :]
+            out.append((state, np.where(own >= 0, std[own], 0.0), camera.table.rms(rows.pixels)))
+        return out
 
     def weighed(
         self,

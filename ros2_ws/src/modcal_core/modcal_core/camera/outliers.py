@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modcal_core.calibration import ModelParameter, exceeded_chi2, median_chi2
-from modcal_core.camera.arm_poses import ArmPoses
-from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
-from modcal_core.camera.corners import POSE, SHAPE, CommonPrior, CornerTable, corner_rows
-from modcal_core.camera.fit import START, CameraFit, fit_camera
-from modcal_core.camera.intrinsics import LensFit
+from modcal_core.calibration import exceeded_chi2, median_chi2
+from modcal_core.camera.bundle import MarkerBundle
+from modcal_core.camera.corners import POSE, SHAPE, CornerTable, corner_rows
+from modcal_core.camera.fit import START, CameraFit
+from modcal_core.camera.images import PreparedImages
 from modcal_core.camera.lens import Lens
-from modcal_core.camera.mounting import MIN_VIEWS, Mounting
+from modcal_core.camera.mounting import MIN_VIEWS
 from modcal_core.geometry import Array, so3
 
 _TO_SIGMA = 1.4826  # of a median absolute deviation, for normal errors
@@ -42,33 +41,6 @@ _SEEN = 1e-9  # of an image's information; directions below it are none that it 
 _GROSS = 10.0  # times the median distance from where corners should be: errors that are no one's share never reach it
 _CLEANED = 5  # times that points and images are looked through
 ELSEWHERE = "far from where the arm has it"
-
-
-@dataclass(frozen=True)
-class PreparedImages:
-    """target: that was seen. table: its corners. poses: the nominal arm at the images, base and tool as found. placed:
-    parameters of these alone. lens_fit: from the images alone. prior: of lens and sheet. mounting: as found. left_out:
-    images by reason.
-    """
-
-    target: CalibrationTarget
-    table: CornerTable
-    poses: ArmPoses
-    placed: tuple[ModelParameter, ...]
-    lens_fit: LensFit
-    prior: CommonPrior
-    mounting: Mounting
-    left_out: dict[str, str]
-
-    def select(self, rows: np.ndarray, why: str) -> PreparedImages:
-        """With these images only. why: the others are left out."""
-        out = {n: why for n, keep in zip(self.table.names, rows, strict=True) if not keep}
-        return replace(self, table=self.table.select(rows), poses=self.poses.select(rows), left_out=self.left_out | out)
-
-    def fitted(self, last: CameraFit | None = None, fixed_sizes: bool = False) -> CameraFit:
-        """A fit of these images. last: one to begin with. fixed_sizes: take the sizes of errors as they are there."""
-        begin, sizes = (self.lens_fit.lens, START) if last is None else (last.state, last.sizes)
-        return fit_camera(self.table, self.poses, self.prior, begin, sizes, fixed_sizes)
 
 
 def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array) -> Array:
