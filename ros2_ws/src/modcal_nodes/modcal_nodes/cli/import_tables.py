@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ from modcal_core.robot import Robot
 from modcal_core.robots import chain_urdf, document, from_table
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
-from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.console import Output, given, option, speaking, tell
 from modcal_nodes.cli.export import read_table, told
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, described
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, described
 
 _HEAD = 4096  # bytes in which a kinematic table says that it is one
 
@@ -36,20 +36,15 @@ def is_kinematic(path: Path) -> bool:
     return {"a", "d", "alpha"} <= labels or ("name" in labels and bool({"theta", "bx", "alpha"} & labels))
 
 
-def proposed(
-    tables: Sequence[Path], urdf: Path, options: dict[str, Any], out: Path | None, output: Output
-) -> tuple[Proposal, Path]:
-    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way.
-
-    out: the bag that is made of them at once, where nothing is left to ask.
-    """
-    path = options["mapping"] or Path(f"{tables[0].stem}.yaml")
+def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output: Output) -> tuple[Proposal, Path]:
+    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way."""
+    out, path = options.out, options.mapping or Path(f"{tables[0].stem}.yaml")
     if path.exists():
         raise BadTable(str(path), "exists already", "give --mapping another name, import it, or remove it")
     folders = {table.resolve().parent for table in tables}
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
-    robot = Robot.from_urdf(urdf, options["base"], options["tip"])
+    robot = Robot.from_urdf(urdf, options.base, options.tip)
     with output.working() as watch:
         where = os.path.relpath(urdf.resolve(), path.resolve().parent)
         made = find(tables, MeasuredArm(robot.chain, robot.inertias, _bystanders(robot), where), watch)
@@ -87,20 +82,23 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
         context.exit()
 
 
+@dataclass(frozen=True)
+class ImportOptions(ChainOptions):
+    """Where tables are, of which robot, and what is written."""
+
+    data: Path | None = option("Folder of the tables. Default: the folder of MAPPING.", type=EXISTING)
+    urdf: Path | None = option("Robot description to put into the bag, and to prove a mapping by.", type=EXISTING)
+    mapping: Path | None = option(
+        "For tables without a mapping: the mapping to write. Default: FILE.yaml.", type=click.Path(path_type=Path)
+    )
+    out: Path | None = option(
+        "The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.", type=WRITTEN
+    )
+
+
 @click.command("import")
 @click.argument("sources", type=EXISTING, nargs=-1, required=True, metavar="MAPPING | FILE.csv...")
-@click.option("--data", type=EXISTING, help="Folder of the tables. Default: the folder of MAPPING.")
-@click.option("--urdf", type=EXISTING, help="Robot description to put into the bag, and to prove a mapping by.")
-@BASE
-@TIP
-@click.option(
-    "--mapping",
-    type=click.Path(path_type=Path),
-    help="For tables without a mapping: the mapping to write. Default: FILE.yaml.",
-)
-@click.option(
-    "--out", type=WRITTEN, help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none."
-)
+@given(ImportOptions)
 @click.option(
     "--schema",
     is_flag=True,
@@ -110,9 +108,7 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
     help="Print the JSON schema of MAPPING, for editors.",
 )
 @speaking
-def import_command(
-    sources: tuple[Path, ...], data: Path | None, urdf: Path | None, out: Path | None, output: Output, **options: Any
-) -> None:
+def import_command(sources: tuple[Path, ...], output: Output, options: ImportOptions) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
     Without a mapping, FILE.csv and the robot's --urdf are enough: separator, units, columns and conventions are found
@@ -122,9 +118,9 @@ def import_command(
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
     takes.
     """  # fmt: skip
-    first = sources[0]
+    first, data, urdf, out = sources[0], options.data, options.urdf, options.out
     if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
-        made, path = proposed(sources, urdf, options, out, output)
+        made, path = proposed(sources, urdf, options, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
