@@ -7,4 +7,4 @@ from modcal_core.claim.remedy import OpenDirection
 from modcal_core.claim.width import fit_held, settled
 
 __all__ = ["ANGLE", "FREE", "LENGTH", "ArmEvidence", "Claim", "Neighbourhood", "OpenDirection", "Statistic"]
-__all__ += ["arms_near", "claim_at_tool", "draw", "expected_claim", "fit_held", "settled"]
+__all__ += ["arms_near", "claim_at_tool", "draw", "expected_claim", "fit_held", "settled", "usual_std"]

@@ -55,6 +55,8 @@ class Search:
     @property
     def value(self) -> float:
         """The criterion of the information that is there."""
+        if self.inverse is not None and self.G is not None:
+            return -float(np.sum(self.inverse * self.criterion.gamma))
         return float(self.criterion.value(self.H))
 
     def beside(self, chosen: Sequence[int] | np.ndarray) -> Search:
@@ -138,15 +140,6 @@ def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
     return chosen
 
 
-@dataclass(frozen=True)
-class Exchange:
-    """chosen: numbers of the candidates, sorted, (k,). value: of the criterion. starts: values of all starts."""
-
-    chosen: np.ndarray
-    value: float
-    starts: tuple[float, ...]
-
-
 def exchange(
     base: Search,
     count: int,
@@ -154,15 +147,13 @@ def exchange(
     starts: int = 4,
     passes: int = PASSES,
     begin: np.ndarray | None = None,
-) -> Exchange:
-    """The ``count`` candidates that are best together. begin: numbers to begin from; there is then this one start."""
+) -> np.ndarray:
+    """Numbers of the ``count`` candidates that are best together, sorted. begin: instead of starts, one from these."""
     assert 0 < count <= len(base.J), (count, len(base.J))
-    ends = [] if begin is None else [_improved(base, begin, rng, passes)]
-    for start in range(0 if begin is not None else starts):
-        first = np.array(grown(base, count)) if start == 0 else rng.choice(len(base.J), count, replace=False)
-        ends.append(_improved(base, first, rng, passes))
-    chosen, value = max(ends, key=lambda end: end[1])
-    return Exchange(np.sort(chosen), value, tuple(v for _, v in ends))
+    begins = [begin] if begin is not None else [np.array(grown(base, count))]
+    begins += [rng.choice(len(base.J), count, replace=False) for _ in range(0 if begin is not None else starts - 1)]
+    ends = [_improved(base, first, rng, passes) for first in begins]
+    return np.sort(max(ends, key=lambda end: end[1])[0])
 
 
 def _improved(base: Search, chosen: np.ndarray, rng: np.random.Generator, passes: int) -> tuple[np.ndarray, float]:

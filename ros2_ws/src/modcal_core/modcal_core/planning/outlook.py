@@ -26,7 +26,7 @@ from modcal_core.calibration import (
     choose_parameters,
     linearise,
 )
-from modcal_core.claim import Neighbourhood, arms_near
+from modcal_core.claim import Neighbourhood, arms_near, usual_std
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
 from modcal_core.planning.closed_chain import readings_at
@@ -126,6 +126,7 @@ def nominal_outlook(
     planned = readings_at(model, q, kind)
     size = NoiseModel(noise.position + float(scatter[0]), noise.rotation + float(scatter[3]))
     about = arms_near(model, model.chain, planned, Cell(fixed=tuple(fixed)), noise=size)
+    about = replace(about, std=usual_std(about))
     names = [p.name for p in about.parameters]
     own = np.array([names.index(p.name) for p in fitted])
     eye = np.eye(len(about.std))
@@ -136,6 +137,7 @@ def outlook(refitted: Refit, where: Array, cell: Cell, rng: np.random.Generator)
     """What further stations would be worth to a fitted model. where: postures (M, n) at which accuracy counts."""
     calibration, right = refitted.calibration, refitted.samples.select(~refitted.wrong)
     about = arms_near(calibration.calibrated, calibration.nominal.chain, right, cell)
+    about = replace(about, std=usual_std(about))
     assert calibration.uncertainty is not None
     fitted = {p.name for p in calibration.uncertainty.parameters}
     P = len(about.parameters)

@@ -19,7 +19,7 @@ from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.planning.closed_chain import readings_at
 from modcal_core.planning.criteria import ACCURACY, Observability, criterion, observability
-from modcal_core.planning.exchange import PASSES, Exchange, exchange, information
+from modcal_core.planning.exchange import PASSES, exchange, information
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
 from modcal_core.planning.pool import CANDIDATES, Ground, Pool, survey
 from modcal_core.planning.route import RETURNS, Route, route
@@ -139,21 +139,21 @@ class Planner:
 
     def quick(self, count: int) -> Array:
         """A good set of so many stations, (count, n), soon."""
-        return self.pool.q[self._exchanged(self._rows, count, *_QUICK).chosen]
+        return self.pool.q[self._exchanged(self._rows, count, *_QUICK)]
 
     def best(self, count: int, starts: int) -> Array:
         """The best set of so many stations, (count, n): by exchange, then each moved about where it is, as long as the
         exchange among these finds better ones.
         """
-        q = self.pool.q[self._exchanged(self._rows, count, starts).chosen]
+        q = self.pool.q[self._exchanged(self._rows, count, starts)]
         for size in _REFINED:
             moved = np.concatenate([q, self.ground.around(q, (size,), _MOVED, self._rng)])
-            q = moved[self._exchanged(self.outlook.rows(moved), count, begin=np.arange(count)).chosen]
+            q = moved[self._exchanged(self.outlook.rows(moved), count, begin=np.arange(count))]
         return q
 
     def _exchanged(
         self, rows: Array, count: int, starts: int = 1, passes: int = PASSES, begin: np.ndarray | None = None
-    ) -> Exchange:
+    ) -> np.ndarray:
         search = self.outlook.search(rows, self.request.criterion)
         return exchange(search, count, self._rng, starts, passes, begin)
 
