@@ -199,20 +199,21 @@ def uneven(case: Case) -> str:
     )
 
 
-def along_joint(rest: Rest) -> tuple[str, float] | None:
-    """The joint along whose motion most of a rest lies, station by station, and its share; None where base or tool,
-    moved in one direction, account for as much.
+def along(rest: Rest) -> tuple[str, float] | None:
+    """What moves along one direction as most of a rest does, station by station, and its share; None where nothing
+    does, or base or tool alone. What does so as well is named beside it.
     """
     if not _asked(rest):
         return None
-    joints, left = _joints(rest), rest.residual.T
-    bodies = [_Part.of(body.who, _leading(body, left)[None]) for body in _bodies(rest, every=True)]
-    along = _along(left, [*joints, *bodies])
+    left, bodies = rest.residual.T, _bodies(rest, every=True)
+    parts = [*_joints(rest), *(_Part.of(body.who, _leading(body, left)[None]) for body in bodies)]
     # a residual that points anywhere lies along a motion by one part in as many as a reading has components
     chance = 1.0 / max(float(np.mean(np.sum(rest.weight > 0.0, axis=0))), 1.0)
-    best = int(np.argmax(along))
-    share = (along[best] - chance) / (1.0 - chance)
-    return (joints[best].who, share) if best < len(joints) and share > _MOSTLY else None
+    shares = [(share - chance) / (1.0 - chance) for share in _along(left, parts)]
+    named = [part for part, share in zip(parts, shares, strict=True) if share >= _PLAINER * max(shares)]
+    if max(shares) < _MOSTLY or not any(part.unit for part in named):
+        return None
+    return ", or of ".join(f"joint {part.who}" if part.unit else part.who for part in named), max(shares)
 
 
 def _leading(part: _Part, left: Array) -> Array:

@@ -14,7 +14,7 @@ from modcal_core.verdict.case import Case
 from modcal_core.verdict.predictable import MAX_PREDICTABLE, MIN_STATIONS, dependence
 from modcal_core.verdict.rejected import alike, too_many
 from modcal_core.verdict.rest import Rest, rows_asked
-from modcal_core.verdict.scatter import along_joint
+from modcal_core.verdict.scatter import along
 from modcal_core.verdict.verdict import Reason, Verdict
 
 _MAX = 400  # samples, for time; more are thinned evenly
@@ -54,9 +54,9 @@ def _goes_with(judged: Verdict, case: Case) -> Iterator[str]:
     rows = rows_asked(case, _MAX)
     found = dependence(case, rows, float(np.clip(_MOSTLY * share, _MIN_NAMED, _WORTH_NAMING)))
     many = case.samples.select(rows).stations >= MIN_STATIONS
-    along = along_joint(Rest.of(case, rows)) if many else None
-    if along is not None and (found is None or found.share < _HALF * along[1]):
-        yield f"{along[1]:.0%} of what is left lies along the motion of joint {along[0]}, station by station."
+    moved = along(Rest.of(case, rows)) if many else None
+    if moved is not None and (found is None or found.share < _HALF * moved[1]):
+        yield f"{moved[1]:.0%} of what is left lies along the motion of {moved[0]}, station by station."
     elif found is not None:
         yield f"The residual {found.sentence}."
 
