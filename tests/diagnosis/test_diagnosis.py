@@ -258,6 +258,34 @@ def test_a_late_tracker_is_named_not_hidden() -> None:
     assert late.parameters["delay"][0] == pytest.approx(0.004, abs=5e-5)
 
 
+@pytest.mark.parametrize("course", ["drift", "jump"])
+def test_a_clock_that_drifts_or_jumps_is_one_cause(course: str) -> None:
+    """Two crystals that differ by 150 ppm; a clock that is set by 4 ms half way. Neither moves the arm."""
+    clean = streams(60, dwell=0.0)
+    (track,) = clean.readings
+    past = track.stamps - track.stamps.mean()
+    late = 1.5e-4 * past if course == "drift" else 4e-3 * (past > 0.0)
+    samples = prepare(replace(clean, readings=(replace(track, stamps=track.stamps + late),)), ur10()).samples
+    (found,) = (e for e in report_of(samples).effects if e.family != "outliers")  # readings across the jump
+    assert (found.family, found.place) == ("latency", "tracker")
+    size = next(q for name, q in found.parameters.items() if name.startswith(course))
+    assert size[0] == pytest.approx(1.5e-4 if course == "drift" else 4e-3, rel=0.05)
+    assert course in found.sentence.replace("jumped", "jump")
+
+
+@pytest.mark.parametrize(("place", "direction"), [("tracker", "radial"), ("base", "all")])
+def test_a_tracker_or_a_stand_that_follows_a_temperature(place: str, direction: str) -> None:
+    bare, warm = with_signal(recorded(3, nothing), "temperature:hall", 5)
+    samples = replace(recorded(3, nothing), signals=bare.signals)
+    by = samples.reading * 4e-5 if place == "tracker" else np.array([0.0, 0.0, 1e-4])
+    found = only(report_of(replace(samples, reading=samples.reading + warm[:, None] * by)))
+    assert (found.family, found.driver) == ("thermal", "temperature:hall")
+    assert f"{place} {direction} by temperature:hall" in (
+        f"{found.place} {found.direction} by {found.driver}",
+        *found.same_as,
+    )
+
+
 def test_a_clean_motion_comes_out_clean() -> None:
     report = report_of(prepare(streams(60, dwell=0.0), ur10()).samples)
     assert report.effects == ()

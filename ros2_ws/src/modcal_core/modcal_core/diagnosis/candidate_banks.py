@@ -14,6 +14,7 @@ from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, NumberP
 from modcal_core.diagnosis.spectra import Key, Parts
 from modcal_core.effects import (
     AXIS,
+    JOINTS,
     LENGTH,
     PERIODIC,
     STEPS,
@@ -108,7 +109,7 @@ class BankedCandidates:
             return (key,) * len(basis), basis
         keys: list[Key] = []
         for i, several in enumerate(terms):
-            own = f" {i} {sorted(effect.shape.settings.items())}" if len(terms) > 1 else ""
+            own = f" {i} {sorted(effect.shape.settings.items())}" if len(terms) > 1 or effect.shape.settings else ""
             keys.append((several[0].place, effect.direction + effect.driver + own))
             self._composed[keys[-1]] = [(t.place, t.direction, t.size) for t in several]
         return tuple(keys), np.ones((len(keys), len(self.drivers)))
@@ -168,7 +169,7 @@ def _alike(effects: Sequence[Effect]) -> list[list[Effect]]:
     for i, effect in enumerate(effects):
         kind = effect.shape.kind
         repeats = kind in PERIODIC and effect.direction == AXIS
-        begins = kind in STEPS and effect.direction != LENGTH
+        begins = kind in STEPS and effect.direction not in (LENGTH, JOINTS)
         key = (effect.place, effect.direction, effect.driver, kind) if repeats or begins else i
         lists.setdefault(key, []).append(effect)
     return list(lists.values())
