@@ -58,7 +58,7 @@ EFFECTS: dict[str, tuple[Effect, list[float]]] = {
     "ramp": (Effect("drift", WRIST, AXIS, "time", Shape("ramp", {"since": T0})), [1e-6]),
     "bump": (Effect("step", "tool", ALL, "time", Shape("step", {"at": T0 + 150.0})), [3e-4, 0, 1e-4, 0, 5e-4, 0]),
     "latency": (Effect("latency", "tracker", JOINTS, "velocity", Shape("linear")), [4e-3]),
-    "clock": (Effect("latency", "tracker", JOINTS, "velocity", Shape("ramp", {"since": T0 + 100.0})), [2e-5]),
+    "clock": (Effect("latency", "tracker", JOINTS, "clock", Shape("ramp", {"since": T0 + 100.0})), [2e-5]),
     "lag": (Effect("joint_lag", ELBOW, AXIS, "velocity", Shape("linear")), [-6e-3]),
     "curve": (
         Effect("unknown", ELBOW, AXIS, f"position:{WRIST}", Shape("spline", {**SPAN, "count": 8.0})),

@@ -398,7 +398,7 @@ def delay_course(effect: Effect, drivers: Drivers) -> Array:
     """What the amplitude of a delay is multiplied by, (N,): one, or its course over time."""
     if effect.shape.kind == "linear":
         return np.ones(len(drivers))
-    return drivers.basis("time", 0.0, effect.shape)[0]
+    return drivers.basis(effect.driver, 0.0, effect.shape)[0]
 
 
 def _delay(effect: Effect, drivers: Drivers) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modcal_core.calibration import Calibration, Model, averaged, cost_of_holding, outside_drivers
-from modcal_core.effects import JOINTS, STEPS, Effect, NominalArm
+from modcal_core.effects import STEPS, Effect, NominalArm
 from modcal_core.measurements import Samples
 from modcal_core.verdict.grounds import NotApplied
 
@@ -35,7 +35,7 @@ def applicable(calibration: Calibration, samples: Samples) -> Applied:
     stood_in: list[str] = []
     partly: list[str] = []
     for effect, typical in zip(model.effects, map(calibration.typical_of, range(len(model.effects))), strict=True):
-        if effect.direction == JOINTS and effect.shape.kind != "linear":  # how the clocks of its own recording went
+        if effect.driver == "clock":  # how the clocks of its own recording went
             continue
         why, cost = _lacking(effect, calibration, samples), 0.0 if typical is None else 1e6 * typical.cost
         if why is None:

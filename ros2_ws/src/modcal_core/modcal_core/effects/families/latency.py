@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from modcal_core.effects.drivers import Drivers
 from modcal_core.effects.effect import JOINTS, Effect
-from modcal_core.effects.family import Family, ReportEntry
+from modcal_core.effects.family import PLAIN, USUAL, Family, ReportEntry
 from modcal_core.effects.registry import breaks, in_motion, span
 from modcal_core.effects.shapes import Shape
 from modcal_core.effects.sizes import Sizes, settings_of, value
@@ -32,7 +32,14 @@ def candidates(drivers: Drivers) -> Iterator[Effect]:
 
 def late(course: Shape | None = None) -> Effect:
     """Readings that are late; its amplitude is the delay [s], or what its course over time is multiplied by."""
-    return Effect(NAME, "tracker", JOINTS, "velocity", course or Shape("linear"))
+    if course is None:
+        return Effect(NAME, "tracker", JOINTS, "velocity", Shape("linear"))
+    return Effect(NAME, "tracker", JOINTS, "clock", course)
+
+
+def complexity(effect: Effect) -> int:
+    """A constant delay is plainer than one that changes."""
+    return PLAIN if effect.driver == "velocity" else USUAL
 
 
 def sizes(effect: Effect, _: Mechanism) -> Sizes:
@@ -45,17 +52,14 @@ def sizes(effect: Effect, _: Mechanism) -> Sizes:
 
 
 def sentence(entry: ReportEntry) -> str:
-    """The delay in milliseconds, and its course."""
-    said = []
-    for name, (size, _, _) in entry.sizes.items():
-        if name.startswith("delay"):
-            said.append(f"readings are {1e3 * size:.2f} ms late")
-        elif name.startswith("drift"):
-            said.append(f"the clock of the readings drifts against that of the joints by {1e6 * size:.0f} ppm")
-        elif name.startswith("jump"):
-            at = entry.sizes[name.replace("jump", "at")][0]
-            said.append(f"the clock of the readings jumped by {1e3 * size:.2f} ms (stamp {at:.1f} s)")
-    return ", and ".join(said)
+    """The delay in milliseconds, or what the clock did."""
+    if "delay" in entry.sizes:
+        return f"readings are {1e3 * entry.sizes['delay'][0]:.2f} ms late"
+    if "drift" in entry.sizes:
+        size = entry.sizes["drift"][0]
+        return f"the clock of the readings drifts against that of the joints by {1e6 * size:.0f} ppm"
+    size, at = entry.sizes["jump"][0], entry.sizes["at"][0]
+    return f"the clock of the readings jumped by {1e3 * size:.2f} ms (stamp {at:.1f} s)"
 
 
-FAMILY = Family(NAME, candidates, sizes=sizes, sentence=sentence)
+FAMILY = Family(NAME, candidates, complexity=complexity, sizes=sizes, sentence=sentence)
