@@ -14,7 +14,6 @@ from modcal_core.diagnosis.number_banks import GatheredBank, NumberBank, NumberP
 from modcal_core.diagnosis.spectra import Key, Parts
 from modcal_core.effects import (
     AXIS,
-    JOINTS,
     LENGTH,
     PERIODIC,
     STEPS,
@@ -169,7 +168,7 @@ def _alike(effects: Sequence[Effect]) -> list[list[Effect]]:
     for i, effect in enumerate(effects):
         kind = effect.shape.kind
         repeats = kind in PERIODIC and effect.direction == AXIS
-        begins = kind in STEPS and effect.direction not in (LENGTH, JOINTS)
+        begins = kind in STEPS and effect.direction != LENGTH
         key = (effect.place, effect.direction, effect.driver, kind) if repeats or begins else i
         lists.setdefault(key, []).append(effect)
     return list(lists.values())
