@@ -156,7 +156,7 @@ _THOROUGH = 6000, 8  # candidates and starts
 )  # fmt: skip
 @click.option(
     "--stations", type=Whole(min=2),
-    help="Number of stations. Default: half as many again as modcal calibrate needs; with --decide: 16.",
+    help="Number of stations. Default: twice as many as modcal calibrate needs; with --decide: 16.",
 )  # fmt: skip
 @click.option(
     "--accuracy-mm", type=Decimal(min=1e-6), help="Use as many stations as needed for this error of the calibrated arm."
