@@ -388,10 +388,11 @@ def require_enough(samples: Samples, parameters: int, known: int = 0, share: flo
     once.
     """
     equations, postures = _equations(samples)
-    equations, need = share * equations, EQUATIONS_PER_PARAMETER * parameters - known
+    each, need = equations / max(postures, 1), EQUATIONS_PER_PARAMETER * parameters - known
+    equations = each * np.floor(share * postures + 0.5)  # as samples are split
     if equations < need:
         again = postures < samples.stations
-        least = int(np.ceil(need / max(equations / max(postures, 1), 1e-9)))
+        least = int(np.ceil((np.ceil(need / max(each, 1e-9)) - 0.5) / share))
         they = "they" if share == 1.0 else f"the {share:.0%} of them that fit"
         said = f"{they} give {equations:.0f} equations, at least {int(np.ceil(need))} are needed"
         remedy = f"record at least {least} {'different postures' if again else 'stations'}, or fix parameters"

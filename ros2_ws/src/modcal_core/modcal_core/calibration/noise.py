@@ -99,6 +99,9 @@ _FLOOR = 1e-9  # m or rad; exact data must not divide by zero
 # m or rad; what instruments usually leave. It counts as much as a fit takes up of an equation: one that follows the few
 # readings of a kind leaves nothing of them, which says nothing of their noise
 _USUAL = 5e-5
+# times the finest kind's noise, at most: draw wires beside a tracker. A kind that is off by more is none that a fit may
+# leave aside because it does not follow it yet
+_COARSER = 20.0
 
 
 @dataclass(frozen=True)
@@ -245,12 +248,14 @@ def weigh(
         seen = square_p[rows]
         return excess_sigma(seen, known_p[rows], weights[rows], each * directions * len(seen), directions)
 
-    noise = NoiseModel(
-        left(groups.positions, 3),
-        excess_sigma(square_r, known_r, weights[pose], each * 3.0 * len(square_r)),
-        {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()},
-    )
-    return weights, noise
+    position = left(groups.positions, 3)
+    others = {kind: left(rows, kinds()[kind].dimensions) for kind, rows in groups.others.items()}
+    if others:
+        sizes = [*others.values(), *([position] if len(square_p[groups.positions]) else [])]
+        most = _COARSER * max(min(sizes), _USUAL)
+        position, others = min(position, most), {kind: min(size, most) for kind, size in others.items()}
+    turned = excess_sigma(square_r, known_r, weights[pose], each * 3.0 * len(square_r))
+    return weights, NoiseModel(position, turned, others)
 
 
 def row_weights(weights: Array, noise: NoiseModel, samples: Samples) -> Array:

@@ -52,8 +52,7 @@ def _smooth(alike: Array, std: float, rng: np.random.Generator) -> Array:
     low, high = (scipy.special.ndtr((end - alike) / std) for end in (0.0, 1.0))
     none = np.exp(-0.5 * (alike / std) ** 2) / (std * np.sqrt(2.0 * np.pi))
     share = alike + std * scipy.special.ndtri(low + (high - low) * rng.random(len(alike)))
-    is_some = rng.random(len(alike)) * (high - low + none) < high - low
-    return np.where(is_some, np.clip(share, 0.0, 1.0), 0.0)
+    return np.where(rng.random(len(alike)) * (high - low + none) < high - low, np.clip(share, 0.0, 1.0), 0.0)
 
 
 def _distances(a: Array, b: Array) -> Array:

@@ -119,11 +119,11 @@ def claim_at_tool(
     how far they are from where it has them, these alone tell. carried: the model as another recording gets it, where
     that is less.
     """
-    about = arms_near(calibration.calibrated, calibration.nominal.chain, samples, cell)
+    whole = calibration.calibrated
+    about = arms_near(whole, calibration.nominal.chain, samples, cell)
     about = with_carried(about, calibration) if frozen else about
-    claim, drawn = _claim(about, calibration, samples, cell, _Asked(postures, carried))
-    placed = shows_base(samples, _frame(samples))
-    return claim if placed or frozen else replace(claim, known=known(about, drawn))
+    claim, drawn = _claim(about, replace(calibration, calibrated=carried or whole), samples, cell, postures)
+    return claim if frozen or shows_base(samples, _frame(samples)) else replace(claim, known=known(about, drawn))
 
 
 def expected_claim(
@@ -134,15 +134,7 @@ def expected_claim(
     planned: stations with readings of any value. postures: asked for, (M, n) [rad, m]; None: in the planned ranges.
     """
     about = arms_near(calibration.calibrated, calibration.nominal.chain, planned, cell, noise=noise)
-    return _claim(about.unread(), calibration, planned, cell, _Asked(postures))[0]
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """postures: asked for; None: in the recorded ranges. carried: the model as another recording gets it."""
-
-    postures: Array | None = None
-    carried: Model | None = None
+    return _claim(about.unread(), calibration, planned, cell, postures)[0]
 
 
 @dataclass(frozen=True)
@@ -169,14 +161,14 @@ class _Errors:
 
 
 def _claim(
-    about: Neighbourhood, calibration: Calibration, samples: Samples, cell: Cell, asked: _Asked
+    about: Neighbourhood, calibration: Calibration, samples: Samples, cell: Cell, postures: Array | None
 ) -> tuple[Claim, Drawn]:
     rng = np.random.default_rng(_SEED)
     drawn = draw(about, _DRAWS, rng)
     low, high = samples.q.min(axis=0), samples.q.max(axis=0)
-    q = _random(about.model.chain, low, high, rng) if asked.postures is None else asked.postures
+    q = _random(about.model.chain, low, high, rng) if postures is None else postures
     there = _at(about, samples, q if len(q) else samples.q, rng)
-    at = _errors(about, calibration, drawn, there, asked.carried)
+    at = _errors(about, calibration, drawn, there)
     M = len(at.samples)
     joints = _joints(about, at.samples, drawn, cell, rng)
     if about.g.any():  # there are readings
@@ -187,12 +179,12 @@ def _claim(
         angles = at.norms(at.turned)
         deg = {name: _statistic(np.degrees(angles), name) for name in NAMES}
     whole = _random(about.model.chain, *_limits(about.model.chain, low, high), rng)
-    anywhere = len(whole) and _errors(about, calibration, drawn, _at(about, samples, whole, rng), asked.carried).better
+    anywhere = len(whole) and _errors(about, calibration, drawn, _at(about, samples, whole, rng)).better
     ranges = {name: (float(a), float(b)) for name, a, b in zip(samples.names, low, high, strict=True)}
     claim = Claim(
         mm={name: _statistic(1e3 * at.norms(at.calibrated), name) for name in NAMES},
         deg=deg,
-        over="recorded ranges" if asked.postures is None else "postures asked for",
+        over="recorded ranges" if postures is None else "postures asked for",
         shown_mm=_statistic(1e3 * shown, "p95").ci95[1],
         unshown_mm=_statistic(1e3 * at.norms(at.open), "p95").ci95[1],
         nominal_p95=float(np.median(_of(1e3 * at.norms(at.calibrated + at.other), "p95"))),
@@ -204,23 +196,21 @@ def _claim(
     return claim, drawn
 
 
-def _errors(
-    about: Neighbourhood, calibration: Calibration, drawn: Drawn, asked: tuple[Samples, bool], carried: Model | None
-) -> _Errors:
+def _errors(about: Neighbourhood, calibration: Calibration, drawn: Drawn, asked: tuple[Samples, bool]) -> _Errors:
     samples, placed = asked
     J = _without_scale(about, linearise(about.model, about.parameters, about.values, samples).J)
     position, rotation = np.split(J, 2, axis=1)
     apart, _ = _apart(about.model, calibration.nominal.with_effects(()), samples, placed)
-    lost, turned = _apart(about.model, _applied(calibration, carried), samples, placed)
+    lost, turned = _apart(about.model, _applied(calibration), samples, placed)
     P = _unknown(about, drawn, position, samples, placed)
-    move, other, lost = (_clear(rows, P) for rows in (position, apart[None], lost[None]))
+    move, other, lost = (rows - (rows @ P) @ P.T for rows in (position, apart[None], lost[None]))
     calibrated, turned = drawn.values @ move + lost, drawn.values @ rotation + turned
     return _Errors(calibrated, turned, drawn.open @ move, other[0] - lost[0], samples)
 
 
-def _applied(calibration: Calibration, carried: Model | None) -> Model:
+def _applied(calibration: Calibration) -> Model:
     """The model as it predicts, outside of the joint ranges that were seen as well."""
-    model = carried or calibration.calibrated
+    model = calibration.calibrated
     arm = replace(model.arm or NominalArm(calibration.nominal.chain), limits=calibration.driver_limits)
     return replace(model, arm=arm, fallback=model.fallback or calibration.fallback(model, calibration.geometric))
 
@@ -287,7 +277,7 @@ def _apart(model: Model, other: Model, asked: Samples, placed: bool) -> tuple[Ar
     return ((T - drawn)[:, :3, 3] @ R).T.ravel(), (turned @ R).T.ravel()
 
 
-def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, placed: bool) -> Array | None:
+def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, placed: bool) -> Array:
     """An orthonormal basis (3 M, b) of what moves the tool and no reading shows: the base, where no instrument knows
     it, and directions of the tool. J: (K, 3 M).
     """
@@ -302,15 +292,10 @@ def _unknown(about: Neighbourhood, drawn: Drawn, J: Array, asked: Samples, place
         free = np.flatnonzero(about.sort == FREE)
         std = drawn.std[free]
         C = np.linalg.inv(about.equations(drawn.noise)[0][np.ix_(free, free)] * np.outer(std, std) + np.eye(len(free)))
-        own = np.searchsorted(free, tool)
-        size, directions = np.linalg.eigh(C[np.ix_(own, own)] * np.outer(std[own], std[own]))
+        own = np.isin(free, tool)
+        size, directions = np.linalg.eigh((C * np.outer(std, std))[np.ix_(own, own)])
         out += list(directions[:, size > _UNKNOWN_M**2].T @ J[tool])
-    return np.linalg.qr(np.array(out).T)[0] if out else None
-
-
-def _clear(rows: Array, basis: Array | None) -> Array:
-    """Rows (k, 3 M) without what a motion of the base does."""
-    return rows if basis is None else rows - (rows @ basis) @ basis.T
+    return np.linalg.qr(np.array(out).T)[0] if out else np.zeros((3 * len(asked), 0))
 
 
 def _joints(about: Neighbourhood, asked: Samples, drawn: Drawn, cell: Cell, rng: np.random.Generator) -> Array:
