@@ -31,29 +31,11 @@ else:
     __getattr__ = lazy_face(__name__, __file__)
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
-__all__ += [
-    "DISTORTIONS",
-    "FISHEYE",
-    "MARKER_CORNERS",
-    "MIN_CORNERS",
-    "MIN_VIEWS",
-    "NOTHING_KNOWN",
-    "PINHOLE",
-    "POSE",
-    "STATED",
-]
-__all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
-__all__ += [
-    "CameraImages",
-    "CameraProblem",
-    "CameraSolution",
-    "CameraState",
-    "CameraWatch",
-    "CornerTable",
-    "ImageMoments",
-    "Lens",
-]
-__all__ += ["MarkerBundle", "Moved", "PreparedImages", "PrintedTarget", "ReadingsBeside", "ToolError", "beside"]
-__all__ += ["board_poses", "corner_rows", "covered", "distances_of_views", "enough_corners", "first_lens", "fit_lens"]
-__all__ += ["grams", "homography", "plan_images", "read_any_target", "read_target", "solve_camera"]
-__all__ += ["target_from_data", "target_to_data", "tilt_and_distance", "uncertainty_about"]
+__all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE"]
+__all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "STATED", "TAG", "BoardView", "BundleMarker", "CameraCause"]
+__all__ += ["CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState", "CameraWatch"]
+__all__ += ["CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages", "PrintedTarget"]
+__all__ += ["ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered", "distances_of_views"]
+__all__ += ["enough_corners", "first_lens", "fit_lens", "grams", "homography", "plan_images", "read_any_target"]
+__all__ += ["read_target", "solve_camera", "target_from_data", "target_to_data", "tilt_and_distance"]
+__all__ += ["uncertainty_about"]

@@ -37,43 +37,16 @@ else:
 
 __all__ = ["ARMS", "AZIMUTH", "CONSTANTS", "CONVENTIONS", "DELTA_UNITS", "DISTAL", "DOWN", "NO_HASH", "OFFSET"]
 __all__ += ["PARAMETERS", "PROXIMAL", "RATIO", "STANDARD_GRAVITY", "UNITS", "ZERO", "CarryingJoint", "Chain", "Delta"]
-__all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath", "LoadedArm"]
-__all__ += ["Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
+__all__ += ["Drives", "Follower", "Frames", "Hanging", "HeldBehind", "HeldWeight", "Inertias", "JointPath"]
+__all__ += ["LoadedArm", "Mechanism", "NearestTable", "Payload", "Tree", "Window", "bias_torque", "body_jacobian"]
 __all__ += ["calibrated_urdf", "chain_forward", "chain_gravity_wrench", "chain_urdf", "constant_bounds"]
 __all__ += ["delta_from_data", "delta_inverse", "delta_to_data", "document", "equivalent_inertia", "forward"]
-__all__ += [
-    "frames",
-    "from_cpc",
-    "from_csv",
-    "from_dh",
-    "from_table",
-    "from_ur_conf",
-    "from_ur_kinematics",
-    "gravity_wrench",
-]
-__all__ += ["held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
+__all__ += ["frames", "from_cpc", "from_csv", "from_dh", "from_table", "from_ur_conf", "from_ur_kinematics"]
+__all__ += ["gravity_wrench", "held_behind", "inverse", "inverse_batch", "is_delta", "is_serial_arm", "joint_element"]
 __all__ += ["joint_origins", "kinematics_yaml_data", "lacks_hash", "loss", "mass_matrix", "motion", "moved_centres"]
-__all__ += [
-    "nearest_dh",
-    "number",
-    "offset_wrench",
-    "origin_element",
-    "other_tips",
-    "parse",
-    "passable",
-    "payload_wrench",
-]
-__all__ += ["place_jacobian", "plain", "pose_and_jacobian", "position_jacobians", "random_postures", "reachable"]
-__all__ += [
-    "read_chain",
-    "read_drives",
-    "read_inertias",
-    "read_path",
-    "read_rows",
-    "require_method",
-    "rerooted",
-    "ros2_control_offsets",
-]
-__all__ += ["spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table", "tool_frames", "tool_pose"]
-__all__ += ["tool_positions", "torque", "urdf_text", "vector", "weightless", "with_payload", "within_bounds"]
-__all__ += ["within_torque", "xacro_origins"]
+__all__ += ["nearest_dh", "number", "offset_wrench", "origin_element", "other_tips", "parse", "passable"]
+__all__ += ["payload_wrench", "place_jacobian", "plain", "pose_and_jacobian", "position_jacobians", "random_postures"]
+__all__ += ["reachable", "read_chain", "read_drives", "read_inertias", "read_path", "read_rows", "require_method"]
+__all__ += ["rerooted", "ros2_control_offsets", "spatial_jacobian", "takes", "to_cpc", "to_csv", "to_dh", "to_table"]
+__all__ += ["tool_frames", "tool_pose", "tool_positions", "torque", "urdf_text", "vector", "weightless"]
+__all__ += ["with_payload", "within_bounds", "within_torque", "xacro_origins"]

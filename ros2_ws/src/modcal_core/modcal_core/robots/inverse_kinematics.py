@@ -40,7 +40,6 @@ def inverse(
     T_base_tip: ArrayLike,
     seed: ArrayLike,
     mask: ArrayLike = ALL_SIX,
-    weights: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
     restarts: int = 30,
     tolerance: float = TOLERANCE,
@@ -48,19 +47,18 @@ def inverse(
     """Joint positions (n,) [rad, m] within the limits that put the tip at a pose (4, 4) of the base.
 
     seed: posture (n,) to begin from; the solution near it is found, turns counted, where there is one. mask: which of
-    x y z rx ry rz, along and about the axes of the tip as it will be, must be met. weights: of the six, (6,), for the
-    way there. rng: draws the postures of up to ``restarts`` other tries; without it only the seed is tried.
-    tolerance: largest error [m and rad] of what must be met. Raises NotReachable with the smallest error found.
+    x y z rx ry rz, along and about the axes of the tip as it will be, must be met. rng: draws the postures of up to
+    ``restarts`` other tries; without it only the seed is tried. tolerance: largest error [m and rad] of what must be
+    met. Raises NotReachable with the smallest error found.
     """
     goal = np.asarray(T_base_tip, dtype=float)
     wanted = np.flatnonzero(np.asarray(mask, dtype=bool))
-    weight = np.ones(6) if weights is None else np.asarray(weights, dtype=float)
     start = np.asarray(seed, dtype=float)
     assert goal.shape == (4, 4), goal.shape
     assert start.shape == (chain.n,), start.shape
     best, nearest = np.full(6, np.inf), start
     for q in _starts(chain, start, rng, restarts):
-        q, error = _descend(chain, goal, q, wanted, weight[wanted], tolerance)
+        q, error = _descend(chain, goal, q, wanted, tolerance)
         if np.abs(error).max(initial=0.0) <= tolerance:
             return _unwound(chain, q, start)
         if np.linalg.norm(error) < np.linalg.norm(best):
@@ -90,13 +88,11 @@ def _starts(chain: Chain, seed: Array, rng: np.random.Generator | None, restarts
             yield chain.followed(rng.uniform(low, high))
 
 
-def _descend(
-    chain: Chain, goal: Array, q: Array, wanted: np.ndarray, weight: Array, tolerance: float
-) -> tuple[Array, Array]:
+def _descend(chain: Chain, goal: Array, q: Array, wanted: np.ndarray, tolerance: float) -> tuple[Array, Array]:
     """The posture that the steps from q end in, and the error (6,) that is left there, zero where none is wanted."""
     e, J = _linearised(chain, goal, q)
     for _ in range(_MAX_STEPS):
-        r, A = weight * e[wanted], weight[:, None] * J[wanted]
+        r, A = e[wanted], J[wanted]
         if np.abs(e[wanted]).max(initial=0.0) <= tolerance:
             break
         cost = float(r @ r)
@@ -104,7 +100,7 @@ def _descend(
         for _ in range(6):
             new = chain.followed(q + _step(chain, q, A, r, damping))
             e_new, J_new = _linearised(chain, goal, new)
-            left = weight * e_new[wanted]
+            left = e_new[wanted]
             if float(left @ left) < cost:
                 break
             damping = max(30.0 * damping, 1e-6)

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array
+from modcal_core.hypotheses import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, Judged
 from modcal_core.robots import Chain
 from modcal_msgs_py.tables.columns import Body, JointColumns, Numbers
-from modcal_msgs_py.tables.proof import BEYOND_DOUBT, EULER, LENGTHS, MATRIX, QUATERNION, JointCounting, Judged
+from modcal_msgs_py.tables.proof import JointCounting
 
 _COMPUTED = 1e-5  # m; the nominal arm misses no measurement by so little
 _GOAL = 0.1  # of what goal plus or minus deviation leaves: the nominal arm reproduces a goal, rounded as it may be

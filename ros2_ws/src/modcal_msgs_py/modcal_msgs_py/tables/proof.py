@@ -1,4 +1,4 @@
-"""What proves a reading of columns: the nominal arm that fits. All that is asked of the core for it goes through here.
+"""What proves a reading of columns: the nominal arm that fits.
 
 The core compares meanings by a likelihood that single bad rows do not decide. Here are the hypotheses that only a
 table has: joints that it counts otherwise than the robot description, each as a mapping states it; a column that names
@@ -15,44 +15,10 @@ from typing import Any
 import numpy as np
 
 from modcal_core.geometry import Array, so3
-from modcal_core.hypotheses import (
-    BEYOND_DOUBT,
-    EULER,
-    LENGTHS,
-    MATRIX,
-    MIN_ROWS,
-    QUATERNION,
-    HandEye,
-    Judged,
-    Postures,
-    Sighting,
-    SightMatch,
-    Turning,
-    judge,
-    likely_orders,
-    placed,
-    rivals,
-    same_poses,
-    sights_match,
-    turnings,
-)
+from modcal_core.hypotheses import BEYOND_DOUBT, HandEye, Judged, Postures, judge, placed, rivals, same_poses, turnings
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, forward
 from modcal_msgs_py.tables.readings import joint_map
-
-__all__ = [
-    "BEYOND_DOUBT",
-    "EULER",
-    "LENGTHS",
-    "MATRIX",
-    "MIN_ROWS",
-    "QUATERNION",
-    "JointCounting",
-    "Judged",
-    "Postures",
-]
-__all__ += ["SightMatch", "Sighting", "Turning", "astray", "by_target", "corrected", "is_turned", "judge"]
-__all__ += ["likely_orders", "rivals", "same_poses", "sights_match"]
 
 _ROUNDS = 3  # mistakes in how joints are counted that are looked for, one after the other
 _HALF = 0.5  # of what is left, by which the reading that is meant must be better

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,17 @@ import numpy as np
 from modcal_core.errors import BadTable
 from modcal_core.files import to_yaml
 from modcal_core.geometry import Array, se3
+from modcal_core.hypotheses import (
+    LENGTHS,
+    MATRIX,
+    MIN_ROWS,
+    Postures,
+    Turning,
+    judge,
+    likely_orders,
+    rivals,
+    same_poses,
+)
 from modcal_core.measurements import spread_rows
 from modcal_core.robots import Chain, Inertias
 from modcal_msgs_py.tables.beside import OtherColumns, Surroundings, find_beside
@@ -44,20 +56,7 @@ from modcal_msgs_py.tables.fits import (
 )
 from modcal_msgs_py.tables.labels import MEASURED
 from modcal_msgs_py.tables.moments import RowTimes, find_time, stamps_of
-from modcal_msgs_py.tables.proof import (
-    LENGTHS,
-    MATRIX,
-    MIN_ROWS,
-    Postures,
-    Turning,
-    astray,
-    by_target,
-    corrected,
-    judge,
-    likely_orders,
-    rivals,
-    same_poses,
-)
+from modcal_msgs_py.tables.proof import astray, by_target, corrected
 from modcal_msgs_py.tables.readings import rigid_poses
 from modcal_msgs_py.tables.sights import SightColumns, Sighted, find_sights, sight_columns
 from modcal_msgs_py.tables.table import Table
@@ -85,18 +84,8 @@ class Proposal:
         lines = [f"Mapping for modcal import, found out from {source}. Edit it where it is wrong."]
         for name, said in (("Proved", self.proved), ("Assumed", self.assumed)):
             lines += [f"{name}: {sentence}." for sentence in said]
-        return "".join(f"# {part}\n" for line in lines for part in _folded(line)) + to_yaml(self.mapping)
-
-
-def _folded(text: str) -> list[str]:
-    out, line = [], ""
-    for word in text.replace("\n", " ").split(" "):
-        if line and len(line) + len(word) >= _WIDTH:
-            out.append(line)
-            line = f"  {word}"
-        else:
-            line = f"{line} {word}" if line else word
-    return [*out, line]
+        folded = (part for line in lines for part in wrap(line, _WIDTH, subsequent_indent="  ", break_on_hyphens=False))
+        return "".join(f"# {part}\n" for part in folded) + to_yaml(self.mapping)
 
 
 @dataclass(frozen=True)

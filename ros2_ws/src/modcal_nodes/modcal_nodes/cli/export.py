@@ -16,6 +16,7 @@ from rich.console import Console
 from modcal_core.calibration import Calibration, from_data
 from modcal_core.errors import BadTable, about
 from modcal_core.files import read_yaml, to_yaml, write_file
+from modcal_core.geometry import se3
 from modcal_core.robots import (
     CONVENTIONS,
     NO_HASH,
@@ -30,6 +31,7 @@ from modcal_core.robots import (
     lacks_hash,
     loss,
     nearest_dh,
+    parse,
     read_chain,
     read_path,
     ros2_control_offsets,
@@ -44,7 +46,8 @@ from modcal_nodes.io import read_calibration
 _MODELS = ("calibrated", "geometric", "nominal")
 _OF_URDF = ("kinematics", "xacro")  # formats of a URDF's joints, each by itself
 _OFFSETS = "ros2_control"
-_FORMS = (*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS)
+_MOUNT = "mount"
+_FORMS = (*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS, _MOUNT)
 
 
 _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can hold
@@ -54,11 +57,12 @@ _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can h
 class ExportOptions:
     """What is asked of an export. to: one of the formats. which: model of a calibration."""
 
-    to: str = option("Format to write.", type=click.Choice([*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS]), required=True)
+    to: str = option("Format to write.", type=click.Choice(_FORMS), required=True)
     which: str = option("Model of a calibration.", default="calibrated", type=click.Choice(_MODELS))
     tool: bool = option("For a calibration: end at the measured tool, not at the tip link.", default=False)
     base: str | None = option("For a URDF: link where the arm begins.", metavar="LINK")
     tip: str | None = option("For a URDF: link where it ends.", metavar="LINK")
+    link: str | None = option("For mount: the camera's link, such as camera_color_optical_frame.", metavar="LINK")
     largest_offset: float = option("Largest offset in a DH row [m].", default=10.0, type=float)
     nearest: bool = option(
         "For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.", default=False
@@ -81,7 +85,8 @@ def export_command(source: Path, out: Path | None, output: Output, options: Expo
     kinematics and xacro take the joints' origins of a URDF, or of the calibrated.urdf in the folder of a calibration:
     kinematics as the makers' descriptions (Universal Robots, Franka) or xacro.load_yaml read them, xacro as a property
     for a description of your own. ros2_control takes the joint offsets of a calibration: transmissions for the
-    <ros2_control> block of an arm whose controller can take nothing else.
+    <ros2_control> block of an arm whose controller can take nothing else. mount writes, as xacro does, the origin of
+    the joint by which a camera is mounted, so that its --link is where the calibration found the camera.
     """
     form, largest_offset, nearest, unit = options.to, options.largest_offset, options.nearest, options.unit
     if not (0.0 < largest_offset < 1e9):
@@ -91,6 +96,9 @@ def export_command(source: Path, out: Path | None, output: Output, options: Expo
         return
     if form == _OFFSETS:
         output.result(*_written_offsets(source, out))
+        return
+    if form == _MOUNT:
+        output.result(*_written_mount(source, options.link, out))
         return
     chain, left_out = _read(source, options)
     if form == "urdf":
@@ -212,6 +220,30 @@ def _written_offsets(source: Path, out: Path | None) -> tuple[dict[str, Any], Ca
     out = out or Path(f"{source.resolve().stem}_{_OFFSETS}.xml")
     write_file(out, ros2_control_offsets(offsets, said))
     return told(out, chain, None, notes)
+
+
+def _written_mount(
+    source: Path, link: str | None, out: Path | None
+) -> tuple[dict[str, Any], Callable[[Console], None]]:
+    """Write the origin of the joint by which a camera is mounted on the tip, or beside the arm, and say so."""
+    if link is None or not source.is_dir():
+        raise BadTable(f"--to {_MOUNT}", "needs the folder of a calibration and the camera's link", "give --link LINK")
+    model = read_calibration(source).calibrated
+    chain, tree = model.serial, parse((source / "calibrated.urdf").read_text(encoding="utf-8"))
+    above, held = tree.link(link), list[str]()
+    while above in tree.above and above not in (chain.tip, chain.base) and not tree.above[above].moves:
+        held.append(tree.above[above].name)
+        above = tree.above[above].parent
+    if not held or above not in (chain.tip, chain.base):
+        said = f"hangs by fixed joints on neither {chain.tip} nor {chain.base}"
+        raise BadTable(f"--link {link}", said, "give the camera's link, or calibrate with the --tip that carries it")
+    mount, *behind = tree.path(above, link)
+    T = model.T_tip_tool if above == chain.tip else se3.inverse(model.T_frame_base[0])
+    for joint in reversed(behind):
+        T = T @ se3.inverse(joint.T_parent_joint)
+    out = out or Path(f"{source.resolve().stem}_{_MOUNT}.xacro")
+    write_file(out, xacro_origins({mount.name: T}))
+    return told(out, chain)
 
 
 def _read(source: Path, options: ExportOptions) -> _Source:
