@@ -27,8 +27,8 @@ from modcal_core.camera.corners import (
     corner_rows,
     grams,
 )
-from modcal_core.camera.descent import damped, downhill
 from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
+from modcal_core.camera.intrinsics import damped
 from modcal_core.camera.lens import Lens
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
@@ -45,7 +45,7 @@ _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
 _ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400  # many times what a search takes
-_MET = 0.005  # of −2 log likelihood, which moves by 1 at a standard deviation
+_DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
 _ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
 
 
@@ -95,10 +95,8 @@ def likeliest(
         first = minimize(misfit, first, method="Nelder-Mead", options=options).x
     else:
         first = min(around, key=misfit)
-    bounds = _MIN[unknown], _MAX[unknown]
-    # where the data say nothing of a size, what is usual still does
-    found = downhill(misfit, first, *bounds, 2.0 / _FACTOR[unknown] ** 2, _MET, _EVALUATIONS)
-    return Sizes.of_logs(inside(found))
+    bounds = list(zip(_MIN[unknown], _MAX[unknown], strict=True))
+    return Sizes.of_logs(inside(minimize(misfit, first, method="L-BFGS-B", bounds=bounds, options=_DOWNHILL).x))
 
 
 _STEPS = 30  # at the same sizes
