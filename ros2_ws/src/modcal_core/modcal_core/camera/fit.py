@@ -45,6 +45,7 @@ _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
 _ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400  # many times what a search takes
+_NO_SIZES = 1e12  # of −2 log likelihood
 _DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
 _ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
 
@@ -86,7 +87,11 @@ def likeliest(
     def misfit(logs: Array) -> float:
         full = inside(logs)
         sizes = Sizes.of_logs(full)
-        return misfit_of(equations.solve(sizes)) + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
+        try:
+            found = misfit_of(equations.solve(sizes))
+        except np.linalg.LinAlgError:  # far beyond what errors are, rounding is all that is left of an equation
+            found = _NO_SIZES
+        return found + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
     around = np.vstack([first, first + np.eye(len(first))])
