@@ -210,9 +210,8 @@ def test_flange_poses_place_camera_and_target() -> None:
     assert np.abs(chain_forward(flange_arm(), q) - A).max() < 1e-12
     table = CornerTable.of(s.views, s.board)
     found = find_mounting(A, board_poses(table, s.lens, FLAT))
-    arm = arm_poses(
-        flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip, (), True
-    )
+    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
+    arm = replace(arm, parameters=arm.placed, faults=None)
     assert not arm.of_arm.any()
     fit = fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
     assert fit.converged

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
     from modcal_core.camera.causes import CameraCause
     from modcal_core.camera.claim import ALL_BUT_IMAGES, ToolError
-    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE
+    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, SHAPE_NAMES
     from modcal_core.camera.corners import CameraState, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
@@ -32,7 +32,7 @@ else:
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
 __all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE", "POSE"]
-__all__ += ["READOUT", "SCALE", "SHAPE", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
+__all__ += ["READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "TAG", "BoardView", "BundleMarker", "CameraCause", "CameraFit"]
 __all__ += [
     "CameraImages",
     "CameraProblem",

@@ -23,7 +23,6 @@ from modcal_core.camera.corners import (
     CameraState,
     CommonPrior,
     CornerTable,
-    common_names,
     corner_rows,
     grams,
 )
@@ -192,11 +191,6 @@ class CameraFit:
         solved = equations.solve(sizes)
         return solved, misfit_of(solved) + usual(sizes)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the rows of the covariance."""
-        return (*self.poses.names, *common_names(self.state.lens, self.table))
-
 
 def fit_camera(
     table: CornerTable,
@@ -210,7 +204,7 @@ def fit_camera(
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    state = CameraState(poses.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
+    state = CameraState(poses.values.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
     afar = sizes == START
     if poses.faults is not None and poses.faults.stated is not None:
         sizes = replace(sizes, arm=poses.faults.stated)
@@ -244,8 +238,8 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     cameras += [camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
     return Equations(
         tuple(cameras),
-        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
-        block_diag(poses.information, np.array([[CLOCK_S**-2]]), prior.information),
+        np.r_[state.values - poses.values.mean, state.offset_s, state.common - prior.mean],
+        block_diag(poses.values.information, np.array([[CLOCK_S**-2]]), prior.information),
         free,
         np.flatnonzero(poses.of_arm),
         poses.rows_beside(state.values, P + 1),
