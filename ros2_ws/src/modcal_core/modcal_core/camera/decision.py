@@ -60,7 +60,7 @@ class Decision:
 
 
 @dataclass(frozen=True)
-class Grounds:
+class DecisionGrounds:
     """What a decision is made from beside the errors at the tool.
 
     metric: whether anything states a length beyond the arm's own drawing. problems: what contradicts the fit. stated_m:
@@ -77,7 +77,7 @@ class Grounds:
     body: bool = False
 
 
-def decide(error: ToolError, on: Grounds) -> Decision:
+def decide(error: ToolError, on: DecisionGrounds) -> Decision:
     """The decision over the postures that were asked for."""
     worse = error.chance_worse
     middle, _, high = error.interval
@@ -162,7 +162,7 @@ def size_open(
     if target.scale.measured:
         what = "sheet" if isinstance(target, PrintedTarget) else "body"
         likeliest_doubt = max(doubted, key=lambda d: d.counted).what == SIZE
-        if likeliest_doubt and decide(error.as_stated, Grounds(stated_m=arm_m)).word == APPLY:
+        if likeliest_doubt and decide(error.as_stated, DecisionGrounds(stated_m=arm_m)).word == APPLY:
             again = f"measure the {what} again"
             if target.scale.unsaid:
                 again = "read both rulers again, and state how well (--measured-to-mm)"

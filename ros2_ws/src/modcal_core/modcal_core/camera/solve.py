@@ -22,7 +22,7 @@ from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE
 from modcal_core.camera.decision import (
     CANNOT_TELL,
     Decision,
-    Grounds,
+    DecisionGrounds,
     contradictions,
     decide,
     in_doubt,
@@ -209,7 +209,7 @@ def _claim(
     doubtful += () if rests is None else (rests.sentence(errors[0].nominal_interval[0], body),)
     judged = 2 if body else 0  # fixed cameras and a body are there for the arm, wherever they stand
     size = size_open(target, doubted, errors[judged], shared, problem.arm_m)
-    grounds = Grounds(bool(metric), against, problem.arm_m, doubtful, size, body)
+    grounds = DecisionGrounds(bool(metric), against, problem.arm_m, doubtful, size, body)
     decision = decide(errors[judged], grounds)
     # the size decides: what is said holds either way
     if metric and decision.word == CANNOT_TELL and target.scale.measured:
