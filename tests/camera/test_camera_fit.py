@@ -15,7 +15,7 @@ from finite_differences import assert_jacobian
 from modcal_core.calibration.linearisation import linearise
 from modcal_core.calibration.parameters import View, ordered_candidates
 from modcal_core.camera.arm_poses import arm_poses
-from modcal_core.camera.claim import ALL_BUT_IMAGES
+from modcal_core.camera.claim import ALL_BUT_IMAGES, AS_STATED, arm_draws
 from modcal_core.camera.corners import FIXED, CornerTable, common_prior, corner_rows
 from modcal_core.camera.decision import APPLY, DO_NOT_APPLY
 from modcal_core.camera.equations import Sizes
@@ -210,9 +210,8 @@ def test_flange_poses_place_camera_and_target() -> None:
     assert np.abs(chain_forward(flange_arm(), q) - A).max() < 1e-12
     table = CornerTable.of(s.views, s.board)
     found = find_mounting(A, board_poses(table, s.lens, FLAT))
-    arm = arm_poses(
-        flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip, (), True
-    )
+    arm = arm_poses(flange_arm(), q, np.zeros_like(q), found.T_frame_base, found.T_tip_tool, found.camera_on_tip)
+    arm = replace(arm, parameters=arm.placed, faults=None)
     assert not arm.of_arm.any()
     fit = fit_camera(table, arm, common_prior(s.lens, s.board.scale), s.lens)
     assert fit.converged
@@ -229,3 +228,14 @@ def test_an_arm_behind_a_fisheye() -> None:
     assert r.fit.state.lens.model == FISHEYE
     assert r.fit.state.lens.values[8] == 0.0
     assert np.abs(r.fit.state.lens.values[:2] / wide.values[:2] - 1.0).max() < 0.005
+
+
+def test_draws_of_an_arm_of_stated_faults_are_those_of_the_fit() -> None:
+    """There the law is normal, with the covariance of all faults brought to the parameters of the fit."""
+    fit = solved(images(True), arm_m=5e-3, look_for_effects=False).fit
+    values, chance = arm_draws(fit, np.random.default_rng(0)).values[AS_STATED]
+    assert chance == 1.0
+    P = fit.poses.count
+    std = np.sqrt(np.diag(fit.covariance)[:P])
+    assert values.std(axis=0) / std == pytest.approx(np.ones(P), abs=0.15)
+    assert np.abs(values.mean(axis=0) / std).max() < 0.2

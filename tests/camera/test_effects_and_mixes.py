@@ -95,7 +95,7 @@ def test_derivatives_of_rows_beside_images(with_effect: bool) -> None:
     if with_effect:
         j = s.chain.names[3]
         arm = arm.with_effects([Effect("gear_ratio", j, "axis", f"position:{j}", Shape("linear"), np.array([1e-3]))])
-    at = arm.start + 1e-3 * np.random.default_rng(0).normal(size=arm.count)
+    at = arm.values.start + 1e-3 * np.random.default_rng(0).normal(size=arm.count)
     rows = arm.rows_beside(at, arm.count)
     assert rows is not None
     other = arm.rows_beside(at, arm.count + 15)
@@ -108,7 +108,9 @@ def test_derivatives_of_rows_beside_images(with_effect: bool) -> None:
         return -there.residual
 
     # residuals are taken as seen from the root, which a frame's own turn moves: its shifts are enough here
-    free = [i for i, name in enumerate(arm.names) if not name.startswith("beside frame")]
+    assert arm.beside is not None
+    turned = [p.name.startswith("frame ") for p in arm.beside.own]
+    free = np.flatnonzero(~np.r_[np.zeros(arm.of_model, bool), turned])
 
     def partly(v: Array) -> Array:
         whole = at.copy()

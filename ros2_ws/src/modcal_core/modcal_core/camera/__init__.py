@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from modcal_core.camera.bundle import BundleMarker, MarkerBundle, PrintedTarget
     from modcal_core.camera.causes import CameraCause
     from modcal_core.camera.claim import ALL_BUT_IMAGES, ToolError
-    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE
+    from modcal_core.camera.corners import COMMON, POSE, READOUT, SCALE, SHAPE, SHAPE_NAMES
     from modcal_core.camera.corners import CameraState, CornerTable, corner_rows, grams
     from modcal_core.camera.fit import CameraFit, uncertainty_about
     from modcal_core.camera.intrinsics import board_poses, first_lens, fit_lens, homography
@@ -32,10 +32,10 @@ else:
 
 __all__ = ["ALL_BUT_IMAGES", "APPLY", "APRIL_GRID", "ARUCO_GRID", "CANNOT_TELL", "CHARUCO", "CHESSBOARD", "COMMON"]
 __all__ += ["DISTORTIONS", "FISHEYE", "MARKER_CORNERS", "MIN_CORNERS", "MIN_VIEWS", "NOTHING_KNOWN", "PINHOLE"]
-__all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "STATED", "TAG", "BoardView", "BundleMarker", "CameraCause"]
-__all__ += ["CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState", "CameraWatch"]
-__all__ += ["CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages", "PrintedTarget"]
-__all__ += ["ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered", "distances_of_views"]
-__all__ += ["enough_corners", "first_lens", "fit_lens", "grams", "homography", "plan_images", "read_any_target"]
-__all__ += ["read_target", "solve_camera", "target_from_data", "target_to_data", "tilt_and_distance"]
-__all__ += ["uncertainty_about"]
+__all__ += ["POSE", "READOUT", "SCALE", "SHAPE", "SHAPE_NAMES", "STATED", "TAG", "BoardView", "BundleMarker"]
+__all__ += ["CameraCause", "CameraFit", "CameraImages", "CameraProblem", "CameraSolution", "CameraState"]
+__all__ += ["CameraWatch", "CornerTable", "ImageMoments", "Lens", "MarkerBundle", "Moved", "PreparedImages"]
+__all__ += ["PrintedTarget", "ReadingsBeside", "ToolError", "beside", "board_poses", "corner_rows", "covered"]
+__all__ += ["distances_of_views", "enough_corners", "first_lens", "fit_lens", "grams", "homography", "plan_images"]
+__all__ += ["read_any_target", "read_target", "solve_camera", "target_from_data", "target_to_data"]
+__all__ += ["tilt_and_distance", "uncertainty_about"]

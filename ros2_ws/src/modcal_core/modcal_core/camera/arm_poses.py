@@ -35,7 +35,7 @@ from modcal_core.calibration import (
     model_at,
     ordered_candidates,
 )
-from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable, common_names
+from modcal_core.camera.corners import CLOCK_S, CameraState, CommonPrior, CornerTable
 from modcal_core.camera.other_readings import BesideRows, ReadingsBeside
 from modcal_core.effects import Drivers, Effect, NominalArm, prior_stds
 from modcal_core.geometry import Array, se3, so3
@@ -141,6 +141,20 @@ _MOVING = 1e-3  # rad/s, m/s; below, a clock shows nothing
 
 
 @dataclass(frozen=True)
+class ValuePrior:
+    """start: of values, in a fit (V,). mean, information: of their prior, (V,) and (V, V)."""
+
+    start: Array
+    mean: Array
+    information: Array
+
+    @classmethod
+    def of(cls, std: Array) -> ValuePrior:
+        """Deviations of which nothing is known but how large they usually are."""
+        return cls(np.zeros(len(std)), np.zeros(len(std)), np.diag(std**-2))
+
+
+@dataclass(frozen=True)
 class ArmPoses:
     """The arm at N images. model: base and tool as found first, and the effects that it has. parameters: what a fit may
     change besides the effects. q: (N, n).
@@ -180,13 +194,6 @@ class ArmPoses:
         return tuple(p for p in self.parameters if not p.of_arm)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the P values."""
-        effects = [f"{e.label}/{i}" for e in self.model.effects for i in range(len(e.values))]
-        others = self.beside.names if self.beside else ()
-        return (*(p.name for p in self.parameters), *effects, *others, *(n for c in self.further for n in c.names))
-
-    @property
     def count(self) -> int:
         """P."""
         return self.of_model + self._of_beside + sum(len(c.own) for c in self.further)
@@ -200,29 +207,19 @@ class ArmPoses:
         """How many of the values are those of the arm's model: its parameters and its effects."""
         return len(self.parameters) + sum(len(e.values) for e in self.model.effects)
 
-    @property
-    def start(self) -> Array:
-        """The values to begin with, (P,): no deviation, effects as they are in the model."""
-        effects = [e.values for e in self.model.effects]
-        further = [c.start for c in self.further]
-        return np.concatenate([np.zeros(len(self.parameters)), *effects, np.zeros(self._of_beside), *further])
-
-    @property
-    def expected(self) -> Array:
-        """What each value is expected to be, (P,): nothing, settings of effects as they were found."""
-        out = [np.zeros(len(self.parameters))]
-        for effect in self.model.effects:
-            linear = len(effect.amplitudes)
-            out.append(np.r_[np.zeros(linear), effect.values[linear:]])
-        return np.concatenate([*out, np.zeros(self._of_beside), *(c.expected for c in self.further)])
-
-    @property
-    def information(self) -> Array:
-        """Information of the prior, (P, P). Base and tool are free; ``faults`` refines that of the arm."""
+    @cached_property
+    def values(self) -> ValuePrior:
+        """What is expected of the P values. Base and tool are free; ``faults`` refines what is expected of the arm."""
         own = [p.prior_std if p.of_arm else (FREE_RAD if p.turns else FREE_M) for p in self.parameters]
-        effects = [prior_stds(e, self.drivers()) for e in self.model.effects]
-        std = np.concatenate([np.array(own, dtype=float), *effects, self.beside.prior_std if self.beside else []])
-        return np.asarray(block_diag(np.diag(std**-2), *(one.information for one in self.further)))
+        parts = [ValuePrior.of(np.array(own, dtype=float))]
+        for effect in self.model.effects:  # settings are expected to be as they were found
+            settings = np.where(np.arange(len(effect.values)) < len(effect.amplitudes), 0.0, effect.values)
+            parts.append(replace(ValuePrior.of(prior_stds(effect, self.drivers())), start=effect.values, mean=settings))
+        if self.beside is not None:
+            parts.append(ValuePrior.of(self.beside.prior_std))
+        parts += [one.values for one in self.further]
+        start, mean = (np.concatenate(each) for each in zip(*((p.start, p.mean) for p in parts), strict=True))
+        return ValuePrior(start, mean, block_diag(*(p.information for p in parts)))
 
     @property
     def moves(self) -> bool:
@@ -368,7 +365,7 @@ def with_stated(poses: ArmPoses, error_m: float | None) -> ArmPoses:
     arm, faults = poses.of_arm, poses.faults
     if error_m is None or faults is None:
         return poses
-    _, motions = poses.at_postures(poses.q).tool_motions(poses.start)
+    _, motions = poses.at_postures(poses.q).tool_motions(poses.values.start)
     J = motions[:, :3].reshape(-1, motions.shape[2])
     basis, singular, _ = np.linalg.svd(J[:, ~arm], full_matrices=False)
     basis = basis[:, singular > 1e-9 * singular[0]]
@@ -400,28 +397,12 @@ class FurtherCamera:
         return np.r_[placed, np.full(int(self.poses.moves), P), P + 1 + common].astype(int)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of what it has of its own."""
-        every = (*(p.name for p in self.poses.parameters), *common_names(self.begin.lens, self.table))
-        return tuple(f"{self.name} {every[i]}" for i in self.own)
-
-    @property
-    def start(self) -> Array:
-        """The values of its own to begin with."""
-        return np.asarray(_vector(self.begin)[self.own])
-
-    @property
-    def expected(self) -> Array:
-        """What these are expected to be: places where they were found first."""
-        P = len(self.poses.parameters)
-        return np.asarray(np.r_[np.zeros(P + 1), self.prior.mean][self.own])
-
-    @property
-    def information(self) -> Array:
-        """Information of the prior of its own values."""
-        P = len(self.poses.parameters)
-        whole = block_diag(self.poses.information[:P, :P], np.array([[CLOCK_S**-2]]), self.prior.information)
-        return np.asarray(whole[np.ix_(self.own, self.own)])
+    def values(self) -> ValuePrior:
+        """What is expected of its own values: places where they were found first."""
+        P, own = len(self.poses.parameters), self.own
+        whole = block_diag(self.poses.values.information[:P, :P], np.array([[CLOCK_S**-2]]), self.prior.information)
+        mean = np.r_[np.zeros(P + 1), self.prior.mean]
+        return ValuePrior(_vector(self.begin)[own], mean[own], whole[np.ix_(own, own)])
 
     def at(self, first: ArmPoses, state: CameraState, place: int) -> tuple[np.ndarray, CameraState]:
         """(where each of its parameters, the effects, clock, lens, shape, readout and places stand among those of all,

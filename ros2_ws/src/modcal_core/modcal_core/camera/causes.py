@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from modcal_core.calibration import Model, RowView
-from modcal_core.camera.corners import POSE
+from modcal_core.camera.corners import POSE, CornerTable
 from modcal_core.camera.fit import CameraFit, equations_at, fit_camera, missed_pixels
 from modcal_core.camera.mounting import MIN_VIEWS
 from modcal_core.diagnosis import SIGNIFICANT, EffectChoice, NumberBank, Scanner, Space, choose
@@ -188,19 +188,36 @@ def _with(fit: CameraFit, effect: Effect) -> CameraFit:
     return fit_camera(fit.table, poses, fit.prior, begin, fit.sizes)
 
 
+def _unseen(fit: CameraFit, part: int) -> tuple[np.ndarray, CornerTable, Array]:
+    """(every fourth image, mask (N,); its corners; how far these are from where a fit of the others has them [px])."""
+    held = np.arange(fit.table.views) % _PARTS == part
+    table = fit.table.select(held)
+    return held, table, missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
+
+
+def _parted(fit: CameraFit) -> bool:
+    """Whether enough images are left without every fourth."""
+    N = fit.table.views
+    return N >= _PARTS and N - -(-N // _PARTS) >= MIN_VIEWS
+
+
+def held_out(*fits: CameraFit) -> tuple[float, ...]:
+    """RMS of each fit on every fourth image, fitted to the others at the same sizes [px]; NaN for too few images."""
+    if not _parted(fits[0]):
+        return (float("nan"),) * len(fits)
+    return tuple(table.rms(gap) for _, table, gap in (_unseen(fit, _PARTS - 1) for fit in fits))
+
+
 def predicted(fit: CameraFit) -> float:
     """Mean square of the residuals [px²] of every fourth image, and so on, predicted from fits of the others.
 
     Each image counts by no more than a few times the median, so that none rules alone. NaN for too few images.
     """
-    N = fit.table.views
-    if N - -(-N // _PARTS) < MIN_VIEWS:
+    if not _parted(fit):
         return float("nan")
-    square = np.empty(N)
+    square = np.empty(fit.table.views)
     for part in range(_PARTS):
-        held = np.arange(N) % _PARTS == part
-        table = fit.table.select(held)
-        gap = missed_pixels(table, fit.poses.select(held), fit.of_part(~held).state)
+        held, table, gap = _unseen(fit, part)
         total = np.bincount(table.view, table.weight * (gap**2).sum(1), table.views)
         square[held] = total / np.maximum(np.bincount(table.view, table.weight, table.views), 1.0)
     return float(np.minimum(square, 25.0 * np.median(square)).mean())

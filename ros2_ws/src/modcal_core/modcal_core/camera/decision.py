@@ -110,7 +110,6 @@ _MANY_OUT = 0.05  # share of images left out beyond which a verdict is open (ver
 _CORNERS_OUT = 0.05  # share of corners left out beyond which the target is another
 _UNSTEADY = 2e-3  # rad (or m) a joint that an image differs from the fit: ten times what gears and springs do
 _MOSTLY = 0.5  # of the mean square error at the tool
-_SCALE_SIGMAS = 4.0  # by how many standard deviations the sheet's size may differ from what is stated of it
 
 
 def problems(
@@ -118,7 +117,6 @@ def problems(
     nominal: CameraFit,
     change: FoundChange | None,
     wrong: tuple[str, ...],
-    target: CalibrationTarget,
 ) -> tuple[str, ...]:
     """What contradicts the fit, in sentences. wrong: statements that images contradict."""
     out = [] if fit.converged and nominal.converged else ["The fit did not reach its minimum."]
@@ -134,15 +132,6 @@ def problems(
         return tuple(out)
     if fit.table.left_out > _CORNERS_OUT:
         out.append(f"{100.0 * fit.table.left_out:.0f} % of all corners fit no flat target of the stated form.")
-    for i, axis in enumerate("" if wrong else "xy"):
-        off = fit.state.shape[i] - (getattr(target.scale, axis) - 1.0)
-        usual = np.hypot(target.scale.std, 0.5 * target.scale.std_apart)
-        if abs(off) > _SCALE_SIGMAS * usual:
-            std = float(np.sqrt(fit.covariance.diagonal()[fit.poses.count + 1 + LENS + i]))
-            out.append(
-                f"The sheet is {100.0 * off:+.1f} ± {100.0 * std:.1f} % off its stated size along {axis}: measure a "
-                "square, and check the target file."
-            )
     return tuple(out)
 
 

@@ -23,12 +23,11 @@ from modcal_core.camera.corners import (
     CameraState,
     CommonPrior,
     CornerTable,
-    common_names,
     corner_rows,
     grams,
 )
-from modcal_core.camera.descent import damped, downhill
 from modcal_core.camera.equations import ALONE, CameraRows, Equations, Sizes, SolvedEquations
+from modcal_core.camera.intrinsics import damped
 from modcal_core.camera.lens import Lens
 from modcal_core.geometry import Array, se3
 from modcal_core.measurements import POSE
@@ -45,7 +44,8 @@ _MIN = np.log([0.02, 1e-7, 1e-7, 1e-3, 1e-7, 0.1, 1e-3])
 _MAX = np.log([50.0, 0.03, 0.03, 5.0, 0.03, 10.0, 30.0])
 _ARM, _OTHER, _LENGTHS, _PLACES = 3, 4, 5, 6
 _EVALUATIONS = 400  # many times what a search takes
-_MET = 0.005  # of −2 log likelihood, which moves by 1 at a standard deviation
+_NO_SIZES = 1e12  # of −2 log likelihood
+_DOWNHILL: Any = {"ftol": 1e-7, "gtol": 0.02, "eps": 1e-4}  # −2 log likelihood moves by 1 at a standard deviation
 _ROUGH, _ROUGHLY = 2.0, 0.3  # the same, and of logarithms, where the search from afar may end
 
 
@@ -86,7 +86,11 @@ def likeliest(
     def misfit(logs: Array) -> float:
         full = inside(logs)
         sizes = Sizes.of_logs(full)
-        return misfit_of(equations.solve(sizes)) + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
+        try:
+            found = misfit_of(equations.solve(sizes))
+        except np.linalg.LinAlgError:  # far beyond what errors are, rounding is all that is left of an equation
+            found = _NO_SIZES
+        return found + usual(sizes) + float(np.abs(logs - full[unknown]).sum())
 
     first = known[unknown]
     around = np.vstack([first, first + np.eye(len(first))])
@@ -95,10 +99,8 @@ def likeliest(
         first = minimize(misfit, first, method="Nelder-Mead", options=options).x
     else:
         first = min(around, key=misfit)
-    bounds = _MIN[unknown], _MAX[unknown]
-    # where the data say nothing of a size, what is usual still does
-    found = downhill(misfit, first, *bounds, 2.0 / _FACTOR[unknown] ** 2, _MET, _EVALUATIONS)
-    return Sizes.of_logs(inside(found))
+    bounds = list(zip(_MIN[unknown], _MAX[unknown], strict=True))
+    return Sizes.of_logs(inside(minimize(misfit, first, method="L-BFGS-B", bounds=bounds, options=_DOWNHILL).x))
 
 
 _STEPS = 30  # at the same sizes
@@ -189,11 +191,6 @@ class CameraFit:
         solved = equations.solve(sizes)
         return solved, misfit_of(solved) + usual(sizes)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the rows of the covariance."""
-        return (*self.poses.names, *common_names(self.state.lens, self.table))
-
 
 def fit_camera(
     table: CornerTable,
@@ -207,7 +204,7 @@ def fit_camera(
 
     sizes: to begin with. fixed_sizes: take the sizes as they are.
     """
-    state = CameraState(poses.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
+    state = CameraState(poses.values.start, 0.0, begin, prior.shape) if isinstance(begin, Lens) else begin
     afar = sizes == START
     if poses.faults is not None and poses.faults.stated is not None:
         sizes = replace(sizes, arm=poses.faults.stated)
@@ -241,8 +238,8 @@ def equations_at(table: CornerTable, poses: ArmPoses, prior: CommonPrior, state:
     cameras += [camera_rows(one.table, one.poses, there, columns) for one, columns, there in poses.further_at(state)]
     return Equations(
         tuple(cameras),
-        np.r_[state.values - poses.expected, state.offset_s, state.common - prior.mean],
-        block_diag(poses.information, np.array([[CLOCK_S**-2]]), prior.information),
+        np.r_[state.values - poses.values.mean, state.offset_s, state.common - prior.mean],
+        block_diag(poses.values.information, np.array([[CLOCK_S**-2]]), prior.information),
         free,
         np.flatnonzero(poses.of_arm),
         poses.rows_beside(state.values, P + 1),

@@ -46,10 +46,15 @@ ELSEWHERE = "far from where the arm has it"
 def corner_weights(table: CornerTable, lens: Lens, shape: Array, T_camera_target: Array) -> Array:
     """1 for corners that agree with the pose of the target in their own image, or nearly, else 0, (M,)."""
     rows = corner_rows(table, lens, shape, T_camera_target)
-    size = np.abs(rows.residual)
-    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
-    agrees = (size <= _CORNER * max(float(sigma), 1e-9)) | (np.abs(rows.pixels) <= _CORNER_PX)
+    agrees = _agreeing(table, rows.residual) | (np.abs(rows.pixels) <= _CORNER_PX)
     return np.where(agrees.all(axis=1), table.weight, 0.0)
+
+
+def _agreeing(table: CornerTable, residual: Array) -> np.ndarray:
+    """Which whitened residuals (M, 2) are no larger than those of the corners in use."""
+    size = np.abs(residual)
+    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
+    return np.asarray(size <= _CORNER * max(float(sigma), 1e-9))
 
 
 def enough_corners(points: Array) -> bool:
@@ -125,9 +130,8 @@ def point_weights(fit: CameraFit) -> Array:
     rows = corner_rows(table, fit.state.lens, fit.state.shape, fit.poses.seen(fit.tool), fit.state.readout_s)
     G = fit.equations.cameras[0].grams / fit.sizes.noise**2
     own = (fit.equations.solve(fit.sizes).S @ G[:, :POSE, -1:])[:, :, 0]  # its twist, as likely as it is
-    size = np.abs(rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0])
-    sigma = _TO_SIGMA * np.median(size[table.weight > 0.0])
-    return np.asarray((size <= _CORNER * max(float(sigma), 1e-9)).all(axis=1), dtype=float)
+    residual = rows.residual - (rows.by_pose @ own[table.view][:, :, None])[:, :, 0]
+    return np.asarray(_agreeing(table, residual).all(axis=1), dtype=float)
 
 
 def far_markers(fit: CameraFit) -> np.ndarray:

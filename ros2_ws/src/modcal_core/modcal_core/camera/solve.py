@@ -15,7 +15,7 @@ import numpy as np
 from modcal_core.calibration import Model, least_change
 from modcal_core.camera.arm_poses import FurtherCamera, with_stated
 from modcal_core.camera.bundle import CalibrationTarget, MarkerBundle
-from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, hidden_springs
+from modcal_core.camera.causes import CameraCause, HiddenSpring, find_causes, held_out, hidden_springs
 from modcal_core.camera.changes import FoundChange, find_change
 from modcal_core.camera.claim import RestsOn, ToolError, arm_draws, rests_on, shares, tool_error
 from modcal_core.camera.corners import BOW, COMMON, FREE, READOUT, SCALE
@@ -33,7 +33,6 @@ from modcal_core.camera.decision import (
 )
 from modcal_core.camera.fit import CameraFit, fit_camera
 from modcal_core.camera.images import CameraImages, PreparedImages, together
-from modcal_core.camera.mounting import held_out
 from modcal_core.camera.other_readings import MIN, ReadingsBeside
 from modcal_core.camera.outliers import LeftOutPoints, first_fit, left_out_points
 from modcal_core.camera.prepared import prepare_images
@@ -96,7 +95,7 @@ class CameraClaim:
     shares: dict[str, tuple[float, float]]
     rests_on: RestsOn | None
     metric: tuple[str, ...]
-    held_out_px: tuple[float, float] = (np.nan, np.nan)
+    held_out_px: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -163,7 +162,7 @@ def solve_camera(
     stated = StatedCamera(images.lens or ready.lens_fit.lens, became, images.target.scale)
     doubted = doubts(fit, stated)
     change = find_change(fit)
-    against = problems(fit, nominal, change, contradictions(fit, doubted, stated), images.target)
+    against = problems(fit, nominal, change, contradictions(fit, doubted, stated))
     against += left_out_images(ready.left_out, len(images.views))
     against += tuple(said for one in further for said in one.problems)
     points = LeftOutPoints()
@@ -188,7 +187,7 @@ def solve_camera(
         tool_error(fit, nominal, near, draws, arm_alone=True),
     )
     claim = _claim(problem, errors, fit, near, doubted, evidence.problems)
-    claim = replace(claim, held_out_px=held_out(fit, nominal))
+    claim = replace(claim, held_out_px=held_out(nominal, fit))
     return CameraSolution(ready, tuple(one.ready for one in further), fit, geometric, nominal, evidence, claim)
 
 

@@ -29,8 +29,9 @@ from modcal_core.camera.lens import Lens
 from modcal_core.effects import ReportEntry
 from modcal_core.geometry import Array
 
-# Nats for each thing that backs a statement: that it is made, a value of one's own, and a tolerance stated with it.
-_BACKED = 1.5
+# Nats for each thing that backs a statement: that it is made, a value of one's own, and a tolerance stated with it. The
+# first two are odds of 20 : 1.
+_BACKED = 0.5 * float(np.log(20.0))
 # Of −2 log likelihood, the price of what is set free taken off: odds of 20 : 1. Where all is as stated it is −4 to −9
 # (32 cells), for the price is that of a χ² of two with its chance below 0.2 %.
 GAIN = 6.0

@@ -6,6 +6,7 @@ import numpy as np
 
 from modcal_core.camera.corners import CornerTable
 from modcal_core.camera.fit import CameraFit
+from modcal_core.camera.lens import Lens
 from modcal_core.camera.mounting import Mounting
 from modcal_core.geometry import Array, se3
 from modcal_core.robots import Chain
@@ -54,10 +55,7 @@ def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     at = fit.poses.at_postures(q)
     T = at.seen(at.tool_at(fit.state.values))
     points = fit.table.points[np.unique(fit.table.ids, return_index=True)[1]]  # that any image shows
-    X = np.einsum("mij,cj->mci", T[:, :3, :3], points) + T[:, None, :3, 3]
-    ahead = X[:, :, 2] > 1e-3
-    pixels = fit.state.lens.project(np.where(ahead[:, :, None], X, [0.0, 0.0, 1.0]))
-    inside = ahead & ((pixels >= 0.0) & (pixels < np.array(fit.state.lens.size))).all(axis=2)
+    X, inside = inside_image(fit.state.lens, T, points)
     if fit.table.places:
         return np.asarray((inside.mean(axis=1) >= _INSIDE) & _seen_from_there(fit, T, points.mean(axis=0)))
     # the side that the images show
@@ -65,6 +63,16 @@ def in_view(fit: CameraFit, q: Array) -> np.ndarray:
     seen = fit.poses.seen(fit.poses.tool_at(fit.state.values))
     front = np.sign(np.median(np.einsum("mi,mi->m", seen[:, :3, 2], seen[:, :3, 3])))
     return np.asarray((inside.mean(axis=1) >= _INSIDE) & (side * front > 0.0))
+
+
+def inside_image(lens: Lens, T: Array, points: Array, edge_px: float = 0.0) -> tuple[Array, np.ndarray]:
+    """(points (C, 3) of the target at T_camera_target (M, 4, 4) as the camera has them, (M, C, 3); whether they are so
+    far from the image's edge inside it, (M, C)).
+    """
+    X = np.einsum("mij,cj->mci", T[:, :3, :3], points) + T[:, None, :3, 3]
+    ahead = X[:, :, 2] > 1e-3
+    pixels = lens.project(np.where(ahead[:, :, None], X, [0.0, 0.0, 1.0]))
+    return X, ahead & ((pixels >= edge_px) & (pixels < np.array(lens.size) - edge_px)).all(axis=2)
 
 
 def _seen_from_there(fit: CameraFit, T: Array, middle: Array) -> np.ndarray:

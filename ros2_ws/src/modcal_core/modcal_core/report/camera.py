@@ -21,6 +21,7 @@ from modcal_core.camera import (
     READOUT,
     SCALE,
     SHAPE,
+    SHAPE_NAMES,
     BundleMarker,
     CameraCause,
     CameraSolution,
@@ -313,9 +314,9 @@ def camera_report(
             "sizes": asdict(fit.sizes),
             "lens": lens_data(fit.state.lens, std[P + 1 :]),
             "sheet": {
-                name.partition("/")[2]: {"value": float(values[i]), "std": float(std[i])}
-                for i, name in enumerate(fit.names)
-                if name.startswith("sheet/") and not fit.table.places
+                name: {"value": float(values[i]), "std": float(std[i])}
+                for i, name in enumerate(SHAPE_NAMES, start=P + 1 + SCALE.start)
+                if not fit.table.places
             },
             "body": body_data(solution),
             "clock_s": {"value": fit.state.offset_s, "std": float(std[P])} if std[P] > 0.0 else None,
