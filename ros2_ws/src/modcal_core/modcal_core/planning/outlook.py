@@ -30,7 +30,7 @@ from modcal_core.claim import Neighbourhood, arms_near, usual_std
 from modcal_core.geometry import Array
 from modcal_core.measurements import POSE, Samples
 from modcal_core.planning.closed_chain import readings_at
-from modcal_core.planning.criteria import ACCURACY, criterion
+from modcal_core.planning.criteria import ACCURACY, Criterion
 from modcal_core.planning.exchange import Search, information
 from modcal_core.planning.refit import Refit
 from modcal_core.planning.site import Noise
@@ -91,7 +91,7 @@ class Outlook:
 
     def search(self, rows: Array, which: str = ACCURACY) -> Search:
         """Candidates with these rows (N, c, K), by a criterion: accuracy counts all values, others the fit's own."""
-        good = criterion(which, self.gamma)
+        good = Criterion(which, self.gamma)
         if which == ACCURACY:
             return Search.of(rows, good, self.H)
         units = np.array([p.prior_std for p in self.about.parameters])[self.own] / self.about.std[self.own]

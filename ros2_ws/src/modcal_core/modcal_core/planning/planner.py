@@ -18,7 +18,7 @@ from modcal_core.claim import Claim, expected_claim
 from modcal_core.errors import NotPlannable
 from modcal_core.geometry import Array
 from modcal_core.planning.closed_chain import readings_at
-from modcal_core.planning.criteria import ACCURACY, Observability, criterion, observability
+from modcal_core.planning.criteria import ACCURACY, Criterion, Observability, observability
 from modcal_core.planning.exchange import PASSES, exchange, information
 from modcal_core.planning.outlook import nominal_outlook, unrepeated
 from modcal_core.planning.pool import CANDIDATES, Ground, Pool, survey
@@ -119,7 +119,7 @@ class Planner:
         self.pool, self.ground, self.request, self._rng = pool, pool.ground, request, rng
         noise = self.ground.site.noise
         fresh = nominal_outlook(self.ground.model, pool.q, pool.where, request.reading, noise, request.fixed)
-        criterion(request.criterion, fresh.gamma)
+        Criterion(request.criterion, fresh.gamma)
         self.outlook = fresh if request.besides is None else fresh.beside(fresh.rows(request.besides))
         self._rows = self.outlook.rows(pool.q)
 
