@@ -27,7 +27,7 @@ from modcal_core.planning.criteria import Criterion
 
 _BETTER = 1e-9  # of the criterion, that counts as better
 _AFRESH = 4  # stations added, after which all is computed again: from the prior to what they tell is many decades
-_ROUNDS = 40  # in which a set is grown, at most; up to as many stations are taken one by one
+_ONE_BY_ONE = 40  # stations that are taken one by one; of more some at once, for time
 PASSES = 8  # iterations
 
 
@@ -105,8 +105,7 @@ def _times(J: Array, A: Array) -> Array:
 def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
     """Numbers of the ``count`` candidates that raise the criterion most, each beside those before it.
 
-    chance: of each to be measured, (N,), by which its worth counts; 0 leaves it out. Of many stations several are taken
-    at once, for time.
+    chance: of each to be measured, (N,), by which its worth counts; 0 leaves it out.
     """
     chance = np.ones(len(base.J)) if chance is None else chance
     free = chance > 0.0
@@ -116,7 +115,7 @@ def grown(base: Search, count: int, chance: Array | None = None) -> list[int]:
     while len(chosen) < count:
         gains = search.gains(free)
         gains[free] *= chance[free]
-        more = np.argsort(-gains, kind="stable")[: min(max(1, count // _ROUNDS), count - len(chosen))].tolist()
+        more = np.argsort(-gains, kind="stable")[: min(1 + len(chosen) // _ONE_BY_ONE, count - len(chosen))].tolist()
         before, free[more] = len(chosen), False
         chosen += more
         if before // _AFRESH < len(chosen) // _AFRESH:
