@@ -65,11 +65,11 @@ def observability(information: Array, stations: int) -> Observability:
     if rank < len(square):
         return Observability(0.0, 0.0, 0.0, 0.0, 0.0, rank)
     s = np.sqrt(square)
-    indices = (
-        np.exp(np.mean(np.log(s))) / np.sqrt(stations),
-        s[0] / s[-1],
-        s[0],
-        square[0] / s[-1],
-        1.0 / np.sum(1.0 / s),
+    return Observability(
+        o1=float(np.exp(np.mean(np.log(s))) / np.sqrt(stations)),
+        o2=float(s[0] / s[-1]),
+        o3=float(s[0]),
+        o4=float(square[0] / s[-1]),
+        o5=float(1.0 / np.sum(1.0 / s)),
+        rank=rank,
     )
-    return Observability(*map(float, indices), rank)

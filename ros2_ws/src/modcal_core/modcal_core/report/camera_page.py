@@ -19,15 +19,7 @@ from modcal_core.errors import BadTable
 from modcal_core.geometry import Array
 from modcal_core.measurements import spread_rows
 from modcal_core.outcome import Trace, counted
-from modcal_core.report.certificates import (
-    MAX_REASONS,
-    Certificate,
-    Hashes,
-    Scale,
-    box_in_words,
-    listed,
-    signatures,
-)
+from modcal_core.report.certificates import MAX_REASONS, Certificate, Hashes, box_in_words
 from modcal_core.report.charts import AFTER, Axis, Chart, Panel
 from modcal_core.report.page import (
     Block,
@@ -214,8 +206,6 @@ def camera_certificate(
         doubts = _reservations(solution, images)
     fit = solution.fit
     flange = chain_forward(fit.poses.model_at(fit.state.values).serial, fit.poses.q)
-    low, high = met.ci95
-    before = 1e3 * solution.judged.nominal_interval[0]
     where = "by itself" if solution.judged is solution.alone else "in view"
     facts = (
         ("Robot", said.robot or robot or None),
@@ -235,14 +225,14 @@ def camera_certificate(
     )
     return Certificate(
         title="Accuracy certificate: calibration by camera",
-        result=met.result,
-        because=met.because,
+        met=met,
         reservations=doubts,
-        scale=Scale(met.asked.mm, before, met.value_mm, low, high, 1.25 * max(met.asked.mm, high or 0.0)),
+        before=1e3 * solution.judged.nominal_interval[0],
         facts=facts,
         silent_on=_SILENT_ON,
-        hashes=listed(hashes, "images and joints"),
-        signatures=signatures(said),
+        hashes=hashes,
+        said=said,
+        recorded="images and joints",
     )
 
 
