@@ -373,33 +373,6 @@ def notes(solution: CameraSolution) -> tuple[str, ...]:
     return tuple(out)
 
 
-def lines(solution: CameraSolution, images: int, left_out: Mapping[str, str]) -> list[str]:
-    """The result for a terminal."""
-    fit = solution.fit
-    what = "target" if fit.poses.camera_on_tip else "camera"
-    out = [
-        f"Mounting: {solution.mounting.label}. {solution.target.label}, {fit.table.views} of {images} images, "
-        f"{int(fit.table.weight.sum())} corners, {fit.rms_px:.2f} px RMS.",
-        *(
-            f"Also {one.name}: {one.mounting.label}. {one.target.label}, {one.used} of {one.given} images, "
-            f"{one.rms_px:.2f} px RMS."
-            for one in solution.further
-        ),
-        _line("Where the target is in view", solution.in_view),
-        *(
-            ()
-            if solution.alone is None
-            else (_line(f"There, the arm by itself, wherever the {what} stands", solution.alone),)
-        ),
-        _line("Anywhere within the joint limits", solution.anywhere),
-        f"Held-out images: {solution.held_out_px[0]:.2f} px nominal, {solution.held_out_px[1]:.2f} px calibrated "
-        "(pixels are no accuracy).",
-    ]
-    out += [f"Left out: {name}: {why}." for name, why in (dict(left_out) | solution.left_out).items()]
-    out += list(notes(solution))
-    return [*out, f"{solution.decision.word.upper()}: {' '.join(solution.decision.because)}"]
-
-
 def effect_entries(solution: CameraSolution) -> list[dict[str, Any]]:
     """The effects as ``report.json`` has them. RMS before and after are what images have of their own, at the tool."""
     model, throw = solution.model, _throw(solution)
@@ -460,14 +433,6 @@ def _left(solution: CameraSolution) -> dict[str, Any] | None:
     if choice is None:
         return None
     return unexplained(1e3 * _throw(solution) * solution.fit.sizes.joint, choice) | {"p_value": choice.p_value}
-
-
-def _line(where: str, error: ToolError) -> str:
-    (middle, low, high), (drawn, drawn_low, drawn_high) = error.interval, error.nominal_interval
-    return (
-        f"{where}: error at the tool {1e3 * middle:.2f} mm RMS (95 %: {1e3 * low:.2f} to {1e3 * high:.2f}); "
-        f"nominal arm {1e3 * drawn:.2f} mm ({1e3 * drawn_low:.2f} to {1e3 * drawn_high:.2f})."
-    )
 
 
 def _errors(error: ToolError) -> dict[str, Any]:
