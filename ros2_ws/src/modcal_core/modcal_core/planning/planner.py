@@ -115,8 +115,7 @@ class Planner:
         """Raises BadTable for a criterion or parameters that are not known."""
         assert pool.ground is not None
         self.pool, self.ground, self.request, self._rng = pool, pool.ground, request, rng
-        noise = self.ground.site.noise
-        fresh = nominal_outlook(self.ground.model, pool.q, pool.where, request.reading, noise, request.fixed)
+        fresh = nominal_outlook(pool, pool.q, request.reading, request.fixed)
         Criterion(request.criterion, fresh.gamma)
         self.outlook = fresh if request.besides is None else fresh.beside(fresh.rows(request.besides))
         self._rows = self.outlook.rows(pool.q)
