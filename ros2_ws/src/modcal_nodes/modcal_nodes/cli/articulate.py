@@ -17,7 +17,7 @@ from modcal_core.report import Articulation
 from modcal_core.robots import chain_forward
 from modcal_msgs_py import SUFFIXES, Topics, accepted, list_topics, read_recording, role_of
 from modcal_msgs_py.tables import read_track
-from modcal_nodes.cli.console import Output, given, option, say, speaking, written
+from modcal_nodes.cli.console import Output, file_option, given, option, repeated, say, speaking, written
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN, Whole, arm_line, chain_line, described
 from modcal_nodes.io import read_calibration, write_articulation
 
@@ -43,15 +43,14 @@ class _Read:
 class ArticulateOptions:
     """What is asked of a recording of a handle."""
 
-    topic: tuple[str, ...] = option(
+    topic: tuple[str, ...] = repeated(
         "Poses or points of the handle, or joint_states; or ROLE=NAME, as for calibrate. Default: the first found.",
-        default=(),
-        metavar="NAME",
+        "NAME",
     )
-    ignore: tuple[str, ...] = option("Leave a topic out. Repeatable.", default=(), metavar="TOPIC")
+    ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
     tf: str | None = option("The handle is this pair of frames in /tf.", metavar="PARENT:CHILD")
-    urdf: Path | None = option("Robot description, for joint states. Default: the bag's.", type=EXISTING)
-    calibration: Path | None = option("For joint states: the arm as it was calibrated.", type=EXISTING)
+    urdf: Path | None = file_option("Robot description, for joint states. Default: the bag's.")
+    calibration: Path | None = file_option("For joint states: the arm as it was calibrated.")
     base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
     tip: str | None = option("The link that holds the handle.", metavar="LINK")
     points: bool = option("Ignore rotations.", default=False)

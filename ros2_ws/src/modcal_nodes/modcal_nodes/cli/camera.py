@@ -83,9 +83,9 @@ def calibrate_images(
         camera_certificate,
         camera_files,
         camera_report,
+        camera_sentences,
         camera_tolerance,
         certificate_html,
-        lines,
     )
 
     with output.working() as watch:
@@ -103,7 +103,9 @@ def calibrate_images(
             files["certificate.html"] = certificate_html(page)
     out = out or Path(f"{source.resolve().stem}_calibration")
     data = camera_report(solution, robot, images, found.left_out, met)
-    told = [arm_line(robot), *lines(solution, images, found.left_out)]
+    decision = data["camera"]
+    told = [arm_line(robot), *camera_sentences(data)]
+    told.append(f"{decision['decision'].upper()}: {' '.join(decision['because'])}")
     told += [] if met is None else [f"{met.result}: {met.because}"]
     output.saved(data, partial(tell, told), out, files)
     return exit_code(met)

@@ -16,8 +16,8 @@ from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Tree, chain_forward, held_behind, parse, read_chain, rerooted
 from modcal_msgs_py import Topics, read_recording
-from modcal_nodes.cli.console import option
-from modcal_nodes.cli.inputs import EXISTING, Decimal
+from modcal_nodes.cli.console import file_option, option, repeated
+from modcal_nodes.cli.inputs import Decimal
 from modcal_nodes.io import Options, Watch, opened
 
 if TYPE_CHECKING:
@@ -107,31 +107,23 @@ class CameraOptions:
     corners; None for those in a bag.
     """
 
-    images: Path | None = option(
+    images: Path | None = file_option(
         "Images of a target, or a CSV of its corners by one camera or several; with --joints, --target, --urdf.",
-        type=EXISTING,
         metavar="FOLDER",
     )
-    joints: Path | None = option(
-        "CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].",
-        type=EXISTING,
-        metavar="FILE",
+    joints: Path | None = file_option(
+        "CSV: a column image (or stamp [s], images being named by theirs) and one a joint [rad, m].", metavar="FILE"
     )
-    target: Path | None = option(
+    target: Path | None = file_option(
         "target.yaml of modcal target, Kalibr's, or a body's: calibrate from images in BAG, or --images.",
-        type=EXISTING,
         metavar="FILE",
     )
     image_topic: str | None = option("Images of BAG. Default: the only ones there are.", metavar="TOPIC")
-    also_camera: tuple[str, ...] = option(
-        "Images of a further camera in BAG, and the target that it sees, where that is another file.",
-        default=(),
-        metavar="TOPIC[=FILE]",
+    also_camera: tuple[str, ...] = repeated(
+        "Images of a further camera in BAG, and the target that it sees, where that is another file.", "TOPIC[=FILE]"
     )
-    camera_info: tuple[str, ...] = option(
-        "Intrinsics, of a camera of several by its name. Default: from the images.",
-        default=(),
-        metavar="[CAMERA=]FILE",
+    camera_info: tuple[str, ...] = repeated(
+        "Intrinsics, of a camera of several by its name. Default: from the images.", "[CAMERA=]FILE"
     )
     intrinsics: str = option(
         "What becomes of those in --camera-info.",

@@ -169,6 +169,16 @@ def option(text: str = "", *names: str, default: Any = None, **more: Any) -> Any
     return field(default=default, metadata={"names": names, "help": text or None, **kind, **more})
 
 
+def file_option(text: str, *names: str, metavar: str | None = None) -> Any:
+    """The same of a file or folder that exists."""
+    return option(text, *names, type=click.Path(exists=True, path_type=Path), metavar=metavar)
+
+
+def repeated(text: str, metavar: str, *names: str) -> Any:
+    """The same of texts, any number of them."""
+    return option(text, *names, default=(), metavar=metavar)
+
+
 def click_options(of: type[Any]) -> tuple[Callable[..., Any], ...]:
     """Click's options of a dataclass whose fields are made by :func:`option`."""
     made = []

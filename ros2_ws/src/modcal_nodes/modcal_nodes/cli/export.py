@@ -39,7 +39,7 @@ from modcal_core.robots import (
     to_table,
     xacro_origins,
 )
-from modcal_nodes.cli.console import Output, given, option, speaking, tell
+from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN
 from modcal_nodes.io import read_calibration
 
@@ -68,7 +68,7 @@ class ExportOptions:
         "For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.", default=False
     )
     unit: str = option("Of a table that is written as CSV.", default="m rad", type=click.Choice([*UNITS]))
-    factory_kinematics: Path | None = option("For kinematics: the maker's own file of this arm.", type=EXISTING)
+    factory_kinematics: Path | None = file_option("For kinematics: the maker's own file of this arm.")
 
 
 @click.command("export")

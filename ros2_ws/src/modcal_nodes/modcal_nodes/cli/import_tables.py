@@ -18,7 +18,7 @@ from modcal_core.robot import Robot
 from modcal_core.robots import Chain, chain_urdf, document, from_table, from_ur_conf
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
-from modcal_nodes.cli.console import Output, given, option, speaking, tell
+from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
 from modcal_nodes.cli.export import read_table, told
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, described
 
@@ -89,8 +89,8 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
 class ImportOptions(ChainOptions):
     """Where tables are, of which robot, and what is written."""
 
-    data: Path | None = option("Folder of the tables. Default: the folder of MAPPING.", type=EXISTING)
-    urdf: Path | None = option("Robot description to put into the bag, and to prove a mapping by.", type=EXISTING)
+    data: Path | None = file_option("Folder of the tables. Default: the folder of MAPPING.")
+    urdf: Path | None = file_option("Robot description to put into the bag, and to prove a mapping by.")
     mapping: Path | None = option(
         "For tables without a mapping: the mapping to write. Default: FILE.yaml.", type=click.Path(path_type=Path)
     )

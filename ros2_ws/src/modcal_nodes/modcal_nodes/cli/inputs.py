@@ -21,7 +21,7 @@ from modcal_core.measurements import Recording
 from modcal_core.robot import Robot
 from modcal_core.robots import Mechanism, delta_from_data, other_tips, read_chain
 from modcal_msgs_py import Topics
-from modcal_nodes.cli.console import option
+from modcal_nodes.cli.console import option, repeated
 
 _OTHERS = 3  # tips that are named
 
@@ -38,10 +38,10 @@ class ChainOptions:
 class TopicOptions:
     """What the topics of a bag are."""
 
-    topic: tuple[str, ...] = option(
-        "The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.", default=(), metavar="ROLE=NAME"
+    topic: tuple[str, ...] = repeated(
+        "The topic for a role, e.g. tracker/pose=/vrpn/tool/pose. Repeatable.", "ROLE=NAME"
     )
-    ignore: tuple[str, ...] = option("Leave a topic out. Repeatable.", default=(), metavar="TOPIC")
+    ignore: tuple[str, ...] = repeated("Leave a topic out. Repeatable.", "TOPIC")
     tf: str | None = option(
         "The tracker's readings are these frames in /tf, e.g. tracker:tool.", metavar="PARENT:CHILD"
     )

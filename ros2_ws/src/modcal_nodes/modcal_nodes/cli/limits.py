@@ -19,7 +19,7 @@ from modcal_core.measurements import Recording, joint_stamps_and, spread_rows
 from modcal_core.report import LimitsFound, joint_limits, limits_data, limits_html
 from modcal_core.robots import Chain, LoadedArm, Payload, random_postures
 from modcal_msgs_py import SUFFIXES, read_recording
-from modcal_nodes.cli.console import Output, explain, given, option, speaking, table, tell
+from modcal_nodes.cli.console import Output, explain, file_option, given, option, repeated, speaking, table, tell
 from modcal_nodes.cli.inputs import (
     EXISTING,
     WRITTEN,
@@ -56,7 +56,7 @@ def _numbers(text: str, *default: float) -> Any:
 class LimitsOptions(TopicOptions):
     """What is asked of bounds: the arm, what it carries, its postures, and its drives by joint, in SI."""
 
-    urdf: Path | None = option("Robot description, for a bag. Default: the one in it.", type=EXISTING)
+    urdf: Path | None = file_option("Robot description, for a bag. Default: the one in it.")
     base: str | None = option("Link where the arm begins. Default: the root link.", metavar="LINK")
     tip: str | None = option("The link that carries the payload.", metavar="LINK")
     payload: float = option("Mass that is carried [kg].", default=0.0, type=float)
@@ -64,10 +64,8 @@ class LimitsOptions(TopicOptions):
     inertia: tuple[float, ...] = _numbers(
         "Inertia about the centre of mass: ixx iyy izz ixy ixz iyz [kg m²].", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     )
-    at: tuple[str, ...] = option("Position of a joint [rad; m]. Default: 0.", default=(), metavar="JOINT=VALUE")
-    velocity: tuple[str, ...] = option(
-        "Velocity of a joint [rad/s; m/s]. Default: 0.", default=(), metavar="JOINT=VALUE"
-    )
+    at: tuple[str, ...] = repeated("Position of a joint [rad; m]. Default: 0.", "JOINT=VALUE")
+    velocity: tuple[str, ...] = repeated("Velocity of a joint [rad/s; m/s]. Default: 0.", "JOINT=VALUE")
     workspace: int | None = option("Number of random postures within the limits.", type=Whole(min=1))
     seed: int = option("Seed of those postures.", default=0, type=Whole(min=0))
     thorough: bool = option("Of a bag up to 20 000 postures, not 2 000.", default=False)

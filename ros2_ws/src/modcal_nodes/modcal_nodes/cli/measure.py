@@ -37,7 +37,7 @@ from modcal_core.planning import (
 from modcal_core.robot import Robot
 from modcal_nodes.cli.calibrate import SEED
 from modcal_nodes.cli.certificate import UNMET
-from modcal_nodes.cli.console import Output, given, option, speaking, tell, written
+from modcal_nodes.cli.console import Output, file_option, given, option, repeated, speaking, tell, written
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, Decimal, Whole, arm_line
 from modcal_nodes.cli.simulate import parameter
 from modcal_nodes.io import Watch, opened, read_cell
@@ -73,25 +73,20 @@ class MeasureOptions(ChainOptions):
         metavar="DIR",
     )
     simulated: bool = option("Measure in the simulated cell (MuJoCo).", default=False)
-    given: tuple[str, ...] = option(
-        "A parameter of simulated_cell. Repeatable.", "-p", default=(), metavar="NAME=VALUE"
-    )
-    replay: Path | None = option("Choose among the stations of a recording.", type=EXISTING, metavar="BAG")
-    site: Path | None = option(
+    given: tuple[str, ...] = repeated("A parameter of simulated_cell. Repeatable.", "NAME=VALUE", "-p")
+    replay: Path | None = file_option("Choose among the stations of a recording.", metavar="BAG")
+    site: Path | None = file_option(
         "YAML: tracker, target, spheres of the arm, floor, obstacles, limits, workspace. See docs/planning.md.",
-        type=EXISTING,
         metavar="FILE",
     )
     reading: str = option("What is read by hand.", default=POINT, type=click.Choice([POINT, POSE]))
     instrument_mm: float | None = option(
         "Error of the instrument, RMS over space: it is no error of the tool.", type=_POSITIVE, metavar="MM"
     )
-    cell_file: Path | None = option(
-        "YAML of fixed parameters, and what is stated of arm and instrument.", "--cell", type=EXISTING
+    cell_file: Path | None = file_option(
+        "YAML of fixed parameters, and what is stated of arm and instrument.", "--cell"
     )
-    fixed: tuple[str, ...] = option(
-        "Fixed parameter, as in modcal calibrate. Repeatable.", "--fix", default=(), metavar="NAME"
-    )
+    fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
     ties: bool = option("Separate explanations that stay open, by up to 12 more stations.", default=False)
     geometry_only: bool = option("Fit only the geometry; do not look for other effects.", default=False)
     batch: int | None = option(f"Stations between two fits. Default: {BATCH}, by hand {_BY_HAND}.", type=Whole(1, 100))

@@ -29,7 +29,7 @@ from modcal_core.planning import (
 )
 from modcal_core.report import figure, plan_sentences, planning_html, to_csv, to_plan_data, to_trajectory_data
 from modcal_core.robots import Mechanism
-from modcal_nodes.cli.console import Output, console, given, option, say, speaking
+from modcal_nodes.cli.console import Output, console, file_option, given, option, repeated, say, speaking
 from modcal_nodes.cli.inputs import (
     EXISTING,
     WRITTEN,
@@ -115,9 +115,8 @@ _THOROUGH = 6000, 8  # candidates and starts
 class PlanOptions(ChainOptions):
     """What is asked of a plan, by the names of the command's options."""
 
-    site: Path | None = option(
+    site: Path | None = file_option(
         "YAML: tracker, target, noise, spheres of the arm, floor, obstacles, limits. See docs/planning.md.",
-        type=EXISTING,
         metavar="FILE",
     )
     stations: int | None = option(
@@ -130,11 +129,9 @@ class PlanOptions(ChainOptions):
     measure: str = option("Statistic of --accuracy-mm.", default="p95", type=click.Choice(["p95", "rms"]))
     criterion: str = option("Criterion to optimise.", default=ACCURACY, type=click.Choice(CRITERIA))
     reading: str = option(default="point", type=click.Choice(["point", "pose"]))
-    fixed: tuple[str, ...] = option(
-        "Fixed parameter, as in modcal calibrate. Repeatable.", "--fix", default=(), metavar="NAME"
-    )
-    besides: Path | None = option(
-        "plan.yaml or CSV of stations that are already measured and count too.", type=EXISTING, metavar="STATIONS"
+    fixed: tuple[str, ...] = repeated("Fixed parameter, as in modcal calibrate. Repeatable.", "NAME", "--fix")
+    besides: Path | None = file_option(
+        "plan.yaml or CSV of stations that are already measured and count too.", metavar="STATIONS"
     )
     candidates: int | None = option(
         f"Postures to choose from. Default: {CANDIDATES}, with --thorough {_THOROUGH[0]}.", type=Whole(10, 20_000)
@@ -145,10 +142,9 @@ class PlanOptions(ChainOptions):
     thorough: bool = option("Look longer for better stations.", default=False)
     speed: float = option("Joint speed of trajectory.yaml, rad/s.", default=0.5, type=Decimal(1e-3))
     dwell: float = option("Standstill at each station, s.", default=2.0, type=Decimal(0.6))
-    report: Path | None = option(
+    report: Path | None = file_option(
         "Folder or report.json of a calibration whose effects have rivals (same_as): stations that tell them apart.",
         "--decide",
-        type=EXISTING,
         metavar="REPORT",
     )
     returns: int = option(
@@ -156,13 +152,11 @@ class PlanOptions(ChainOptions):
         default=RETURNS,
         type=Whole(0, 100),
     )
-    camera: Path | None = option(
-        "Bag with images, or folder of them with --joints: which images to take next; with --target.",
-        type=EXISTING,
-        metavar="IMAGES",
+    camera: Path | None = file_option(
+        "Bag with images, or folder of them with --joints: which images to take next; with --target.", metavar="IMAGES"
     )
-    joints: Path | None = option("Joints of --camera's images, as in calibrate.", type=EXISTING, metavar="FILE")
-    target: Path | None = option("Printed target of --camera's images.", type=EXISTING, metavar="FILE")
+    joints: Path | None = file_option("Joints of --camera's images, as in calibrate.", metavar="FILE")
+    target: Path | None = file_option("Printed target of --camera's images.", metavar="FILE")
     seed: int = option("Seed of candidates and starts.", default=0, type=Whole(min=0))
 
     def request(self, chain: Mechanism) -> PlanRequest:

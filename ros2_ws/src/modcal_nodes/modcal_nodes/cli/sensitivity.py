@@ -30,7 +30,7 @@ from modcal_core.planning import (
 )
 from modcal_core.report import pictures, sensitivity_data, sensitivity_html, sensitivity_sentences, single_csv, to_text
 from modcal_core.robots import Mechanism, is_serial_arm, vector
-from modcal_nodes.cli.console import Output, explain, given, option, say, speaking, table
+from modcal_nodes.cli.console import Output, explain, file_option, given, option, say, speaking, table
 from modcal_nodes.cli.inputs import (
     EXISTING,
     WRITTEN,
@@ -81,14 +81,13 @@ class SensitivityOptions(ChainOptions):
     thorough: bool = option("Draw four times as many arms for the shares of the variance.", default=False)
     length_mm: float = option("Errors of lengths.", default=0.5, type=Decimal(0.0))
     angle_mrad: float = option("Errors of angles.", default=1.0, type=Decimal(0.0))
-    sizes: Path | None = option("YAML of other sizes, {NAME or PATTERN: SI}.", type=EXISTING)
+    sizes: Path | None = file_option("YAML of other sizes, {NAME or PATTERN: SI}.")
     base_factor: str | None = option("Parameter that the others are compared with. Default: base/x.", metavar="NAME")
     bins: int | None = option("Intervals of the multi-point weights.", type=Whole(1, 1000))
-    stations: Path | None = option(
+    stations: Path | None = file_option(
         "plan.yaml of modcal plan, or a CSV of joint positions: do they observe the important parameters? "
         "Default: the design's.",
         "--measured",
-        type=EXISTING,
         metavar="STATIONS",
     )
     reading: str = option(default="point", type=click.Choice(["point", "pose"]))
