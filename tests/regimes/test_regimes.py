@@ -16,8 +16,8 @@ from modcal_core.geometry import se3, so3
 from modcal_core.geometry.so3 import Array
 from modcal_core.loop import Solution, calibrate
 from modcal_core.measurements.samples import Samples
-from modcal_core.regimes.find import Move, find_regimes, is_possible, moves_of
-from modcal_core.regimes.setups import SetupReadings
+from modcal_core.moves.regimes import Move, find_regimes, is_possible, moves_of
+from modcal_core.moves.setups import SetupReadings
 from tests.cells import NOISE_M, NOISE_RAD, record, samples_of, ur10
 
 COUNT = 160

@@ -4,14 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from modcal_core.checking.hypotheses import BASE, FRAME, GEAR, LENGTH, LOAD, NOISE, SCALE, TOOL, ZERO, CellChange
 from modcal_core.checking.known import UNTRIED, BeyondRanges
 from modcal_core.checking.outcome import Alike, NamedChange, SizeFound
-from modcal_core.checking.rivals import FittedChange
 from modcal_core.geometry import Array
+from modcal_core.moves import (
+    BASE,
+    FRAME,
+    GEAR,
+    LENGTH,
+    LINK,
+    LOAD,
+    NOISE,
+    PAYLOAD,
+    PLAY,
+    SCALE,
+    STEP,
+    TOOL,
+    ZERO,
+    CellChange,
+    FittedChange,
+)
 
 _95 = 1.959964  # standard deviations
 _LISTED = 3  # others that a sentence has room for; check.json and the page have them all
+_PLACED = (BASE, FRAME, TOOL, LINK, PLAY, STEP)  # of up to six sizes
 _SHIFTS, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
 
 
@@ -57,7 +73,7 @@ def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
             for what, factor in zip(("position", "orientation"), change.judged.noise, strict=True)
             if factor > 1.0
         )
-    if h.kind in (BASE, FRAME, TOOL):
+    if h.kind in _PLACED:
         if len(h.motions) == 1:  # of one size, along one twist
             way = np.array(h.motions[0].twist)
             values, std = values[0] * way, std[0] * np.abs(way)
@@ -76,8 +92,10 @@ def _sizes(change: FittedChange) -> tuple[SizeFound, ...]:
         return (_size("growth", values[0], std[0], 1e3, "mm"),)
     if h.kind == SCALE:
         return (_size("scale", values[0], std[0], 1e6, "ppm"),)
-    if h.kind == LOAD:
-        return (_size("compliance", values[0], std[0], 1e6, "urad/(N m)"),)
+    if h.kind in (LOAD, PAYLOAD):
+        several = h.kind == PAYLOAD
+        what = [f"compliance of {e.place}" if several else "compliance" for e in h.effects]
+        return tuple(_size(n, v, s, 1e6, "urad/(N m)") for n, v, s in zip(what, values, std, strict=True))
     if len(values) == 4:  # a wave, and one of twice its cycles
         return tuple(
             _size(
@@ -132,10 +150,15 @@ def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, rivals: tup
     if h.kind == NOISE:
         what = " and ".join(f"{s.value:.1f} times in {s.name}" for s in sizes)
         out = f"The readings scatter more than when the calibration was made: {what}."
-    elif h.kind in (BASE, FRAME, TOOL):
+    elif h.kind in _PLACED:
         shift, turn = (float(np.linalg.norm([s.value for s in sizes if s.unit == unit])) for unit in ("mm", "mrad"))
-        who = f"Frame {h.place}" if h.kind == FRAME else " or the ".join((f"The {h.place}", *h.names))
-        out = f"{who} has moved: {shift:.3f} mm and {turn:.3f} mrad, {rms}."
+        who = {
+            FRAME: f"Frame {h.place} has moved",
+            LINK: f"The link before {h.place} is bent",
+            PLAY: "The tool or the target is loose and stands off to either side by its weight",
+            STEP: f"The {h.place} moved between two stations of the recording",
+        }.get(h.kind, " or the ".join((f"The {h.place}", *h.names)) + " has moved")
+        out = f"{who}: {shift:.3f} mm and {turn:.3f} mrad, {rms}."
     elif h.kind == ZERO:
         out = f"The zero of {h.place} has changed by {_said(sizes[0])}, {rms}."
     elif h.kind == LENGTH:
@@ -143,6 +166,8 @@ def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, rivals: tup
         out = f"{which} by {_said(sizes[0])}, as heat does, {rms}."
     elif h.kind == SCALE:
         out = f"The tracker's readings are longer by {_said(sizes[0])}, {rms}."
+    elif h.kind == PAYLOAD:
+        out = f"All joints deflect differently under load, as under another payload: {rms}."
     elif h.kind == LOAD:
         by = f"its deflection under load has grown by {_said(sizes[0])}" if h.replaces >= 0 else f"by {_said(sizes[0])}"
         out = f"{h.place} deflects differently under load: {by}, {rms}."
@@ -153,7 +178,6 @@ def _sentence(h: CellChange, sizes: tuple[SizeFound, ...], rms: str, rivals: tup
     elif h.kind == GEAR and sizes[0].name == "ratio":
         out = f"The gear ratio of {h.place} has changed by {_said(sizes[0])}, {rms}."
     else:
-        assert h.effect is not None
         cycles = h.effect.shape.settings["cycles"]
         out = f"The gear or encoder of {h.place} has changed: {_said(sizes[0])} at {cycles:.4g} a turn, {rms}."
     if not rivals:

@@ -46,7 +46,7 @@ from modcal_core.errors import ModcalError
 from modcal_core.geometry import error_values, se3
 from modcal_core.measurements import Samples, explained_by_posture, spread_rows
 from modcal_core.measurements.kinds import is_direct
-from modcal_core.regimes.setups import Setup, SetupReadings, Stretches, stretches
+from modcal_core.moves.setups import Setup, SetupReadings, Stretches, stretches
 from modcal_core.robots import Inertias, Mechanism
 
 _MAX = 3000  # samples; a longer recording is thinned evenly
