@@ -220,7 +220,7 @@ class _RegimeSearch:
             ways = (_place(next(iter(self.places))),)
         found = [replace(m, what=ways[-1]) for m in moves if not any(self._same(m.at, t.at) for t in stated)]
         now = sorted([*found, *stated], key=lambda m: m.at)
-        for move in list(now):
+        for move in found:
             others = [m for m in now if m is not move]
             with_it = [sorted([*others, replace(move, what=what)], key=lambda m: m.at) for what in ways]
             now = max([*with_it, others], key=self.nats)

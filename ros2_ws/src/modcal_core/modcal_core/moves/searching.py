@@ -208,7 +208,8 @@ class MoveSearch:
             outside[i] = self._outside(outside, i)
         if any(a is not b for a, b in zip(outside, picked, strict=True)):  # what made up for the wrong name is needless
             picked = self._needed(outside)
-        return Explanation(tuple(picked), (*found.log_e[: len(picked)], self.left(picked)), found.score)
+        asked_for = (*ways[0].log_e[:1], *found.log_e[1 : len(picked)]) if picked else ()  # the first beside nothing
+        return Explanation(tuple(picked), (*asked_for, self.left(picked)), found.score)
 
     def explained(self, begin: Sequence[CellChange] = (), without: Sequence[str] = ()) -> Explanation:
         """Changes taken up one after the other, until no more is asked for. begin: that are taken up first."""
