@@ -27,7 +27,7 @@ _LAYERS = (
     "effects",
     "calibration",
     "hypotheses",
-    "regimes",
+    "moves",
     "modules",
     "diagnosis",
     "online",

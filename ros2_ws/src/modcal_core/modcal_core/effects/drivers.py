@@ -341,6 +341,7 @@ def _along(drivers: Drivers, j: int) -> int:
 
 KINDS: Mapping[str, DriverKind] = {
     "constant": lambda at, _: np.ones(len(at)),
+    "stamp": lambda at, _: at.samples.stamps,  # of these samples alone, whatever a calibration has seen
     "time": lambda at, _: at.samples.stamps if at.arm.limits is None else at.arm.limits.time(at.samples.stamps),
     "clock": lambda at, _: at.samples.stamps,  # of the readings, whose course is no other recording's
     "velocity": lambda at, _: np.asarray(np.nan_to_num(at.samples.velocity.T)),  # of all joints, (n, N)
