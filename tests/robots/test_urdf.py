@@ -250,7 +250,7 @@ BAD = {
     "joint j: Invalid joint type: hinge": robot(TWO, joint("j", "a", "b", "hinge")),
     "joint j: its limits run from 1 to -1": robot(TWO, joint("j", "a", "b", inside='<limit lower="1" upper="-1"/>')),
     "joint j: its limits run from nan": robot(TWO, joint("j", "a", "b", inside='<limit lower="nan" upper="1"/>')),
-    "joint j: <origin xyz>: needs numbers, has '1,5 0 0'": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1,5 0 0"/>')),
+    "joint j: <origin xyz>: '1,5 0 0' holds what is not a number": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1,5 0 0"/>')),
     "joint j: <origin xyz>: needs 3 finite numbers": robot(TWO, joint("j", "a", "b", inside='<origin xyz="1 0"/>')),
     "joint elbow_joint: <origin xyz>: needs 3 finite": urdf("ur10").replace("-0.612 0 0", "-0.612 nan 0"),
     "joint j: <axis>: has no xyz": robot(TWO, joint("j", "a", "b", inside='<axis xzy="1 0 0"/>')),

@@ -27,7 +27,7 @@ _LAYERS = (
     "effects",
     "calibration",
     "hypotheses",
-    "regimes",
+    "moves",
     "modules",
     "diagnosis",
     "online",
@@ -36,7 +36,7 @@ _ALSO = {"lazy", "errors", "files", "geometry", "robots", "measurements"}
 LAYERS: dict[str, set[str]] = {layer: set(_LAYERS[: i + 1]) for i, layer in enumerate(_LAYERS)}
 LAYERS["claim"] = LAYERS["calibration"] | {"claim"}
 LAYERS["correction"] = LAYERS["calibration"] | {"correction"}
-LAYERS["camera"] = LAYERS["diagnosis"] | {"camera"}
+LAYERS["camera"] = LAYERS["diagnosis"] | {"claim", "camera"}
 LAYERS["articulation"] = _ALSO | {"articulation"}
 LAYERS["impedance"] = _ALSO | {"articulation", "impedance"}
 LAYERS["verdict"] = LAYERS["diagnosis"] | {"verdict"}

@@ -20,7 +20,6 @@ import numpy as np
 
 from modcal_core.calibration import hand_eye
 from modcal_core.camera.corners import CornerTable
-from modcal_core.camera.fit import CameraFit, missed_pixels
 from modcal_core.camera.intrinsics import BoardPose
 from modcal_core.camera.lens import PINHOLE, Lens
 from modcal_core.errors import BadRecording, ModcalError, NotEnoughData
@@ -161,22 +160,6 @@ def _require_motion(T_base_tip: Array, seen: Array, turns: Array) -> None:
     if arm_turn < _MOVED_RAD:
         said = f"the arm turns its tip by {np.degrees(arm_turn):.1f}° only"
         raise NotEnoughData("images", said, "turn the wrist by 30° or more about two axes")
-
-
-_HELD_OUT = 4  # every fourth image
-
-
-def held_out(fit: CameraFit, nominal: CameraFit) -> tuple[float, float]:
-    """RMS of (nominal, calibrated) on every fourth image, fitted to the others at the same sizes [px]."""
-    N = fit.table.views
-    held = np.arange(N) % _HELD_OUT == _HELD_OUT - 1
-    if held.sum() == 0 or (~held).sum() < MIN_VIEWS:
-        return float("nan"), float("nan")
-    out = []
-    for one in (nominal, fit):
-        unseen = one.table.select(held)
-        out.append(unseen.rms(missed_pixels(unseen, one.poses.select(held), one.of_part(~held).state)))
-    return out[0], out[1]
 
 
 _NEAR = 0.03  # misfit as a share of the reach: no arm is built worse than that

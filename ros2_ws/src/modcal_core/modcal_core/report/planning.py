@@ -26,7 +26,6 @@ _RISE = 1.5  # the peak of a cubic from rest to rest, over its mean speed
 def to_plan_data(plan: Plan) -> dict[str, Any]:
     """The plan as nested dictionaries: stations in order, what is expected of them, and against what."""
     expected, ground = plan.expected, plan.ground
-    indices = expected.indices
     return {
         "modcal_plan": 1,
         "joints": list(ground.model.chain.names),
@@ -37,10 +36,7 @@ def to_plan_data(plan: Plan) -> dict[str, Any]:
         "left_rms_mm": {"planned": 1e3 * expected.left, "random": 1e3 * expected.at_random},
         "not_repeated_rms_mm": 1e3 * expected.repeat,
         "ratio_to_random": expected.ratios,
-        "observability": {
-            **{name: float(getattr(indices, name)) for name in ("o1", "o2", "o3", "o4", "o5")},
-            "rank": indices.rank,
-        },
+        "observability": vars(expected.indices),
         "tried": [{"stations": n, "at_most_mm": c.mm["p95"].ci95[1]} for n, c in plan.curve],
         "postures": {
             "candidates": len(plan.pool.q),

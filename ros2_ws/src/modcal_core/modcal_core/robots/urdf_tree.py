@@ -231,7 +231,7 @@ def _numbers(element: Any, key: str, default: Sequence[float], what: str, finite
     except ValueError as error:
         if "${" in text or "$(" in text:
             raise _unexpanded() from error
-        raise BadRobot(what, f"needs numbers, has '{text}'", FIX) from error
+        raise BadRobot(what, f"'{text}' holds what is not a number", FIX) from error
     if len(values) != len(default) or (finite and not np.isfinite(values).all()):
         raise BadRobot(what, f"needs {len(default)} finite number{'s' * (len(default) > 1)}", FIX)
     return values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from modcal_core.robots import (
     to_table,
     xacro_origins,
 )
-from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
 from modcal_nodes.cli.inputs import EXISTING, WRITTEN
 from modcal_nodes.io import read_calibration
 
@@ -53,33 +53,30 @@ _FORMS = (*CONVENTIONS, "urdf", *_OF_URDF, _OFFSETS, _MOUNT)
 _Source = tuple[Chain, tuple[str, ...]]  # an arm, and what of it no table can hold
 
 
+@dataclass(frozen=True)
+class ExportOptions:
+    """What is asked of an export. to: one of the formats. which: model of a calibration."""
+
+    to: str = option("Format to write.", type=click.Choice(_FORMS), required=True)
+    which: str = option("Model of a calibration.", default="calibrated", type=click.Choice(_MODELS))
+    tool: bool = option("For a calibration: end at the measured tool, not at the tip link.", default=False)
+    base: str | None = option("For a URDF: link where the arm begins.", metavar="LINK")
+    tip: str | None = option("For a URDF: link where it ends.", metavar="LINK")
+    link: str | None = option("For mount: the camera's link, such as camera_color_optical_frame.", metavar="LINK")
+    largest_offset: float = option("Largest offset in a DH row [m].", default=10.0, type=float)
+    nearest: bool = option(
+        "For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.", default=False
+    )
+    unit: str = option("Of a table that is written as CSV.", default="m rad", type=click.Choice([*UNITS]))
+    factory_kinematics: Path | None = file_option("For kinematics: the maker's own file of this arm.")
+
+
 @click.command("export")
 @click.argument("source", type=EXISTING)
-@click.option(
-    "--to",
-    "form",
-    type=click.Choice(_FORMS),
-    required=True,
-    help="Format to write.",
-)
-@click.option("--which", type=click.Choice(_MODELS), default="calibrated", help="Model of a calibration.")
-@click.option("--tool", is_flag=True, help="For a calibration: end at the measured tool, not at the tip link.")
-@click.option("--base", metavar="LINK", help="For a URDF: link where the arm begins.")
-@click.option("--tip", metavar="LINK", help="For a URDF: link where it ends.")
-@click.option("--link", metavar="LINK", help="For mount: the camera's link, such as camera_color_optical_frame.")
-@click.option("--largest-offset", type=float, default=10.0, help="Largest offset in a DH row [m].")
-@click.option(
-    "--nearest",
-    is_flag=True,
-    help="For dh and mdh: keep nearly parallel axes parallel, and say how far the table is off.",
-)
-@click.option("--unit", type=click.Choice([*UNITS]), default="m rad", help="Of a table that is written as CSV.")
-@click.option(
-    "--factory-kinematics", "factory", type=EXISTING, help="For kinematics: the maker's own file of this arm."
-)
+@given(ExportOptions)
 @click.option("--out", type=WRITTEN, help="File; .csv for CSV. Default: SOURCE_TO.yaml.")
 @speaking
-def export_command(source: Path, form: str, out: Path | None, output: Output, **options: Any) -> None:
+def export_command(source: Path, out: Path | None, output: Output, options: ExportOptions) -> None:
     """Write the kinematics of SOURCE as a table, as a URDF without bodies, or for a maker's description.
 
     SOURCE is a calibration (folder or calibration.yaml), a URDF, or a table (.yaml or .csv) of any convention. Tables
@@ -91,17 +88,17 @@ def export_command(source: Path, form: str, out: Path | None, output: Output, **
     <ros2_control> block of an arm whose controller can take nothing else. mount writes, as xacro does, the origin of
     the joint by which a camera is mounted, so that its --link is where the calibration found the camera.
     """
-    largest_offset, nearest, unit = options["largest_offset"], options["nearest"], options["unit"]
+    form, largest_offset, nearest, unit = options.to, options.largest_offset, options.nearest, options.unit
     if not (0.0 < largest_offset < 1e9):
         raise BadTable("--largest-offset", f"{largest_offset:g} m is not a valid distance", "give metres, such as 10")
     if form in _OF_URDF:
-        output.result(*_written_origins(source, form, options, out))
+        output.result(*_written_origins(source, options, out))
         return
     if form == _OFFSETS:
         output.result(*_written_offsets(source, out))
         return
     if form == _MOUNT:
-        output.result(*_written_mount(source, options["link"], out))
+        output.result(*_written_mount(source, options.link, out))
         return
     chain, left_out = _read(source, options)
     if form == "urdf":
@@ -169,10 +166,10 @@ def _lost(found: NearestTable) -> str:
 
 
 def _written_origins(
-    source: Path, form: str, options: dict[str, Any], out: Path | None
+    source: Path, options: ExportOptions, out: Path | None
 ) -> tuple[dict[str, Any], Callable[[Console], None]]:
     """Write the origins of a URDF's joints between base and tip, and say so."""
-    base, tip, factory = options["base"], options["tip"], options["factory"]
+    form, base, tip, factory = options.to, options.base, options.tip, options.factory_kinematics
     left_out: tuple[str, ...] = ()
     if source.is_dir():
         calibration = read_calibration(source)
@@ -249,14 +246,14 @@ def _written_mount(
     return told(out, chain)
 
 
-def _read(source: Path, options: dict[str, Any]) -> _Source:
-    which, tool = options["which"], options["tool"]
+def _read(source: Path, options: ExportOptions) -> _Source:
+    which, tool = options.which, options.tool
     if source.is_dir():
         return _of_calibration(read_calibration(source), which, tool)
     if source.suffix.lower() != ".csv" and source.read_bytes().lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         with about(str(source)):
             text = source.read_text(encoding="utf-8", errors="replace")
-            return read_chain(text, options["base"], options["tip"]), ()
+            return read_chain(text, options.base, options.tip), ()
     table = read_table(source)
     if table is not None:
         with about(str(source)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ from modcal_core.robot import Robot
 from modcal_core.robots import Chain, chain_urdf, document, from_table, from_ur_conf
 from modcal_msgs_py import write_recording
 from modcal_msgs_py.tables import MeasuredArm, Proposal, find, json_schema, read_tables
-from modcal_nodes.cli.console import Output, speaking, tell
+from modcal_nodes.cli.console import Output, file_option, given, option, speaking, tell
 from modcal_nodes.cli.export import read_table, told
-from modcal_nodes.cli.inputs import BASE, EXISTING, TIP, WRITTEN, described
+from modcal_nodes.cli.inputs import EXISTING, WRITTEN, ChainOptions, described
 
 _HEAD = 4096  # bytes in which a kinematic table says that it is one
 
@@ -36,21 +36,16 @@ def is_kinematic(path: Path) -> bool:
     return {"a", "d", "alpha"} <= labels or ("name" in labels and bool({"theta", "bx", "alpha"} & labels))
 
 
-def proposed(
-    tables: Sequence[Path], options: dict[str, Any], out: Path | None, output: Output
-) -> tuple[Proposal, Path]:
-    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way.
-
-    out: the bag that is made of them at once, where nothing is left to ask.
-    """
-    path = options["mapping"] or Path(f"{tables[0].stem}.yaml")
+def proposed(tables: Sequence[Path], urdf: Path, options: ImportOptions, output: Output) -> tuple[Proposal, Path]:
+    """The mapping of tables, and where it was written. Raises BadTable where none is found, or a file is in the way."""
+    out, path = options.out, options.mapping or Path(f"{tables[0].stem}.yaml")
     if path.exists():
         raise BadTable(str(path), "exists already", "give --mapping another name, import it, or remove it")
     folders = {table.resolve().parent for table in tables}
     if len(folders) > 1:
         raise BadTable(str(tables[1]), "is in another folder than the first table", "put them into one folder")
-    urdf, ends = options["urdf"], {end: options[end] for end in ("base", "tip") if options[end] is not None}
-    robot = Robot.from_urdf(urdf, **ends)
+    robot = Robot.from_urdf(urdf, options.base, options.tip)
+    ends = {end: name for end, name in (("base", options.base), ("tip", options.tip)) if name is not None}
     with output.working() as watch:
         where = os.path.relpath(urdf.resolve(), path.resolve().parent)
         made = find(
@@ -90,20 +85,23 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
         context.exit()
 
 
+@dataclass(frozen=True)
+class ImportOptions(ChainOptions):
+    """Where tables are, of which robot, and what is written."""
+
+    data: Path | None = file_option("Folder of the tables. Default: the folder of MAPPING.")
+    urdf: Path | None = file_option("Robot description to put into the bag, and to prove a mapping by.")
+    mapping: Path | None = option(
+        "For tables without a mapping: the mapping to write. Default: FILE.yaml.", type=click.Path(path_type=Path)
+    )
+    out: Path | None = option(
+        "The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none.", type=WRITTEN
+    )
+
+
 @click.command("import")
 @click.argument("sources", type=EXISTING, nargs=-1, required=True, metavar="MAPPING | FILE.csv...")
-@click.option("--data", type=EXISTING, help="Folder of the tables. Default: the folder of MAPPING.")
-@click.option("--urdf", type=EXISTING, help="Robot description to put into the bag, and to prove a mapping by.")
-@BASE
-@TIP
-@click.option(
-    "--mapping",
-    type=click.Path(path_type=Path),
-    help="For tables without a mapping: the mapping to write. Default: FILE.yaml.",
-)
-@click.option(
-    "--out", type=WRITTEN, help="The bag or URDF to write. Default: MAPPING's name. For tables without a mapping: none."
-)
+@given(ImportOptions)
 @click.option(
     "--schema",
     is_flag=True,
@@ -113,7 +111,7 @@ def _print_schema(context: click.Context, _: click.Parameter, asked: bool) -> No
     help="Print the JSON schema of MAPPING, for editors.",
 )
 @speaking
-def import_command(sources: tuple[Path, ...], out: Path | None, output: Output, **options: Any) -> None:
+def import_command(sources: tuple[Path, ...], output: Output, options: ImportOptions) -> None:
     """Convert CSV tables into a bag, as described by MAPPING (a YAML file).
 
     Without a mapping, FILE.csv and the robot's --urdf are enough: separator, units, columns and conventions are found
@@ -123,16 +121,16 @@ def import_command(sources: tuple[Path, ...], out: Path | None, output: Output, 
     A kinematic table (.csv, or .yaml that states a convention: dh, mdh or cpc) becomes a URDF, which every other verb
     takes; so does UR's calibration.conf, beside the --urdf of its model.
     """  # fmt: skip
-    first = sources[0]
+    first, urdf, out = sources[0], options.urdf, options.out
     if first.suffix.lower() == ".conf":
-        _write_arm(first, _of_conf(first, options["urdf"]), out, output)
+        _write_arm(first, _of_conf(first, urdf), out, output)
         return
-    if first.suffix.lower() not in _YAML and options["urdf"] is not None and not is_kinematic(first):
-        made, path = proposed(sources, options, out, output)
+    if first.suffix.lower() not in _YAML and urdf is not None and not is_kinematic(first):
+        made, path = proposed(sources, urdf, options, output)
         if made.open:
             raise SystemExit(3)
         if out is not None:
-            _import(path, {**options, "data": options["data"] or first.parent}, out, output)
+            _import(path, replace(options, data=options.data or first.parent), out, output)
         return
     if len(sources) > 1:
         raise BadTable(str(sources[1]), "stands beside a mapping", "name all files in the mapping, or give tables only")
@@ -169,8 +167,8 @@ def _kinematic_table(path: Path) -> dict[str, Any] | None:
         raise BadTable(error.offender, error.limit, f"{remedy}; or {error.remedy}") from error
 
 
-def _import(mapping: Path, options: dict[str, Any], out: Path, output: Output) -> None:
-    stated, folder, urdf = read_yaml(mapping), options["data"] or mapping.parent, options["urdf"]
+def _import(mapping: Path, options: ImportOptions, out: Path, output: Output) -> None:
+    stated, folder, urdf = read_yaml(mapping), options.data or mapping.parent, options.urdf
     with output.working() as watch:
         tables = read_tables(stated, folder, mapping.name, partial(watch, "reading the tables"))
         recording = tables.recording
@@ -178,7 +176,7 @@ def _import(mapping: Path, options: dict[str, Any], out: Path, output: Output) -
         urdf = urdf or _stated_urdf(stated, mapping, folder)
         if urdf is not None:
             recording = replace(recording, robot_description=urdf.read_text(encoding="utf-8"))
-            arm = options["base"] or stated.get("base"), options["tip"] or stated.get("tip")
+            arm = options.base or stated.get("base"), options.tip or stated.get("tip")
             watch("comparing conventions")
             with remedies_of(recording.warnings):
                 recording = _proved(recording, stated, arm)
